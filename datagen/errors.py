@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+"""The one error that bad input raises: what, where, got, expected, remedy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault in one input.
+
+    ``where`` is a file or an argument, ``field`` the place inside it (``materials[3].roughness``),
+    ``got`` what stands there, ``expected`` what would have been right, ``remedy`` what to do next.
+    """
+
+    where: str | Path
+    field: str = ""
+    got: str = ""
+    expected: str = ""
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        text = f"{self.where}: "
+        if self.field and self.got:
+            text += f"{self.field} = {self.got}"
+        else:
+            text += self.field or self.got
+        if self.expected:
+            text += f"; expected {self.expected}"
+        if self.remedy:
+            text += f"; {self.remedy}"
+        return text
+
+
+class InputError(ValueError):
+    """Bad input. Carries every problem that was found, so that a user mends all of them in one go."""
+
+    def __init__(self, *problems: Problem):
+        if not problems:
+            raise TypeError("InputError needs at least one Problem")
+        self.problems = problems
+        super().__init__("\n".join(str(problem) for problem in problems))
+
+
+def input_error(
+    where: str | Path, field: str = "", got: object = "", expected: str = "", remedy: str = ""
+) -> InputError:
+    """Shorthand for an :class:`InputError` with a single problem."""
+    return InputError(Problem(where, field, str(got), expected, remedy))

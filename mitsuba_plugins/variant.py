@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: MIT
+"""Chooses the Mitsuba variant and the LLVM library it compiles with, once a process.
+
+Mitsuba's LLVM back end aborts the whole process ("Cannot select: fminimum") with LLVM 14 to 16, and no
+exception can catch that. The newest suitable library is therefore chosen *before* mitsuba is imported, and
+a machine that has only older ones is refused with the remedy in the message.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+MIN_LLVM_MAJOR = 19
+CPU_VARIANT = "llvm_ad_rgb"
+CUDA_VARIANT = "cuda_ad_rgb"
+VARIANTS = (CPU_VARIANT, CUDA_VARIANT)
+_LIBRARY_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)(?:\.\d+)*(?:\.so)?(?:\.\d+)*$")
+_SEARCH_FOLDERS = (
+    "/usr/lib/x86_64-linux-gnu",
+    "/usr/lib/aarch64-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib",
+    "/usr/local/lib",
+    "/opt/homebrew/opt/llvm/lib",
+)
+REMEDY = (
+    "install LLVM 19 or later (Debian/Ubuntu: apt-get install libllvm19), "
+    "or point DRJIT_LIBLLVM_PATH at its libLLVM shared library"
+)
+
+
+@dataclass(frozen=True)
+class LlvmLibrary:
+    """A shared LLVM library: its path and major version."""
+
+    path: Path
+    major: int
+
+
+def find_llvm_libraries() -> list[LlvmLibrary]:
+    """Every LLVM shared library in the usual folders, newest first."""
+    found: dict[Path, LlvmLibrary] = {}
+    folders = [Path(f) for f in _SEARCH_FOLDERS] + sorted(Path("/usr/lib").glob("llvm-*/lib"))
+    for folder in folders:
+        if not folder.is_dir():
+            continue
+        for path in sorted(folder.glob("libLLVM*")):
+            match = _LIBRARY_NAME.match(path.name)
+            if match:
+                real = path.resolve()
+                found.setdefault(real, LlvmLibrary(real, int(match.group(1))))
+    return sorted(found.values(), key=lambda lib: (-lib.major, str(lib.path)))
+
+
+def _llvm_major(path: Path) -> int | None:
+    """Major version that the library itself reports, or None where it cannot be loaded or asked."""
+    try:
+        library = ctypes.CDLL(str(path))
+        get_version = library.LLVMGetVersion  # since LLVM 16
+    except (OSError, AttributeError):
+        return None
+    major, minor, patch = ctypes.c_uint(), ctypes.c_uint(), ctypes.c_uint()
+    get_version(ctypes.byref(major), ctypes.byref(minor), ctypes.byref(patch))
+    return major.value
+
+
+def choose_llvm() -> LlvmLibrary:
+    """The LLVM library to compile with: ``DRJIT_LIBLLVM_PATH`` if set, else the newest one found.
+
+    Raises ``RuntimeError`` with the remedy where there is none that is new enough.
+    """
+    override = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if override:
+        path = Path(override)
+        major = _llvm_major(path)
+        if major is None or major < MIN_LLVM_MAJOR:
+            what = "is not a loadable LLVM of 16 or later" if major is None else f"is LLVM {major}"
+            raise RuntimeError(
+                f"DRJIT_LIBLLVM_PATH = {override} {what}; expected LLVM {MIN_LLVM_MAJOR} or later; {REMEDY}"
+            )
+        return LlvmLibrary(path, major)
+    libraries = find_llvm_libraries()
+    for library in libraries:
+        if library.major >= MIN_LLVM_MAJOR:
+            return library
+    have = ", ".join(f"{lib.major} ({lib.path})" for lib in libraries) or "none"
+    raise RuntimeError(f"no usable LLVM: found {have}; expected {MIN_LLVM_MAJOR} or later; {REMEDY}")
+
+
+def has_cuda() -> bool:
+    """Whether an NVIDIA driver answers on this machine (asked without importing mitsuba)."""
+    if shutil.which("nvidia-smi") is None and not Path("/dev/nvidia0").exists():
+        return False
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    count = ctypes.c_int(0)
+    return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0
+
+
+def select_variant(name: str | None = None) -> str:
+    """Set the Mitsuba variant of this process and return its name. Repeated calls are cheap.
+
+    ``name`` is one of :data:`VARIANTS`; None takes ``SCENE_MATERIALS_VARIANT`` from the environment, else
+    CUDA where a GPU answers, else LLVM. Raises ``RuntimeError`` if another variant is already active, or if
+    the LLVM on the machine is too old.
+    """
+    if "mitsuba" in sys.modules:
+        import mitsuba as mi
+
+        active = mi.variant()
+        if active is not None:
+            if name is not None and active != name:
+                raise RuntimeError(
+                    f"variant {active} is already active in this process; expected {name}; "
+                    "use one variant a process"
+                )
+            return active
+    name = name or os.environ.get("SCENE_MATERIALS_VARIANT") or (CUDA_VARIANT if has_cuda() else CPU_VARIANT)
+    if name not in VARIANTS:
+        raise RuntimeError(f"variant {name!r} is not supported; expected one of {', '.join(VARIANTS)}")
+    if name == CPU_VARIANT:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(choose_llvm().path)
+    import mitsuba as mi
+
+    mi.set_variant(name)
+    mi.set_log_level(mi.LogLevel.Warn)
+    return name
