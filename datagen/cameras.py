@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+"""Pinhole cameras and their conventions as code.
+
+World: metres, right-handed, Z up. Camera: x right, y down, z forward. Pixel (column u, row v) has its centre
+at (u + 0.5, v + 0.5); intrinsics are in pixels. Transforms are named target_from_source.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion. ``world_from_camera`` is a rigid (4, 4) float64 matrix."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    world_from_camera: NDArray[np.float64]
+
+    @property
+    def position_m(self) -> NDArray[np.float64]:
+        """Centre of projection in world space, (3,)."""
+        return self.world_from_camera[:3, 3]
+
+    @property
+    def forward(self) -> NDArray[np.float64]:
+        """Unit optical axis in world space, (3,)."""
+        return self.world_from_camera[:3, 2]
+
+    @property
+    def camera_from_world(self) -> NDArray[np.float64]:
+        """Inverse of ``world_from_camera``, (4, 4)."""
+        rotation = self.world_from_camera[:3, :3]
+        inverse = np.eye(4)
+        inverse[:3, :3] = rotation.T
+        inverse[:3, 3] = -rotation.T @ self.world_from_camera[:3, 3]
+        return inverse
+
+    @property
+    def fov_x_rad(self) -> float:
+        """Full horizontal field of view of a centred image of this width."""
+        return float(2 * np.arctan(0.5 * self.width_px / self.fx_px))
+
+    def scaled(self, width_px: int, height_px: int) -> Camera:
+        """The same camera at another resolution (intrinsics scaled per axis)."""
+        sx, sy = width_px / self.width_px, height_px / self.height_px
+        return Camera(
+            width_px,
+            height_px,
+            self.fx_px * sx,
+            self.fy_px * sy,
+            self.cx_px * sx,
+            self.cy_px * sy,
+            self.world_from_camera,
+        )
+
+    def project(self, points_world: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World points (..., 3) to pixel coordinates (..., 2) and depth_z_m (...).
+
+        Points at or behind the camera's plane get NaN coordinates and their (non-positive) depth.
+        """
+        points = np.asarray(points_world, dtype=np.float64)
+        local = points @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
+        z = local[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = self.fx_px * local[..., 0] / z + self.cx_px
+            v = self.fy_px * local[..., 1] / z + self.cy_px
+        pixels = np.stack([u, v], axis=-1)
+        pixels[z <= 0] = np.nan
+        return pixels, z
+
+    def unproject(self, pixels: ArrayLike, depth_z_m: ArrayLike) -> NDArray[np.float64]:
+        """Inverse of :meth:`project`: pixel coordinates (..., 2) and depth_z_m (...) to world points (..., 3)."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        z = np.asarray(depth_z_m, dtype=np.float64)
+        x = (pixels[..., 0] - self.cx_px) / self.fx_px * z
+        y = (pixels[..., 1] - self.cy_px) / self.fy_px * z
+        local = np.stack([x, y, z], axis=-1)
+        return local @ self.world_from_camera[:3, :3].T + self.world_from_camera[:3, 3]
+
+    def pixel_centers(self) -> NDArray[np.float64]:
+        """Coordinates of every pixel's centre, (H, W, 2)."""
+        u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
+        return np.stack([u, v], axis=-1)
+
+    def ray_directions(self) -> NDArray[np.float64]:
+        """Unit world directions through every pixel's centre, (H, W, 3)."""
+        ends = self.unproject(self.pixel_centers(), np.ones((self.height_px, self.width_px)))
+        directions = ends - self.position_m
+        return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def look_at(
+    position_m: ArrayLike, target_m: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)
+) -> NDArray[np.float64]:
+    """``world_from_camera`` (4, 4) of a camera at ``position_m`` that looks at ``target_m``, ``up`` upwards.
+
+    Raises ``ValueError`` where position and target coincide; if the view is along ``up``, another axis serves.
+    """
+    position, target = np.asarray(position_m, dtype=np.float64), np.asarray(target_m, dtype=np.float64)
+    forward = target - position
+    length = np.linalg.norm(forward)
+    if not length > 0:
+        raise ValueError(f"camera position and target coincide at {position.tolist()}")
+    forward /= length
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    if np.linalg.norm(right) < 1e-8:  # looking straight along `up` leaves the roll free
+        right = np.cross(forward, [0.0, 1.0, 0.0] if abs(forward[1]) < 0.9 else [1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, down, forward], axis=1)
+    matrix[:3, 3] = position
+    return matrix

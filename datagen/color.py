@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: MIT
+"""Colour encodings, each with its inverse. Linear means linear Rec.709/sRGB primaries, D65."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+LUMINANCE_WEIGHTS = np.array([0.212671, 0.715160, 0.072169])
+"""Rec.709 luminance of a linear RGB colour, the weights that Mitsuba uses."""
+
+_LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; part of the network's input encoding (method 3)
+
+
+def srgb_from_linear(linear: NDArray) -> NDArray:
+    """sRGB-encode linear values; negative input is clamped to 0, values above 1 stay above 1."""
+    linear = np.maximum(linear, 0.0)
+    return np.where(
+        linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(np.maximum(linear, 1e-12), 1 / 2.4) - 0.055
+    )
+
+
+def linear_from_srgb(srgb: NDArray) -> NDArray:
+    """Inverse of :func:`srgb_from_linear`; negative input is clamped to 0."""
+    srgb = np.maximum(srgb, 0.0)
+    return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4))
+
+
+def luminance(linear_rgb: NDArray) -> NDArray:
+    """Rec.709 luminance of (..., 3) linear colours, as (...)."""
+    return linear_rgb @ LUMINANCE_WEIGHTS.astype(linear_rgb.dtype)
+
+
+def log_from_linear(linear: NDArray) -> NDArray:
+    """[0, 1] to [-1, 1]: 2 (ln(x + 0.01) - ln 0.01) / (ln 1.01 - ln 0.01) - 1; input is clipped to [0, 1]."""
+    x = np.clip(linear, 0.0, 1.0)
+    span = np.log(1 + _LOG_EPSILON) - np.log(_LOG_EPSILON)
+    return 2 * (np.log(x + _LOG_EPSILON) - np.log(_LOG_EPSILON)) / span - 1
+
+
+def linear_from_log(encoded: NDArray) -> NDArray:
+    """Inverse of :func:`log_from_linear` on [-1, 1]."""
+    span = np.log(1 + _LOG_EPSILON) - np.log(_LOG_EPSILON)
+    return np.exp((encoded + 1) / 2 * span + np.log(_LOG_EPSILON)) - _LOG_EPSILON
+
+
+def exposure_for(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> float:
+    """Factor that brings the 95th percentile of an image's luminance to 0.9 (method 3).
+
+    ``linear_rgb`` (..., 3); ``valid_mask`` (...) leaves pixels out. 1.0 for a black or empty image.
+    """
+    values = luminance(np.asarray(linear_rgb, dtype=np.float64))
+    if valid_mask is not None:
+        values = values[valid_mask]
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return 1.0
+    reference = float(np.percentile(values, 95))
+    return 0.9 / reference if reference > 0 else 1.0

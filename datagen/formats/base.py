@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: MIT
+"""What all JSON and YAML files of the project share: strict models, readable errors, canonical bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import yaml
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from datagen.errors import InputError, Problem
+
+MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file is not one of ours
+
+
+class StrictModel(BaseModel):
+    """Base of every file model: unknown keys are errors, instances are immutable, NaN and Inf are refused."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=False, allow_inf_nan=False, populate_by_name=True
+    )
+
+
+def _check_slug(value: str) -> str:
+    if not value or any(c not in "abcdefghijklmnopqrstuvwxyz0123456789_-." for c in value) or ".." in value:
+        raise ValueError("expected lower-case letters, digits, '_', '-' and '.' only")
+    return value
+
+
+def _check_relative_path(value: str) -> str:
+    parts = value.replace("\\", "/").split("/")
+    if not value or value.startswith(("/", "\\")) or ":" in value or any(p in ("", ".", "..") for p in parts):
+        raise ValueError("expected a relative path inside the package, without '..'")
+    return value
+
+
+def _check_rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    if tuple(rows[3]) != (0.0, 0.0, 0.0, 1.0):
+        raise ValueError("expected a 4x4 matrix whose last row is 0 0 0 1")
+    return rows
+
+
+Slug = Annotated[str, AfterValidator(_check_slug)]
+"""Identifier that is safe as a file name on any system."""
+RelativePath = Annotated[str, AfterValidator(_check_relative_path)]
+"""Path inside a package, '/'-separated; never leaves the package."""
+Unit = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+Vector3 = tuple[float, float, float]
+UnitColor = tuple[Unit, Unit, Unit]
+"""Linear Rec.709, each in [0, 1]."""
+Radiometric3 = tuple[NonNegative, NonNegative, NonNegative]
+"""Linear Rec.709 radiance, intensity or irradiance."""
+_Row = tuple[float, float, float, float]
+Matrix4 = Annotated[tuple[_Row, _Row, _Row, _Row], AfterValidator(_check_rigid)]
+"""Row-major affine transform."""
+IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def _field_path(location: tuple[int | str, ...]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else str(part))
+    return text
+
+
+def _problems(where: str | Path, error: ValidationError) -> list[Problem]:
+    problems = []
+    for entry in error.errors(include_url=False):
+        got = "" if entry["type"] == "missing" else repr(entry.get("input"))
+        if len(got) > 120:
+            got = got[:117] + "..."
+        expected = entry["msg"].removeprefix("Value error, ")
+        expected = expected[0].lower() + expected[1:]
+        expected = expected.removeprefix("expected ").removeprefix("input should be ")
+        if entry["type"] == "extra_forbidden":
+            expected, remedy = "no such key", "correct its spelling or remove it"
+        elif entry["type"] == "missing":
+            expected, remedy = "this key to be present", "add it"
+        else:
+            remedy = "correct the value"
+        problems.append(Problem(where, _field_path(entry["loc"]), got, expected, remedy))
+    return problems
+
+
+def parse_model(model: type[ModelT], data: Any, where: str | Path) -> ModelT:
+    """Validate ``data`` as ``model``; raises :class:`InputError` with every problem that was found."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InputError(*_problems(where, error)) from None
+
+
+def _read_text(path: Path) -> str:
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise InputError(Problem(path, "", "a file of over 256 MB", "a text file", "check the path"))
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(Problem(path, "", "no such file", "a readable file", "check the path")) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(Problem(path, "", str(error), "a readable UTF-8 file", "check the file")) from None
+
+
+def read_json(model: type[ModelT], path: Path) -> ModelT:
+    """Read a JSON file as ``model``; raises :class:`InputError`."""
+    text = _read_text(path)
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(Problem(path, "", str(error), "valid JSON", "correct the file")) from None
+    return parse_model(model, data, path)
+
+
+def read_yaml(model: type[ModelT], path: Path) -> ModelT:
+    """Read a YAML file as ``model``; raises :class:`InputError`."""
+    text = _read_text(path)
+    try:
+        data = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise InputError(
+            Problem(path, "", " ".join(str(error).split()), "valid YAML", "correct the file")
+        ) from None
+    return parse_model(model, data if data is not None else {}, path)
+
+
+def canonical_json(data: BaseModel | dict[str, Any] | list[Any]) -> bytes:
+    """UTF-8 JSON with sorted keys, two-space indent and a final newline: equal content, equal bytes.
+
+    Floats are written by ``repr``, which round-trips; NaN and Inf raise ``ValueError``.
+    """
+    value = data.model_dump(mode="json", by_alias=True) if isinstance(data, BaseModel) else data
+    text = json.dumps(value, sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False)
+    return (text + "\n").encode()
+
+
+def sha256_hex(data: bytes) -> str:
+    """SHA-256 of ``data`` in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 of a file's content in hexadecimal, read in blocks."""
+    with path.open("rb") as file:
+        return (
+            hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else _sha(file)
+        )
+
+
+def _sha(file: Any) -> str:  # Python 3.10 has no hashlib.file_digest
+    digest = hashlib.sha256()
+    while block := file.read(1 << 20):
+        digest.update(block)
+    return digest.hexdigest()
+
+
+def write_bytes_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that it appears whole or not at all: beside, flush, rename."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def quantized(value: float, digits: int = 9) -> float:
+    """``value`` rounded to ``digits`` significant digits, so that files stay readable and stable."""
+    if value == 0 or not math.isfinite(value):
+        return 0.0 if value == 0 else value
+    return float(f"{value:.{digits}g}")
