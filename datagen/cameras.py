@@ -78,7 +78,7 @@ class Camera:
         return pixels, z
 
     def unproject(self, pixels: ArrayLike, depth_z_m: ArrayLike) -> NDArray[np.float64]:
-        """Inverse of :meth:`project`: pixel coordinates (..., 2) and depth_z_m (...) to world points (..., 3)."""
+        """Inverse of :meth:`project`: pixels (..., 2) and depth_z_m (...) to world points (..., 3)."""
         pixels = np.asarray(pixels, dtype=np.float64)
         z = np.asarray(depth_z_m, dtype=np.float64)
         x = (pixels[..., 0] - self.cx_px) / self.fx_px * z
@@ -101,9 +101,9 @@ class Camera:
 def look_at(
     position_m: ArrayLike, target_m: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)
 ) -> NDArray[np.float64]:
-    """``world_from_camera`` (4, 4) of a camera at ``position_m`` that looks at ``target_m``, ``up`` upwards.
+    """``world_from_camera`` (4, 4) of a camera at ``position_m`` that looks at ``target_m``.
 
-    Raises ``ValueError`` where position and target coincide; if the view is along ``up``, another axis serves.
+    Raises ``ValueError`` where both coincide; where the view is along ``up``, another axis sets the roll.
     """
     position, target = np.asarray(position_m, dtype=np.float64), np.asarray(target_m, dtype=np.float64)
     forward = target - position

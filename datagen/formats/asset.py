@@ -27,8 +27,6 @@ from datagen.formats.base import (
 )
 from datagen.formats.lights import Light
 
-ASSET_FORMAT = "scene-materials/asset"
-ASSET_VERSION = 1
 ASSET_FILE = "asset.json"
 MATERIAL_CLASSES = (
     "wood", "metal", "plastic", "rubber", "leather", "fabric", "ceramic", "stone", "paper", "glazed",
@@ -177,8 +175,8 @@ class Provenance(StrictModel):
 
 
 class _AssetBase(StrictModel):
-    format: Literal["scene-materials/asset"] = ASSET_FORMAT
-    version: Literal[1] = ASSET_VERSION
+    format: Literal["scene-materials/asset"] = "scene-materials/asset"
+    version: Literal[1] = 1
     id: Slug
     title: str
     provenance: Provenance

@@ -49,7 +49,7 @@ class SpotLight(StrictModel):
 
 
 class DirectionalLight(StrictModel):
-    """Sun. ``irradiance`` in W/m^2 on a plane across ``direction``; ``angular_diameter_rad`` 0 = sharp shadows."""
+    """Sun. ``irradiance`` in W/m^2 on a plane across ``direction``; diameter 0 = sharp shadows."""
 
     type: Literal["directional"] = "directional"
     name: str

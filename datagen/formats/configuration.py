@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""Configurations: one room with things, materials, lights and cameras, ready to render; readable JSON.
+
+A configuration names every asset by id and content hash and holds everything that was decided: no draw is
+left to the renderer. It is a pure function of (recipe, index, library).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from datagen.cameras import Camera
+from datagen.formats.base import (
+    IDENTITY4,
+    Matrix4,
+    Positive,
+    Radiometric3,
+    Slug,
+    StrictModel,
+)
+from datagen.formats.lights import Light
+
+Split = Literal["train", "validation", "test"]
+
+
+class ColorAdjustment(StrictModel):
+    """Variation of a material: applied to D and S in linear HSV, to R by an offset; results are clamped.
+
+    ``hue_shift`` in turns; ``saturation_scale`` and ``value_scale`` multiply; ``roughness_offset`` adds.
+    S is only recoloured where it is coloured (metals); its value is never scaled.
+    """
+
+    hue_shift: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    saturation_scale: Annotated[float, Field(ge=0, le=4)] = 1.0
+    value_scale: Annotated[float, Field(ge=0, le=4)] = 1.0
+    roughness_offset: Annotated[float, Field(ge=-1, le=1)] = 0.0
+
+
+class MaterialAssignment(StrictModel):
+    """What a slot of a placed asset wears.
+
+    ``asset`` is a material package, or None for the material that the asset brought. ``uv_scale`` multiplies
+    the part's UVs (tiles); None computes it from the part's ``uv_per_m`` and the material's ``tile_size_m``.
+    """
+
+    asset: Slug | None = None
+    uv_scale: Positive | None = None
+    adjustment: ColorAdjustment = ColorAdjustment()
+
+
+class PlacedAsset(StrictModel):
+    """An environment or object in the world; ``name`` is unique in the configuration.
+
+    ``world_from_asset`` holds scale, yaw and position. ``materials`` maps slot to assignment; slots that are
+    not named keep their own material. ``emission`` replaces the radiance of emissive slots, (0, 0, 0) turns
+    one off.
+    """
+
+    name: str
+    asset: Slug
+    world_from_asset: Matrix4 = IDENTITY4
+    materials: dict[str, MaterialAssignment] = {}
+    emission: dict[str, Radiometric3] = {}
+    support: str | None = None
+
+
+class ViewCamera(StrictModel):
+    """A camera of the configuration (conventions in ``datagen.cameras``)."""
+
+    name: Slug
+    width_px: Annotated[int, Field(gt=0, le=65536)]
+    height_px: Annotated[int, Field(gt=0, le=65536)]
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: float
+    cy_px: float
+    world_from_camera: Matrix4
+
+    def camera(self) -> Camera:
+        """The same as a :class:`datagen.cameras.Camera`."""
+        import numpy as np
+
+        return Camera(
+            self.width_px,
+            self.height_px,
+            self.fx_px,
+            self.fy_px,
+            self.cx_px,
+            self.cy_px,
+            np.array(self.world_from_camera, dtype=np.float64),
+        )
+
+    @classmethod
+    def from_camera(cls, name: str, camera: Camera) -> ViewCamera:
+        """The file form of a camera."""
+        rows = tuple(tuple(float(x) for x in row) for row in camera.world_from_camera)
+        return cls(
+            name=name,
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            fx_px=camera.fx_px,
+            fy_px=camera.fy_px,
+            cx_px=camera.cx_px,
+            cy_px=camera.cy_px,
+            world_from_camera=rows,  # type: ignore[arg-type]
+        )
+
+
+class Configuration(StrictModel):
+    """Everything that rendering needs. ``lights`` is the complete list besides emissive parts.
+
+    ``assets`` maps every asset id in use (environment, objects, materials, images of lights) to the SHA-256
+    of its package; rendering refuses a library whose packages differ. ``rejections`` counts why candidate
+    placements and cameras were thrown away, by stage and reason (``camera.too_close``).
+    ``seed`` seeds the renderer's sampler.
+    """
+
+    format: Literal["scene-materials/configuration"] = "scene-materials/configuration"
+    version: Literal[1] = 1
+    id: Slug
+    index: Annotated[int, Field(ge=0)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    split: Split = "train"
+    environment: PlacedAsset
+    objects: tuple[PlacedAsset, ...] = ()
+    lights: tuple[Light, ...] = ()
+    cameras: Annotated[tuple[ViewCamera, ...], Field(min_length=1)]
+    assets: dict[Slug, str]
+    rejections: dict[str, int] = {}
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> Configuration:
+        names = [placed.name for placed in (self.environment, *self.objects)]
+        if len(set(names)) != len(names):
+            raise ValueError("expected every placed asset to have a name of its own")
+        cameras = [camera.name for camera in self.cameras]
+        if len(set(cameras)) != len(cameras):
+            raise ValueError("expected every camera to have a name of its own")
+        return self

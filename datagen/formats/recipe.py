@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: MIT
+"""Recipes: what dataset to make. YAML in ``scenes/recipes/``; unknown keys are errors; flags override files.
+
+Ranges are [low, high], both ends included; draws are uniform unless the field says otherwise.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from datagen.formats.base import NonNegative, Positive, Slug, StrictModel, Unit
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError("expected [low, high] with low <= high")
+    return value
+
+
+Range = Annotated[tuple[float, float], AfterValidator(_ordered)]
+PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
+CountRange = Annotated[
+    tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], AfterValidator(_ordered)
+]
+
+
+class AssetFilter(StrictModel):
+    """Which assets may be used: all of the library, only those in ``include``, never those in ``exclude``."""
+
+    include: tuple[Slug, ...] | None = None
+    exclude: tuple[Slug, ...] = ()
+
+
+class ObjectRecipe(AssetFilter):
+    """Things to place. ``count`` a configuration; ``category_weights`` default to 1 a category."""
+
+    count: CountRange = (8, 20)
+    category_weights: dict[Slug, NonNegative] = {}
+    min_gap_m: NonNegative = 0.005
+    max_attempts: Annotated[int, Field(ge=1, le=10000)] = 60
+
+
+class MaterialRecipe(AssetFilter):
+    """How slots are dressed: with which probability an asset's own material is replaced or varied."""
+
+    replace_probability: Unit = 0.8
+    vary_probability: Unit = 0.7
+    variation_strength: Unit = 1.0
+
+
+class LightRecipe(StrictModel):
+    """Which light there is. Probabilities are per kind; at least one light is always on.
+
+    Intensities are drawn log-uniformly, then all are scaled by one factor so that a probe estimate of the
+    mean irradiance in the camera region falls into ``mean_irradiance`` (W/m^2, in the renderer's units).
+    """
+
+    native_probability: Unit = 0.5
+    area_probability: Unit = 0.8
+    point_probability: Unit = 0.3
+    daylight_probability: Unit = 0.7
+    count_area: CountRange = (1, 3)
+    count_point: CountRange = (1, 2)
+    color_temperature_k: PositiveRange = (2700.0, 7500.0)
+    mean_irradiance: PositiveRange = (0.5, 4.0)
+    environment_images: tuple[Slug, ...] = ()
+
+
+class CameraRecipe(StrictModel):
+    """Where cameras may be and what they must see.
+
+    Heights are above the floor of the camera region. ``fov_x_deg`` is the horizontal field of view.
+    ``min_distance_m``: no surface may be nearer in more than 2 % of the image; ``max_near_share``: largest
+    share of the image nearer than twice that. ``min_content``: least number of distinct instances seen.
+    ``min_overlap``: least share of a view's points that another view sees too. ``min_luminance`` is relative
+    to the configuration's median view.
+    """
+
+    height_m: PositiveRange = (0.8, 1.9)
+    fov_x_deg: PositiveRange = (50.0, 75.0)
+    min_distance_m: Positive = 0.3
+    max_near_share: Unit = 0.35
+    min_content: Annotated[int, Field(ge=1)] = 3
+    min_overlap: Unit = 0.3
+    min_luminance: NonNegative = 0.05
+    max_attempts: Annotated[int, Field(ge=1, le=100000)] = 40
+
+
+class RenderRecipe(StrictModel):
+    """What a view costs. ``path_samples`` light paths and ``auxiliary_samples`` clean buffers a pixel."""
+
+    variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"
+    path_samples: Annotated[int, Field(ge=1, le=1 << 20)] = 8
+    auxiliary_samples: Annotated[int, Field(ge=1, le=4096)] = 64
+    max_depth: Annotated[int, Field(ge=1, le=1024)] = 8
+    russian_roulette_depth: Annotated[int, Field(ge=1, le=1024)] = 5
+    denoise: bool = True
+    keep_noisy: bool = False
+
+
+class StatisticsRecipe(StrictModel):
+    """Multi-view statistics (method 2)."""
+
+    best_views: Annotated[int, Field(ge=1, le=64)] = 12
+    visibility: Literal["depth", "trace"] = "depth"
+    include_self: bool = True
+
+
+class SplitRecipe(StrictModel):
+    """Shares of configurations. ``disjoint``: no asset or material of the test split appears in training."""
+
+    train: Unit = 1.0
+    validation: Unit = 0.0
+    test: Unit = 0.0
+    disjoint: bool = False
+
+    @model_validator(mode="after")
+    def _sums_to_one(self) -> SplitRecipe:
+        total = self.train + self.validation + self.test
+        if abs(total - 1) > 1e-6:
+            raise ValueError(f"expected train + validation + test = 1, got {total:g}")
+        return self
+
+
+class OutputRecipe(StrictModel):
+    """How views are stored. Lossless; ``zip`` is the smallest that every reader knows."""
+
+    compression: Literal["none", "rle", "zips", "zip", "piz"] = "zip"
+
+
+class Recipe(StrictModel):
+    """A dataset to make. ``library``: folders, relative to the recipe; "bundled" is the project's own."""
+
+    format: Literal["scene-materials/recipe"] = "scene-materials/recipe"
+    version: Literal[1] = 1
+    name: Slug
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    configurations: Annotated[int, Field(ge=1, le=10_000_000)]
+    views: Annotated[int, Field(ge=1, le=4096)]
+    resolution: tuple[Annotated[int, Field(ge=8, le=16384)], Annotated[int, Field(ge=8, le=16384)]] = (
+        640,
+        384,
+    )
+    library: tuple[str, ...] = ("bundled",)
+    environments: AssetFilter = AssetFilter()
+    objects: ObjectRecipe = ObjectRecipe()
+    materials: MaterialRecipe = MaterialRecipe()
+    lights: LightRecipe = LightRecipe()
+    cameras: CameraRecipe = CameraRecipe()
+    render: RenderRecipe = RenderRecipe()
+    statistics: StatisticsRecipe = StatisticsRecipe()
+    splits: SplitRecipe = SplitRecipe()
+    output: OutputRecipe = OutputRecipe()
