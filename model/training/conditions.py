@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""Random viewing and lighting conditions of the rendering loss (method 5), drawn from seeded generators.
+
+Maps are (B, C, H, W). Positions and normals are in camera space (metres; x right, y down, z forward; the camera
+at the origin), so a pixel's original view direction is -position/|position|. Every draw is made per image of
+the batch on the CPU, so that the same seed gives the same conditions on every device.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from model.shading import SphericalGaussians, dot, normalize, sg_integral
+
+VIEW_DISC_RADIUS2 = 0.9
+"""Views are cosine-weighted with r^2 below this: within 71.6 degrees of the original view."""
+LIGHT_DISTANCE_LOG_MEAN, LIGHT_DISTANCE_LOG_STD = 0.5, 0.75
+NUM_SG_LIGHTS = 5
+SG_SHARPNESS_RANGE = (2.0, 200.0)
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What shading needs of a crop: ``position`` and unit ``normal`` (B, 3, H, W), ``mask`` (B, 1, H, W) bool.
+
+    Where ``mask`` is False there is no surface; normals are zero there and nothing is shaded.
+    """
+
+    position: Tensor
+    normal: Tensor
+    mask: Tensor
+
+
+@dataclass(frozen=True)
+class PointCondition:
+    """``view_dir`` (B, 3, H, W), ``light_position`` (B, 3, 1, 1) in metres, ``intensity`` (B, 1, 1, 1) in W/sr."""
+
+    view_dir: Tensor
+    light_position: Tensor
+    intensity: Tensor
+
+
+@dataclass(frozen=True)
+class AreaCondition:
+    """``view_dir`` (B, 3, H, W) and K distant lobes."""
+
+    view_dir: Tensor
+    lights: SphericalGaussians
+
+
+def generator_for(*key: int) -> torch.Generator:
+    """A CPU generator seeded by a tuple such as (seed, purpose, step, rank); distinct keys, distinct streams."""
+    state = 0x9E3779B97F4A7C15
+    for part in key:  # splitmix64 of the running state: neighbouring keys give unrelated seeds
+        state = (state ^ (part & 0xFFFFFFFFFFFFFFFF)) & 0xFFFFFFFFFFFFFFFF
+        state = (state + 0x9E3779B97F4A7C15) & 0xFFFFFFFFFFFFFFFF
+        state = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) & 0xFFFFFFFFFFFFFFFF
+        state = ((state ^ (state >> 27)) * 0x94D049BB133111EB) & 0xFFFFFFFFFFFFFFFF
+        state ^= state >> 31
+    generator = torch.Generator(device="cpu")
+    generator.manual_seed(state >> 1)
+    return generator
+
+
+def scene_scale(geometry: Geometry) -> Tensor:
+    """Half the side (B, 1, 1, 1), in metres, of the square whose points spread as the crop's points do.
+
+    The light distances of Deschaintre et al. are in units of a patch on [-1, 1]^2, whose root-mean-square
+    distance from its centre is sqrt(2/3). 1.0 for an empty crop.
+    """
+    mask = geometry.mask.to(geometry.position.dtype)
+    count = mask.sum(dim=(2, 3), keepdim=True)
+    mean = (geometry.position * mask).sum(dim=(2, 3), keepdim=True) / count.clamp_min(1.0)
+    offset = (geometry.position - mean) * mask
+    spread2 = dot(offset, offset).sum(dim=(2, 3), keepdim=True) / count.clamp_min(1.0)
+    return torch.where(spread2 > 1e-12, torch.sqrt(1.5 * spread2.clamp_min(1e-12)), torch.ones_like(spread2))
+
+
+def sample_views(geometry: Geometry, generator: torch.Generator) -> Tensor:
+    """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
+
+    The draw is a point of a disc in a frame that turns with each pixel's original view direction and keeps the
+    camera's x axis, so the new views vary smoothly over the image as those of one camera would.
+    """
+    original = normalize(-geometry.position)
+    num = original.shape[0]
+    uv = torch.rand(num, 2, generator=generator).to(original)
+    radius2 = VIEW_DISC_RADIUS2 * uv[:, 0].reshape(-1, 1, 1, 1)
+    phi = 2.0 * math.pi * uv[:, 1].reshape(-1, 1, 1, 1)
+    radius = torch.sqrt(radius2)
+    x_axis = torch.zeros_like(original)
+    x_axis[:, 0] = 1.0
+    tangent = normalize(x_axis - dot(x_axis, original) * original)
+    bitangent = torch.linalg.cross(original, tangent, dim=1)
+    view = tangent * (radius * torch.cos(phi)) + bitangent * (radius * torch.sin(phi))
+    return normalize(view + original * torch.sqrt(1.0 - radius2))
+
+
+def _anchor_pixels(geometry: Geometry, generator: torch.Generator) -> Tensor:
+    """Flat index (B,) of a random surface pixel of each image; pixel 0 where an image has none."""
+    weights = geometry.mask.flatten(1).to("cpu", torch.float32)
+    u = torch.rand(weights.shape[0], 1, generator=generator)
+    cumulative = weights.cumsum(dim=1)
+    target = u * cumulative[:, -1:]
+    index = torch.searchsorted(cumulative, target, right=True).clamp_max(weights.shape[1] - 1)
+    return index[:, 0].to(geometry.position.device)
+
+
+def _pick(image: Tensor, index: Tensor) -> Tensor:
+    """Values (B, C, 1, 1) of (B, C, H, W) at flat pixel indices (B,)."""
+    flat = image.flatten(2)
+    picked = flat.gather(2, index.reshape(-1, 1, 1).expand(-1, flat.shape[1], 1))
+    return picked.unsqueeze(-1)
+
+
+def sample_point_condition(geometry: Geometry, generator: torch.Generator) -> PointCondition:
+    """A view, and a point light in the mirror direction of that view at a random anchor pixel.
+
+    The light stands at exp N(0.5, 0.75) scene scales from the anchor. Its intensity makes a white Lambertian
+    surface at the anchor that faces it reflect radiance 1, so that exposure does not depend on the distance.
+    """
+    view_dir = sample_views(geometry, generator)
+    anchor = _anchor_pixels(geometry, generator)
+    point, normal, view = (_pick(m, anchor) for m in (geometry.position, geometry.normal, view_dir))
+    cos_o = dot(normal, view)
+    mirror = normalize(2.0 * cos_o * normal - view)
+    # a view below the anchor's horizon would put the light behind the surface: use the normal instead
+    direction = torch.where(cos_o > 0, mirror, normal)
+    log_distance = LIGHT_DISTANCE_LOG_MEAN + LIGHT_DISTANCE_LOG_STD * torch.randn(
+        point.shape[0], generator=generator
+    ).to(point)
+    distance = torch.exp(log_distance).reshape(-1, 1, 1, 1) * scene_scale(geometry)
+    return PointCondition(view_dir, point + distance * direction, math.pi * distance * distance)
+
+
+def sample_area_condition(geometry: Geometry, generator: torch.Generator) -> AreaCondition:
+    """A view, and 5 spherical Gaussians uniform on the hemisphere that the camera looks away from.
+
+    Surfaces that a camera sees face it, so light must come from its side (z <= 0). Sharpness is log-uniform in
+    2...200 and colours are uniform; the lobes' integrals are scaled to sum, averaged over channels, to pi.
+    """
+    view_dir = sample_views(geometry, generator)
+    num, dtype, device = view_dir.shape[0], view_dir.dtype, view_dir.device
+    u = torch.rand(num, NUM_SG_LIGHTS, 6, generator=generator, dtype=torch.float64)
+    cos_theta = u[..., 0]
+    sin_theta = torch.sqrt((1.0 - cos_theta**2).clamp_min(0.0))
+    phi = 2.0 * math.pi * u[..., 1]
+    axis = torch.stack([sin_theta * torch.cos(phi), sin_theta * torch.sin(phi), -cos_theta], dim=-1)
+    low, high = SG_SHARPNESS_RANGE
+    sharpness = low * (high / low) ** u[..., 2]
+    color = u[..., 3:6]
+    energy = color / color.mean(dim=(1, 2), keepdim=True).clamp_min(1e-3) * (math.pi / NUM_SG_LIGHTS)
+    amplitude = energy / sg_integral(sharpness).unsqueeze(-1)
+    lights = SphericalGaussians(*(t.to(device=device, dtype=dtype) for t in (axis, sharpness, amplitude)))
+    return AreaCondition(view_dir, lights)
