@@ -3,12 +3,13 @@
 
 Letters and axes: every map is a tensor (B, C, ...) with the channel or vector component on axis 1, so (N, 3)
 lists and (B, 3, H, W) images are handled alike; arguments broadcast. D is ``diffuse_albedo``, S
-``specular_albedo``, R ``roughness`` (perceptual), ``alpha`` = R^2, n the normal, o the direction to the viewer,
-i the direction to the light, h their half vector. All directions point away from the surface and have unit
-length; a zero vector (background) reflects nothing. Any one frame serves, if all vectors share it.
+``specular_albedo``, R ``roughness`` (perceptual), ``alpha`` = R^2, n the normal, o the direction to the
+viewer, i the direction to the light, h their half vector. All directions point away from the surface and
+have unit length; a zero vector (background) reflects nothing. Any one frame serves, if all vectors share it.
 
-The BRDF is that of Walter et al. 2007 with Beckmann's distribution, the exact separable Smith term and Schlick's
-Fresnel term. Everything is differentiable, with finite gradients also at grazing angles and zero vectors.
+The BRDF is that of Walter et al. 2007 with Beckmann's distribution, the exact separable Smith term and
+Schlick's Fresnel term. Everything is differentiable, with finite gradients also at grazing angles and zero
+vectors.
 """
 
 from __future__ import annotations
@@ -60,8 +61,8 @@ def beckmann_log_pdf(tan2_theta: Tensor, alpha: Tensor) -> Tensor:
 def smith_g1_over_cos(cos_theta: Tensor, sin2_theta: Tensor, alpha: Tensor) -> Tensor:
     """Exact Smith G1 for Beckmann, divided by cos(theta) > 0; finite down to the horizon.
 
-    G1 = 2 / (1 + erf(a) + exp(-a^2)/(a sqrt(pi))), a = cos/(alpha sin). Dividing by cos first turns the pole of
-    1/a into alpha sin, so that G1/cos tends to sqrt(pi) * 2 / (alpha sin) instead of 0/0.
+    G1 = 2 / (1 + erf(a) + exp(-a^2)/(a sqrt(pi))), a = cos/(alpha sin). Dividing by cos first turns the
+    pole of 1/a into alpha sin, so that G1/cos tends to sqrt(pi) * 2 / (alpha sin) instead of 0/0.
     """
     sin_theta = torch.sqrt(sin2_theta.clamp_min(_TINY_SIN2))
     a = cos_theta / (alpha * sin_theta)
@@ -85,9 +86,9 @@ def brdf_cos(
 ) -> Tensor:
     """The BRDF times cos(theta_i), in 1/sr: (1-S) D/pi cos_i + F D_b G / (4 cos_o).
 
-    ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...). 0 where
-    viewer or light is at or below the horizon (one-sided). tan^2 of the half angle comes from n x h, never from
-    1 - cos^2, and neither n nor h has to be normalised for it.
+    ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...).
+    0 where viewer or light is at or below the horizon (one-sided). tan^2 of the half angle comes from n x
+    h, never from 1 - cos^2, and neither n nor h has to be normalised for it.
     """
     cos_o, cos_i = dot(normal, view_dir), dot(normal, light_dir)
     is_lit = (cos_o > 0) & (cos_i > 0)
@@ -132,7 +133,8 @@ def shade_point_light(
 
 @dataclass(frozen=True)
 class SphericalGaussians:
-    """K lobes mu exp(sharpness (axis.w - 1)): axis (B, K, 3), sharpness (B, K), mu (B, K, 3) in W/(m^2 sr)."""
+    """K lobes mu exp(sharpness (axis.w - 1)): axis (B, K, 3), sharpness (B, K), mu (B, K, 3) in W/(m^2
+    sr)."""
 
     axis: Tensor
     sharpness: Tensor
@@ -145,10 +147,11 @@ def sg_integral(sharpness: Tensor) -> Tensor:
 
 
 def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) -> Tensor:
-    """Integral over the sphere of the product of two unit-amplitude lobes, ``axis_gap2`` = |p1 - p2|^2 in [0, 4].
+    """Integral over the sphere of the product of two unit-amplitude lobes, ``axis_gap2`` = |p1 - p2|^2 in
+    [0, 4].
 
-    2 pi exp(-l1 l2 |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u with u = |l1 p1 + l2 p2|: no cancellation and no
-    overflow at any sharpness.
+    2 pi exp(-l1 l2 |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u with u = |l1 p1 + l2 p2|: no cancellation
+    and no overflow at any sharpness.
     """
     total = sharpness1 + sharpness2
     product = sharpness1 * sharpness2 * axis_gap2
@@ -158,7 +161,8 @@ def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) 
 
 
 def sg_hemisphere_integral(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
-    """Integral of a unit-amplitude lobe over the hemisphere whose pole is at ``cos_beta`` from the lobe's axis.
+    """Integral of a unit-amplitude lobe over the hemisphere whose pole is at ``cos_beta`` from the lobe's
+    axis.
 
     Meder and Bruederlin 2018: blend of the integrals of the upper and the lower hemisphere, with their fitted
     sigmoid; written with expm1 so that no sharpness overflows.
@@ -177,8 +181,8 @@ _COSINE_SHARPNESS, _COSINE_AMPLITUDE, _COSINE_OFFSET = 0.0315, 32.7080, 31.7003
 def sg_irradiance(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
     """Irradiance of a unit-amplitude lobe on a surface whose normal is at ``cos_beta`` from the lobe's axis.
 
-    Meder and Bruederlin 2018: the cosine is a lobe of sharpness 0.0315 less a constant, so the irradiance is the
-    difference of two hemisphere integrals. The difference cancels 5 bits; it is clamped at 0.
+    Meder and Bruederlin 2018: the cosine is a lobe of sharpness 0.0315 less a constant, so the irradiance
+    is the difference of two hemisphere integrals. The difference cancels 5 bits; it is clamped at 0.
     """
     gap2 = 2.0 - 2.0 * cos_beta
     total = sharpness + _COSINE_SHARPNESS
@@ -201,9 +205,9 @@ def shade_spherical_gaussians(
 ) -> Tensor:
     """Reflected radiance (B, 3, ...) under distant area lights, after Wang et al. 2009.
 
-    The lobe D_b is one spherical Gaussian, warped to the light's domain; the remaining factors are taken at the
-    lobe's centre. A surrogate for training only: against the exact lobe it is off by 1 % at alpha 0.1 and by
-    50 % at alpha 1 (method 5). Maps must be (B, C, H, W) or (B, C).
+    The lobe D_b is one spherical Gaussian, warped to the light's domain; the remaining factors are taken at
+    the lobe's centre. A surrogate for training only: against the exact lobe it is off by 1 % at alpha 0.1
+    and by 50 % at alpha 1 (method 5). Maps must be (B, C, H, W) or (B, C).
     """
     alpha = alpha_from_roughness(roughness)
     cos_o = dot(normal, view_dir)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Random viewing and lighting conditions of the rendering loss (method 5), drawn from seeded generators.
 
-Maps are (B, C, H, W). Positions and normals are in camera space (metres; x right, y down, z forward; the camera
-at the origin), so a pixel's original view direction is -position/|position|. Every draw is made per image of
-the batch on the CPU, so that the same seed gives the same conditions on every device.
+Maps are (B, C, H, W). Positions and normals are in camera space (metres; x right, y down, z forward; the
+camera at the origin), so a pixel's original view direction is -position/|position|. Every draw is made per
+image of the batch on the CPU, so that the same seed gives the same conditions on every device.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ SG_SHARPNESS_RANGE = (2.0, 200.0)
 
 @dataclass(frozen=True)
 class Geometry:
-    """What shading needs of a crop: ``position`` and unit ``normal`` (B, 3, H, W), ``mask`` (B, 1, H, W) bool.
+    """What shading needs of a crop: ``position`` and unit ``normal`` (B, 3, H, W), ``mask`` (B, 1, H, W)
+    bool.
 
     Where ``mask`` is False there is no surface; normals are zero there and nothing is shaded.
     """
@@ -37,7 +38,8 @@ class Geometry:
 
 @dataclass(frozen=True)
 class PointCondition:
-    """``view_dir`` (B, 3, H, W), ``light_position`` (B, 3, 1, 1) in metres, ``intensity`` (B, 1, 1, 1) in W/sr."""
+    """``view_dir`` (B, 3, H, W), ``light_position`` (B, 3, 1, 1) in metres, ``intensity`` (B, 1, 1, 1) in
+    W/sr."""
 
     view_dir: Tensor
     light_position: Tensor
@@ -53,7 +55,8 @@ class AreaCondition:
 
 
 def generator_for(*key: int) -> torch.Generator:
-    """A CPU generator seeded by a tuple such as (seed, purpose, step, rank); distinct keys, distinct streams."""
+    """A CPU generator seeded by a tuple such as (seed, purpose, step, rank); distinct keys, distinct
+    streams."""
     state = 0x9E3779B97F4A7C15
     for part in key:  # splitmix64 of the running state: neighbouring keys give unrelated seeds
         state = (state ^ (part & 0xFFFFFFFFFFFFFFFF)) & 0xFFFFFFFFFFFFFFFF
@@ -83,8 +86,8 @@ def scene_scale(geometry: Geometry) -> Tensor:
 def sample_views(geometry: Geometry, generator: torch.Generator) -> Tensor:
     """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
 
-    The draw is a point of a disc in a frame that turns with each pixel's original view direction and keeps the
-    camera's x axis, so the new views vary smoothly over the image as those of one camera would.
+    The draw is a point of a disc in a frame that turns with each pixel's original view direction and keeps
+    the camera's x axis, so the new views vary smoothly over the image as those of one camera would.
     """
     original = normalize(-geometry.position)
     num = original.shape[0]
@@ -140,8 +143,8 @@ def sample_point_condition(geometry: Geometry, generator: torch.Generator) -> Po
 def sample_area_condition(geometry: Geometry, generator: torch.Generator) -> AreaCondition:
     """A view, and 5 spherical Gaussians uniform on the hemisphere that the camera looks away from.
 
-    Surfaces that a camera sees face it, so light must come from its side (z <= 0). Sharpness is log-uniform in
-    2...200 and colours are uniform; the lobes' integrals are scaled to sum, averaged over channels, to pi.
+    Surfaces that a camera sees face it, so light must come from its side (z <= 0). Sharpness is log-uniform
+    in 2...200 and colours are uniform; the lobes' integrals are scaled to sum, averaged over channels, to pi.
     """
     view_dir = sample_views(geometry, generator)
     num, dtype, device = view_dir.shape[0], view_dir.dtype, view_dir.device

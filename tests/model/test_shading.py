@@ -15,7 +15,8 @@ from tests.oracles import spherical_gaussians as oracle
 
 
 def _directions(count: int, seed: int, min_cos: float = 0.02) -> np.ndarray:
-    """(count, 3) float32 unit vectors of the upper hemisphere, none closer to the horizon than ``min_cos``."""
+    """(count, 3) float32 unit vectors of the upper hemisphere, none closer to the horizon than
+    ``min_cos``."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(min_cos, 1.0, count)
     phi = rng.uniform(0, 2 * np.pi, count)
@@ -92,7 +93,8 @@ def test_rotating_the_frame_changes_nothing():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_values_and_gradients_are_finite_at_every_extreme(dtype):
-    """Grazing angles, coincident and opposite directions, zero vectors, alpha at its floor, light from below."""
+    """Grazing angles, coincident and opposite directions, zero vectors, alpha at its floor, light from
+    below."""
     up = [0.0, 0.0, 1.0]
     cases = [up, [0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
     for exponent in range(-12, 0):
