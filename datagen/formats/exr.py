@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: MIT
+"""One multi-layer OpenEXR file a view: encode to bytes and decode, by buffer name.
+
+Channels are named by the registry (``R, G, B`` for beauty, ``layer.channel`` for the rest), scan lines run
+top-down, no timestamps are written: equal arrays give equal bytes with one OpenEXR version.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from datagen.buffers import BUFFERS, Buffer, get_buffer
+from datagen.errors import InputError, Problem
+
+MAX_SIDE_PX = 16384  # refuses headers that claim absurd sizes before any pixel is allocated
+COMPRESSIONS = {
+    "none": OpenEXR.NO_COMPRESSION,
+    "rle": OpenEXR.RLE_COMPRESSION,
+    "zips": OpenEXR.ZIPS_COMPRESSION,
+    "zip": OpenEXR.ZIP_COMPRESSION,
+    "piz": OpenEXR.PIZ_COMPRESSION,
+}
+_READ_REMEDY = "make the view again (remove it and rerun), or restore the file"
+
+
+def to_storage(buffer: Buffer, array: NDArray) -> NDArray:
+    """``array`` (H, W, C) as it will be stored: cast to the buffer's dtype, halves clipped to their range.
+
+    Stages that compute from a view use stored values, so that a resumed run equals an uninterrupted one.
+    Raises ``ValueError`` on a wrong shape.
+    """
+    if array.ndim != 3 or array.shape[2] != buffer.num_channels:
+        raise ValueError(f"{buffer.name}: got shape {array.shape}, expected (H, W, {buffer.num_channels})")
+    if buffer.pixel_type == "half":
+        array = np.clip(array, -65504.0, 65504.0)  # NaN passes through and is caught by whoever checks
+    return np.ascontiguousarray(array, dtype=buffer.dtype)
+
+
+def encode_view(buffers: Mapping[str, NDArray], compression: str = "zip", num_threads: int = 0) -> bytes:
+    """Encode buffers (name to (H, W, C) array, all of one size) as the bytes of one EXR file.
+
+    Raises ``ValueError`` on unknown names or differing sizes.
+    """
+    if not buffers:
+        raise ValueError("expected at least one buffer")
+    shape = next(iter(buffers.values())).shape[:2]
+    channels = {}
+    for name in sorted(buffers):
+        buffer = get_buffer(name)
+        stored = to_storage(buffer, np.asarray(buffers[name]))
+        if stored.shape[:2] != shape:
+            raise ValueError(f"{name}: got size {stored.shape[:2]}, expected {shape} as the other buffers")
+        for index, channel in enumerate(buffer.exr_channels):
+            channels[channel] = np.ascontiguousarray(stored[..., index])
+    header = {"compression": COMPRESSIONS[compression], "type": OpenEXR.scanlineimage}
+    stream = io.BytesIO()
+    with OpenEXR.File(header, channels, num_threads) as file:
+        file.write(stream)
+    return stream.getvalue()
+
+
+def decode_view(
+    source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
+) -> dict[str, NDArray]:
+    """Decode an EXR file to buffers as stored (half stays float16). ``names`` None = all registered ones found.
+
+    Raises :class:`InputError` where the file is damaged, too large, or lacks a requested buffer.
+    """
+    where = source if isinstance(source, Path) else "EXR data"
+    OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
+    try:
+        stream = io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
+    except OSError as error:
+        raise InputError(Problem(where, "", str(error), "a readable EXR file", _READ_REMEDY)) from None
+    try:
+        with stream, OpenEXR.File(stream, separate_channels=True, num_threads=num_threads) as file:
+            pixels = {name: channel.pixels for name, channel in file.channels().items()}
+    except (RuntimeError, ValueError, OSError, MemoryError, TypeError, IndexError) as error:
+        raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
+    wanted = (
+        tuple(names)
+        if names is not None
+        else tuple(name for name, buffer in BUFFERS.items() if all(c in pixels for c in buffer.exr_channels))
+    )
+    result = {}
+    problems = []
+    for name in wanted:
+        buffer = get_buffer(name)
+        missing = [c for c in buffer.exr_channels if c not in pixels]
+        if missing:
+            problems.append(
+                Problem(where, name, f"no channel {', '.join(missing)}", "all its channels", _READ_REMEDY)
+            )
+            continue
+        planes = [pixels[c] for c in buffer.exr_channels]
+        if any(plane is None or plane.dtype != buffer.dtype for plane in planes):
+            got = ", ".join(str(getattr(plane, "dtype", None)) for plane in planes)
+            problems.append(Problem(where, name, got, f"pixels of type {buffer.pixel_type}", _READ_REMEDY))
+            continue
+        result[name] = np.stack(planes, axis=-1)
+    if problems:
+        raise InputError(*problems)
+    return result

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: MIT
+"""Shards: WebDataset tar files with deterministic bytes, one configuration each, and the dataset's index.
+
+A shard holds ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order, after
+``__meta__/configuration.json`` (WebDataset skips names of that form). Headers are USTAR with fixed owner,
+mode and time.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem
+from datagen.formats.base import StrictModel, parse_model, read_json
+from datagen.formats.configuration import Configuration, Split
+from datagen.formats.exr import decode_view
+from datagen.formats.recipe import Recipe
+from datagen.formats.view import ViewRecord
+
+CONFIGURATION_MEMBER = "__meta__/configuration.json"
+INDEX_FILE = "index.json"
+MAX_MEMBER_BYTES = 2 << 30
+_REMEDY = "make the shard again (remove it and rerun), or restore the file"
+
+
+class AssetRecord(StrictModel):
+    """An asset that the dataset used: kind, content hash, licence, author and source."""
+
+    kind: Literal["environment", "object", "material"]
+    sha256: str
+    license: str
+    author: str = ""
+    source: str = ""
+
+
+class ShardRecord(StrictModel):
+    """One shard in the index. ``file`` is relative to the index."""
+
+    file: str
+    sha256: str
+    num_bytes: int
+    configuration: str
+    split: Split
+    num_views: int
+    seed: int
+    assets: tuple[str, ...]
+
+
+class DatasetIndex(StrictModel):
+    """``index.json``: what the dataset holds and what made it."""
+
+    format: Literal["scene-materials/dataset"] = "scene-materials/dataset"
+    version: Literal[1] = 1
+    recipe: Recipe
+    versions: dict[str, str]
+    variant: str
+    num_configurations: int
+    num_views: int
+    num_bytes: int
+    is_complete: bool
+    missing: tuple[str, ...] = ()
+    splits: dict[Split, int]
+    buffers: tuple[str, ...]
+    assets: dict[str, AssetRecord]
+    shards: tuple[ShardRecord, ...]
+
+
+def _add(tar: tarfile.TarFile, name: str, size: int, stream: BinaryIO) -> None:
+    info = tarfile.TarInfo(name)
+    info.size = size
+    info.mode = 0o644
+    tar.addfile(info, stream)  # mtime, uid, gid are 0 and the names empty by default
+
+
+def write_shard(stream: BinaryIO, configuration: bytes, members: Iterable[tuple[str, Path]]) -> None:
+    """Write a shard: the configuration's canonical JSON, then ``members`` (name in the tar, file) in order."""
+    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        _add(tar, CONFIGURATION_MEMBER, len(configuration), io.BytesIO(configuration))
+        for name, path in members:
+            with path.open("rb") as file:
+                _add(tar, name, path.stat().st_size, file)
+
+
+@dataclass(frozen=True)
+class View:
+    """A view as read: its record and its buffers, name to (H, W, C) array as stored."""
+
+    record: ViewRecord
+    buffers: dict[str, NDArray]
+
+
+class ShardReader:
+    """Reads one shard. Iterating yields :class:`View`; ``names`` selects buffers, None = all that are there.
+
+    Raises :class:`InputError` where the tar or a member is damaged or a requested buffer is missing.
+    """
+
+    def __init__(self, path: Path, names: Iterable[str] | None = None):
+        self.path = path
+        self.names = tuple(names) if names is not None else None
+
+    def members(self) -> Iterator[tuple[str, bytes]]:
+        """Raw members in order: (name, content)."""
+        try:
+            with tarfile.open(self.path, mode="r:") as tar:
+                for info in tar:
+                    if not info.isreg() or info.size > MAX_MEMBER_BYTES:
+                        what = f"{info.name!r}, type {info.type!r}, {info.size} bytes"
+                        raise InputError(Problem(self.path, "member", what, "a regular file", _REMEDY))
+                    file = tar.extractfile(info)
+                    data = file.read() if file else b""
+                    if len(data) != info.size:
+                        raise InputError(
+                            Problem(self.path, info.name, f"{len(data)} bytes", f"{info.size}", _REMEDY)
+                        )
+                    yield info.name, data
+        except FileNotFoundError:
+            raise InputError(Problem(self.path, "", "no such file", "a shard", _REMEDY)) from None
+        except (tarfile.TarError, EOFError, OSError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(Problem(self.path, "", str(error), "an intact tar file", _REMEDY)) from None
+
+    def configuration(self) -> Configuration:
+        """The configuration that the shard was made from."""
+        for name, data in self.members():
+            if name == CONFIGURATION_MEMBER:
+                return parse_model(Configuration, _json(data, f"{self.path}:{name}"), f"{self.path}:{name}")
+        raise InputError(Problem(self.path, CONFIGURATION_MEMBER, "missing", "this member", _REMEDY))
+
+    def records(self) -> Iterator[ViewRecord]:
+        """The views' records without decoding pixels."""
+        for name, data in self.members():
+            if name.endswith(".json") and name != CONFIGURATION_MEMBER:
+                where = f"{self.path}:{name}"
+                yield parse_model(ViewRecord, _json(data, where), where)
+
+    def __iter__(self) -> Iterator[View]:
+        images: dict[str, bytes] = {}
+        for name, data in self.members():
+            stem, _, suffix = name.rpartition(".")
+            if suffix == "exr":
+                images[stem] = data
+            elif suffix == "json" and name != CONFIGURATION_MEMBER:
+                where = f"{self.path}:{stem}"
+                record = parse_model(ViewRecord, _json(data, where), where)
+                if stem not in images:
+                    raise InputError(Problem(where, "", "no EXR before this JSON", "one", _REMEDY))
+                try:
+                    yield View(record, decode_view(images.pop(stem), self.names))
+                except InputError as error:
+                    problems = (Problem(where, p.field, p.got, p.expected, p.remedy) for p in error.problems)
+                    raise InputError(*problems) from None
+
+
+def _json(data: bytes, where: str) -> object:
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(Problem(where, "", str(error), "valid JSON", _REMEDY)) from None
+
+
+class Dataset:
+    """A dataset folder with its index; yields views of one split or all, shard by shard.
+
+    ``Dataset(folder).views("train", names=["beauty", "diffuse_albedo"])``.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = Path(folder)
+        self.index = read_json(DatasetIndex, self.folder / INDEX_FILE)
+
+    def shard_paths(self, split: Split | None = None) -> list[Path]:
+        """Paths of the shards of ``split`` (None = all), in the index's order."""
+        return [self.folder / s.file for s in self.index.shards if split is None or s.split == split]
+
+    def views(self, split: Split | None = None, names: Iterable[str] | None = None) -> Iterator[View]:
+        """Every view of ``split``, with the buffers in ``names`` (None = all)."""
+        chosen = tuple(names) if names is not None else None
+        for path in self.shard_paths(split):
+            yield from ShardReader(path, chosen)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""The JSON that goes with each view's EXR: camera, buffers, ids, and how it was made.
+
+It holds nothing that depends on the machine's speed or the clock, so that the same view has the same bytes
+wherever it is made; timings are in the unit's manifest.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from datagen.formats.base import NonNegative, Slug, StrictModel
+from datagen.formats.configuration import Split, ViewCamera
+
+
+class RenderRecord(StrictModel):
+    """How a view was rendered. ``clipped_pixels`` exceeded the range of half floats."""
+
+    variant: str
+    seed: Annotated[int, Field(ge=0)]
+    path_samples: int
+    auxiliary_samples: int
+    max_depth: int
+    russian_roulette_depth: int
+    denoiser: str
+    clipped_pixels: int = 0
+    estimated_rel_mse: NonNegative | None = None
+
+
+class StatisticsRecord(StrictModel):
+    """How the statistics of a view were gathered."""
+
+    num_views: int
+    best_views: int
+    visibility: Literal["depth", "trace"]
+    include_self: bool
+
+
+class ViewRecord(StrictModel):
+    """``<view>.json``: everything about a view but its pixels.
+
+    ``instances`` and ``materials`` map the ids of the id buffers to names (``object/part``, ``slot`` or
+    material id). ``exposure`` brings the 95th percentile of luminance to 0.9. ``exr_sha256`` is the hash of
+    the view's EXR file; ``versions`` those of the software that decides pixels.
+    """
+
+    format: Literal["scene-materials/view"] = "scene-materials/view"
+    version: Literal[1] = 1
+    configuration: Slug
+    name: Slug
+    index: Annotated[int, Field(ge=0)]
+    split: Split
+    camera: ViewCamera
+    exposure: NonNegative
+    buffers: tuple[str, ...]
+    instances: dict[str, str]
+    materials: dict[str, str]
+    render: RenderRecord
+    statistics: StatisticsRecord | None = None
+    versions: dict[str, str]
+    exr_sha256: str
