@@ -1,1 +1,36 @@
 # SPDX-License-Identifier: MIT
+"""The project's own Mitsuba plugins: the BSDF ``cook_torrance`` and the integrator ``material_buffers``.
+
+Choose the variant first, then register::
+
+    from mitsuba_plugins import register, select_variant
+
+    select_variant()
+    register()
+"""
+
+from __future__ import annotations
+
+from mitsuba_plugins.variant import select_variant
+
+__all__ = ["register", "select_variant"]
+
+_registered_variants: set[str] = set()
+
+
+def register() -> None:
+    """Make the project's plugins known to Mitsuba, under the active variant. Repeated calls do nothing.
+
+    Raises ``RuntimeError`` where no variant is active yet.
+    """
+    import mitsuba as mi
+
+    variant = mi.variant()
+    if variant is None:
+        raise RuntimeError("no Mitsuba variant is active; call mitsuba_plugins.select_variant() first")
+    if variant in _registered_variants:
+        return
+    from mitsuba_plugins.cook_torrance import CookTorrance
+
+    mi.register_bsdf("cook_torrance", CookTorrance)
+    _registered_variants.add(variant)

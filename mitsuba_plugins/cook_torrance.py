@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: MIT
+"""The BSDF ``cook_torrance``: the one material model of the project, as a thin Mitsuba plugin.
+
+f(wi, wo) = (1 - S) D / pi  +  F(S, wi.h) D_b(h; alpha) G1(wi) G1(wo) / (4 cos_i cos_o)
+
+D is ``diffuse_albedo``, S ``specular_albedo`` (the reflectance F0 at normal incidence), R ``roughness``
+(perceptual; alpha = R^2), F Schlick's Fresnel, D_b and G1 those of :mod:`mitsuba_plugins.beckmann`. ``wi``
+points to the viewer, ``wo`` is sampled, both are unit and local (z is the shading normal); ``eval`` includes
+cos_o. Component 0 is diffuse, component 1 glossy.
+
+The surface is two-sided unless ``two_sided`` is false: seen from below, it is its own mirror image.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mitsuba_plugins import beckmann
+from mitsuba_plugins.texture_checks import check_parameter
+
+Array = Any
+
+COLOR_ATTRIBUTES = ("diffuse_albedo", "specular_albedo")
+SCALAR_ATTRIBUTES = ("roughness",)
+DEFAULTS = {"diffuse_albedo": 0.5, "specular_albedo": 0.04, "roughness": 0.5}
+MIN_LOBE_PROBABILITY = 0.1
+"""Least probability of the specular lobe: bounds the sample weight by 1/0.1 where Fresnel rises at grazing."""
+INVERSE_PI = 1.0 / math.pi
+
+
+class CookTorrance(mi.BSDF):
+    """Lambertian plus Cook-Torrance with a Beckmann lobe.
+
+    Parameters: ``diffuse_albedo``, ``specular_albedo`` (RGB or texture, linear, [0, 1]), ``roughness``
+    (number or texture, [0, 1]; of an RGB texture the luminance is used), ``two_sided`` (default true).
+    Raises :class:`datagen.errors.InputError` where a parameter holds NaN, Inf or a value outside its range.
+    Values set later through ``mi.traverse`` are clamped at evaluation instead.
+    """
+
+    def __init__(self, props: mi.Properties):
+        mi.BSDF.__init__(self, props)
+        self.diffuse_albedo = props.get_texture("diffuse_albedo", DEFAULTS["diffuse_albedo"])
+        self.specular_albedo = props.get_texture("specular_albedo", DEFAULTS["specular_albedo"])
+        self.roughness = props.get_texture("roughness", DEFAULTS["roughness"])
+        self.two_sided = bool(props.get("two_sided", True))
+        for name in (*COLOR_ATTRIBUTES, *SCALAR_ATTRIBUTES):
+            check_parameter(props.id() or "cook_torrance", name, getattr(self, name))
+        sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide if self.two_sided else mi.BSDFFlags.FrontSide
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | sides, mi.BSDFFlags.GlossyReflection | sides]
+        self.m_flags = self.m_components[0] | self.m_components[1]
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        """Expose the three textures; all are differentiable and none moves a discontinuity."""
+        for name in (*COLOR_ATTRIBUTES, *SCALAR_ATTRIBUTES):
+            callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
+
+    # ---- the material's channels -------------------------------------------------------------------------
+
+    def surface_parameters(self, si: mi.SurfaceInteraction3f, active: Array = True) -> tuple[Any, Any, Any]:
+        """(D, S, R) as they are rendered: D and S Color3f in [0, 1], R Float in [0, 1]."""
+        return (
+            beckmann.effective_albedo(self.diffuse_albedo.eval(si, active)),
+            beckmann.effective_albedo(self.specular_albedo.eval(si, active)),
+            beckmann.effective_roughness(self.roughness.eval_1(si, active)),
+        )
+
+    def has_attribute(self, name: str, active: Array = True) -> bool:
+        """True of ``diffuse_albedo``, ``specular_albedo`` and ``roughness``."""
+        return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
+
+    def eval_attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
+        """An attribute as a spectrum; a scalar one is repeated in every channel."""
+        return mi.Color3f(self._attribute(name, si, active))
+
+    def eval_attribute_1(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
+        """An attribute as a number; of a colour, the luminance."""
+        value = self._attribute(name, si, active)
+        return mi.luminance(value) if name in COLOR_ATTRIBUTES else value
+
+    def eval_attribute_3(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
+        """An attribute as a colour; a scalar one is repeated in every channel."""
+        return mi.Color3f(self._attribute(name, si, active))
+
+    def _attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array) -> Array:
+        if name in COLOR_ATTRIBUTES:
+            return beckmann.effective_albedo(getattr(self, name).eval(si, active))
+        if name in SCALAR_ATTRIBUTES:
+            return beckmann.effective_roughness(getattr(self, name).eval_1(si, active))
+        raise KeyError(
+            f"cook_torrance has no attribute {name!r}; expected one of "
+            f"{', '.join((*COLOR_ATTRIBUTES, *SCALAR_ATTRIBUTES))}"
+        )
+
+    def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
+        """(1 - S) D, the albedo of the diffuse term alone."""
+        diffuse, specular, _ = self.surface_parameters(si, active)
+        return (1.0 - specular) * diffuse
+
+    # ---- evaluation and sampling -------------------------------------------------------------------------
+
+    def eval(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
+    ) -> Array:
+        """f(wi, wo) cos_o, RGB."""
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True) -> Array:
+        """Density of :meth:`sample` at ``wo`` [1/sr]."""
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def eval_pdf(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: Array, active: Array = True
+    ) -> tuple[Any, Any]:
+        """Value and density together: they share everything but a few multiplications."""
+        return _Lobes(self, ctx, si, active).eval_pdf(wo)
+
+    def sample(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        sample1: Array,
+        sample2: Array,
+        active: Array = True,
+    ) -> tuple[Any, Any]:
+        """Draw ``wo``: the visible normals with the specular lobe's share of the energy, else the cosine.
+
+        Returns the sample and f cos_o / pdf, which stays below 10 per channel (see docs/bsdf.md).
+        """
+        return _Lobes(self, ctx, si, active).sample(sample1, sample2)
+
+    def eval_pdf_sample(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: Array,
+        sample1: Array,
+        sample2: Array,
+        active: Array = True,
+    ) -> tuple[Any, Any, Any, Any]:
+        """:meth:`eval_pdf` and :meth:`sample` with one look-up of the textures."""
+        lobes = _Lobes(self, ctx, si, active)
+        return (*lobes.eval_pdf(wo), *lobes.sample(sample1, sample2))
+
+    def to_string(self) -> str:
+        """Human-readable description."""
+        return (
+            f"CookTorrance[\n  diffuse_albedo = {self.diffuse_albedo},\n"
+            f"  specular_albedo = {self.specular_albedo},\n  roughness = {self.roughness},\n"
+            f"  two_sided = {self.two_sided}\n]"
+        )
+
+
+class _Lobes:
+    """Both lobes at one interaction: what depends on the surface and on ``wi``, but not on ``wo``."""
+
+    def __init__(self, bsdf: CookTorrance, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array):
+        self.has_diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
+        self.has_specular = ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1)
+        diffuse, self.specular, roughness = bsdf.surface_parameters(si, active)
+        self.alpha = beckmann.alpha_from_roughness(roughness)
+        self.diffuse = (1.0 - self.specular) * diffuse
+        if bsdf.two_sided:
+            self.side = dr.mulsign(mi.Float(1.0), si.wi.z)  # seen from below, mirror both directions
+            self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+        else:
+            self.side = mi.Float(1.0)
+            self.wi = mi.Vector3f(si.wi)
+        self.active = mi.Bool(active) & (self.wi.z > 0.0)
+        self.specular_probability = self._specular_probability()
+        self.masking = beckmann.smith_g1_over_cos(self.wi, self.alpha)
+
+    def _specular_probability(self) -> Array:
+        """Share of samples for the specular lobe: its share of the reflected energy, at least a tenth."""
+        if not self.has_diffuse:
+            return mi.Float(1.0)
+        if not self.has_specular:
+            return mi.Float(0.0)
+        # The sampling density must not carry derivatives into eval or into a detached estimator's weights.
+        specular, diffuse = dr.detach(self.specular), dr.detach(self.diffuse)
+        grazing = _fifth_power(1.0 - dr.maximum(dr.detach(self.wi.z), 0.0))
+        specular_energy = dr.mean(specular + (1.0 - specular) * grazing)
+        diffuse_energy = dr.mean(diffuse)
+        total = specular_energy + diffuse_energy
+        share = specular_energy / dr.select(total > 0.0, total, 1.0)
+        return dr.maximum(share, MIN_LOBE_PROBABILITY)
+
+    def eval_pdf(self, wo: Array) -> tuple[Any, Any]:
+        """f cos_o and the density at ``wo``, which is given in the frame of ``si``."""
+        wo = mi.Vector3f(wo.x, wo.y, wo.z * self.side)
+        active = self.active & (wo.z > 0.0)
+        value, pdf = mi.Color3f(0.0), mi.Float(0.0)
+        if self.has_specular:
+            half = self.wi + wo
+            # wi.h = |wi + wo| / 2 for unit vectors: exact where 1 + wi.wo would cancel.
+            cos_half = dr.minimum(0.5 * dr.sqrt(dr.maximum(dr.squared_norm(half), 1e-30)), 1.0)
+            fresnel = self.specular + (1.0 - self.specular) * _fifth_power(1.0 - cos_half)
+            # D_b G1(wi) / (4 cos_i): the density of wo when h follows the visible normals, and also what
+            # the lobe is made of.
+            visible = 0.25 * beckmann.beckmann_d(half, self.alpha) * self.masking
+            value += fresnel * (visible * beckmann.smith_g1(wo, self.alpha))
+            pdf += self.specular_probability * visible
+        if self.has_diffuse:
+            value += self.diffuse * (INVERSE_PI * wo.z)
+            pdf += (1.0 - self.specular_probability) * (INVERSE_PI * wo.z)
+        return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
+
+    def sample(self, sample1: Array, sample2: Array) -> tuple[Any, Any]:
+        """A direction in the frame of ``si`` and its weight f cos_o / pdf."""
+        use_specular = sample1 < self.specular_probability
+        normal = beckmann.sample_visible_normal(self.wi, self.alpha, sample2)
+        reflected = 2.0 * dr.dot(self.wi, normal) * normal - self.wi
+        cosine = mi.warp.square_to_cosine_hemisphere(sample2)
+        wo = dr.detach(dr.normalize(dr.select(use_specular, reflected, cosine)))
+        wo = mi.Vector3f(wo.x, wo.y, wo.z * self.side)
+        value, pdf = self.eval_pdf(wo)
+        is_valid = self.active & (pdf > 0.0) & dr.isfinite(pdf)
+        bs = dr.zeros(mi.BSDFSample3f, dr.width(wo))
+        bs.wo = wo
+        bs.eta = mi.Float(1.0)
+        bs.pdf = dr.select(is_valid, pdf, 0.0)
+        bs.sampled_type = dr.select(
+            use_specular,
+            mi.UInt32(+mi.BSDFFlags.GlossyReflection),
+            mi.UInt32(+mi.BSDFFlags.DiffuseReflection),
+        )
+        bs.sampled_component = dr.select(use_specular, mi.UInt32(1), mi.UInt32(0))
+        weight = value / dr.select(is_valid, dr.detach(pdf), 1.0)
+        return bs, dr.select(is_valid, weight, 0.0)
+
+
+def _fifth_power(x: Array) -> Array:
+    square = dr.square(x)
+    return dr.square(square) * x

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""Checks of material parameters when a material is made: ranges, NaN, and UVs where a texture needs them.
+
+A NaN that reaches a render spreads through path sums and denoisers to whole tiles, far from its cause; it is
+refused here, where the file's name and the texel are still known.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from datagen.errors import Problem
+
+TOLERANCE = 1e-4
+"""Values this far outside [0, 1] are rounding (of half floats, of resampling) and are clamped, not refused."""
+# Texture plugins whose lookup depends on the UV coordinates of the surface.
+UV_TEXTURES = ("BitmapTexture", "Checkerboard")
+
+
+class _Collector(mi.TraversalCallback):
+    """Collects the values and the child objects that an object exposes, by name."""
+
+    def __init__(self, parent: Any) -> None:
+        super().__init__()
+        self.parent = parent
+        self.values: dict[str, Any] = {}
+        self.objects: dict[str, Any] = {}
+
+    def put(self, name: str, value: Any, flags: int, cpp_type: Any = None) -> None:
+        """Called by ``traverse`` for everything that an object exposes."""
+        if isinstance(value, mi.Object):
+            self.objects[name] = value
+        else:  # C++ objects hand out addresses of their fields
+            self.values[name] = mi.get_property(value, cpp_type, self.parent) if cpp_type else value
+
+
+def exposed(obj: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(child objects, values) that a Mitsuba object exposes to ``mi.traverse``, by name, one level deep."""
+    collector = _Collector(obj)
+    obj.traverse(collector)
+    return collector.objects, collector.values
+
+
+def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
+    """What is wrong with a parameter that must lie in [0, 1]; empty where nothing is."""
+    problems: list[Problem] = []
+    objects, values = exposed(texture)
+    for key, value in values.items():
+        if key not in ("value", "data", "color0", "color1"):
+            continue
+        data = np.asarray(value, dtype=np.float32)
+        field = name if key == "value" else f"{name}.{key}"
+        num_bad = int(np.count_nonzero(~np.isfinite(data)))
+        if num_bad:
+            problems.append(
+                Problem(
+                    material,
+                    field,
+                    f"{num_bad} of {data.size} values NaN or Inf (first at {_first(~np.isfinite(data))})",
+                    "finite values in [0, 1]",
+                    "repair the texture",
+                )
+            )
+            continue
+        low, high = float(data.min(initial=0.0)), float(data.max(initial=0.0))
+        if low < -TOLERANCE or high > 1.0 + TOLERANCE:
+            got = f"{low:g} ... {high:g}" if data.size > 1 else f"{(low if low < 0 else high):g}"
+            problems.append(
+                Problem(material, field, got, "values in [0, 1]", "rescale the parameter or its texture")
+            )
+    for key, child in objects.items():
+        problems += parameter_problems(material, f"{name}.{key}", child)
+    return problems
+
+
+def check_parameter(material: str, name: str, texture: Any) -> None:
+    """Raise :class:`datagen.errors.InputError` with everything that is wrong with one parameter."""
+    from datagen.errors import InputError
+
+    problems = parameter_problems(material, name, texture)
+    if problems:
+        raise InputError(*problems)
+
+
+def _first(mask: np.ndarray) -> str:
+    return str(tuple(int(i) for i in np.argwhere(mask)[0])) if mask.ndim > 1 else "0"
