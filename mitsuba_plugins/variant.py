@@ -105,6 +105,17 @@ def has_cuda() -> bool:
     return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0
 
 
+def resolve_variant(name: str | None = None) -> str:
+    """Name of the variant that :func:`select_variant` would choose, without importing mitsuba.
+
+    Raises ``RuntimeError`` on a name that is not supported.
+    """
+    name = name or os.environ.get("SCENE_MATERIALS_VARIANT") or (CUDA_VARIANT if has_cuda() else CPU_VARIANT)
+    if name not in VARIANTS:
+        raise RuntimeError(f"variant {name!r} is not supported; expected one of {', '.join(VARIANTS)}")
+    return name
+
+
 def select_variant(name: str | None = None) -> str:
     """Set the Mitsuba variant of this process and return its name. Repeated calls are cheap.
 
@@ -123,9 +134,7 @@ def select_variant(name: str | None = None) -> str:
                     "use one variant a process"
                 )
             return active
-    name = name or os.environ.get("SCENE_MATERIALS_VARIANT") or (CUDA_VARIANT if has_cuda() else CPU_VARIANT)
-    if name not in VARIANTS:
-        raise RuntimeError(f"variant {name!r} is not supported; expected one of {', '.join(VARIANTS)}")
+    name = resolve_variant(name)
     if name == CPU_VARIANT:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(choose_llvm().path)
     import mitsuba as mi

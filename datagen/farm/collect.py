@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""Gathers the manifests of a dataset folder into its index."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from datagen.errors import InputError, Problem
+from datagen.farm.folder import DatasetFolder, UnitManifest
+from datagen.formats.base import canonical_json, sha256_file, write_bytes_atomically
+from datagen.formats.configuration import Split
+from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
+
+
+def collect(root: Path, deep: bool = False) -> DatasetIndex:
+    """Write ``index.json`` from the units that are done, and return it.
+
+    ``deep`` hashes every shard again and raises :class:`InputError` naming those that differ. Units that are
+    not done are listed in ``missing``; the index is complete when there are none.
+    """
+    folder = DatasetFolder(root)
+    plan = folder.read_plan()
+    recipe = folder.read_recipe()
+    shards, missing, problems = [], [], []
+    buffers: tuple[str, ...] = ()
+    splits: dict[Split, int] = {}
+    for unit in plan.units:
+        manifest = folder.read_manifest(unit) if folder.is_done(unit) else None
+        if manifest is None:
+            missing.append(unit.id)
+            continue
+        if deep:
+            problems += _check_hash(folder, manifest)
+        configuration = folder.read_configuration(unit)
+        if not buffers:
+            buffers = next(ShardReader(root / manifest.shard).records()).buffers
+        splits[unit.split] = splits.get(unit.split, 0) + 1
+        shards.append(
+            ShardRecord(
+                file=manifest.shard,
+                sha256=manifest.sha256,
+                num_bytes=manifest.num_bytes,
+                configuration=unit.id,
+                split=unit.split,
+                num_views=manifest.num_views,
+                seed=configuration.seed,
+                assets=tuple(sorted(configuration.assets)),
+            )
+        )
+    if problems:
+        raise InputError(*problems)
+    # Where the library lies on the machine that made the dataset is nobody's business.
+    library = tuple(Path(path).name for path in recipe.library)
+    index = DatasetIndex(
+        recipe=recipe.model_copy(update={"library": library}),
+        versions=plan.versions,
+        variant=plan.variant,
+        num_configurations=len(shards),
+        num_views=sum(shard.num_views for shard in shards),
+        num_bytes=sum(shard.num_bytes for shard in shards),
+        is_complete=not missing,
+        missing=tuple(missing),
+        splits=splits,
+        buffers=buffers,
+        assets={a: plan.assets[a] for a in sorted({a for shard in shards for a in shard.assets})},
+        shards=tuple(shards),
+    )
+    write_bytes_atomically(folder.index_path, canonical_json(index))
+    return index
+
+
+def _check_hash(folder: DatasetFolder, manifest: UnitManifest) -> list[Problem]:
+    got = sha256_file(folder.root / manifest.shard)
+    if got == manifest.sha256:
+        return []
+    remedy = f"remove {manifest.shard} and run again"
+    return [Problem(folder.root / manifest.shard, "sha256", got, manifest.sha256, remedy)]

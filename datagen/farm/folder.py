@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: MIT
+"""The dataset folder: where the plan, the work in progress, the shards and the markers are.
+
+    recipe.yaml                   the resolved recipe
+    dataset.json                  what the folder was started with (recipe, library, versions)
+    configurations/<id>.json      one configuration each
+    plan.json                     the immutable list of units; written last, so its presence means "planned"
+    work/<id>-<key>/rendered/     finished views before statistics (EXR + JSON)
+    work/<id>-<key>/complete/     finished views with statistics
+    shards/<id>-<sha>.tar         committed shards
+    units/<key>.json              manifests: a unit is done if and only if its manifest exists
+    sheets/<id>.png               contact sheets
+    failed/<id>.json, logs/       units set aside, and what their processes printed
+    index.json                    the index, written by collecting the manifests
+
+No other state exists: any process that sees this folder can go on with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.base import StrictModel, canonical_json, read_json, read_yaml, sha256_hex
+from datagen.formats.configuration import Configuration, Split
+from datagen.formats.recipe import Recipe
+from datagen.formats.shard import AssetRecord
+
+
+class FolderRecord(StrictModel):
+    """``dataset.json``. A folder never mixes recipes, libraries or versions."""
+
+    format: Literal["scene-materials/folder"] = "scene-materials/folder"
+    version: Literal[1] = 1
+    recipe_sha256: str
+    library_sha256: str
+    library_paths: tuple[str, ...]
+    versions: dict[str, str]
+
+
+class PlannedUnit(StrictModel):
+    """A unit of work: one configuration. ``key`` hashes all that decides its bytes."""
+
+    index: Annotated[int, Field(ge=0)]
+    id: str
+    split: Split
+    key: str
+    num_views: int
+
+
+class Plan(StrictModel):
+    """``plan.json``."""
+
+    format: Literal["scene-materials/plan"] = "scene-materials/plan"
+    version: Literal[1] = 1
+    variant: str
+    versions: dict[str, str]
+    assets: dict[str, AssetRecord]
+    units: tuple[PlannedUnit, ...]
+
+
+class ViewTiming(StrictModel):
+    """Seconds that one view took, by stage."""
+
+    view: str
+    seconds: dict[str, float]
+
+
+class UnitManifest(StrictModel):
+    """``units/<key>.json``: the proof that a unit is done, and where its shard is."""
+
+    format: Literal["scene-materials/unit"] = "scene-materials/unit"
+    version: Literal[1] = 1
+    key: str
+    id: str
+    shard: str
+    sha256: str
+    num_bytes: int
+    num_views: int
+    attempt: str
+    host: str
+    seconds: dict[str, float]
+    views: tuple[ViewTiming, ...]
+    peak_memory_mb: float
+
+
+class FailureRecord(StrictModel):
+    """``failed/<id>.json``: a unit that was set aside."""
+
+    id: str
+    index: int
+    attempts: int
+    reason: str
+    log: str
+    command: str
+
+
+@dataclass(frozen=True)
+class DatasetFolder:
+    """Paths inside a dataset folder, and reading of what is there."""
+
+    root: Path
+
+    @property
+    def recipe_path(self) -> Path:
+        return self.root / "recipe.yaml"
+
+    @property
+    def record_path(self) -> Path:
+        return self.root / "dataset.json"
+
+    @property
+    def plan_path(self) -> Path:
+        return self.root / "plan.json"
+
+    @property
+    def index_path(self) -> Path:
+        return self.root / "index.json"
+
+    @property
+    def shards_path(self) -> Path:
+        return self.root / "shards"
+
+    @property
+    def units_path(self) -> Path:
+        return self.root / "units"
+
+    @property
+    def logs_path(self) -> Path:
+        return self.root / "logs"
+
+    @property
+    def failed_path(self) -> Path:
+        return self.root / "failed"
+
+    @property
+    def sheets_path(self) -> Path:
+        return self.root / "sheets"
+
+    def configuration_path(self, unit_id: str) -> Path:
+        return self.root / "configurations" / f"{unit_id}.json"
+
+    def work_path(self, unit: PlannedUnit) -> Path:
+        return self.root / "work" / f"{unit.id}-{unit.key[:8]}"
+
+    def manifest_path(self, unit: PlannedUnit) -> Path:
+        return self.units_path / f"{unit.key}.json"
+
+    def read_recipe(self) -> Recipe:
+        return read_yaml(Recipe, self.recipe_path)
+
+    def read_record(self) -> FolderRecord:
+        return read_json(FolderRecord, self.record_path)
+
+    def read_plan(self) -> Plan:
+        """The plan; raises :class:`InputError` where the folder has none."""
+        if not self.plan_path.is_file():
+            raise input_error(
+                self.plan_path, "", "no plan here", "a planned dataset folder", "run `datagen plan` first"
+            )
+        return read_json(Plan, self.plan_path)
+
+    def read_configuration(self, unit: PlannedUnit) -> Configuration:
+        return read_json(Configuration, self.configuration_path(unit.id))
+
+    def read_manifest(self, unit: PlannedUnit) -> UnitManifest | None:
+        """The unit's manifest, or None while it is not done. The file is opened, not merely looked up:
+        network file systems cache negative look-ups."""
+        path = self.manifest_path(unit)
+        try:
+            path.open("rb").close()
+        except FileNotFoundError:
+            return None
+        manifest = read_json(UnitManifest, path)
+        if manifest.key != unit.key:
+            raise input_error(
+                path, "key", manifest.key, unit.key, "remove this file; the unit will be made again"
+            )
+        return manifest
+
+    def is_done(self, unit: PlannedUnit) -> bool:
+        """Whether the unit's manifest and its shard, of the stated size, are there."""
+        try:
+            manifest = self.read_manifest(unit)
+        except InputError:
+            return False
+        if manifest is None:
+            return False
+        try:
+            return (self.root / manifest.shard).stat().st_size == manifest.num_bytes
+        except OSError:
+            return False
+
+    def check_same_start(self, record: FolderRecord) -> None:
+        """Raise :class:`InputError` where the folder was started from something else than ``record``."""
+        if not self.record_path.exists():
+            return
+        existing = self.read_record()
+        problems = [
+            Problem(
+                self.root,
+                name,
+                str(getattr(existing, name)),
+                str(getattr(record, name)),
+                "choose another --out, or go on with the recipe, library and versions it was started with",
+            )
+            for name in ("recipe_sha256", "library_sha256", "versions")
+            if getattr(existing, name) != getattr(record, name)
+        ]
+        if problems:
+            raise InputError(*problems)
+
+
+def unit_key(configuration: Configuration, recipe: Recipe, variant: str, versions: dict[str, str]) -> str:
+    """SHA-256 over all that decides a unit's bytes."""
+    parts = {
+        "configuration": configuration.model_dump(mode="json"),
+        "render": recipe.render.model_dump(mode="json"),
+        "statistics": recipe.statistics.model_dump(mode="json"),
+        "output": recipe.output.model_dump(mode="json"),
+        "variant": variant,
+        "versions": versions,
+    }
+    return sha256_hex(canonical_json(parts))

@@ -1,0 +1,418 @@
+# SPDX-License-Identifier: MIT
+"""Runs units on this machine: worker processes that may die without taking anything else with them.
+
+The parent hands out unit indices over pipes and never imports mitsuba. A worker that dies costs its unit only;
+the unit is tried again in a fresh process, then set aside with its log and the command that reproduces it.
+Workers are replaced after a number of units or when their memory has grown.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import psutil
+
+from datagen.errors import InputError
+from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit
+from datagen.formats.base import canonical_json, write_bytes_atomically
+
+EXIT_INTERRUPTED = 75
+"""Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""
+GRACE_S = 20.0
+
+
+@dataclass(frozen=True)
+class LocalOptions:
+    """How to run. ``max_growth_mb`` is memory above that after a worker's first unit."""
+
+    workers: int = 1
+    attempts: int = 3
+    max_units_per_worker: int = 20
+    max_growth_mb: float = 1000.0
+    stages: tuple[str, ...] = ("render", "stats", "pack")
+
+
+@dataclass
+class RunSummary:
+    """What a run did: ids of units by outcome."""
+
+    done: list[str] = field(default_factory=list)
+    already_done: int = 0
+    set_aside: list[str] = field(default_factory=list)
+    interrupted: bool = False
+
+
+Event = tuple[str, str, str, int, int]
+"""(kind, unit id, stage, done, total); kind is "progress", "done", "retry" or "set_aside"."""
+
+
+# ---------------------------------------------------------------------- the worker's side
+
+
+def _worker_main(connection: Connection, root: str, threads: int, stages: tuple[str, ...]) -> None:
+    """Loop of a worker process: receive an index, run the unit, send what happened."""
+    stop = {"asked": False}
+    parent = os.getppid()
+
+    def ask_to_stop(signum: int, frame: object) -> None:
+        stop["asked"] = True
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    signal.signal(signal.SIGTERM, ask_to_stop)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, str(threads))
+    folder = DatasetFolder(Path(root))
+    context = _WorkerContext(folder, threads)
+    while True:
+        try:
+            message = connection.recv()
+        except (EOFError, OSError):
+            return  # the parent is gone
+        if message is None:
+            return
+        index, log = message
+        with _redirected_output(Path(log)):
+            outcome = _run_one(context, index, stages, connection, lambda: stop["asked"] or _orphan(parent))
+        memory = psutil.Process().memory_info().rss / 2**20
+        try:
+            connection.send(("outcome", *outcome, memory))
+        except (BrokenPipeError, OSError):
+            return
+
+
+def _orphan(parent: int) -> bool:
+    return os.getppid() != parent
+
+
+class _redirected_output:
+    """Sends the process's stdout and stderr, also those of native code, to the end of a log file."""
+
+    def __init__(self, log: Path):
+        self.log = log
+
+    def __enter__(self) -> None:
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self.saved = os.dup(1), os.dup(2)
+        file = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        os.dup2(file, 1)
+        os.dup2(file, 2)
+        os.close(file)
+
+    def __exit__(self, *exception: object) -> None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for number, saved in zip((1, 2), self.saved, strict=True):
+            os.dup2(saved, number)
+            os.close(saved)
+
+
+class _WorkerContext:
+    """What a process needs to run units, loaded once. ``threads`` None leaves Dr.Jit's choice."""
+
+    def __init__(self, folder: DatasetFolder, threads: int | None):
+        from datagen.library import Library
+
+        self.folder = folder
+        self.plan = folder.read_plan()
+        self.recipe = folder.read_recipe()
+        self.library = Library([Path(path) for path in folder.read_record().library_paths])
+        self.threads = threads
+        self.is_ready = False
+
+    def prepare(self) -> None:
+        """Select the variant and the number of threads before the first unit."""
+        if self.is_ready:
+            return
+        from mitsuba_plugins.variant import select_variant
+
+        select_variant(self.plan.variant)
+        if self.threads is not None:
+            import drjit as dr
+
+            dr.set_thread_count(self.threads)
+        self.is_ready = True
+
+
+def _run_one(
+    context: _WorkerContext,
+    index: int,
+    stages: tuple[str, ...],
+    connection: Connection | None,
+    should_stop: Callable[[], bool],
+) -> tuple[str, str]:
+    from datagen.farm.work_unit import Interrupted, UnitRun, run_unit
+
+    def report(stage: str, done: int, total: int) -> None:
+        if connection is not None:
+            connection.send(("progress", stage, done, total))
+
+    try:
+        context.prepare()
+        run = UnitRun(
+            folder=context.folder,
+            unit=context.plan.units[index],
+            recipe=context.recipe,
+            library=context.library,
+            versions=context.plan.versions,
+            variant=context.plan.variant,
+            report=report,
+            should_stop=should_stop,
+        )
+        return ("done" if run_unit(run, stages) else "already"), ""
+    except Interrupted:
+        return "interrupted", ""
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return "failed", str(error)
+    except Exception as error:  # a worker must outlive whatever a unit raises; the trace is in its log
+        traceback.print_exc()
+        return "failed", f"{type(error).__name__}: {error}"
+
+
+def run_unit_here(
+    root: Path,
+    index: int,
+    stages: tuple[str, ...] = ("render", "stats", "pack"),
+    report: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> int:
+    """Run one unit in this process; the command that job scripts and reproductions call.
+
+    Returns an exit code: 0 done, 75 interrupted by SIGTERM, SIGINT or SIGUSR1 (run again), 1 failed.
+    """
+    stop = {"asked": False}
+
+    def ask_to_stop(signum: int, frame: object) -> None:
+        stop["asked"] = True
+
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1):
+        signal.signal(number, ask_to_stop)
+    context = _WorkerContext(DatasetFolder(root), None)
+    if not 0 <= index < len(context.plan.units):
+        from datagen.errors import input_error
+
+        raise input_error(root, "unit", index, f"0 to {len(context.plan.units) - 1}", "correct the index")
+
+    class _Reporter:
+        def send(self, message: tuple) -> None:
+            report(*message[1:])
+
+    outcome, reason = _run_one(context, index, stages, _Reporter(), lambda: stop["asked"])  # type: ignore[arg-type]
+    if outcome == "failed":
+        print(reason, file=sys.stderr)
+    return {"done": 0, "already": 0, "interrupted": EXIT_INTERRUPTED}.get(outcome, 1)
+
+
+# ---------------------------------------------------------------------- the parent's side
+
+
+class _Worker:
+    """The parent's handle of one worker process."""
+
+    def __init__(self, root: Path, threads: int, stages: tuple[str, ...]):
+        context = get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process: BaseProcess = context.Process(
+            target=_worker_main, args=(theirs, str(root), threads, stages), daemon=True
+        )
+        self.process.start()
+        theirs.close()
+        self.unit: PlannedUnit | None = None
+        self.log: Path | None = None
+        self.num_units = 0
+        self.first_memory_mb = 0.0
+
+    def give(self, unit: PlannedUnit, log: Path) -> None:
+        self.unit, self.log = unit, log
+        try:
+            self.connection.send((unit.index, str(log)))
+        except (BrokenPipeError, OSError):
+            pass  # it died before it was given work; the parent sees its sentinel
+
+    def is_spent(self, memory_mb: float, options: LocalOptions) -> bool:
+        """Whether the worker has done its share or has grown too much."""
+        if self.num_units == 1:
+            self.first_memory_mb = memory_mb
+        grown = memory_mb - self.first_memory_mb
+        return self.num_units >= options.max_units_per_worker or grown > options.max_growth_mb
+
+    def dismiss(self) -> None:
+        """Let an idle worker end."""
+        try:
+            self.connection.send(None)
+        except (BrokenPipeError, OSError):
+            pass  # already gone
+        self.process.join(GRACE_S)
+        self.kill()
+
+    def kill(self) -> None:
+        if self.process.is_alive():
+            self.process.kill()
+        self.process.join()
+        self.connection.close()
+
+
+def run_local(
+    root: Path, options: LocalOptions, on_event: Callable[[Event], None] = lambda event: None
+) -> RunSummary:
+    """Run every unit of the plan that is not done, with ``options.workers`` processes.
+
+    SIGINT and SIGTERM let views in progress finish (at most 20 s), then stop. Returns what happened; units
+    that failed ``attempts`` times are in ``set_aside`` and under ``failed/``.
+    """
+    folder = DatasetFolder(root)
+    plan = folder.read_plan()
+    summary = RunSummary()
+    todo = deque(unit for unit in plan.units if not folder.is_done(unit))
+    summary.already_done = len(plan.units) - len(todo)
+    if not todo:
+        return summary
+    attempts: dict[str, int] = {}
+    stop = {"asked": False}
+    previous = {
+        number: signal.signal(number, lambda *_: stop.update(asked=True))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    num_workers = max(1, min(options.workers, len(todo)))
+    threads = max(1, (os.cpu_count() or 1) // num_workers)
+    workers: list[_Worker] = []
+    try:
+        while (todo or any(w.unit for w in workers)) and not stop["asked"]:
+            while len(workers) < num_workers and len(workers) < len(todo) + sum(
+                w.unit is not None for w in workers
+            ):
+                workers.append(_Worker(root, threads, options.stages))
+            for worker in workers:
+                if worker.unit is None and todo:
+                    unit = todo.popleft()
+                    attempts[unit.id] = attempts.get(unit.id, 0) + 1
+                    worker.give(unit, folder.logs_path / f"{unit.id}.{attempts[unit.id]}.log")
+            for worker in _ready(workers):
+                _handle(worker, workers, todo, attempts, folder, options, summary, on_event)
+        if stop["asked"]:
+            summary.interrupted = True
+            _stop_all(workers)
+    finally:
+        for worker in workers:
+            worker.kill()
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    return summary
+
+
+def _ready(workers: list[_Worker]) -> list[_Worker]:
+    """Workers with a message or an end to report, waiting at most a second so that signals are noticed."""
+    handles: dict[object, _Worker] = {}
+    for worker in workers:
+        handles[worker.connection] = worker
+        handles[worker.process.sentinel] = worker
+    found: list[_Worker] = []
+    for handle in wait(list(handles), timeout=1.0):  # type: ignore[arg-type]
+        if handles[handle] not in found:
+            found.append(handles[handle])
+    return found
+
+
+def _handle(
+    worker: _Worker,
+    workers: list[_Worker],
+    todo: deque[PlannedUnit],
+    attempts: dict[str, int],
+    folder: DatasetFolder,
+    options: LocalOptions,
+    summary: RunSummary,
+    on_event: Callable[[Event], None],
+) -> None:
+    unit = worker.unit
+    try:
+        message = worker.connection.recv() if worker.connection.poll() else None
+    except (EOFError, OSError):
+        message = None
+    if message is None:
+        if worker.process.is_alive() and worker.process.exitcode is None:
+            worker.process.join(1.0)
+        if worker.process.exitcode is None:
+            return
+        reason = f"the worker process ended with exit code {worker.process.exitcode}"
+        workers.remove(worker)
+        worker.kill()
+        if unit is not None:
+            _failed(unit, reason, worker.log, todo, attempts, folder, options, summary, on_event)
+        return
+    assert unit is not None
+    if message[0] == "progress":
+        on_event(("progress", unit.id, *message[1:]))
+        return
+    _, outcome, reason, memory_mb = message
+    worker.unit = None
+    worker.num_units += 1
+    if outcome in ("done", "already"):
+        summary.done.append(unit.id)
+        (folder.failed_path / f"{unit.id}.json").unlink(missing_ok=True)
+        on_event(("done", unit.id, "", 0, 0))
+    elif outcome == "failed":
+        _failed(unit, reason, worker.log, todo, attempts, folder, options, summary, on_event)
+    else:  # someone else asked the worker to stop: the unit is simply tried again
+        attempts[unit.id] -= 1
+        todo.append(unit)
+    if outcome == "failed" or worker.is_spent(memory_mb, options):
+        workers.remove(worker)
+        worker.dismiss()
+
+
+def _failed(
+    unit: PlannedUnit,
+    reason: str,
+    log: Path | None,
+    todo: deque[PlannedUnit],
+    attempts: dict[str, int],
+    folder: DatasetFolder,
+    options: LocalOptions,
+    summary: RunSummary,
+    on_event: Callable[[Event], None],
+) -> None:
+    """Queue the unit again, or set it aside once its attempts are used up."""
+    if attempts[unit.id] < options.attempts:
+        todo.append(unit)
+        on_event(("retry", unit.id, reason, attempts[unit.id], options.attempts))
+        return
+    record = FailureRecord(
+        id=unit.id,
+        index=unit.index,
+        attempts=attempts[unit.id],
+        reason=reason,
+        log=str(log.relative_to(folder.root)) if log else "",
+        command=f"datagen unit {folder.root} {unit.index}",
+    )
+    folder.failed_path.mkdir(exist_ok=True)
+    write_bytes_atomically(folder.failed_path / f"{unit.id}.json", canonical_json(record))
+    summary.set_aside.append(unit.id)
+    on_event(("set_aside", unit.id, reason, attempts[unit.id], options.attempts))
+
+
+def _stop_all(workers: list[_Worker]) -> None:
+    """Ask every worker to stop after its view, wait for the grace time, then kill."""
+    for worker in workers:
+        if worker.process.is_alive():
+            worker.process.terminate()
+    deadline = time.monotonic() + GRACE_S
+    for worker in workers:
+        while worker.unit is not None and worker.process.is_alive() and time.monotonic() < deadline:
+            if worker.connection.poll(0.2):
+                try:
+                    if worker.connection.recv()[0] == "outcome":
+                        worker.unit = None
+                except (EOFError, OSError):
+                    break

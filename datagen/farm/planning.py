@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""From a recipe to a planned dataset folder: every configuration on disk, then the immutable list of units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+import yaml
+
+from datagen.errors import InputError
+from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, unit_key
+from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
+from datagen.formats.configuration import Configuration
+from datagen.formats.recipe import Recipe
+from datagen.formats.shard import AssetRecord
+from datagen.library import Library
+from datagen.versions import pixel_versions
+from mitsuba_plugins.variant import resolve_variant
+
+
+def configuration_id(recipe: Recipe, index: int) -> str:
+    """Id of the recipe's configuration of that index."""
+    return f"{recipe.name}-{index:05d}"
+
+
+def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
+    """Create the folder, or check that it was started from the same recipe, library and versions."""
+    folder = DatasetFolder(root)
+    record = FolderRecord(
+        recipe_sha256=sha256_hex(canonical_json(recipe)),
+        library_sha256=library.sha256,
+        library_paths=tuple(str(path) for path in library.paths),
+        versions=pixel_versions(),
+    )
+    root.mkdir(parents=True, exist_ok=True)
+    folder.check_same_start(record)
+    write_bytes_atomically(folder.record_path, canonical_json(record))
+    text = yaml.safe_dump(recipe.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+    write_bytes_atomically(folder.recipe_path, text.encode())
+    folder.configuration_path("x").parent.mkdir(exist_ok=True)
+    return folder
+
+
+_WORKER: dict[str, object] = {}
+
+
+def _start_worker(recipe: Recipe, library_paths: tuple[Path, ...], root: Path) -> None:
+    _WORKER.update(recipe=recipe, library=Library(library_paths), folder=DatasetFolder(root))
+
+
+def _assemble_one(index: int) -> int:
+    recipe, library, folder = _WORKER["recipe"], _WORKER["library"], _WORKER["folder"]
+    assert isinstance(recipe, Recipe) and isinstance(library, Library) and isinstance(folder, DatasetFolder)
+    from datagen.assembly.plan import assemble
+
+    configuration = assemble(recipe, index, library)
+    write_bytes_atomically(folder.configuration_path(configuration.id), canonical_json(configuration))
+    return index
+
+
+def create_plan(
+    recipe: Recipe,
+    library: Library,
+    root: Path,
+    workers: int = 1,
+    report: Callable[[int, int], None] = lambda done, total: None,
+) -> Plan:
+    """Assemble every configuration that is not on disk yet, then write the plan; a finished plan is only read.
+
+    ``report(done, total)`` is called as configurations are finished. Raises :class:`InputError`.
+    """
+    folder = start_folder(recipe, library, root)
+    if folder.plan_path.exists():
+        return folder.read_plan()
+    from datagen.assembly.plan import check_recipe
+
+    check_recipe(recipe, library)
+    missing = [i for i in range(recipe.configurations) if not _is_assembled(folder, recipe, i)]
+    done = recipe.configurations - len(missing)
+    report(done, recipe.configurations)
+    if missing:
+        context = get_context("spawn")
+        arguments = (recipe, tuple(library.paths), root)
+        with ProcessPoolExecutor(min(workers, len(missing)), context, _start_worker, arguments) as pool:
+            futures = [pool.submit(_assemble_one, index) for index in missing]
+            try:
+                for future in as_completed(futures):
+                    future.result()
+                    done += 1
+                    report(done, recipe.configurations)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    return _write_plan(folder, recipe, library)
+
+
+def _is_assembled(folder: DatasetFolder, recipe: Recipe, index: int) -> bool:
+    path = folder.configuration_path(configuration_id(recipe, index))
+    if not path.exists():
+        return False
+    try:
+        return read_json(Configuration, path).index == index
+    except InputError:
+        return False  # damaged: it is assembled again
+
+
+def _write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
+    versions = pixel_versions()
+    variant = resolve_variant(None if recipe.render.variant == "auto" else recipe.render.variant)
+    units = []
+    used: set[str] = set()
+    for index in range(recipe.configurations):
+        path = folder.configuration_path(configuration_id(recipe, index))
+        configuration = read_json(Configuration, path)
+        used.update(configuration.assets)
+        units.append(
+            PlannedUnit(
+                index=index,
+                id=configuration.id,
+                split=configuration.split,
+                key=unit_key(configuration, recipe, variant, versions),
+                num_views=len(configuration.cameras),
+            )
+        )
+    assets = {}
+    for asset_id in sorted(used):
+        package = library.package(asset_id)
+        provenance = package.asset.provenance
+        assets[asset_id] = AssetRecord(
+            kind=package.asset.kind,
+            sha256=package.sha256,
+            license=provenance.license,
+            author=provenance.author,
+            source=provenance.source,
+        )
+    plan = Plan(variant=variant, versions=versions, assets=assets, units=tuple(units))
+    write_bytes_atomically(folder.plan_path, canonical_json(plan))
+    return plan

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: MIT
+"""One unit of work, from its configuration to its committed shard; can be stopped and continued anywhere.
+
+Stages talk through files only: ``render`` leaves finished views, ``stats`` leaves views with statistics,
+``pack`` leaves the shard and its manifest. Every file appears whole or not at all, the manifest last and by
+``os.link``, so that of two processes on the same unit the first wins and the second changes nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import socket
+import time
+import uuid
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.buffers import BUFFERS
+from datagen.color import exposure_for
+from datagen.errors import InputError
+from datagen.farm.folder import DatasetFolder, PlannedUnit, UnitManifest, ViewTiming
+from datagen.formats.base import (
+    canonical_json,
+    quantized,
+    read_json,
+    sha256_file,
+    sha256_hex,
+    write_bytes_atomically,
+)
+from datagen.formats.configuration import Configuration
+from datagen.formats.exr import decode_view, encode_view, to_storage
+from datagen.formats.recipe import Recipe
+from datagen.formats.shard import write_shard
+from datagen.formats.view import StatisticsRecord, ViewRecord
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+STAGES = ("render", "stats", "pack")
+
+
+class Interrupted(Exception):
+    """The unit was asked to stop; everything finished so far is on disk."""
+
+
+@dataclass
+class UnitRun:
+    """State of one attempt at a unit. ``report(stage, done, total)`` is called as work proceeds.
+
+    ``should_stop`` is asked between views; a True raises :class:`Interrupted`.
+    """
+
+    folder: DatasetFolder
+    unit: PlannedUnit
+    recipe: Recipe
+    library: Library
+    versions: dict[str, str]
+    variant: str
+    report: Callable[[str, int, int], None] = lambda stage, done, total: None
+    should_stop: Callable[[], bool] = lambda: False
+    seconds: dict[str, float] = field(default_factory=dict)
+    attempt: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
+
+    def __post_init__(self) -> None:
+        self.work = self.folder.work_path(self.unit)
+
+    @property
+    def rendered_path(self) -> Path:
+        return self.work / "rendered"
+
+    @property
+    def complete_path(self) -> Path:
+        return self.work / "complete"
+
+    def check_stop(self) -> None:
+        """Raise :class:`Interrupted` if the unit was asked to stop."""
+        if self.should_stop():
+            raise Interrupted(self.unit.id)
+
+    # ------------------------------------------------------------------ views on disk
+
+    def read_record(self, folder: Path, view: str) -> ViewRecord | None:
+        """Record of a finished view, or None where it is missing or its EXR does not match it."""
+        try:
+            record = read_json(ViewRecord, folder / f"{view}.json")
+            if sha256_file(folder / f"{view}.exr") == record.exr_sha256:
+                return record
+        except (InputError, OSError):
+            pass  # an unfinished or damaged view is simply made again
+        return None
+
+    def publish(
+        self, folder: Path, record: ViewRecord, buffers: dict[str, NDArray], compression: str
+    ) -> None:
+        """Write a view's EXR, then its JSON that vouches for it."""
+        data = encode_view(buffers, compression)
+        write_bytes_atomically(folder / f"{record.name}.exr", data)
+        record = record.model_copy(update={"exr_sha256": sha256_hex(data), "buffers": tuple(sorted(buffers))})
+        write_bytes_atomically(folder / f"{record.name}.json", canonical_json(record))
+
+
+def run_unit(run: UnitRun, stages: Iterable[str] = STAGES) -> bool:
+    """Bring a unit through ``stages``; returns False where it was already committed.
+
+    Raises :class:`Interrupted`, :class:`InputError`, or whatever the renderer raises; finished views stay.
+    """
+    if run.folder.is_done(run.unit):
+        return False
+    configuration = run.folder.read_configuration(run.unit)
+    try:
+        for stage in stages:
+            start = time.perf_counter()
+            {"render": _render, "stats": _gather_statistics, "pack": _pack}[stage](run, configuration)
+            run.seconds[stage] = round(time.perf_counter() - start, 3)
+    except (OSError, InputError):
+        if run.folder.is_done(run.unit):  # another process committed it and tidied up meanwhile
+            return False
+        raise
+    return True
+
+
+def _render(run: UnitRun, configuration: Configuration) -> None:
+    """Render the views that are not there yet and publish each as soon as it is finished."""
+    names = [camera.name for camera in configuration.cameras]
+    run.rendered_path.mkdir(parents=True, exist_ok=True)
+    missing = [i for i, name in enumerate(names) if run.read_record(run.rendered_path, name) is None]
+    run.report("render", len(names) - len(missing), len(names))
+    if not missing:
+        return
+    run.check_stop()
+    from datagen.rendering.renderer import SceneRenderer
+
+    renderer = SceneRenderer(configuration, run.library, run.recipe.render)
+    done = len(names) - len(missing)
+    for view in renderer.render_views(missing):
+        camera = configuration.cameras[view.index]
+        stored = {name: to_storage(BUFFERS[name], array) for name, array in view.buffers.items()}
+        exposure = exposure_for(stored["beauty"].astype(np.float32), stored["surface_mask"][..., 0] > 0.5)
+        record = ViewRecord(
+            configuration=configuration.id,
+            name=camera.name,
+            index=view.index,
+            split=configuration.split,
+            camera=camera,
+            exposure=quantized(exposure),
+            buffers=(),
+            instances=view.instances,
+            materials=view.materials,
+            render=view.render,
+            versions=run.versions,
+            exr_sha256="",
+        )
+        run.publish(run.rendered_path, record, stored, "none")
+        write_bytes_atomically(
+            run.rendered_path / f"{camera.name}.timing",
+            canonical_json(ViewTiming(view=camera.name, seconds=view.seconds)),
+        )
+        done += 1
+        run.report("render", done, len(names))
+        run.check_stop()
+
+
+def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
+    """Gather the multi-view statistics of all views and publish the complete views."""
+    from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+
+    names = [camera.name for camera in configuration.cameras]
+    run.complete_path.mkdir(parents=True, exist_ok=True)
+    if all(run.read_record(run.complete_path, name) is not None for name in names):
+        return
+    records: list[ViewRecord] = []
+    stored: list[dict[str, NDArray]] = []
+    for name in names:
+        record = run.read_record(run.rendered_path, name)
+        if record is None:
+            raise InputError(*_missing_view(run, name))
+        records.append(record)
+        stored.append(decode_view(run.rendered_path / f"{name}.exr"))
+    from mitsuba_plugins.variant import select_variant
+
+    select_variant(run.variant)
+    settings = run.recipe.statistics
+    scene = None
+    if settings.visibility == "trace":
+        from datagen.rendering.scene_builder import build_scene
+
+        scene = build_scene(configuration, run.library).scene
+    views = [
+        StatisticsView(
+            color=buffers["beauty"].astype(np.float32),
+            depth_z_m=buffers["depth_z_m"],
+            normal_world=buffers["normal_world"].astype(np.float32),
+            surface_mask=buffers["surface_mask"].astype(np.float32),
+            camera=record.camera.camera(),
+        )
+        for buffers, record in zip(stored, records, strict=True)
+    ]
+    options = StatisticsOptions(
+        best_views=settings.best_views, visibility=settings.visibility, include_self=settings.include_self
+    )
+    statistics_record = StatisticsRecord(num_views=len(views), **settings.model_dump())
+    run.report("stats", 0, len(names))
+    for index, statistics in enumerate(compute_statistics(views, options, scene=scene)):
+        record = records[index].model_copy(update={"statistics": statistics_record})
+        buffers = {**stored[index], **statistics}
+        run.publish(run.complete_path, record, buffers, run.recipe.output.compression)
+        run.report("stats", index + 1, len(names))
+        run.check_stop()
+
+
+def _missing_view(run: UnitRun, name: str):
+    from datagen.errors import Problem
+
+    return (
+        Problem(
+            run.rendered_path / f"{name}.exr",
+            "",
+            "not rendered yet",
+            "every view of the configuration",
+            f"run `datagen render {run.folder.root}` first",
+        ),
+    )
+
+
+def _pack(run: UnitRun, configuration: Configuration) -> None:
+    """Tar the complete views, commit the shard, write the manifest, then tidy the work folder."""
+    names = [camera.name for camera in configuration.cameras]
+    records = []
+    for name in names:
+        record = run.read_record(run.complete_path, name)
+        if record is None:
+            raise InputError(*_missing_view(run, name))
+        records.append(record)
+    members = [
+        (f"{configuration.id}/{name}.{suffix}", run.complete_path / f"{name}.{suffix}")
+        for name in names
+        for suffix in ("exr", "json")
+    ]
+    for folder in (run.folder.shards_path, run.folder.units_path):
+        folder.mkdir(parents=True, exist_ok=True)
+    partial = run.folder.shards_path / f".{configuration.id}.{run.attempt}.partial"
+    try:
+        with partial.open("wb") as file:
+            write_shard(file, canonical_json(configuration), members)
+            file.flush()
+            os.fsync(file.fileno())
+        digest = sha256_file(partial)
+        shard = run.folder.shards_path / f"{configuration.id}-{digest[:16]}.tar"
+        num_bytes = partial.stat().st_size
+        partial.replace(shard)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+    timings = []
+    for name in names:
+        try:
+            timings.append(read_json(ViewTiming, run.rendered_path / f"{name}.timing"))
+        except InputError:
+            timings.append(ViewTiming(view=name, seconds={}))  # lost in an earlier attempt's kill
+    manifest = UnitManifest(
+        key=run.unit.key,
+        id=run.unit.id,
+        shard=shard.relative_to(run.folder.root).as_posix(),
+        sha256=digest,
+        num_bytes=num_bytes,
+        num_views=len(names),
+        attempt=run.attempt,
+        host=socket.gethostname(),
+        seconds=run.seconds,
+        views=tuple(timings),
+        peak_memory_mb=round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+    )
+    _commit_manifest(run, manifest)
+    shutil.rmtree(run.work, ignore_errors=True)
+
+
+def _commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
+    """Make the manifest appear under its name if no other attempt's is there; the first wins."""
+    path = run.folder.manifest_path(run.unit)
+    partial = path.with_name(f".{path.name}.{run.attempt}.partial")
+    write_bytes_atomically(partial, canonical_json(manifest))
+    try:
+        os.link(partial, path)
+    except FileExistsError:
+        try:
+            winner = run.folder.read_manifest(run.unit)
+        except InputError:
+            winner = None
+        if winner is None or not run.folder.is_done(run.unit):  # damaged, or its shard was lost: replace it
+            partial.replace(path)
+        elif winner.shard != manifest.shard:
+            (run.folder.root / manifest.shard).unlink(missing_ok=True)
+    finally:
+        partial.unlink(missing_ok=True)

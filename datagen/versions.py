@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: MIT
+"""Versions of the software that decides pixels; recorded with every result and part of every unit's key."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+DISTRIBUTION = "scene-materials"
+RESULT_REVISION = 1
+"""Raised whenever a change of the code changes the bytes of a dataset."""
+_PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
+
+
+def pixel_versions() -> dict[str, str]:
+    """Name to version of everything that decides the bytes of a view."""
+    found = {"result_revision": str(RESULT_REVISION)}
+    for name in (DISTRIBUTION, *_PACKAGES):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "absent"
+    return found
