@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: MIT
+"""The two tracks that predict materials: U-Nets with a global track (Deschaintre et al. 2018 and 2019).
+
+Axes: images are (B, C, H, W), row 0 at the top. Inputs are encoded to [-1, 1] by name from buffers; the
+diffuse track predicts D (3 channels), the specular track S (3) and R (1), all in [0, 1], linear, perceptual
+roughness.
+
+A level halves (encoder) or doubles (decoder) the resolution. Beside the convolutions runs a vector g, the
+global track, which gathers the spatial mean of every layer before its normalisation and is added back,
+through a linear map, to the layer after it. Instance norms and means would see an image's padding as well;
+with ``ignores_padding`` (the default: docs/decisions/0010) they are taken over the image proper and the
+padding is zeroed again after every convolution, so that padding further changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from torch import Tensor, nn
+
+from datagen.formats.base import StrictModel
+
+NUM_LEVELS = 4
+STRIDE = 2**NUM_LEVELS
+"""Inputs are padded at the bottom and the right to a multiple of this."""
+RECEPTIVE_FIELD_PX = 142
+"""Side of the square of input pixels that one output pixel sees through the convolutions alone: 126 or 142,
+by the pixel's place in its 16 x 16 block. Norms and the global track see everything."""
+_LEAK = 0.2
+_NORM_EPS = 1e-5  # keeps the norm finite on a constant feature map
+_LOG_EPSILON = 0.01
+
+TrackName = Literal["diffuse", "specular"]
+COLOR_STATISTICS = ("color_median", "color_max", "color_min")
+
+
+class NetworkConfig(StrictModel):
+    """What the two tracks look like. The defaults are the paper's (method 4)."""
+
+    base_channels: int = Field(default=64, ge=1, le=512)
+    """Channels of the first encoder layer; deeper ones have 2, 4 and 8 times as many."""
+    global_channels: int = Field(default=128, ge=1, le=4096)
+    """Width of the global track."""
+    wide_decoder: bool = False
+    """Literal reading of the architecture's description: decoder layers as wide as the encoder's, 8, 4, 2."""
+    dropout: float = Field(default=0.5, ge=0.0, lt=1.0)
+    """Dropout of the three inner decoder layers, off at inference."""
+    ignores_padding: bool = True
+    """Keep the padding out of instance norms, global means and convolutions."""
+    uses_statistics: bool = True
+    """Feed the reprojected colour statistics; False is the single-view ablation (*No RP*)."""
+
+
+def track_inputs(track: TrackName, config: NetworkConfig) -> tuple[str, ...]:
+    """Names of a track's inputs in channel order; each has 3 channels."""
+    names: tuple[str, ...] = ("beauty", "color_median", "color_max")
+    if track == "specular":
+        names += ("color_min", "normal_camera", "depth")
+    return names if config.uses_statistics else tuple(n for n in names if n not in COLOR_STATISTICS)
+
+
+TRACK_OUTPUTS: dict[TrackName, dict[str, int]] = {
+    "diffuse": {"diffuse_albedo": 3},
+    "specular": {"specular_albedo": 3, "roughness": 1},
+}
+
+
+def encode_color(linear: Tensor, exposure: Tensor | float) -> Tensor:
+    """Linear HDR colour to the network's [-1, 1]: exposure, clip to [0, 1], logarithm (method 3)."""
+    x = (linear * exposure).clamp(0.0, 1.0)
+    span = math.log(1.0 + _LOG_EPSILON) - math.log(_LOG_EPSILON)
+    return 2.0 * (torch.log(x + _LOG_EPSILON) - math.log(_LOG_EPSILON)) / span - 1.0
+
+
+def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor:
+    """Depth (B, 1, H, W) over the view's greatest, to [-1, 1], tiled to 3 channels; no surface (0) gives -1.
+
+    ``depth_max_m`` (B,) is the whole view's maximum; None takes the tensor's own, right only for whole views.
+    """
+    if depth_max_m is None:
+        depth_max_m = depth_z_m.amax(dim=(1, 2, 3))
+    scale = depth_max_m.reshape(-1, 1, 1, 1).clamp_min(1e-6)  # a view without any surface
+    return (2.0 * depth_z_m / scale - 1.0).expand(-1, 3, -1, -1)
+
+
+def assemble_inputs(
+    track: TrackName,
+    buffers: Mapping[str, Tensor],
+    exposure: Tensor,
+    config: NetworkConfig,
+    depth_max_m: Tensor | None = None,
+) -> Tensor:
+    """A track's input (B, 9 or 18, H, W) in [-1, 1] from buffers by name.
+
+    ``buffers`` holds linear colours ``beauty``, ``color_median``, ``color_max``, ``color_min`` (B, 3, H, W),
+    ``normal_camera`` (B, 3, H, W) unit vectors and ``depth_z_m`` (B, 1, H, W); ``exposure`` (B,) is the
+    factor that :func:`datagen.color.exposure_for` gives. ``KeyError`` names a buffer that is missing.
+    """
+    exposure = exposure.reshape(-1, 1, 1, 1)
+    parts = []
+    for name in track_inputs(track, config):
+        if name == "depth":
+            parts.append(encode_depth(buffers["depth_z_m"], depth_max_m))
+        elif name == "normal_camera":
+            parts.append(buffers["normal_camera"])
+        else:
+            parts.append(encode_color(buffers[name], exposure))
+    return torch.cat(parts, dim=1)
+
+
+def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
+    """x with everything outside its top left ``valid`` (h, w) set to 0, as a convolution's own padding is."""
+    height, width = x.shape[-2:]
+    if valid == (height, width):
+        return x
+    return F.pad(x[:, :, : valid[0], : valid[1]], (0, width - valid[1], 0, height - valid[0]))
+
+
+class _GlobalLink(nn.Module):
+    """The global track's part at one layer: g added to the layer, the layer's mean gathered into g."""
+
+    def __init__(self, global_channels: int, layer_channels: int, has_update: bool):
+        super().__init__()
+        self.add = nn.Linear(global_channels, layer_channels, bias=False)
+        nn.init.normal_(self.add.weight, 0.0, 0.01 / math.sqrt(global_channels))
+        self.update: nn.Linear | None = None
+        if has_update:
+            self.update = _selu_linear(global_channels + layer_channels, global_channels)
+
+    def next(self, g: Tensor, mean: Tensor) -> Tensor:
+        """g of the following layer from this layer's mean (B, C)."""
+        if self.update is None:
+            return g
+        return F.selu(self.update(torch.cat([g, mean.to(g.dtype)], dim=1)))
+
+
+def _selu_linear(num_in: int, num_out: int) -> nn.Linear:
+    layer = nn.Linear(num_in, num_out)
+    nn.init.normal_(layer.weight, 0.0, 1.0 / math.sqrt(num_in))  # what SELU needs to keep unit variance
+    nn.init.normal_(layer.bias, 0.0, 0.002)
+    return layer
+
+
+def _conv(num_in: int, num_out: int, stride: int) -> nn.Conv2d:
+    layer = nn.Conv2d(num_in, num_out, 4, stride=stride, padding=1 if stride == 2 else 0, bias=False)
+    nn.init.normal_(layer.weight, 0.0, 0.02)
+    return layer
+
+
+class _Layer(nn.Module):
+    """Convolutions, then instance norm (affine) and the global track's addition in a single pass."""
+
+    def __init__(self, num_out: int, global_channels: int, *, has_norm: bool, has_update: bool):
+        super().__init__()
+        self.link = _GlobalLink(global_channels, num_out, has_update)
+        self.scale: nn.Parameter | None = None
+        self.shift: nn.Parameter | None = None
+        if has_norm:
+            self.scale = nn.Parameter(torch.empty(num_out).normal_(1.0, 0.02))
+            self.shift = nn.Parameter(torch.zeros(num_out))
+
+    def modulate(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
+        """Norm(x) + W g, and the next g. Statistics are over the top left ``valid`` (h, w) of x, in
+        float32."""
+        inside = x[:, :, : valid[0], : valid[1]]
+        if inside.dtype != torch.float32 and inside.dtype != torch.float64:
+            inside = inside.float()
+        added = self.link.add(g).to(inside.dtype)
+        if self.scale is None or self.shift is None:
+            mean = inside.mean(dim=(2, 3))
+            y = x + added.to(x.dtype)[:, :, None, None]
+        else:
+            variance, mean = torch.var_mean(inside, dim=(2, 3), correction=0)
+            gain = self.scale * torch.rsqrt(variance + _NORM_EPS)
+            offset = self.shift + added - mean * gain
+            y = torch.addcmul(offset.to(x.dtype)[:, :, None, None], x, gain.to(x.dtype)[:, :, None, None])
+        return _zero_padding(y, valid), self.link.next(g, mean)
+
+
+class _Down(_Layer):
+    """LeakyReLU, 4x4 stride-2 convolution, norm, global track."""
+
+    def __init__(self, num_in: int, num_out: int, global_channels: int, *, has_norm: bool):
+        super().__init__(num_out, global_channels, has_norm=has_norm, has_update=True)
+        self.conv = _conv(num_in, num_out, stride=2)
+
+    def forward(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
+        return self.modulate(self.conv(F.leaky_relu(x, _LEAK)), g, valid)
+
+
+class _Up(_Layer):
+    """LeakyReLU, nearest x2, two 4x4 stride-1 convolutions (pad 1 before, 2 after), norm, global track."""
+
+    def __init__(self, num_in: int, num_out: int, global_channels: int, *, has_norm: bool, dropout: float):
+        super().__init__(num_out, global_channels, has_norm=has_norm, has_update=has_norm)
+        self.conv1 = _conv(num_in, num_out, stride=1)
+        self.conv2 = _conv(num_out, num_out, stride=1)
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
+        x = F.interpolate(F.leaky_relu(x, _LEAK), scale_factor=2, mode="nearest")
+        x = _zero_padding(self.conv1(F.pad(x, (1, 2, 1, 2))), valid)
+        x = self.conv2(F.pad(x, (1, 2, 1, 2)))
+        y, g = self.modulate(x, g, valid)
+        return self.dropout(y), g
+
+
+class Track(nn.Module):
+    """One U-Net with its global track: (B, ``num_in``, H, W) in [-1, 1] to (B, ``num_out``, H, W) in [0, 1].
+
+    Any H and W of at least 1: inputs are padded with zeros at the bottom and the right to a multiple of 16
+    and the result is cropped. An input that was padded already names its proper part, the top left
+    ``valid_size``.
+    """
+
+    def __init__(self, num_in: int, num_out: int, config: NetworkConfig):
+        super().__init__()
+        self.config = config
+        base, width = config.base_channels, config.global_channels
+        enc = [base, base * 2, base * 4, base * 8]
+        dec = [base * 8, base * 4, base * 2] if config.wide_decoder else [base * 4, base * 2, base]
+        self.global_start = _selu_linear(num_in, width)
+        self.enc1 = _conv(num_in, enc[0], stride=2)
+        self.enc2 = _Down(enc[0], enc[1], width, has_norm=True)
+        self.enc3 = _Down(enc[1], enc[2], width, has_norm=True)
+        self.enc4 = _Down(enc[2], enc[3], width, has_norm=False)
+        drop = config.dropout
+        self.dec4 = _Up(enc[3], dec[0], width, has_norm=True, dropout=drop)
+        self.dec3 = _Up(dec[0] + enc[2], dec[1], width, has_norm=True, dropout=drop)
+        self.dec2 = _Up(dec[1] + enc[1], dec[2], width, has_norm=True, dropout=drop)
+        self.dec1 = _Up(dec[2] + enc[0], num_out, width, has_norm=False, dropout=0.0)
+
+    def forward(self, x: Tensor, valid_size: tuple[int, int] | None = None) -> Tensor:
+        height, width = valid_size or (x.shape[-2], x.shape[-1])
+        bottom, right = (-n % STRIDE for n in x.shape[-2:])
+        if bottom or right:
+            x = F.pad(x, (0, right, 0, bottom))
+        seen = (height, width) if self.config.ignores_padding else (x.shape[-2], x.shape[-1])
+        valid = [(-(-seen[0] // 2**k), -(-seen[1] // 2**k)) for k in range(NUM_LEVELS + 1)]
+        mean = x[:, :, : seen[0], : seen[1]].mean(dim=(2, 3))
+        g = F.selu(self.global_start(mean))
+        e1 = _zero_padding(self.enc1(_zero_padding(x, valid[0])), valid[1])
+        e2, g = self.enc2(e1, g, valid[2])
+        e3, g = self.enc3(e2, g, valid[3])
+        e4, g = self.enc4(e3, g, valid[4])
+        d, g = self.dec4(e4, g, valid[3])
+        d, g = self.dec3(torch.cat([d, e3], dim=1), g, valid[2])
+        d, g = self.dec2(torch.cat([d, e2], dim=1), g, valid[1])
+        d, _ = self.dec1(torch.cat([d, e1], dim=1), g, valid[0])
+        d = d[:, :, :height, :width]
+        return 0.5 * (torch.tanh(d.float() if d.dtype == torch.bfloat16 else d) + 1.0)
+
+
+class MaterialNetwork(nn.Module):
+    """Both tracks. Calling it runs either or both and returns maps by name."""
+
+    def __init__(self, config: NetworkConfig | None = None):
+        super().__init__()
+        self.config = config or NetworkConfig()
+        tracks: dict[str, nn.Module] = {}
+        for name, outputs in TRACK_OUTPUTS.items():
+            num_in = 3 * len(track_inputs(name, self.config))
+            tracks[name] = Track(num_in, sum(outputs.values()), self.config)
+        self.tracks = nn.ModuleDict(tracks)
+
+    def forward(
+        self,
+        buffers: Mapping[str, Tensor],
+        exposure: Tensor,
+        depth_max_m: Tensor | None = None,
+        tracks: tuple[TrackName, ...] = ("diffuse", "specular"),
+    ) -> dict[str, Tensor]:
+        """Maps (B, 3 or 1, H, W) in [0, 1] by name; arguments as :func:`assemble_inputs`."""
+        maps: dict[str, Tensor] = {}
+        for track in tracks:
+            x = assemble_inputs(track, buffers, exposure, self.config, depth_max_m)
+            if self._is_channels_last:
+                x = x.contiguous(memory_format=torch.channels_last)
+            outputs = TRACK_OUTPUTS[track]
+            predicted = self.tracks[track](x)
+            for name, part in zip(outputs, predicted.split(list(outputs.values()), dim=1), strict=True):
+                maps[name] = part
+        return maps
+
+    @property
+    def _is_channels_last(self) -> bool:
+        weight = self.get_parameter("tracks.diffuse.enc2.conv.weight")
+        return weight.is_contiguous(memory_format=torch.channels_last) and not weight.is_contiguous()
+
+
+def num_parameters(module: nn.Module) -> int:
+    """Number of trainable values."""
+    return sum(p.numel() for p in module.parameters() if p.requires_grad)
