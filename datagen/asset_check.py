@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: MIT
+"""The thorough look at an asset package: meshes, textures, lights and regions, beyond what the schema says.
+
+Errors make a package unusable; warnings (non-manifold edges, flipped triangles) are listed and refused only
+by those who ask for strictness, since most scenes from the wild have some.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.errors import InputError, Problem
+from datagen.formats.asset import (
+    EnvironmentAsset,
+    Material,
+    MaterialAsset,
+    ObjectAsset,
+    Part,
+    Texture,
+)
+from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
+from datagen.formats.package import Package
+from datagen.images import MAX_IMAGE_SIDE_PX, read_image
+from datagen.meshes import Mesh, decode_ply, inspect_mesh
+
+BOUNDS_TOLERANCE_M = 2e-3  # declared bounds are rounded when written; a larger difference is a mistake
+_REEXPORT = "re-export the asset"
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What :func:`check_package` found, as printable problems."""
+
+    errors: tuple[Problem, ...]
+    warnings: tuple[Problem, ...]
+
+    @property
+    def is_usable(self) -> bool:
+        return not self.errors
+
+    def raise_errors(self, *, strict: bool = False) -> None:
+        """Raise :class:`InputError` with all errors (and warnings, if ``strict``)."""
+        problems = self.errors + (self.warnings if strict else ())
+        if problems:
+            raise InputError(*problems)
+
+
+class _Checker:
+    def __init__(self, package: Package):
+        self.package = package
+        self.asset = package.asset
+        self.where = f"{package.path}/asset.json"
+        self.errors: list[Problem] = []
+        self.warnings: list[Problem] = []
+        self._images: dict[str, tuple[int, str]] = {}  # file -> channel count, fault
+
+    def error(self, field: str, got: object, expected: str, remedy: str = _REEXPORT) -> None:
+        self.errors.append(Problem(self.where, field, str(got), expected, remedy))
+
+    def warn(self, field: str, got: object, expected: str, remedy: str = "mend the mesh") -> None:
+        self.warnings.append(Problem(self.where, field, str(got), expected, remedy))
+
+    # textures
+
+    def check_image(self, name: str) -> tuple[int, str]:
+        """Number of channels of an image and what is wrong with it ('' = nothing); each file read once."""
+        if name not in self._images:
+            fault, channels = "", 0
+            try:
+                pixels = read_image(self.package.local_file(name))
+                channels = pixels.shape[2]
+                if 0 in pixels.shape or max(pixels.shape[:2]) > MAX_IMAGE_SIDE_PX:
+                    fault = f"size {pixels.shape[1]}x{pixels.shape[0]}"
+                elif pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
+                    fault = f"{int((~np.isfinite(pixels)).sum())} NaN or infinite values"
+            except InputError as problem:
+                fault = problem.problems[0].got
+            self._images[name] = channels, fault
+        return self._images[name]
+
+    def check_texture(self, field: str, texture: Texture) -> None:
+        channels, fault = self.check_image(texture.texture)
+        if fault:
+            expected = f"finite pixels, at most {MAX_IMAGE_SIDE_PX} a side"
+            self.error(field, f"{texture.texture!r}: {fault}", expected, "replace the image")
+            return
+        needed = {"rgb": 1, "r": 1, "g": 2, "b": 3, "a": 4}[texture.channel]
+        if (
+            channels < needed
+            and not (channels == 1 and texture.channel in "rgb")
+            and not (channels == 2 and texture.channel == "a")
+        ):
+            self.error(f"{field}.channel", repr(texture.channel), f"one of the image's {channels} channels")
+        if texture.encoding == "srgb" and texture.texture.lower().endswith(".exr"):
+            self.error(f"{field}.encoding", "'srgb'", "'linear', which is what EXR files hold")
+
+    def check_material(self, field: str, material: Material) -> None:
+        for channel in ("diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"):
+            value = getattr(material, channel)
+            if isinstance(value, Texture):
+                self.check_texture(f"{field}.{channel}", value)
+        if material.normal is not None and (
+            material.normal.encoding != "linear" or material.normal.channel != "rgb"
+        ):
+            self.error(f"{field}.normal", material.normal.encoding, "a linear texture with channel 'rgb'")
+
+    # geometry
+
+    def check_part(self, index: int, part: Part, mesh: Mesh | None, material: Material) -> None:
+        field = f"parts[{index}] ({part.name})"
+        matrix = np.asarray(part.asset_from_part)[:3, :3]
+        if abs(np.linalg.det(matrix)) < 1e-12:
+            self.error(f"{field}.asset_from_part", "a singular matrix", "an invertible one")
+        if mesh is None:
+            return
+        if material.textures() and mesh.uv is None:
+            self.error(f"{field}.mesh", f"{part.mesh!r} without UVs", "u and v, which its textures need")
+
+    def check_mesh(self, name: str) -> Mesh | None:
+        try:
+            mesh = decode_ply(self.package.read_bytes(name), f"{self.package.path}/{name}")
+        except InputError as problem:
+            self.errors.extend(problem.problems)
+            return None
+        faults = inspect_mesh(mesh)
+        if faults.is_empty:
+            self.error(name, "no triangles", "a mesh with a surface")
+        elif faults.non_finite:
+            self.error(name, f"{faults.non_finite} NaN or infinite vertices", "finite numbers")
+        elif faults.bad_indices:
+            self.error(name, f"{faults.bad_indices} triangles with bad indices", "indices of its vertices")
+        elif faults.degenerate == faults.total:
+            self.error(name, "triangles of zero area only", "a mesh with a surface")
+        if faults.is_unusable:
+            return None
+        if faults.degenerate:
+            self.warn(name, f"{faults.degenerate} of {faults.total} triangles have no area", "none")
+        if faults.zero_normals:
+            self.warn(name, f"{faults.zero_normals} zero normals", "unit normals")
+        if faults.non_manifold_edges:
+            expected = "at most two triangles at an edge"
+            self.warn(name, f"{faults.non_manifold_edges} non-manifold edges", expected)
+        if faults.inconsistent_edges:
+            self.warn(name, f"{faults.inconsistent_edges} edges between flipped triangles", "one orientation")
+        return mesh
+
+    def check_bounds(self, asset: ObjectAsset, meshes: dict[str, Mesh | None]) -> None:
+        lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+        for part in asset.parts:
+            mesh = meshes[part.mesh]
+            if mesh is None:
+                return
+            points = mesh.transformed(np.asarray(part.asset_from_part)).positions
+            lower, upper = np.minimum(lower, points.min(axis=0)), np.maximum(upper, points.max(axis=0))
+        tolerance = BOUNDS_TOLERANCE_M + 1e-3 * float((upper - lower).max())
+        for field, value, actual in (
+            ("minimum_m", asset.minimum_m, lower),
+            ("maximum_m", asset.maximum_m, upper),
+        ):
+            if np.abs(np.asarray(value) - actual).max() > tolerance:
+                self.error(field, value, f"the meshes' bound {np.round(actual, 4).tolist()}")
+        if abs(lower[2]) > tolerance:
+            self.error("minimum_m[2]", round(float(lower[2]), 4), "0: an object rests on the plane z = 0")
+        if asset.scale_range[0] > asset.scale_range[1]:
+            self.error("scale_range", asset.scale_range, "smallest first")
+
+    # lights and regions
+
+    def check_light(self, index: int, light: Light) -> None:
+        field = f"lights[{index}] ({light.name})"
+        if isinstance(light, AreaLight):
+            self.check_rectangle(field, light.edge_u_m, light.edge_v_m)
+        if isinstance(light, SpotLight | DirectionalLight):
+            self.check_unit(f"{field}.direction", light.direction)
+        if isinstance(light, SpotLight) and light.beam_width_rad > light.cutoff_rad:
+            self.error(f"{field}.beam_width_rad", light.beam_width_rad, "at most cutoff_rad")
+        if isinstance(light, SkyLight):
+            self.check_unit(f"{field}.sun_direction", light.sun_direction)
+        if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
+            _, fault = self.check_image(light.image)
+            if fault:
+                self.error(f"{field}.image", f"{light.image!r}: {fault}", "a finite EXR", "replace the image")
+
+    def check_unit(self, field: str, direction: tuple[float, float, float]) -> None:
+        if abs(math.sqrt(sum(x * x for x in direction)) - 1) > 1e-3:
+            self.error(field, direction, "a unit vector")
+
+    def check_rectangle(self, field: str, edge_u: tuple[float, ...], edge_v: tuple[float, ...]) -> float:
+        """Report a rectangle without area or with skewed edges; returns its area."""
+        cross = np.cross(edge_u, edge_v)
+        area = float(np.linalg.norm(cross))
+        lengths = float(np.linalg.norm(edge_u) * np.linalg.norm(edge_v))
+        if not area > 1e-10 or area < 1e-6 * lengths:
+            self.error(
+                field, f"edges {tuple(edge_u)} and {tuple(edge_v)}", "a rectangle with an area above zero"
+            )
+        return area
+
+    def check_regions(self, asset: EnvironmentAsset) -> None:
+        for k, surface in enumerate(asset.support_surfaces):
+            field = f"support_surfaces[{k}] ({surface.name})"
+            if self.check_rectangle(field, surface.edge_u_m, surface.edge_v_m) > 0:
+                normal = np.cross(surface.edge_u_m, surface.edge_v_m)
+                if normal[2] < 0.999 * np.linalg.norm(normal):
+                    self.error(field, "a tilted or downward rectangle", "edge_u x edge_v along +Z")
+        for k, slot in enumerate(asset.light_slots):
+            if slot.kind == "area":
+                self.check_rectangle(f"light_slots[{k}] ({slot.name})", slot.edge_u_m, slot.edge_v_m)
+        for k, opening in enumerate(asset.openings):
+            self.check_rectangle(f"openings[{k}] ({opening.name})", opening.edge_u_m, opening.edge_v_m)
+
+    def run(self) -> CheckReport:
+        asset = self.asset
+        if isinstance(asset, MaterialAsset):
+            self.check_material("material", asset.material)
+        else:
+            for name, material in asset.materials.items():
+                self.check_material(f"materials.{name}", material)
+            meshes = {name: self.check_mesh(name) for name in sorted({p.mesh for p in asset.parts})}
+            for k, part in enumerate(asset.parts):
+                self.check_part(k, part, meshes[part.mesh], asset.materials[part.material])
+            for k, light in enumerate(asset.lights):
+                self.check_light(k, light)
+            if isinstance(asset, ObjectAsset):
+                self.check_bounds(asset, meshes)
+            else:
+                self.check_regions(asset)
+        return CheckReport(tuple(self.errors), tuple(self.warnings))
+
+
+def check_package(package: Package) -> CheckReport:
+    """Read every mesh and texture of a package and report all that is wrong; raises nothing of its own."""
+    return _Checker(package).run()

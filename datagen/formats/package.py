@@ -1,0 +1,463 @@
+# SPDX-License-Identifier: MIT
+"""Asset packages as containers: a folder or a zip with ``asset.json`` and the files that it names.
+
+Opening a package reads ``asset.json`` and looks that the named files are there; pixels and vertices are
+looked at by ``datagen.asset_check``. Zips are read in place, never unpacked wholesale; members that would
+leave the package, links, devices, encrypted members and bombs are refused.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import stat
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.asset import (
+    ASSET_FILE,
+    EnvironmentAsset,
+    MaterialAsset,
+    ObjectAsset,
+    Texture,
+)
+from datagen.formats.base import MAX_TEXT_BYTES, canonical_json, parse_model, sha256_file, sha256_hex
+from datagen.formats.lights import EnvironmentLight
+
+AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset
+_MODELS: dict[str, type[AnyAsset]] = {
+    "material": MaterialAsset,
+    "object": ObjectAsset,
+    "environment": EnvironmentAsset,
+}
+ZIP_SUFFIX = ".zip"
+MAX_MEMBERS = 100_000
+MAX_UNPACKED_BYTES = 16 << 30
+_BOMB_RATIO, _BOMB_BYTES = 500, 64 << 20  # a member of over 64 MB that shrinks 500-fold holds no real asset
+_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold: equal content, equal bytes
+_MESH_SUFFIXES = (".ply",)
+_TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
+
+
+class Package:
+    """An opened asset package. Obtain one from :func:`open_package`; use it as a context manager if zipped.
+
+    ``asset`` is the validated description, ``path`` the folder or zip. Paths inside are '/'-separated.
+    """
+
+    def __init__(self, path: Path, asset: AnyAsset, data: Any, archive: zipfile.ZipFile | None, prefix: str):
+        self.path = path
+        self.asset = asset
+        self._data = data
+        self._archive = archive
+        self._prefix = prefix
+        self._unpacked: Path | None = None
+
+    def __enter__(self) -> Package:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Package({self.asset.kind} {self.asset.id!r} at {self.path})"
+
+    @property
+    def id(self) -> str:
+        return self.asset.id
+
+    @property
+    def is_zip(self) -> bool:
+        return self._archive is not None
+
+    def names(self) -> tuple[str, ...]:
+        """The files that ``asset.json`` refers to, sorted."""
+        return tuple(sorted({name for _, name in referenced_files(self.asset)}))
+
+    def local_file(self, name: str) -> Path:
+        """A path on disk for a file of the package; members of a zip are unpacked one by one, on demand.
+
+        Unpacked members live until :meth:`close`.
+        """
+        if self._archive is None:
+            return self.path / name
+        if self._unpacked is None:
+            self._unpacked = Path(tempfile.mkdtemp(prefix="asset-"))
+        target = self._unpacked / name
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = target.with_name(f".{target.name}.partial")
+            with self._archive.open(self._prefix + name) as source, partial.open("wb") as sink:
+                shutil.copyfileobj(source, sink, 1 << 20)
+            partial.replace(target)
+        return target
+
+    def read_bytes(self, name: str) -> bytes:
+        """Content of a file of the package. Raises :class:`InputError` if it cannot be read."""
+        try:
+            if self._archive is None:
+                return (self.path / name).read_bytes()
+            return self._archive.read(self._prefix + name)
+        except (OSError, KeyError, zipfile.BadZipFile) as error:
+            raise input_error(
+                self.path, name, str(error), "a readable file", "make the package again"
+            ) from None
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the content: ``asset.json`` (whatever its layout) and every file that it names.
+
+        A folder and its zip hash alike; files that the asset does not refer to do not count.
+        """
+        lines = [f"{sha256_hex(canonical_json(self._data))}  {ASSET_FILE}\n"]
+        for name in self.names():
+            if self._archive is None:
+                digest = sha256_file(self.path / name)
+            else:
+                digest = sha256_hex(self.read_bytes(name))
+            lines.append(f"{digest}  {name}\n")
+        return sha256_hex("".join(lines).encode())
+
+    def close(self) -> None:
+        """Close the zip and remove what was unpacked. Harmless on a folder and when repeated."""
+        if self._unpacked is not None:
+            shutil.rmtree(self._unpacked, ignore_errors=True)
+            self._unpacked = None
+        if self._archive is not None:
+            self._archive.close()
+
+
+def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
+    """Every file reference of an asset as (field, name), in a fixed order."""
+    found: list[tuple[str, str]] = []
+
+    def add_material(prefix: str, material: Any) -> None:
+        for channel in ("diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"):
+            value = getattr(material, channel)
+            if isinstance(value, Texture):
+                found.append((f"{prefix}.{channel}.texture", value.texture))
+
+    if isinstance(asset, MaterialAsset):
+        add_material("material", asset.material)
+        return found
+    for name, material in asset.materials.items():
+        add_material(f"materials.{name}", material)
+    found += [(f"parts[{k}].mesh", part.mesh) for k, part in enumerate(asset.parts)]
+    for k, light in enumerate(asset.lights):
+        if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
+            found.append((f"lights[{k}].image", light.image))
+    return found
+
+
+def open_package(path: str | Path) -> Package:
+    """Open an asset package: a folder, a zip, or the ``asset.json`` inside a folder.
+
+    Checks the schema and that every named file is present, inside the package and of a known format. Raises
+    :class:`InputError` with all problems that were found.
+    """
+    path = Path(path)
+    if path.name == ASSET_FILE:
+        path = path.parent
+    if path.is_dir():
+        return _open_folder(path)
+    if path.is_file():
+        return _open_zip(path)
+    raise input_error(
+        path, got="nothing there", expected="an asset package (folder or zip)", remedy="check the path"
+    )
+
+
+def is_package(path: Path) -> bool:
+    """Whether a path looks like a package: a folder with ``asset.json``, or a zip that holds one."""
+    if path.is_dir():
+        return (path / ASSET_FILE).is_file()
+    if path.suffix.lower() != ZIP_SUFFIX or not path.is_file():
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _find_prefix(archive.namelist()) is not None
+    except (zipfile.BadZipFile, OSError):
+        return False
+
+
+def _parse(data: bytes, where: str) -> tuple[AnyAsset, Any]:
+    if len(data) > MAX_TEXT_BYTES:
+        raise input_error(where, got="over 256 MB", expected="an asset description")
+    try:
+        value = json.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise input_error(
+            where, got=str(error)[:200], expected="valid JSON", remedy="correct the file"
+        ) from None
+    kind = value.get("kind") if isinstance(value, dict) else None
+    if not isinstance(kind, str) or kind not in _MODELS:
+        raise input_error(where, "kind", repr(kind), f"one of {', '.join(_MODELS)}", "re-export the asset")
+    return parse_model(_MODELS[kind], value, where), value
+
+
+def _format_problems(asset: AnyAsset, where: str) -> list[Problem]:
+    problems = []
+    for field, name in referenced_files(asset):
+        suffixes = _MESH_SUFFIXES if field.endswith(".mesh") else _TEXTURE_SUFFIXES
+        if not name.lower().endswith(suffixes):
+            expected = f"a file ending in {' or '.join(suffixes)}"
+            problems.append(Problem(where, field, repr(name), expected, "convert the file"))
+    return problems
+
+
+def _open_folder(folder: Path) -> Package:
+    description = folder / ASSET_FILE
+    if not description.is_file():
+        raise input_error(
+            folder, got=f"no {ASSET_FILE}", expected="an asset package", remedy="check the path"
+        )
+    if description.is_symlink():
+        raise input_error(
+            description, got="a symbolic link", expected="a regular file", remedy="copy the file"
+        )
+    asset, data = _parse(description.read_bytes(), str(description))
+    problems = _format_problems(asset, str(description))
+    for field, name in referenced_files(asset):
+        fault = _folder_fault(folder, name)
+        if fault:
+            problems.append(
+                Problem(
+                    description, field, f"{name!r} ({fault})", "a regular file in the package", "restore it"
+                )
+            )
+    if problems:
+        raise InputError(*problems)
+    return Package(folder, asset, data, None, "")
+
+
+def _folder_fault(folder: Path, name: str) -> str:
+    """Why a member of a folder is refused; '' if it is a plain file reached without links."""
+    step = folder
+    for part in name.replace("\\", "/").split("/"):
+        step = step / part
+        try:
+            mode = step.lstat().st_mode
+        except OSError:
+            return "no such file"
+        if stat.S_ISLNK(mode):
+            return "a symbolic link"
+    return "" if stat.S_ISREG(mode) else "not a regular file"
+
+
+def _find_prefix(names: list[str]) -> str | None:
+    """'' or 'folder/' in front of asset.json; None where there is none or several."""
+    hits = [n for n in names if n == ASSET_FILE or (n.endswith("/" + ASSET_FILE) and n.count("/") == 1)]
+    return hits[0].removesuffix(ASSET_FILE) if len(hits) == 1 else None
+
+
+def _zip_problems(archive: zipfile.ZipFile, where: Path) -> list[Problem]:
+    infos = archive.infolist()
+    if len(infos) > MAX_MEMBERS:
+        return [Problem(where, "members", str(len(infos)), f"at most {MAX_MEMBERS}", "do not use this file")]
+    problems, seen, total = [], set(), 0
+    for info in infos:
+        name, mode = info.filename, info.external_attr >> 16
+        parts = name.replace("\\", "/").rstrip("/").split("/")
+        fault = ""
+        if (
+            name.startswith(("/", "\\"))
+            or ":" in name
+            or "\\" in name
+            or any(p in ("", ".", "..") for p in parts)
+        ):
+            fault = "leaves the package"
+        elif stat.S_ISLNK(mode):
+            fault = "is a symbolic link"
+        elif stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
+            fault = "is a device or another special file"
+        elif info.flag_bits & 1:
+            fault = "is encrypted"
+        elif name in seen:
+            fault = "occurs twice"
+        elif info.file_size > _BOMB_BYTES and info.file_size > _BOMB_RATIO * max(info.compress_size, 1):
+            fault = f"unpacks to {info.file_size} bytes from {info.compress_size}"
+        seen.add(name)
+        total += info.file_size
+        if fault:
+            problems.append(
+                Problem(
+                    where, f"member {name!r}", fault, "plain files inside the package", "do not use this file"
+                )
+            )
+    if total > MAX_UNPACKED_BYTES:
+        problems.append(
+            Problem(
+                where,
+                "unpacked size",
+                str(total),
+                f"at most {MAX_UNPACKED_BYTES} bytes",
+                "do not use this file",
+            )
+        )
+    return problems
+
+
+def _open_zip(path: Path) -> Package:
+    try:
+        archive = zipfile.ZipFile(path)
+    except (zipfile.BadZipFile, OSError) as error:
+        raise input_error(path, got=str(error), expected="an asset package (folder or zip)") from None
+    try:
+        problems = _zip_problems(archive, path)
+        if problems:
+            raise InputError(*problems)
+        members = {i.filename for i in archive.infolist() if not i.is_dir()}
+        prefix = _find_prefix(sorted(members))
+        if prefix is None:
+            raise input_error(path, got=f"no single {ASSET_FILE}", expected="an asset package")
+        where = f"{path}/{ASSET_FILE}"
+        asset, data = _parse(archive.read(prefix + ASSET_FILE), where)
+        problems = _format_problems(asset, where)
+        for field, name in referenced_files(asset):
+            if prefix + name not in members:
+                problems.append(
+                    Problem(
+                        where, field, f"{name!r} (no such file)", "a file in the package", "make it again"
+                    )
+                )
+        if problems:
+            raise InputError(*problems)
+    except zipfile.BadZipFile as error:
+        archive.close()
+        raise input_error(path, got=str(error), expected="an intact zip", remedy="copy it again") from None
+    except BaseException:
+        archive.close()
+        raise
+    return Package(path, asset, data, archive, prefix)
+
+
+FileSource = bytes | Path
+
+
+def write_package(
+    path: str | Path,
+    asset: AnyAsset,
+    files: Mapping[str, FileSource],
+    *,
+    overwrite: bool = False,
+    validate: Callable[[Package], None] | None = None,
+) -> Package:
+    """Write a package, whole or not at all, and open it. A path that ends in ``.zip`` makes a zip.
+
+    ``files`` maps names inside the package to bytes or to files on disk; it must hold every file that the
+    asset names and may hold more (a licence text, a preview). ``validate`` sees the package before it takes
+    its final place and may raise. Zip bytes depend on content alone. Raises :class:`InputError` if the target
+    exists and ``overwrite`` is not set, or if a named file is missing from ``files``.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise input_error(
+            path, got="exists already", expected="a new path", remedy="remove it or overwrite it"
+        )
+    problems = [
+        Problem(path, field, repr(name), "a file handed to the writer", "add it")
+        for field, name in referenced_files(asset)
+        if name not in files
+    ]
+    for name in files:
+        if name.startswith("/") or ":" in name or any(p in ("", ".", "..") for p in name.split("/")):
+            problems.append(Problem(path, "files", repr(name), "a relative path inside the package"))
+    if ASSET_FILE in files:
+        problems.append(Problem(path, "files", ASSET_FILE, "no file of this name", "rename it"))
+    if problems:
+        raise InputError(*problems)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content: dict[str, FileSource] = {ASSET_FILE: canonical_json(asset), **files}
+    partial = path.with_name(
+        f".{path.name}.{os.getpid()}.partial{ZIP_SUFFIX if path.suffix == ZIP_SUFFIX else ''}"
+    )
+    _remove(partial)
+    try:
+        (_write_zip if path.suffix == ZIP_SUFFIX else _write_folder)(partial, content)
+        with open_package(partial) as package:
+            if validate is not None:
+                validate(package)
+        _replace(partial, path)
+    except InputError as error:
+        _remove(partial)
+        raise InputError(*(_renamed(problem, partial, path) for problem in error.problems)) from None
+    except OSError as error:
+        _remove(partial)
+        raise input_error(
+            path,
+            got=str(error),
+            expected="room and permission to write",
+            remedy="free space or choose another folder",
+        ) from None
+    except BaseException:
+        _remove(partial)
+        raise
+    return open_package(path)
+
+
+def _renamed(problem: Problem, partial: Path, path: Path) -> Problem:
+    """A problem of the temporary package, told of the path that the user asked for."""
+    return replace(problem, where=str(problem.where).replace(str(partial), str(path)))
+
+
+def _write_folder(folder: Path, content: Mapping[str, FileSource]) -> None:
+    folder.mkdir()
+    for name in sorted(content):
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source = content[name]
+        with target.open("wb") as sink:
+            if isinstance(source, bytes):
+                sink.write(source)
+            else:
+                with source.open("rb") as file:
+                    shutil.copyfileobj(file, sink, 1 << 20)
+            sink.flush()
+            os.fsync(sink.fileno())
+
+
+def _write_zip(target: Path, content: Mapping[str, FileSource]) -> None:
+    with zipfile.ZipFile(target, "w") as archive:
+        for name in sorted(content):
+            info = zipfile.ZipInfo(name, _ZIP_TIME)
+            info.external_attr = (stat.S_IFREG | 0o644) << 16
+            info.create_system = 3  # Unix: the field otherwise tells on which system the zip was made
+            # images are compressed already; deflating them again costs time and gains nothing
+            stored = name.lower().endswith(_TEXTURE_SUFFIXES)
+            info.compress_type = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED
+            source = content[name]
+            with archive.open(info, "w", force_zip64=True) as sink:
+                file = io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
+                with file:
+                    shutil.copyfileobj(file, sink, 1 << 20)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _replace(partial: Path, path: Path) -> None:
+    """Put ``partial`` in the place of ``path``; a folder cannot be renamed over a full one."""
+    if path.is_dir() and not path.is_symlink():
+        old = path.with_name(f".{path.name}.{os.getpid()}.old")
+        _remove(old)
+        path.rename(old)
+        try:
+            partial.rename(path)
+        except BaseException:
+            old.rename(path)
+            raise
+        _remove(old)
+    else:
+        partial.replace(path)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Image files of packages as arrays: PNG and JPEG as stored, EXR as float, textures as material values.
+
+Arrays are (H, W, C), row 0 at the top, channels in the order R G B A.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import linear_from_srgb
+from datagen.errors import input_error
+from datagen.formats.asset import Texture
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
+MAX_IMAGE_SIDE_PX = 16384
+_LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
+
+
+def read_image(path: Path) -> NDArray:
+    """Pixels (H, W, C) of a PNG or JPEG (uint8 or uint16, as stored) or an EXR (float32).
+
+    Raises :class:`InputError` for a missing, corrupt or oversized file and for other formats.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in IMAGE_SUFFIXES:
+        raise input_error(path, got=f"{suffix or 'no suffix'}", expected="a PNG, JPEG or EXR image")
+    if not path.is_file():
+        raise input_error(
+            path, got="no such file", expected="an image", remedy="restore it or correct its name"
+        )
+    return _read_exr(path) if suffix == ".exr" else _read_ldr(path)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) without decoding pixels where the format allows. Raises :class:`InputError`."""
+    if path.suffix.lower() == ".exr":
+        height, width = read_image(path).shape[:2]
+        return width, height
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            return image.size
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise input_error(path, got=str(error), expected="a readable image") from None
+
+
+def texture_values(texture: Texture, pixels: NDArray, is_scalar: bool) -> NDArray[np.float32]:
+    """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
+
+    ``pixels`` as :func:`read_image` returns them. Gives (H, W) where ``is_scalar``, else (H, W, 3). A scalar
+    channel that names ``rgb`` takes the luminance, as Mitsuba does.
+    """
+    values = normalized(pixels)
+    num_channels = values.shape[2]
+    if texture.channel == "rgb":
+        color = values[..., :3] if num_channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
+    else:
+        index = "rgba".index(texture.channel)
+        if num_channels < 3 and index < 3:
+            index = 0  # grey images hold their value once
+        elif num_channels == 2 and index == 3:
+            index = 1
+        if index >= num_channels:
+            raise input_error(
+                texture.texture, "channel", texture.channel, f"one of the image's {num_channels} channels"
+            )
+        color = np.repeat(values[..., index : index + 1], 3, axis=2)
+    if texture.encoding == "srgb" and texture.channel != "a":
+        color = linear_from_srgb(color)
+    color = np.clip(color * texture.scale + texture.offset, 0.0, 1.0).astype(np.float32)
+    if not is_scalar:
+        return color
+    return color[..., 0] if texture.channel != "rgb" else color @ _LUMINANCE
+
+
+def normalized(pixels: NDArray) -> NDArray[np.float32]:
+    """Integer pixels as [0, 1] floats; float pixels unchanged."""
+    if pixels.dtype.kind == "u":
+        return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    return pixels.astype(np.float32)
+
+
+def encode_png(pixels: NDArray) -> bytes:
+    """PNG bytes of uint8 or uint16 pixels (H, W), (H, W, 1) or (H, W, 3) in RGB order; deterministic."""
+    import cv2
+
+    array = pixels if pixels.ndim == 2 else pixels[..., ::-1] if pixels.shape[2] == 3 else pixels[..., 0]
+    done, data = cv2.imencode(".png", np.ascontiguousarray(array), [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    if not done:
+        raise ValueError(f"cannot encode an image of shape {pixels.shape} and type {pixels.dtype} as PNG")
+    return data.tobytes()
+
+
+def _read_ldr(path: Path) -> NDArray:
+    import cv2
+
+    width, height = image_size(path)
+    if max(width, height) > MAX_IMAGE_SIDE_PX:
+        raise input_error(
+            path, "size", f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} a side", "shrink it"
+        )
+    data = np.fromfile(path, dtype=np.uint8)
+    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    if pixels is None:
+        raise input_error(
+            path, got="corrupt data", expected="a readable PNG or JPEG", remedy="replace the file"
+        )
+    if pixels.ndim == 2:
+        return pixels[..., None]
+    order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.shape[2] >= 3 else list(range(pixels.shape[2]))
+    return np.ascontiguousarray(pixels[..., order])
+
+
+def _read_exr(path: Path) -> NDArray[np.float32]:
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
+    except Exception as error:  # OpenEXR raises bare exceptions of several kinds for corrupt files
+        raise input_error(path, got=str(error)[:200], expected="a readable EXR image") from None
+    names = [name for name in ("R", "G", "B", "A") if name in channels] or sorted(channels)[:1]
+    if not names:
+        raise input_error(path, got="no channels", expected="R, G and B or Y")
+    return np.stack([channels[name].astype(np.float32) for name in names], axis=-1)

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: MIT
+"""The library: asset packages found in folders, by id, with kind, classes, category, licence and hash.
+
+Opening a library reads descriptions only (``asset.json``), no meshes and no pixels.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from datagen.asset_check import check_package
+from datagen.errors import InputError, Problem
+from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset
+from datagen.formats.package import AnyAsset, Package, is_package, open_package
+
+AssetKind = Literal["environment", "object", "material"]
+KIND_FOLDERS: dict[str, str] = {"environment": "environments", "object": "objects", "material": "materials"}
+_MAX_DEPTH = 4  # folders below a library's root that are searched
+
+
+def bundled_library() -> Path:
+    """The library that comes with the project, ``scenes/library`` beside the packages."""
+    return Path(__file__).resolve().parents[1] / "scenes" / "library"
+
+
+class Library:
+    """Asset packages of one or more folders, indexed by id.
+
+    ``paths`` are folders that are searched for packages (folders or zips), or packages themselves. Raises
+    :class:`InputError` listing every unreadable package, every id that occurs twice, and missing folders.
+    """
+
+    def __init__(self, paths: Iterable[str | Path]):
+        self.paths = tuple(Path(p) for p in paths)
+        self._packages: dict[str, Package] = {}
+        problems: list[Problem] = []
+        for root in self.paths:
+            if not root.exists():
+                problems.append(
+                    Problem(root, "", "no such folder", "a library folder", "check the path or import assets")
+                )
+                continue
+            for path in find_packages(root):
+                try:
+                    self._add(open_package(path), problems)
+                except InputError as error:
+                    problems.extend(error.problems)
+        if problems:
+            self.close()
+            raise InputError(*problems)
+
+    def _add(self, package: Package, problems: list[Problem]) -> None:
+        other = self._packages.get(package.id)
+        if other is None:
+            self._packages[package.id] = package
+        elif other.path.resolve() != package.path.resolve():
+            problems.append(
+                Problem(
+                    package.path,
+                    "id",
+                    repr(package.id),
+                    f"an id of its own; {other.path} has it too",
+                    "rename one",
+                )
+            )
+
+    def __enter__(self) -> Library:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        return len(self._packages)
+
+    def __contains__(self, asset_id: object) -> bool:
+        return asset_id in self._packages
+
+    def __iter__(self) -> Iterator[Package]:
+        """Packages in the order of their ids."""
+        return (self._packages[asset_id] for asset_id in sorted(self._packages))
+
+    def package(self, asset_id: str) -> Package:
+        """The package of that id. Raises :class:`InputError` that suggests near names."""
+        if asset_id in self._packages:
+            return self._packages[asset_id]
+        import difflib
+
+        near = difflib.get_close_matches(asset_id, self._packages, 3)
+        hint = f"did you mean {', '.join(near)}?" if near else "add the folder that holds it with --library"
+        where = ", ".join(str(p) for p in self.paths) or "empty library"
+        raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
+
+    def select(
+        self,
+        kind: AssetKind,
+        *,
+        category: str | None = None,
+        material_class: str | None = None,
+        for_training: bool = True,
+    ) -> list[Package]:
+        """Packages of a kind in the order of their ids.
+
+        ``category`` filters objects, ``material_class`` filters materials by any of their classes. Assets
+        marked ``evaluation_only`` are left out unless ``for_training`` is False.
+        """
+        chosen = []
+        for package in self:
+            asset = package.asset
+            if asset.kind != kind or (for_training and asset.provenance.usage == "evaluation_only"):
+                continue
+            if category is not None and getattr(asset, "category", None) != category:
+                continue
+            if material_class is not None and material_class not in asset_classes(asset):
+                continue
+            chosen.append(package)
+        return chosen
+
+    def categories(self, *, for_training: bool = True) -> list[str]:
+        """Categories of the objects on offer, sorted."""
+        objects = self.select("object", for_training=for_training)
+        return sorted({p.asset.category for p in objects if isinstance(p.asset, ObjectAsset)})
+
+    def close(self) -> None:
+        """Close every package."""
+        for package in self._packages.values():
+            package.close()
+
+
+def find_packages(root: Path) -> list[Path]:
+    """Packages at or below a folder, sorted. Entries that start with '.' (half-written) are passed over."""
+    if is_package(root):
+        return [root]
+    found: list[Path] = []
+    for folder, names, files in os.walk(root):
+        here = Path(folder)
+        names[:] = sorted(n for n in names if not n.startswith("."))
+        if len(here.relative_to(root).parts) >= _MAX_DEPTH:
+            names[:] = []
+        packages = [n for n in names if (here / n / "asset.json").is_file()]
+        found += [here / n for n in packages]
+        names[:] = [n for n in names if n not in packages]
+        zips = sorted(f for f in files if f.lower().endswith(".zip") and not f.startswith("."))
+        found += [here / f for f in zips if is_package(here / f)]
+    return sorted(found)
+
+
+def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
+    """Material classes of an asset: its own for a material, those of its slots for anything else."""
+    if isinstance(asset, MaterialAsset):
+        return asset.material.classes
+    return tuple(sorted({c for material in asset.materials.values() for c in material.classes[:1]}))
+
+
+@dataclass(frozen=True)
+class AssetSummary:
+    """A line of the library's table. ``detail`` is the category, the classes, or the counts of a room."""
+
+    id: str
+    kind: AssetKind
+    title: str
+    detail: str
+    license: str
+    author: str
+    usage: str
+    sha256: str
+    path: Path
+
+
+def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
+    """One line about a package; the hash reads all of its files and may be left out."""
+    asset = package.asset
+    if isinstance(asset, ObjectAsset):
+        detail = asset.category
+    elif isinstance(asset, EnvironmentAsset):
+        detail = (
+            f"{len(asset.parts)} parts, {len(asset.support_surfaces)} supports, "
+            f"{len(asset.light_slots)} light slots, "
+            f"{len(asset.openings)} openings, {len(asset.cameras)} cameras"
+        )
+    else:
+        detail = ", ".join(asset_classes(asset))
+    provenance = asset.provenance
+    return AssetSummary(
+        asset.id,
+        asset.kind,
+        asset.title,
+        detail,
+        provenance.license,
+        provenance.author,
+        provenance.usage,
+        package.sha256 if with_hash else "",
+        package.path,
+    )
+
+
+def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) -> list[AssetSummary]:
+    """The table behind ``datagen library``: a summary of each asset, by kind, then id."""
+    order = list(KIND_FOLDERS)
+    with Library(paths) as library:
+        return sorted(
+            (summarize(package, with_hash=with_hash) for package in library),
+            key=lambda line: (order.index(line.kind), line.id),
+        )
+
+
+@dataclass(frozen=True)
+class LibraryCheck:
+    """Result of :func:`check_library`: packages looked at, and all that was found."""
+
+    num_packages: int
+    errors: tuple[Problem, ...]
+    warnings: tuple[Problem, ...]
+
+
+def check_library(paths: Iterable[str | Path]) -> LibraryCheck:
+    """Read every mesh and texture of every package; faults of all of them, never just the first.
+
+    Unlike :class:`Library` this goes on past packages that cannot be opened.
+    """
+    errors: list[Problem] = []
+    warnings: list[Problem] = []
+    seen: dict[str, Path] = {}
+    num = 0
+    for root in map(Path, paths):
+        if not root.exists():
+            errors.append(Problem(root, "", "no such folder", "a library folder", "check the path"))
+            continue
+        for path in find_packages(root):
+            num += 1
+            try:
+                package = open_package(path)
+            except InputError as error:
+                errors.extend(error.problems)
+                continue
+            with package:
+                if package.id in seen and seen[package.id].resolve() != path.resolve():
+                    expected = f"an id of its own; {seen[package.id]} has it too"
+                    errors.append(Problem(path, "id", repr(package.id), expected, "rename one"))
+                seen.setdefault(package.id, path)
+                report = check_package(package)
+                errors.extend(report.errors)
+                warnings.extend(report.warnings)
+    return LibraryCheck(num, tuple(errors), tuple(warnings))

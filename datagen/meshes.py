@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: MIT
+"""Triangle meshes in memory and as PLY, and what can be wrong with them.
+
+Letters: N vertices, M triangles. Packages hold binary little-endian PLY; v of a texture coordinate runs
+upwards (see ``datagen.formats.asset``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+
+MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before a byte is read
+_MAX_HEADER_BYTES = 64 * 1024
+_PLY_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_UV_NAMES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
+_PLY_REMEDY = "export the mesh as binary little-endian PLY with triangles"
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles. ``positions`` (N, 3) float32; ``normals`` (N, 3) and ``uv`` (N, 2) float32 or None;
+    ``faces`` (M, 3) int32 vertex indices, counter-clockwise seen from outside."""
+
+    positions: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32] | None = None
+    uv: NDArray[np.float32] | None = None
+
+    def transformed(self, target_from_source: NDArray[np.float64]) -> Mesh:
+        """The mesh under an affine (4, 4) transform; normals go by the inverse transpose, winding stays."""
+        linear = np.asarray(target_from_source, dtype=np.float64)[:3, :3]
+        offset = np.asarray(target_from_source, dtype=np.float64)[:3, 3]
+        positions = self.positions.astype(np.float64) @ linear.T + offset
+        normals = self.normals
+        if normals is not None:
+            turned = normals.astype(np.float64) @ np.linalg.inv(linear)
+            length = np.linalg.norm(turned, axis=1, keepdims=True)
+            normals = (turned / np.maximum(length, 1e-30)).astype(np.float32)  # a zero normal stays zero
+        return Mesh(positions.astype(np.float32), self.faces, normals, self.uv)
+
+    def triangles(self) -> NDArray[np.float64]:
+        """Corner positions (M, 3, 3)."""
+        return self.positions.astype(np.float64)[self.faces]
+
+    def areas(self) -> NDArray[np.float64]:
+        """Area of every triangle, (M,)."""
+        corners = self.triangles()
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return 0.5 * np.linalg.norm(cross, axis=1)
+
+    def uv_per_m(self) -> float | None:
+        """Median over the surface of sqrt(UV area / area), in UV units per metre; None without usable UVs."""
+        if self.uv is None:
+            return None
+        corners = self.uv.astype(np.float64)[self.faces]
+        e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        uv_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+        area = self.areas()
+        usable = (area > 0) & (uv_area > 0)
+        if not usable.any():
+            return None
+        density, weight = np.sqrt(uv_area[usable] / area[usable]), area[usable]
+        order = np.argsort(density)
+        cumulative = np.cumsum(weight[order])
+        return float(density[order][np.searchsorted(cumulative, 0.5 * cumulative[-1])])
+
+
+@dataclass(frozen=True)
+class MeshFaults:
+    """What :func:`inspect_mesh` found: counts of triangles, edges or vertices."""
+
+    is_empty: bool = False
+    non_finite: int = 0
+    bad_indices: int = 0
+    degenerate: int = 0
+    total: int = 0
+    non_manifold_edges: int = 0
+    inconsistent_edges: int = 0
+    boundary_edges: int = 0
+    zero_normals: int = 0
+
+    @property
+    def is_unusable(self) -> bool:
+        """No surface, or numbers that would poison a render."""
+        return self.is_empty or self.non_finite > 0 or self.bad_indices > 0 or self.degenerate == self.total
+
+
+def inspect_mesh(mesh: Mesh) -> MeshFaults:
+    """Count a mesh's faults. Vertices at equal positions count as one, since seams split them in files.
+
+    Edges of more than two triangles are non-manifold; an edge that two triangles run in the same direction
+    is inconsistent; an edge of one triangle is a boundary (harmless: single sheets are allowed).
+    """
+    num_faces = len(mesh.faces)
+    if num_faces == 0 or len(mesh.positions) == 0:
+        return MeshFaults(is_empty=True)
+    arrays = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
+    non_finite = sum(int((~np.isfinite(a)).any(axis=1).sum()) for a in arrays)
+    bad = int(((mesh.faces < 0) | (mesh.faces >= len(mesh.positions))).any(axis=1).sum())
+    if non_finite or bad:
+        return MeshFaults(non_finite=non_finite, bad_indices=bad, total=num_faces)
+    faces = welded(mesh)[1][mesh.faces]
+    collapsed = (
+        (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    ) | (mesh.areas() == 0)
+    faces = faces[~collapsed]
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    base = int(faces.max()) + 1 if len(faces) else 1
+    keys = directed.min(axis=1) * base + directed.max(axis=1)
+    _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    forward = np.bincount(inverse, weights=directed[:, 0] < directed[:, 1], minlength=len(counts))
+    zero_normals = 0
+    if mesh.normals is not None:
+        zero_normals = int((np.linalg.norm(mesh.normals, axis=1) < 1e-6).sum())
+    return MeshFaults(
+        degenerate=int(collapsed.sum()),
+        total=num_faces,
+        non_manifold_edges=int((counts > 2).sum()),
+        inconsistent_edges=int(((counts == 2) & (forward != 1)).sum()),
+        boundary_edges=int((counts == 1).sum()),
+        zero_normals=zero_normals,
+    )
+
+
+def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Distinct positions (K, 3) and, for each vertex, the index of its position (N,). Exact comparison."""
+    positions = np.ascontiguousarray(mesh.positions, dtype=np.float32) + np.float32(0.0)  # -0.0 becomes 0.0
+    keys = positions.view(np.dtype((np.void, 12))).ravel()
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return positions[first], inverse.astype(np.int64)
+
+
+def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
+    """Area- and angle-free smooth normals: the normalised sum of the triangles' cross products, (N, 3)."""
+    corners = mesh.triangles()
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.zeros((len(mesh.positions), 3))
+    for corner in range(3):
+        np.add.at(total, mesh.faces[:, corner], cross)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    safe = np.where(length > 0, total / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    return safe.astype(np.float32)
+
+
+def flat_shaded(mesh: Mesh) -> Mesh:
+    """The mesh with unshared vertices and the triangle's own normal at each of its corners."""
+    corners = mesh.triangles()
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    normal = np.where(length > 0, cross / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    index = mesh.faces.ravel()
+    return Mesh(
+        mesh.positions[index],
+        np.arange(len(index), dtype=np.int32).reshape(-1, 3),
+        np.repeat(normal, 3, axis=0).astype(np.float32),
+        None if mesh.uv is None else mesh.uv[index],
+    )
+
+
+def without_degenerate(mesh: Mesh) -> Mesh:
+    """The mesh less triangles of zero area; unused vertices go too."""
+    keep = mesh.areas() > 0
+    if keep.all():
+        return mesh
+    faces = mesh.faces[keep]
+    used, compact = np.unique(faces, return_inverse=True)
+    return Mesh(
+        mesh.positions[used],
+        compact.reshape(-1, 3).astype(np.int32),
+        None if mesh.normals is None else mesh.normals[used],
+        None if mesh.uv is None else mesh.uv[used],
+    )
+
+
+def joined(meshes: list[Mesh]) -> Mesh:
+    """One mesh of several; normals and UVs survive only where every mesh has them."""
+    starts = np.cumsum([0] + [len(m.positions) for m in meshes[:-1]])
+    faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]).astype(np.int32)
+    normals = [m.normals for m in meshes if m.normals is not None]
+    uvs = [m.uv for m in meshes if m.uv is not None]
+    return Mesh(
+        np.concatenate([m.positions for m in meshes]),
+        faces,
+        np.concatenate(normals) if len(normals) == len(meshes) else None,
+        np.concatenate(uvs) if len(uvs) == len(meshes) else None,
+    )
+
+
+def encode_ply(mesh: Mesh) -> bytes:
+    """Binary little-endian PLY: x y z [nx ny nz] [u v] as float, faces as uchar + int; deterministic."""
+    names = ["x", "y", "z"]
+    columns = [mesh.positions]
+    if mesh.normals is not None:
+        names += ["nx", "ny", "nz"]
+        columns.append(mesh.normals)
+    if mesh.uv is not None:
+        names += ["u", "v"]
+        columns.append(mesh.uv)
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.positions)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("i", "<i4", 3)])
+    faces["n"] = 3
+    faces["i"] = mesh.faces
+    vertices = np.concatenate([np.asarray(c, dtype="<f4") for c in columns], axis=1)
+    return "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+
+def read_ply(path: Path) -> Mesh:
+    """Read a PLY file; see :func:`decode_ply`."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise input_error(path, got=error.strerror or error, expected="a readable PLY file") from None
+    return decode_ply(data, path)
+
+
+def decode_ply(data: bytes, where: str | Path) -> Mesh:
+    """A :class:`Mesh` from PLY bytes (little-endian binary or ASCII; polygons are split into fans).
+
+    Raises :class:`InputError` where the file is cut short, of another format or has no positions. Indices
+    and finiteness are for :func:`inspect_mesh`.
+    """
+    end = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
+    newline = data.find(b"\n", end)
+    if not data.startswith(b"ply") or end < 0 or newline < 0:
+        raise input_error(where, got="no PLY header", expected="a PLY file", remedy=_PLY_REMEDY)
+    form, elements = _parse_header(data[:end].decode("ascii", "replace"), where)
+    body = memoryview(data)[newline + 1 :]
+    if form == "binary_little_endian":
+        tables = _read_binary(body, elements, where)
+    elif form == "ascii":
+        tables = _read_ascii(bytes(body), elements, where)
+    else:
+        raise input_error(where, "format", form, "binary_little_endian", _PLY_REMEDY)
+    vertex = tables.get("vertex", {})
+    if not all(name in vertex for name in "xyz"):
+        raise input_error(where, "element vertex", sorted(vertex), "properties x, y and z", _PLY_REMEDY)
+    faces = tables.get("face", {}).get("vertex_indices", np.zeros((0, 3), np.int32))
+    normals = None
+    if all(name in vertex for name in ("nx", "ny", "nz")):
+        normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=1).astype(np.float32)
+    uv = None
+    for names in _UV_NAMES:
+        if all(name in vertex for name in names):
+            uv = np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
+            break
+    positions = np.stack([vertex[name] for name in "xyz"], axis=1).astype(np.float32)
+    return Mesh(positions, faces.astype(np.int32).reshape(-1, 3), normals, uv)
+
+
+_Element = tuple[
+    str, int, list[tuple[str, str, str]]
+]  # name, count, [(property, type, list count type or "")]
+
+
+def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
+    form = ""
+    elements: list[_Element] = []
+    for line in header.splitlines()[1:]:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        try:
+            if words[0] == "format":
+                form = words[1]
+            elif words[0] == "element":
+                count = int(words[2])
+                if not 0 <= count <= MAX_VERTICES:
+                    raise input_error(where, f"element {words[1]}", count, f"0 to {MAX_VERTICES}")
+                elements.append((words[1], count, []))
+            elif words[0] == "property" and words[1] == "list":
+                elements[-1][2].append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
+            elif words[0] == "property":
+                elements[-1][2].append((words[2], _PLY_TYPES[words[1]], ""))
+        except (IndexError, KeyError) as error:
+            raise input_error(
+                where, "header", line.strip()[:80], f"a PLY header line ({error})", _PLY_REMEDY
+            ) from None
+        except ValueError as error:
+            if hasattr(error, "problems"):
+                raise
+            raise input_error(where, "header", line.strip()[:80], "a number", _PLY_REMEDY) from None
+    return form, elements
+
+
+def _read_binary(
+    body: memoryview, elements: list[_Element], where: str | Path
+) -> dict[str, dict[str, NDArray]]:
+    tables: dict[str, dict[str, NDArray]] = {}
+    offset = 0
+    for name, count, properties in elements:
+        lists = [p for p in properties if p[2]]
+        if lists and (name != "face" or len(lists) != 1):
+            raise input_error(where, f"element {name}", "lists", "lists in 'face' alone", _PLY_REMEDY)
+        dtype = [
+            (p, f"<{kind}") if not size else (p, [("n", f"<{size}"), ("i", f"<{kind}", (3,))])
+            for p, kind, size in properties
+        ]
+        record = np.dtype(dtype)
+        if offset + count * record.itemsize <= len(body):
+            table = np.frombuffer(body, record, count, offset)
+            if not lists or bool((table[lists[0][0]]["n"] == 3).all()):
+                tables[name] = {
+                    "vertex_indices" if s else p: table[p]["i"] if s else table[p] for p, _, s in properties
+                }
+                offset += count * record.itemsize
+                continue
+        elif not lists:
+            raise input_error(
+                where, f"element {name}", "the file ends early", f"{count} entries", "export it again"
+            )
+        tables[name], offset = _read_polygons(body, offset, count, properties, where)
+    return tables
+
+
+def _read_polygons(
+    body: memoryview, offset: int, count: int, properties: list[tuple[str, str, str]], where: str | Path
+) -> tuple[dict[str, NDArray], int]:
+    """Faces of mixed size, as fans of triangles. Slow path."""
+    triangles: list[tuple[int, int, int]] = []
+    try:
+        for _ in range(count):
+            for _, kind, size in properties:
+                if not size:
+                    offset += np.dtype(kind).itemsize
+                    continue
+                num = int(np.frombuffer(body, f"<{size}", 1, offset)[0])
+                offset += np.dtype(size).itemsize
+                corners = np.frombuffer(body, f"<{kind}", num, offset).tolist()
+                offset += np.dtype(kind).itemsize * num
+                triangles += [(corners[0], corners[k], corners[k + 1]) for k in range(1, num - 1)]
+    except ValueError:
+        raise input_error(
+            where, "element face", "the file ends early", f"{count} faces", "export it again"
+        ) from None
+    return {"vertex_indices": np.array(triangles, np.int64).reshape(-1, 3)}, offset
+
+
+def _read_ascii(body: bytes, elements: list[_Element], where: str | Path) -> dict[str, dict[str, NDArray]]:
+    lines = iter(body.decode("ascii", "replace").splitlines())
+    tables: dict[str, dict[str, NDArray]] = {}
+    try:
+        for name, count, properties in elements:
+            rows = [next(lines).split() for _ in range(count)]
+            if any(size for _, _, size in properties):
+                triangles = [(int(r[1]), int(r[k]), int(r[k + 1])) for r in rows for k in range(2, int(r[0]))]
+                tables[name] = {"vertex_indices": np.array(triangles, np.int64).reshape(-1, 3)}
+            else:
+                table = np.array(rows, np.float64).reshape(count, len(properties))
+                tables[name] = {p: table[:, k] for k, (p, _, _) in enumerate(properties)}
+    except (StopIteration, ValueError, IndexError):
+        raise input_error(
+            where, "body", "numbers missing or unreadable", "the entries of the header"
+        ) from None
+    return tables
