@@ -182,6 +182,10 @@ class DatasetFolder:
             )
         return manifest
 
+    def read_failure(self, unit_id: str) -> FailureRecord:
+        """Record of a unit that was set aside."""
+        return read_json(FailureRecord, self.failed_path / f"{unit_id}.json")
+
     def is_done(self, unit: PlannedUnit) -> bool:
         """Whether the unit's manifest and its shard, of the stated size, are there."""
         try:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Runs units on this machine: worker processes that may die without taking anything else with them.
 
-The parent hands out unit indices over pipes and never imports mitsuba. A worker that dies costs its unit only;
-the unit is tried again in a fresh process, then set aside with its log and the command that reproduces it.
-Workers are replaced after a number of units or when their memory has grown.
+The parent hands out unit indices over pipes and never imports mitsuba. A worker that dies costs its unit
+only; the unit is tried again in a fresh process, then set aside with its log and the command that
+reproduces it. Workers are replaced after a number of units or when their memory has grown.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -236,10 +237,8 @@ class _Worker:
 
     def give(self, unit: PlannedUnit, log: Path) -> None:
         self.unit, self.log = unit, log
-        try:
+        with suppress(OSError):  # it may have died before it was given work; the parent sees its sentinel
             self.connection.send((unit.index, str(log)))
-        except (BrokenPipeError, OSError):
-            pass  # it died before it was given work; the parent sees its sentinel
 
     def is_spent(self, memory_mb: float, options: LocalOptions) -> bool:
         """Whether the worker has done its share or has grown too much."""
@@ -250,10 +249,8 @@ class _Worker:
 
     def dismiss(self) -> None:
         """Let an idle worker end."""
-        try:
+        with suppress(OSError):  # it may be gone already
             self.connection.send(None)
-        except (BrokenPipeError, OSError):
-            pass  # already gone
         self.process.join(GRACE_S)
         self.kill()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From a recipe to a planned dataset folder: every configuration on disk, then the immutable list of units."""
+"""From a recipe to a planned dataset folder: every configuration on disk, then the list of units."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def create_plan(
     workers: int = 1,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Plan:
-    """Assemble every configuration that is not on disk yet, then write the plan; a finished plan is only read.
+    """Assemble the configurations that are not on disk yet and write the plan; a finished one is read.
 
     ``report(done, total)`` is called as configurations are finished. Raises :class:`InputError`.
     """

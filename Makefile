@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+# The two commands of a new user: `make demo` and `make test`. `make help` lists the rest.
+PYTHON ?= python3.11
+VENV ?= .venv
+OUT ?= demo-output
+WORKERS ?= 2
+export VENV
+
+BIN := $(VENV)/bin
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.PHONY: help setup setup-dev demo test test-slow lint format library clean
+
+help: ## List the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+$(BIN)/pip:
+	@.ci/ensure_venv.sh $(PYTHON) $(VENV)
+
+$(VENV)/.base: pyproject.toml | $(BIN)/pip
+	@echo "installing the project into $(VENV)"
+	@$(PIP) -e .
+	@.ci/ensure_system.sh llvm
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml $(VENV)/.base
+	@echo "installing what the tests need into $(VENV)"
+	@$(PIP) -e '.[train,blender,dev]'
+	@.ci/ensure_system.sh blender
+	@touch $@
+
+setup: $(VENV)/.base ## Create the environment that runs `datagen`
+setup-dev: $(VENV)/.dev ## Create the environment with everything for development
+
+demo: setup ## Generate a small dataset from the bundled library and a contact sheet
+	@$(BIN)/datagen doctor
+	@$(BIN)/datagen run scenes/recipes/demo.yaml --out $(OUT) --workers $(WORKERS)
+	@$(BIN)/datagen verify $(OUT)
+	@echo "look at $(abspath $(OUT))/sheets/*.png"
+
+test: setup-dev ## Run the tests
+	@$(BIN)/python -m pytest -q
+
+test-slow: setup-dev ## Run the long tests too
+	@$(BIN)/python -m pytest -q -m "slow or not slow"
+
+lint: setup-dev ## Check style, format and types
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+format: setup-dev ## Format the code
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+library: setup-dev ## Rebuild the bundled library from its sources
+	@$(BIN)/python -m scenes.sources build --out scenes/library
+
+clean: ## Remove the environment and caches
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache build dist *.egg-info

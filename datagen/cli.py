@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: MIT
+"""The command ``datagen``: parses, calls one function a verb, prints. Heavy imports happen in the verbs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
+
+import typer
+
+if TYPE_CHECKING:
+    from datagen.farm.local import Event, RunSummary
+    from datagen.formats.recipe import Recipe
+    from datagen.library import Library
+
+app = typer.Typer(
+    name="datagen",
+    help="Make scene-scale material datasets: assets are recombined, rendered with ground truth, and packed.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+LibraryOption = Annotated[
+    Optional[list[str]],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
+    typer.Option("--library", help='Library folder, repeatable; "bundled" is the project\'s own.'),
+]
+RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), see scenes/recipes/.")]
+FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
+WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes to use.")]
+OutOption = Annotated[Path, typer.Option("--out", help="Dataset folder to write.")]
+
+
+def _load_recipe(path: Path, library: list[str] | None, overrides: dict[str, object]) -> Recipe:
+    """Recipe with flags over file over defaults."""
+    from datagen.formats.base import parse_model, read_yaml
+    from datagen.formats.recipe import Recipe
+
+    recipe = read_yaml(Recipe, path)
+    changes = {key: value for key, value in overrides.items() if value is not None}
+    if library:
+        changes["library"] = tuple(library)
+    if changes:
+        recipe = parse_model(Recipe, {**recipe.model_dump(), **changes}, f"{path} with the given options")
+    return recipe
+
+
+def _open_library(recipe: Recipe, base: Path) -> Library:
+    from datagen.library import Library, resolve_library_paths
+
+    return Library(resolve_library_paths(recipe.library, base))
+
+
+class _Progress:
+    """A progress bar with rate and time left."""
+
+    def __init__(self, description: str, total: int, unit: str = "views"):
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self.progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(unit),
+            TextColumn("{task.fields[rate]}"),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self.task = self.progress.add_task(description, total=total, rate="")
+
+    def __enter__(self) -> _Progress:
+        self.progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.progress.stop()
+
+    def set(self, done: int) -> None:
+        self.progress.update(self.task, completed=done)
+        task = self.progress.tasks[0]
+        if task.speed:
+            self.progress.update(self.task, rate=f"{task.speed * 3600:,.0f}/h")
+
+    def say(self, text: str) -> None:
+        self.progress.console.print(text, highlight=False)
+
+
+@app.command()
+def doctor() -> None:
+    """Say what is installed and what will be used; the exit code tells whether rendering can work.
+
+    Example: datagen doctor
+    """
+    from datagen.inspection.doctor import examine, print_report
+
+    findings = examine()
+    print_report(findings)
+    raise typer.Exit(0 if all(f.is_fine or not f.is_required for f in findings) else 1)
+
+
+@app.command()
+def library(
+    paths: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Argument(help='Library folders; "bundled" (the default) is the project\'s own.'),
+    ] = None,
+    check: Annotated[bool, typer.Option("--check", help="Read every mesh and texture as well.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """List the assets of libraries with class, size and licence; --check finds what is wrong with them.
+
+    Example: datagen library bundled my-library --check
+    """
+    from datagen.inspection.library_table import print_library
+
+    raise typer.Exit(print_library(paths or ["bundled"], check, as_json))
+
+
+@app.command()
+def plan(
+    recipe_path: RecipeArgument,
+    out: OutOption,
+    workers: WorkersOption = 1,
+    library: LibraryOption = None,
+    seed: Annotated[Optional[int], typer.Option(help="Seed, instead of the recipe's.")] = None,  # noqa: UP045
+    configurations: Annotated[Optional[int], typer.Option(help="How many configurations.")] = None,  # noqa: UP045
+    views: Annotated[Optional[int], typer.Option(help="Views a configuration.")] = None,  # noqa: UP045
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the resolved recipe and stop.")] = False,
+) -> None:
+    """Assemble a recipe's configurations into a dataset folder, without rendering.
+
+    Example: datagen plan scenes/recipes/smoke.yaml --out smoke
+    """
+    recipe = _load_recipe(
+        recipe_path, library, {"seed": seed, "configurations": configurations, "views": views}
+    )
+    if dry_run:
+        _print_recipe(recipe)
+        return
+    _plan(recipe, recipe_path.parent, out, workers)
+
+
+def _print_recipe(recipe: Recipe) -> None:
+    import yaml
+
+    typer.echo(yaml.safe_dump(recipe.model_dump(mode="json"), sort_keys=False), nl=False)
+
+
+def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
+    from datagen.farm.planning import create_plan
+
+    opened = _open_library(recipe, base)
+    with _Progress("assembling", recipe.configurations, "configurations") as progress:
+        created = create_plan(recipe, opened, out, workers, lambda done, total: progress.set(done))
+    typer.echo(f"{out}: {len(created.units)} units, {sum(u.num_views for u in created.units)} views planned")
+
+
+@app.command()
+def run(
+    recipe_path: RecipeArgument,
+    out: OutOption,
+    workers: WorkersOption = 1,
+    library: LibraryOption = None,
+    seed: Annotated[Optional[int], typer.Option(help="Seed, instead of the recipe's.")] = None,  # noqa: UP045
+    configurations: Annotated[Optional[int], typer.Option(help="How many configurations.")] = None,  # noqa: UP045
+    views: Annotated[Optional[int], typer.Option(help="Views a configuration.")] = None,  # noqa: UP045
+    attempts: Annotated[int, typer.Option(min=1, help="Tries a unit before it is set aside.")] = 3,
+    sheets: Annotated[bool, typer.Option(help="Write a contact sheet a configuration.")] = True,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the resolved recipe and stop.")] = False,
+) -> None:
+    """Plan, render, gather statistics and pack; interrupt at any moment, continue by the same command.
+
+    Example: datagen run scenes/recipes/smoke.yaml --out smoke --workers 2
+    """
+    recipe = _load_recipe(
+        recipe_path, library, {"seed": seed, "configurations": configurations, "views": views}
+    )
+    if dry_run:
+        _print_recipe(recipe)
+        return
+    _plan(recipe, recipe_path.parent, out, workers)
+    _run_stages(out, workers, ("render", "stats", "pack"), attempts)
+    from datagen.farm.collect import collect
+
+    index = collect(out)
+    if sheets:
+        _write_sheets(out)
+    typer.echo(
+        f"{out}: {index.num_configurations} shards, {index.num_views} views, "
+        f"{index.num_bytes / 1e6:,.0f} MB; index in {out / 'index.json'}"
+    )
+
+
+def _write_sheets(out: Path) -> None:
+    from datagen.inspection.contact_sheet import write_dataset_sheets
+
+    written = write_dataset_sheets(out)
+    typer.echo(f"{out}: contact sheets in {out / 'sheets'} ({len(written)} new)")
+
+
+def _run_stages(out: Path, workers: int, stages: tuple[str, ...], attempts: int = 3) -> RunSummary:
+    """Run stages of all units with a bar; ends the command with 75 when interrupted, 1 when units failed."""
+    from datagen.farm.folder import DatasetFolder
+    from datagen.farm.local import EXIT_INTERRUPTED, LocalOptions, run_local
+
+    folder = DatasetFolder(out)
+    plan = folder.read_plan()
+    views_of = {unit.id: unit.num_views for unit in plan.units}
+    finished = {unit.id: float(unit.num_views) for unit in plan.units if folder.is_done(unit)}
+    shares = {"render": 0.85, "stats": 0.15} if "render" in stages and "stats" in stages else {}
+
+    with _Progress("+".join(stages), sum(views_of.values())) as progress:
+
+        def on_event(event: Event) -> None:
+            kind, unit, stage, done, total = event
+            if kind == "progress":
+                before = 0.85 * total if stage == "stats" and "render" in shares else 0.0
+                finished[unit] = before + done * shares.get(stage, 1.0)
+            elif kind == "done":
+                finished[unit] = float(views_of[unit])
+            else:
+                what = "is tried again" if kind == "retry" else "is set aside"
+                progress.say(f"{unit} {what} ({done}/{total}): {stage}")
+            progress.set(int(sum(finished.values())))
+
+        progress.set(int(sum(finished.values())))
+        summary = run_local(out, LocalOptions(workers=workers, attempts=attempts, stages=stages), on_event)
+    if summary.interrupted:
+        typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if summary.set_aside:
+        for unit_id in summary.set_aside:
+            record = folder.read_failure(unit_id)
+            typer.echo(
+                f"{unit_id} failed {record.attempts} times: {record.reason}\n"
+                f"  log: {out / record.log}\n  try it alone: {record.command}",
+                err=True,
+            )
+        raise typer.Exit(1)
+    return summary
+
+
+@app.command()
+def render(folder: FolderArgument, workers: WorkersOption = 1) -> None:
+    """Render the views of a planned dataset folder that are not there yet.
+
+    Example: datagen render smoke --workers 2
+    """
+    _run_stages(folder, workers, ("render",))
+
+
+@app.command()
+def stats(folder: FolderArgument, workers: WorkersOption = 1) -> None:
+    """Gather the multi-view statistics of rendered views.
+
+    Example: datagen stats smoke
+    """
+    _run_stages(folder, workers, ("stats",))
+
+
+@app.command()
+def pack(folder: FolderArgument, workers: WorkersOption = 1) -> None:
+    """Pack complete views into shards and write the index.
+
+    Example: datagen pack smoke
+    """
+    _run_stages(folder, workers, ("pack",))
+    from datagen.farm.collect import collect
+
+    index = collect(folder)
+    typer.echo(f"{folder}: {index.num_configurations} shards, {index.num_views} views")
+
+
+@app.command()
+def unit(
+    folder: FolderArgument,
+    index: Annotated[int, typer.Argument(help="Index of the unit in the plan.", min=0)],
+) -> None:
+    """Run one unit in this process: what job scripts call, and how a failure is reproduced.
+
+    Exit codes: 0 done, 75 interrupted (run it again), 1 failed.
+
+    Example: datagen unit smoke 0
+    """
+    from datagen.farm.local import run_unit_here
+
+    raise typer.Exit(
+        run_unit_here(folder, index, report=lambda stage, done, total: print(f"{stage} {done}/{total}"))
+    )
+
+
+@app.command()
+def sheet(folder: FolderArgument) -> None:
+    """Write a contact sheet for each finished configuration.
+
+    Example: datagen sheet smoke
+    """
+    _write_sheets(folder)
+
+
+def main() -> None:
+    """Entry point: bad input ends with its message and code 2, a broken pipe in silence."""
+    from datagen.errors import InputError
+
+    try:
+        app()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(2) from None
+    except BrokenPipeError:
+        sys.stderr.close()
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: MIT
+"""What is installed and what will be used: a table for people, an exit code for scripts."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from mitsuba_plugins.variant import CPU_VARIANT, choose_llvm, has_cuda, resolve_variant
+
+_REQUIRED = ("mitsuba", "drjit", "numpy", "OpenEXR", "trimesh", "pydantic", "webdataset", "pyoidn")
+_OPTIONAL = {
+    "torch": "training and inference (extra: train)",
+    "bpy": "Blender's module: exporter and library builder (extra: blender)",
+    "opencv-contrib-python-headless": "image filters",
+    "xatlas": "unwrapping of meshes without UVs",
+}
+MIN_FREE_GB = 2.0
+_RENDER_PROBE = """
+from mitsuba_plugins.variant import select_variant
+select_variant()
+import mitsuba as mi
+import numpy as np
+image = np.array(mi.render(mi.load_dict(mi.cornell_box()), spp=1))
+assert np.isfinite(image).all() and image.mean() > 0
+print(mi.variant())
+"""
+_DENOISER_PROBE = """
+import numpy as np, pyoidn
+noisy = np.random.default_rng(0).random((32, 32, 3), dtype=np.float32)
+assert np.asarray(pyoidn.denoise(noisy, hdr=True)).std() < noisy.std()
+"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report."""
+
+    name: str
+    value: str
+    is_fine: bool
+    is_required: bool
+    remedy: str = ""
+
+
+def _probe(name: str, code: str, remedy: str) -> Finding:
+    """Run ``code`` in a process of its own: an abort of native code must not end the doctor."""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    if result.returncode == 0:
+        return Finding(
+            name, "works" + (f" ({result.stdout.strip()})" if result.stdout.strip() else ""), True, True
+        )
+    lines = [line for line in result.stderr.strip().splitlines() if line.strip()]
+    last = lines[-1] if lines else f"exit code {result.returncode}"
+    return Finding(name, last, False, True, remedy)
+
+
+def examine(folder: Path | None = None) -> list[Finding]:
+    """Every finding. ``folder`` is where a dataset would go, for the free disk space (default: here)."""
+    findings = [
+        Finding("Python", sys.version.split()[0], sys.version_info >= (3, 10), True, "install Python 3.11")
+    ]
+    for name in _REQUIRED:
+        findings.append(_package(name, True, "install the project again: pip install -e ."))
+    for name, purpose in _OPTIONAL.items():
+        findings.append(_package(name, False, f"needed for {purpose}"))
+    try:
+        variant = resolve_variant()
+        findings.append(Finding("variant", variant, True, True))
+    except RuntimeError as error:
+        variant = ""
+        findings.append(Finding("variant", str(error), False, True, "unset SCENE_MATERIALS_VARIANT"))
+    try:
+        llvm = choose_llvm()
+        findings.append(Finding("LLVM", f"{llvm.major} ({llvm.path})", True, variant == CPU_VARIANT))
+    except RuntimeError as error:
+        findings.append(Finding("LLVM", str(error), False, variant == CPU_VARIANT))
+    findings.append(_gpu())
+    findings.append(Finding("processors", str(os.cpu_count()), True, False))
+    if all(f.is_fine for f in findings if f.is_required):
+        findings.append(_probe("rendering", _RENDER_PROBE, "see the message; check LLVM or the GPU driver"))
+        findings.append(_probe("denoiser", _DENOISER_PROBE, "install the project again: pip install -e ."))
+    free_gb = shutil.disk_usage(folder or Path.cwd()).free / 1e9
+    findings.append(
+        Finding(
+            "free disk", f"{free_gb:.1f} GB", free_gb >= MIN_FREE_GB, True, f"free at least {MIN_FREE_GB} GB"
+        )
+    )
+    return findings
+
+
+def _package(name: str, is_required: bool, remedy: str) -> Finding:
+    try:
+        return Finding(name, version(name), True, is_required)
+    except PackageNotFoundError:
+        return Finding(name, "not installed", False, is_required, remedy)
+
+
+def _gpu() -> Finding:
+    if not has_cuda():
+        return Finding("GPU", "none; rendering runs on the CPU", True, False)
+    names = subprocess.run(
+        ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"],
+        capture_output=True,
+        text=True,
+    )
+    return Finding("GPU", "; ".join(names.stdout.strip().splitlines()) or "NVIDIA driver found", True, False)
+
+
+def print_report(findings: list[Finding]) -> None:
+    """Print the findings as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("what", "found", "", "remedy")
+    for finding in findings:
+        mark = (
+            "[green]ok"
+            if finding.is_fine
+            else ("[red]missing" if finding.is_required else "[yellow]optional")
+        )
+        table.add_row(finding.name, finding.value, mark, "" if finding.is_fine else finding.remedy)
+    Console().print(table)
