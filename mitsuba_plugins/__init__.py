@@ -31,6 +31,8 @@ def register() -> None:
     if variant in _registered_variants:
         return
     from mitsuba_plugins.cook_torrance import CookTorrance
+    from mitsuba_plugins.material_buffers import MaterialBuffers
 
     mi.register_bsdf("cook_torrance", CookTorrance)
+    mi.register_integrator("material_buffers", MaterialBuffers)
     _registered_variants.add(variant)

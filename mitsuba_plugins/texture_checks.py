@@ -51,7 +51,10 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     for key, value in values.items():
         if key not in ("value", "data", "color0", "color1"):
             continue
-        data = np.asarray(value, dtype=np.float32)
+        stored = np.asarray(value)
+        if stored.dtype == np.uint8:
+            continue  # 8-bit texels stay encoded in memory and can hold neither NaN nor values beyond [0, 1]
+        data = stored.astype(np.float32)
         field = name if key == "value" else f"{name}.{key}"
         num_bad = int(np.count_nonzero(~np.isfinite(data)))
         if num_bad:

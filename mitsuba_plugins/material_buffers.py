@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: MIT
+"""Ground-truth buffers: what the camera sees, as material channels, geometry and ids, at the first hit.
+
+Two kinds of buffer, made in one kernel with one thread a pixel:
+
+* *blended*: diffuse_albedo, specular_albedo, roughness, normal_world and surface_mask are averaged over
+  ``spp`` sub-pixel samples with the film's reconstruction filter, the same as the beauty image's. The average
+  runs over what reflects only; ``surface_mask`` says which share of the pixel that is. Normals are
+  renormalised after averaging.
+* *at the centre*: depth_z_m, position_world, instance_id and material_id belong to one ray through the
+  pixel's centre (and the lens' centre): a depth between two surfaces, or an id between two ids, is neither.
+
+Samples follow the filter (drawn from its normalised absolute value by its inverse distribution function, with
+its sign as weight), so that no pixel writes into another: any filter costs the same, and there are no atomics.
+Emitters and the background are masked: surface_mask 0, ids 0, channels 0. Emitters keep their depth, because
+they hide what is behind them. Axis order of arrays: (H, W, C), row 0 at the top.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from datagen.errors import input_error
+from mitsuba_plugins.surface_material import IdTable, SceneMaterials
+
+Array = Any
+
+MAX_LAYERS = 32
+"""Transparent surfaces that a ray crosses before it gives up; 32 leaves of opacity 0.2 leave 0.08 % unseen."""
+MIN_THROUGHPUT = 1e-3
+"""What is left of a ray behind surfaces this opaque is not worth tracing."""
+SOLID_OPACITY = 0.5
+"""A surface at least this opaque owns the pixel's depth and ids."""
+MIN_COVERAGE = 1e-6
+"""Below this share of the pixel a channel's average is noise over noise, and the pixel is masked."""
+# Fractions of 2^32 whose multiples spread evenly: 1/g, 1/g^2 with g^3 = g + 1 (the R2 sequence of M. Roberts),
+# then the golden ratio's.
+_LATTICE = (3242174889, 2447445414, 2654435769)
+CHANNELS = {
+    "diffuse_albedo": ("R", "G", "B"),
+    "specular_albedo": ("R", "G", "B"),
+    "roughness": ("Y",),
+    "normal_world": ("X", "Y", "Z"),
+    "surface_mask": ("Y",),
+    "depth_z_m": ("Z",),
+    "position_world": ("X", "Y", "Z"),
+    "instance_id": ("I",),
+    "material_id": ("I",),
+}
+"""Name and channels of each buffer, in the order of the integrator's output."""
+
+
+class PixelFilter:
+    """Draws sub-pixel offsets in proportion to a film's reconstruction filter."""
+
+    TABLE_SIZE = 1024
+
+    def __init__(self, reconstruction_filter: Any):
+        self.is_box = bool(reconstruction_filter.is_box_filter())
+        self.has_negative_lobes = False
+        self.mean_sign = 1.0
+        if self.is_box:
+            return
+        radius = float(reconstruction_filter.radius())
+        edges = np.linspace(-radius, radius, 8 * self.TABLE_SIZE + 1)
+        centres = 0.5 * (edges[1:] + edges[:-1])
+        weight = np.asarray(reconstruction_filter.eval(mi.Float(centres.astype(np.float32))), np.float64)
+        cumulative = np.concatenate([[0.0], np.cumsum(np.abs(weight))])
+        quantiles = np.interp(np.linspace(0.0, 1.0, self.TABLE_SIZE + 1), cumulative / cumulative[-1], edges)
+        self._inverse = mi.Float(quantiles.astype(np.float32))
+        self.has_negative_lobes = bool((weight < 0.0).any())
+        self.mean_sign = float(weight.sum() / np.abs(weight).sum())
+        self._filter = reconstruction_filter
+
+    def sample(self, u: Array) -> tuple[Any, Any]:
+        """(offset from the pixel's centre [px], weight +-1) for a uniform variate; one axis of the two."""
+        if self.is_box:
+            return u - 0.5, mi.Float(1.0)
+        position = u * self.TABLE_SIZE
+        cell = dr.minimum(mi.UInt32(position), self.TABLE_SIZE - 1)
+        low = dr.gather(mi.Float, self._inverse, cell)
+        high = dr.gather(mi.Float, self._inverse, cell + 1)
+        offset = dr.lerp(low, high, position - mi.Float(cell))
+        if not self.has_negative_lobes:
+            return offset, mi.Float(1.0)
+        return offset, dr.select(self._filter.eval(offset) < 0.0, mi.Float(-1.0), mi.Float(1.0))
+
+
+@dataclass(frozen=True)
+class _View:
+    """A sensor with what is known about its film and its materials."""
+
+    scene: mi.Scene
+    sensor: mi.Sensor
+    materials: SceneMaterials
+    hide_emitters: bool
+    width: int
+    height: int
+
+    def ray(self, x: Array, y: Array, time: Array, lens: Array) -> Any:
+        """Camera ray through a continuous position [px] of the (cropped) film."""
+        position = mi.Point2f(x / self.width, y / self.height)
+        shutter = self.sensor.shutter_open() + time * self.sensor.shutter_open_time()
+        ray, _ = self.sensor.sample_ray(shutter, mi.Float(0.5), position, lens)
+        return ray
+
+    @property
+    def is_layered(self) -> bool:
+        """Whether rays can pass through surfaces, so that more than one hit counts."""
+        return self.materials.has_transparency or self.hide_emitters
+
+
+def _lattice_point(index: Array, shift: Array, axis: int) -> Array:
+    """Coordinate ``axis`` of the shifted lattice's point ``index``, in [0, 1)."""
+    bits = index * mi.UInt32(_LATTICE[axis]) + shift
+    return mi.Float(bits >> 8) * (1.0 / (1 << 24))
+
+
+@dataclass(frozen=True)
+class _RayResult:
+    """What a ray sees. Channels are weighted by coverage; the solid point is where depth and ids come from."""
+
+    diffuse_albedo: Array
+    specular_albedo: Array
+    roughness: Array
+    normal: Array
+    coverage: Array
+    point: Array
+    shape_index: Array
+
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """Fields in order: what a symbolic loop carries."""
+        return tuple(vars(self).values())
+
+
+def _nothing_seen(num_rays: int) -> _RayResult:
+    zero = dr.zeros(mi.Float, num_rays)
+    return _RayResult(
+        mi.Color3f(zero),
+        mi.Color3f(zero),
+        mi.Float(zero),
+        mi.Vector3f(zero),
+        mi.Float(zero),
+        mi.Point3f(zero),
+        dr.zeros(mi.UInt32, num_rays),
+    )
+
+
+def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
+    """(interaction, whether the ray may go on, what this one hit contributes); opacity is the coverage."""
+    # Camera rays are coherent: Embree's packets are three times as fast here.
+    si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
+    is_hit = active & si.is_valid()
+    is_emitter = view.materials.is_emitter(si, is_hit)
+    is_surface = is_hit & ~is_emitter
+    channels = view.materials.channels_at(si, is_surface)
+    opacity = dr.select(is_surface, channels.opacity, 0.0)
+    is_solid = is_hit & dr.select(is_emitter, not view.hide_emitters, opacity >= SOLID_OPACITY)
+    result = _RayResult(
+        channels.diffuse_albedo * opacity,
+        channels.specular_albedo * opacity,
+        channels.roughness * opacity,
+        si.to_world(mi.Vector3f(channels.normal_local)) * opacity,
+        opacity,
+        dr.select(is_solid, si.p, 0.0),
+        dr.select(is_solid, view.materials.shape_index(si), 0),
+    )
+    return si, is_hit & (~is_emitter | view.hide_emitters), result
+
+
+def _trace(view: _View, ray: Any) -> _RayResult:
+    """What a camera ray sees; surfaces that are transparent in part are crossed, front to back."""
+    if not view.is_layered:
+        return _trace_surface(view, ray, mi.Bool(True))[2]
+
+    def cond(active: Any, *_: Any) -> Any:
+        return active
+
+    def body(active: Any, ray: Any, depth: Any, left: Any, *seen: Any) -> tuple[Any, ...]:
+        si, may_pass, hit = _trace_surface(view, ray, active)
+        *sums, point, shape_index = seen
+        sums = [total + left * value for total, value in zip(sums, hit.state[:5], strict=True)]
+        is_first_solid = (shape_index == 0) & (hit.shape_index != 0)
+        point = dr.select(is_first_solid, hit.point, point)
+        shape_index = dr.select(is_first_solid, hit.shape_index, shape_index)
+        left *= 1.0 - hit.coverage
+        depth += 1
+        active = active & may_pass & (left > MIN_THROUGHPUT) & (depth < MAX_LAYERS)
+        ray = dr.select(active, si.spawn_ray(ray.d), ray)
+        return (active, ray, depth, left, *sums, point, shape_index)
+
+    state = (mi.Bool(True), mi.Ray3f(ray), mi.UInt32(0), mi.Float(1.0), *_nothing_seen(1).state)
+    _, _, _, _, *seen = dr.while_loop(state, cond, body, label="layers")
+    return _RayResult(*seen)
+
+
+def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, PixelFilter]:
+    """Filter-weighted sums over a pixel's samples, and the solid point of the ray through its centre.
+
+    One symbolic loop, so that the scene's intersection code is traced once: sample 0 is the centre.
+    """
+    pixel = mi.UInt32(y) * view.width + mi.UInt32(x)
+    shift_x, shift_y = mi.sample_tea_32(pixel, mi.UInt32(seed))
+    lens_x, lens_y = mi.sample_tea_32(pixel, mi.UInt32(seed ^ 0x9E3779B9))
+    pixel_filter = PixelFilter(view.sensor.film().rfilter())
+    num_samples = dr.opaque(mi.UInt32, spp)
+
+    def cond(i: Any, *_: Any) -> Any:
+        return i <= num_samples
+
+    def body(i: Any, *seen: Any) -> tuple[Any, ...]:
+        *sums, point, shape_index = seen
+        is_centre = i == 0
+        offset_x, sign_x = pixel_filter.sample(_lattice_point(i, shift_x, 0))
+        offset_y, sign_y = pixel_filter.sample(_lattice_point(i, shift_y, 1))
+        lens = mi.Point2f(_lattice_point(i, lens_x, 1), _lattice_point(i, lens_y, 2))
+        ray = view.ray(
+            x + 0.5 + dr.select(is_centre, 0.0, offset_x),
+            y + 0.5 + dr.select(is_centre, 0.0, offset_y),
+            dr.select(is_centre, 0.5, _lattice_point(i, lens_x, 2)),
+            dr.select(is_centre, 0.5, lens),
+        )
+        hit = _trace(view, ray)
+        weight = dr.select(is_centre, 0.0, sign_x * sign_y)
+        sums = [total + weight * value for total, value in zip(sums, hit.state[:5], strict=True)]
+        point = dr.select(is_centre, hit.point, point)
+        shape_index = dr.select(is_centre, hit.shape_index, shape_index)
+        return (i + 1, *sums, point, shape_index)
+
+    num_pixels = dr.width(x)
+    state = (dr.zeros(mi.UInt32, num_pixels), *_nothing_seen(num_pixels).state)
+    _, *seen = dr.while_loop(state, cond, body, label="sub-pixel samples")
+    return _RayResult(*seen), pixel_filter
+
+
+def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
+    """Flat Dr.Jit arrays by buffer name; not yet evaluated."""
+    index = dr.arange(mi.UInt32, view.width * view.height)
+    row = index // view.width
+    sums, pixel_filter = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
+    # A filter with negative lobes can leave a pixel with hardly any, or with negative, coverage.
+    share = sums.coverage / (spp * pixel_filter.mean_sign**2)
+    is_covered = share > MIN_COVERAGE
+    scale = dr.select(is_covered, 1.0 / dr.select(is_covered, sums.coverage, 1.0), 0.0)
+    length = dr.norm(sums.normal)
+    has_normal = is_covered & (length > 0.0)
+    to_world = view.sensor.world_transform()
+    axis = dr.normalize(to_world @ mi.Vector3f(0.0, 0.0, 1.0))
+    origin = to_world @ mi.Point3f(0.0, 0.0, 0.0)
+    is_hit = sums.shape_index != 0
+    instance, material = view.materials.ids_at(sums.shape_index)
+    values = (
+        dr.clip(sums.diffuse_albedo * scale, 0.0, 1.0),
+        dr.clip(sums.specular_albedo * scale, 0.0, 1.0),
+        dr.clip(sums.roughness * scale, 0.0, 1.0),
+        dr.select(has_normal, sums.normal / dr.select(has_normal, length, 1.0), 0.0),
+        dr.select(is_covered, dr.minimum(share, 1.0), 0.0),
+        dr.select(is_hit, dr.dot(sums.point - origin, axis), 0.0),
+        sums.point,
+        instance,
+        material,
+    )
+    return dict(zip(CHANNELS, values, strict=True))
+
+
+def _make_view(
+    scene: mi.Scene, sensor: mi.Sensor | int, ids: IdTable | SceneMaterials | None, hide_emitters: bool
+) -> _View:
+    if isinstance(sensor, int):
+        sensor = scene.sensors()[sensor]
+    materials = ids if isinstance(ids, SceneMaterials) else SceneMaterials(scene, ids)
+    width, height = (int(v) for v in sensor.film().crop_size())
+    return _View(scene, sensor, materials, hide_emitters, width, height)
+
+
+def _check_spp(spp: int) -> None:
+    if spp < 1:
+        raise input_error(
+            "material_buffers", "spp", spp, "at least 1 sample a pixel", "raise it (16 is clean)"
+        )
+
+
+def render_material_buffers(
+    scene: mi.Scene,
+    sensor: mi.Sensor | int = 0,
+    spp: int = 64,
+    seed: int = 0,
+    ids: IdTable | SceneMaterials | None = None,
+    hide_emitters: bool = False,
+) -> dict[str, np.ndarray]:
+    """Ground-truth buffers of one view as NumPy arrays (H, W, C), by the names of ``datagen.buffers``.
+
+    float32 but for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers it holds
+    ``position_world`` [m], the point that ``depth_z_m`` [m] belongs to. ``ids`` maps shape ids to (instance
+    id, material id); a :class:`SceneMaterials` made once serves all views of a scene. ``hide_emitters`` must
+    be that of the beauty image's integrator. Raises :class:`datagen.errors.InputError` where a shape's
+    material has no D, S and R or a shape is missing from ``ids``.
+    """
+    _check_spp(spp)
+    view = _make_view(scene, sensor, ids, hide_emitters)
+    with dr.suspend_grad():
+        buffers = _render(view, spp, seed)
+        dr.eval(buffers)
+    arrays = {}
+    for name, value in buffers.items():
+        array = np.array(value)
+        array = array[None] if array.ndim == 1 else array
+        arrays[name] = np.ascontiguousarray(array.T).reshape(view.height, view.width, len(CHANNELS[name]))
+    return arrays
+
+
+class MaterialBuffers(mi.SamplingIntegrator):
+    """The integrator ``material_buffers``: all channels of :data:`CHANNELS` as one tensor (H, W, 17).
+
+    Parameter ``hide_emitters`` (default false). Ids are numbered in the scene's order by
+    :func:`mitsuba_plugins.surface_material.number_shapes`; assign ``integrator.ids`` to choose them. They are
+    exact as floats: below 2^24.
+    """
+
+    def __init__(self, props: mi.Properties):
+        super().__init__(props)
+        self.ids: IdTable | SceneMaterials | None = None
+
+    def aov_names(self) -> list[str]:
+        """``buffer.channel`` of each channel, in the order of :meth:`render`'s output."""
+        return [f"{name}.{channel}" for name, channels in CHANNELS.items() for channel in channels]
+
+    def render(
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+        develop: bool = True,
+        evaluate: bool = True,
+    ) -> mi.TensorXf:
+        """All channels of one view; ``spp`` 0 takes the sensor's sample count. ``develop`` must be true."""
+        if not develop:
+            raise ValueError("material_buffers writes no film: develop must be True")
+        view = _make_view(scene, sensor, self.ids, bool(self.hide_emitters))
+        spp = spp or int(view.sensor.sampler().sample_count())
+        _check_spp(spp)
+        with dr.suspend_grad():
+            buffers = _render(view, spp, int(np.asarray(seed).ravel()[0]))
+            planes = [mi.Float(plane) for value in buffers.values() for plane in _planes(value)]
+            num_channels = len(planes)
+            flat = dr.empty(mi.Float, view.width * view.height * num_channels)
+            pixel = dr.arange(mi.UInt32, view.width * view.height)
+            for i, plane in enumerate(planes):
+                dr.scatter(flat, plane, pixel * num_channels + i)
+            image = mi.TensorXf(flat, shape=(view.height, view.width, num_channels))
+            if evaluate:
+                dr.eval(image)
+        return image
+
+    def to_string(self) -> str:
+        """Human-readable description."""
+        return f"MaterialBuffers[hide_emitters = {self.hide_emitters}]"
+
+
+def _planes(value: Any) -> list[Any]:
+    return [value] if dr.depth_v(value) == 1 else list(value)

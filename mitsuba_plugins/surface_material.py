@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: MIT
+"""What a scene's surfaces are made of, by lookup: shape -> (material channels, ids), for ground-truth passes.
+
+A material reaches a shape through wrappers (``mask``, ``normalmap``, ``twosided``). Mitsuba forwards
+attributes through none of them, so the tree of wrappers is walked once per scene, and the walk's result is a
+Python function per material which Dr.Jit compiles into one indirect call, :func:`drjit.switch`.
+
+Shapes are told apart by their index in Mitsuba's registry: what a ``ShapePtr`` holds in a kernel. The index
+changes from process to process; the tables here translate it to numbers the caller chose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from datagen.errors import InputError, Problem
+from mitsuba_plugins.cook_torrance import CookTorrance
+from mitsuba_plugins.texture_checks import exposed
+
+Array = Any
+IdTable = Mapping[str, tuple[int, int]]
+"""Shape id (its key in the scene's dictionary) -> (instance id, material id); 0 is kept for "none"."""
+
+
+@dataclass(frozen=True)
+class SurfaceChannels:
+    """Material channels of a hit: D, S (Color3f), R (Float), the shading normal in the *local* frame of the
+    interaction, unit and on the viewer's side, and the opacity in [0, 1]."""
+
+    diffuse_albedo: Array
+    specular_albedo: Array
+    roughness: Array
+    normal_local: Array
+    opacity: Array
+
+
+Evaluator = Callable[[Any, Any], tuple[Any, Any, Any, Any, Any]]
+
+
+def _cook_torrance_evaluator(bsdf: CookTorrance) -> Evaluator:
+    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        diffuse, specular, roughness = bsdf.surface_parameters(si, active)
+        if not bsdf.two_sided:  # the back of a one-sided surface reflects nothing
+            is_front = si.wi.z > 0.0
+            diffuse, specular = dr.select(is_front, diffuse, 0.0), dr.select(is_front, specular, 0.0)
+        normal = mi.Normal3f(0.0, 0.0, dr.mulsign(mi.Float(1.0), si.wi.z))
+        return diffuse, specular, roughness, normal, mi.Float(1.0)
+
+    return evaluate
+
+
+def _mask_evaluator(opacity_texture: Any, nested: Evaluator) -> Evaluator:
+    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        *channels, nested_opacity = nested(si, active)
+        opacity = dr.clip(opacity_texture.eval_1(si, active), 0.0, 1.0)
+        return (*channels, opacity * nested_opacity)
+
+    return evaluate
+
+
+def _normal_map_evaluator(texture: Any, nested: Evaluator) -> Evaluator:
+    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        normal = dr.fma(mi.Normal3f(texture.eval_3(si, active)), 2.0, -1.0)
+        # Mitsuba's rule for a mapped normal that turns away from the viewer (flip_invalid_normals).
+        is_invalid = si.wi.z * dr.dot(si.wi, normal) <= 0.0
+        tangential = dr.select(is_invalid, -1.0, 1.0)
+        normal = mi.Normal3f(normal.x * tangential, normal.y * tangential, normal.z)
+        length2 = dr.squared_norm(normal)
+        is_degenerate = ~(length2 > 1e-12)  # a black texel encodes no direction
+        normal = dr.select(is_degenerate, mi.Normal3f(0.0, 0.0, 1.0), normal * dr.rsqrt(length2))
+        # The nested material sees wi in the mapped frame; all that matters to it is on which side it lies.
+        side = dr.mulsign(mi.Float(1.0), dr.dot(normal, si.wi))
+        nested_si = mi.SurfaceInteraction3f(si)
+        nested_si.wi = mi.Vector3f(0.0, 0.0, side)
+        diffuse, specular, roughness, _, opacity = nested(nested_si, active)
+        return diffuse, specular, roughness, normal * side, opacity
+
+    return evaluate
+
+
+def _two_sided_evaluator(front: Evaluator, back: Evaluator) -> Evaluator:
+    def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+        is_front = si.wi.z > 0.0
+        mirrored = mi.SurfaceInteraction3f(si)
+        mirrored.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+        channels = front(mirrored, active)
+        if back is not front:
+            other = back(mirrored, active)
+            channels = tuple(dr.select(is_front, f, b) for f, b in zip(channels, other, strict=True))
+        diffuse, specular, roughness, normal, opacity = channels
+        normal = mi.Normal3f(normal.x, normal.y, dr.mulsign(normal.z, si.wi.z))
+        return diffuse, specular, roughness, normal, opacity
+
+    return evaluate
+
+
+class UnsupportedBsdf(Exception):
+    """A BSDF in the tree that has no diffuse albedo, specular albedo and roughness of the project's kind."""
+
+
+def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
+    """(function of an interaction -> channels, whether it can be transparent) for a tree of BSDFs.
+
+    Raises :class:`UnsupportedBsdf` with the offending plugin's class where the tree is not made of
+    ``cook_torrance`` under ``mask``, ``normalmap`` and ``twosided``.
+    """
+    if isinstance(bsdf, CookTorrance):
+        return _cook_torrance_evaluator(bsdf), False
+    kind = bsdf.class_name()
+    children, _ = exposed(bsdf)
+    if kind == "MaskBSDF":
+        nested, _ = build_evaluator(children["nested_bsdf"])
+        return _mask_evaluator(children["opacity"], nested), True
+    if kind == "NormalMap":
+        if children["nested_bsdf"].class_name() in ("NormalMap", "TwoSidedBRDF"):
+            raise UnsupportedBsdf(f"NormalMap around {children['nested_bsdf'].class_name()}")
+        nested, is_transparent = build_evaluator(children["nested_bsdf"])
+        return _normal_map_evaluator(children["normalmap"], nested), is_transparent
+    if kind == "TwoSidedBRDF":
+        front, is_transparent = build_evaluator(children["brdf_0"])
+        if children.get("brdf_1", children["brdf_0"]) is children["brdf_0"]:
+            return _two_sided_evaluator(front, front), is_transparent
+        back, is_back_transparent = build_evaluator(children["brdf_1"])
+        return _two_sided_evaluator(front, back), is_transparent or is_back_transparent
+    raise UnsupportedBsdf(kind)
+
+
+def _nothing(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """Channels of a surface that is masked out: an emitter, or the background."""
+    return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(1.0)
+
+
+def _invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """Channels of the ``null`` BSDF: rays pass."""
+    return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(0.0)
+
+
+def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
+    """An id table for a scene that has none: shapes and their BSDFs numbered from 1 in the scene's order."""
+    materials: dict[int, int] = {}
+    table: dict[str, tuple[int, int]] = {}
+    for shape in scene.shapes():
+        if shape.is_emitter():
+            continue
+        material = materials.setdefault(id(shape.bsdf()), len(materials) + 1)
+        table[shape.id()] = (len(table) + 1, material)
+    return table
+
+
+class SceneMaterials:
+    """The materials and ids of every shape of a scene, ready to be evaluated inside a kernel.
+
+    ``ids`` maps shape ids to (instance id, material id), both in [1, 2^24); None numbers them in the scene's
+    order. Raises :class:`datagen.errors.InputError` with every shape whose BSDF has no counterpart among the
+    project's channels, that is missing from ``ids``, or whose texture needs UVs that its mesh lacks.
+    """
+
+    def __init__(self, scene: mi.Scene, ids: IdTable | None = None):
+        self.ids = dict(ids) if ids is not None else number_shapes(scene)
+        problems: list[Problem] = []
+        self._evaluators: list[Evaluator] = [_nothing]
+        self.has_transparency = False
+        self._index_of_bsdf: dict[int, int] = {}
+        # Python wrappers of C++ objects are made anew on each access: they are kept, so that id() is theirs.
+        self._bsdfs: list[Any] = []
+        shapes: Sequence[Any] = scene.shapes()
+        registry = np.asarray(dr.reinterpret_array(mi.UInt32, scene.shapes_dr())).astype(np.int64)
+        size = int(registry.max(initial=0)) + 1
+        evaluator_index = np.zeros(size, np.uint32)
+        instance_ids = np.zeros(size, np.uint32)
+        material_ids = np.zeros(size, np.uint32)
+        is_emitter = np.zeros(size, bool)
+        for shape, index in zip(shapes, registry, strict=True):
+            if shape.is_emitter():
+                is_emitter[index] = True
+                continue
+            evaluator_index[index] = self._evaluator_index(shape, problems)
+            if shape.id() in self.ids:
+                instance_ids[index], material_ids[index] = self._checked_ids(shape.id(), problems)
+            elif evaluator_index[index]:
+                problems.append(
+                    Problem(
+                        "scene",
+                        f"shape {shape.id()}",
+                        "no ids",
+                        "an entry in the id table",
+                        "add the shape to the table, and load the scene with optimize=False",
+                    )
+                )
+        if problems:
+            raise InputError(*problems)
+        self._evaluator_of_shape = mi.UInt32(evaluator_index)
+        self._instance_of_shape = mi.UInt32(instance_ids)
+        self._material_of_shape = mi.UInt32(material_ids)
+        self._is_emitter_shape = mi.Bool(is_emitter)
+
+    def _checked_ids(self, shape_id: str, problems: list[Problem]) -> tuple[int, int]:
+        instance, material = self.ids[shape_id]
+        for name, value in (("instance id", instance), ("material id", material)):
+            if not 0 < value < 2**24:
+                problems.append(
+                    Problem(
+                        "id table",
+                        f"{shape_id}: {name}",
+                        str(value),
+                        "1 ... 16777215 (exact in a float)",
+                        "number ids from 1",
+                    )
+                )
+                return 0, 0
+        return instance, material
+
+    def _evaluator_index(self, shape: Any, problems: list[Problem]) -> int:
+        bsdf = shape.bsdf()
+        key = id(bsdf)
+        if key in self._index_of_bsdf:
+            return self._index_of_bsdf[key]
+        self._bsdfs.append(bsdf)
+        if bsdf.class_name() == "Null":
+            self._evaluators.append(_invisible)
+            self.has_transparency = True
+        else:
+            try:
+                evaluator, is_transparent = build_evaluator(bsdf)
+            except UnsupportedBsdf as unsupported:
+                problems.append(
+                    Problem(
+                        "scene",
+                        f"BSDF of shape {shape.id()}",
+                        str(unsupported),
+                        "cook_torrance, alone or in mask, normalmap or twosided",
+                        "convert the material to cook_torrance first",
+                    )
+                )
+                self._index_of_bsdf[key] = 0
+                return 0
+            self._evaluators.append(evaluator)
+            self.has_transparency |= is_transparent
+        self._index_of_bsdf[key] = len(self._evaluators) - 1
+        return self._index_of_bsdf[key]
+
+    # ---- inside kernels ----------------------------------------------------------------------------------
+
+    def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
+        """Registry index of the shape that was hit; 0 for none."""
+        return dr.reinterpret_array(mi.UInt32, si.shape)
+
+    def is_emitter(self, si: mi.SurfaceInteraction3f, active: Array) -> Array:
+        """Whether a hit lies on a light."""
+        return dr.gather(mi.Bool, self._is_emitter_shape, self.shape_index(si), active)
+
+    def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
+        """(instance id, material id) of shapes by registry index; 0 for none and for lights."""
+        return (
+            dr.gather(mi.UInt32, self._instance_of_shape, shape_index),
+            dr.gather(mi.UInt32, self._material_of_shape, shape_index),
+        )
+
+    def channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
+        """The material's channels at a hit; zeros where inactive or on a light."""
+        index = dr.gather(mi.UInt32, self._evaluator_of_shape, self.shape_index(si), active)
+        return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))
