@@ -9,12 +9,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from datagen.asset_check import check_package
 from datagen.errors import InputError, Problem
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset
+from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.package import AnyAsset, Package, is_package, open_package
 
 AssetKind = Literal["environment", "object", "material"]
@@ -25,6 +27,22 @@ _MAX_DEPTH = 4  # folders below a library's root that are searched
 def bundled_library() -> Path:
     """The library that comes with the project, ``scenes/library`` beside the packages."""
     return Path(__file__).resolve().parents[1] / "scenes" / "library"
+
+
+def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
+    """Library folders as a recipe or a command names them: "bundled", absolute, or relative to ``base``.
+
+    A relative name that is no folder below ``base`` is taken relative to the working directory.
+    """
+    resolved = []
+    for name in names:
+        if name == "bundled":
+            resolved.append(bundled_library())
+        else:
+            path = Path(name).expanduser()
+            beside = base / path
+            resolved.append((beside if beside.exists() else path).resolve())
+    return tuple(resolved)
 
 
 class Library:
@@ -83,6 +101,11 @@ class Library:
     def __iter__(self) -> Iterator[Package]:
         """Packages in the order of their ids."""
         return (self._packages[asset_id] for asset_id in sorted(self._packages))
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash over the content of every package; equal libraries have equal hashes wherever they lie."""
+        return sha256_hex(canonical_json({package.id: package.sha256 for package in self}))
 
     def package(self, asset_id: str) -> Package:
         """The package of that id. Raises :class:`InputError` that suggests near names."""

@@ -103,7 +103,7 @@ class RenderRecipe(StrictModel):
 class StatisticsRecipe(StrictModel):
     """Multi-view statistics (method 2)."""
 
-    best_views: Annotated[int, Field(ge=1, le=64)] = 12
+    best_views: Annotated[int, Field(ge=4, le=24)] = 12
     visibility: Literal["depth", "trace"] = "depth"
     include_self: bool = True
 
