@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from datagen.buffers import BUFFERS
 from datagen.color import exposure_for
-from datagen.errors import InputError
+from datagen.errors import InputError, input_error
 from datagen.farm.folder import DatasetFolder, PlannedUnit, UnitManifest, ViewTiming
 from datagen.formats.base import (
     canonical_json,
@@ -170,6 +170,7 @@ def _render(run: UnitRun, configuration: Configuration) -> None:
 def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
     """Gather the multi-view statistics of all views and publish the complete views."""
     from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+    from datagen.multiview.visibility import VisibilityOptions
 
     names = [camera.name for camera in configuration.cameras]
     run.complete_path.mkdir(parents=True, exist_ok=True)
@@ -180,7 +181,7 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
     for name in names:
         record = run.read_record(run.rendered_path, name)
         if record is None:
-            raise InputError(*_missing_view(run, name))
+            raise _missing_view(run.rendered_path / f"{name}.exr", run, "render")
         records.append(record)
         stored.append(decode_view(run.rendered_path / f"{name}.exr"))
     from mitsuba_plugins.variant import select_variant
@@ -193,17 +194,13 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
 
         scene = build_scene(configuration, run.library).scene
     views = [
-        StatisticsView(
-            color=buffers["beauty"].astype(np.float32),
-            depth_z_m=buffers["depth_z_m"],
-            normal_world=buffers["normal_world"].astype(np.float32),
-            surface_mask=buffers["surface_mask"].astype(np.float32),
-            camera=record.camera.camera(),
-        )
+        StatisticsView.from_buffers(record.camera.camera(), buffers, record.name)
         for buffers, record in zip(stored, records, strict=True)
     ]
     options = StatisticsOptions(
-        best_views=settings.best_views, visibility=settings.visibility, include_self=settings.include_self
+        best_views=settings.best_views,
+        include_self=settings.include_self,
+        visibility=VisibilityOptions(mode=settings.visibility),
     )
     statistics_record = StatisticsRecord(num_views=len(views), **settings.model_dump())
     run.report("stats", 0, len(names))
@@ -215,18 +212,9 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
         run.check_stop()
 
 
-def _missing_view(run: UnitRun, name: str):
-    from datagen.errors import Problem
-
-    return (
-        Problem(
-            run.rendered_path / f"{name}.exr",
-            "",
-            "not rendered yet",
-            "every view of the configuration",
-            f"run `datagen render {run.folder.root}` first",
-        ),
-    )
+def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:
+    remedy = f"run `datagen {stage} {run.folder.root}` first"
+    return input_error(path, "", "not there yet", "every view of the configuration", remedy)
 
 
 def _pack(run: UnitRun, configuration: Configuration) -> None:
@@ -236,7 +224,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
     for name in names:
         record = run.read_record(run.complete_path, name)
         if record is None:
-            raise InputError(*_missing_view(run, name))
+            raise _missing_view(run.complete_path / f"{name}.exr", run, "stats")
         records.append(record)
     members = [
         (f"{configuration.id}/{name}.{suffix}", run.complete_path / f"{name}.{suffix}")

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""Prints what ``datagen library`` shows: assets as a table or JSON, and what a check found."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from datagen.library import check_library, describe_library, resolve_library_paths
+
+
+def print_library(names: list[str], check: bool, as_json: bool) -> int:
+    """List the libraries ``names``; with ``check`` read every mesh and texture. Returns the exit code."""
+    paths = resolve_library_paths(names, Path.cwd())
+    if check:
+        report = check_library(paths)
+        if as_json:
+            print(
+                json.dumps({"errors": [*map(str, report.errors)], "warnings": [*map(str, report.warnings)]})
+            )
+        else:
+            for problem in report.warnings:
+                print(f"warning: {problem}")
+            for problem in report.errors:
+                print(f"error: {problem}")
+            counts = f"{len(report.errors)} errors, {len(report.warnings)} warnings"
+            print(f"{report.num_packages} packages: {counts}")
+        return 1 if report.errors else 0
+    summaries = describe_library(paths, with_hash=as_json)
+    if as_json:
+        print(json.dumps([{**asdict(s), "path": str(s.path)} for s in summaries], indent=2))
+        return 0
+    table = Table("kind", "id", "title", "what", "licence")
+    for summary in summaries:
+        licence = summary.license + (" (evaluation only)" if summary.usage != "any" else "")
+        table.add_row(summary.kind, summary.id, summary.title, summary.detail, licence)
+    Console().print(table)
+    counts = Counter(s.kind for s in summaries)
+    print(", ".join(f"{count} {kind}s" for kind, count in sorted(counts.items())) or "the library is empty")
+    return 0
