@@ -28,7 +28,7 @@ COLOR_ATTRIBUTES = ("diffuse_albedo", "specular_albedo")
 SCALAR_ATTRIBUTES = ("roughness",)
 DEFAULTS = {"diffuse_albedo": 0.5, "specular_albedo": 0.04, "roughness": 0.5}
 MIN_LOBE_PROBABILITY = 0.1
-"""Least probability of the specular lobe: bounds the sample weight by 1/0.1 where Fresnel rises at grazing."""
+"""Least probability of the specular lobe: bounds the sample weight by 10 where Fresnel rises at grazing."""
 INVERSE_PI = 1.0 / math.pi
 
 
@@ -43,9 +43,9 @@ class CookTorrance(mi.BSDF):
 
     def __init__(self, props: mi.Properties):
         mi.BSDF.__init__(self, props)
-        self.diffuse_albedo = props.get_texture("diffuse_albedo", DEFAULTS["diffuse_albedo"])
-        self.specular_albedo = props.get_texture("specular_albedo", DEFAULTS["specular_albedo"])
-        self.roughness = props.get_texture("roughness", DEFAULTS["roughness"])
+        self.diffuse_albedo: Any = props.get_texture("diffuse_albedo", DEFAULTS["diffuse_albedo"])
+        self.specular_albedo: Any = props.get_texture("specular_albedo", DEFAULTS["specular_albedo"])
+        self.roughness: Any = props.get_texture("roughness", DEFAULTS["roughness"])
         self.two_sided = bool(props.get("two_sided", True))
         for name in (*COLOR_ATTRIBUTES, *SCALAR_ATTRIBUTES):
             check_parameter(props.id() or "cook_torrance", name, getattr(self, name))
@@ -68,7 +68,7 @@ class CookTorrance(mi.BSDF):
             beckmann.effective_roughness(self.roughness.eval_1(si, active)),
         )
 
-    def has_attribute(self, name: str, active: Array = True) -> bool:
+    def has_attribute(self, name: str, active: Array = True) -> Any:
         """True of ``diffuse_albedo``, ``specular_albedo`` and ``roughness``."""
         return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
 
@@ -218,7 +218,7 @@ class _Lobes:
         wo = mi.Vector3f(wo.x, wo.y, wo.z * self.side)
         value, pdf = self.eval_pdf(wo)
         is_valid = self.active & (pdf > 0.0) & dr.isfinite(pdf)
-        bs = dr.zeros(mi.BSDFSample3f, dr.width(wo))
+        bs: Any = dr.zeros(mi.BSDFSample3f, dr.width(wo))
         bs.wo = wo
         bs.eta = mi.Float(1.0)
         bs.pdf = dr.select(is_valid, pdf, 0.0)

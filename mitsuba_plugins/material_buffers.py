@@ -10,8 +10,8 @@ Two kinds of buffer, made in one kernel with one thread a pixel:
 * *at the centre*: depth_z_m, position_world, instance_id and material_id belong to one ray through the
   pixel's centre (and the lens' centre): a depth between two surfaces, or an id between two ids, is neither.
 
-Samples follow the filter (drawn from its normalised absolute value by its inverse distribution function, with
-its sign as weight), so that no pixel writes into another: any filter costs the same, and there are no atomics.
+Samples follow the filter (drawn from its normalised absolute value by its inverse distribution function,
+with its sign as weight), so that no pixel writes into another: any filter costs the same, without atomics.
 Emitters and the background are masked: surface_mask 0, ids 0, channels 0. Emitters keep their depth, because
 they hide what is behind them. Axis order of arrays: (H, W, C), row 0 at the top.
 """
@@ -31,15 +31,15 @@ from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 Array = Any
 
 MAX_LAYERS = 32
-"""Transparent surfaces that a ray crosses before it gives up; 32 leaves of opacity 0.2 leave 0.08 % unseen."""
+"""Transparent surfaces that a ray crosses before it gives up; 32 of opacity 0.2 leave 0.08 % unseen."""
 MIN_THROUGHPUT = 1e-3
 """What is left of a ray behind surfaces this opaque is not worth tracing."""
 SOLID_OPACITY = 0.5
 """A surface at least this opaque owns the pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
 """Below this share of the pixel a channel's average is noise over noise, and the pixel is masked."""
-# Fractions of 2^32 whose multiples spread evenly: 1/g, 1/g^2 with g^3 = g + 1 (the R2 sequence of M. Roberts),
-# then the golden ratio's.
+# Fractions of 2^32 whose multiples spread evenly: 1/g, 1/g^2 with g^3 = g + 1 (R2, by M. Roberts), then the
+# golden ratio's.
 _LATTICE = (3242174889, 2447445414, 2654435769)
 CHANNELS = {
     "diffuse_albedo": ("R", "G", "B"),
@@ -95,8 +95,8 @@ class PixelFilter:
 class _View:
     """A sensor with what is known about its film and its materials."""
 
-    scene: mi.Scene
-    sensor: mi.Sensor
+    scene: Any
+    sensor: Any
     materials: SceneMaterials
     hide_emitters: bool
     width: int
@@ -123,7 +123,7 @@ def _lattice_point(index: Array, shift: Array, axis: int) -> Array:
 
 @dataclass(frozen=True)
 class _RayResult:
-    """What a ray sees. Channels are weighted by coverage; the solid point is where depth and ids come from."""
+    """What a ray sees. Channels are weighted by coverage; depth and ids come from the solid point."""
 
     diffuse_albedo: Array
     specular_albedo: Array
@@ -205,9 +205,11 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
 
     One symbolic loop, so that the scene's intersection code is traced once: sample 0 is the centre.
     """
-    pixel = mi.UInt32(y) * view.width + mi.UInt32(x)
-    shift_x, shift_y = mi.sample_tea_32(pixel, mi.UInt32(seed))
-    lens_x, lens_y = mi.sample_tea_32(pixel, mi.UInt32(seed ^ 0x9E3779B9))
+    pixel: Any = mi.UInt32(y) * view.width + mi.UInt32(x)
+    # Opaque: the seed is data of the kernel, not part of its code, which is compiled once for all seeds.
+    key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+    shift_x, shift_y = mi.sample_tea_32(pixel, key)
+    lens_x, lens_y = mi.sample_tea_32(pixel, key ^ 0x9E3779B9)
     pixel_filter = PixelFilter(view.sensor.film().rfilter())
     num_samples = dr.opaque(mi.UInt32, spp)
 
@@ -272,11 +274,10 @@ def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
 def _make_view(
     scene: mi.Scene, sensor: mi.Sensor | int, ids: IdTable | SceneMaterials | None, hide_emitters: bool
 ) -> _View:
-    if isinstance(sensor, int):
-        sensor = scene.sensors()[sensor]
+    chosen: Any = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
     materials = ids if isinstance(ids, SceneMaterials) else SceneMaterials(scene, ids)
-    width, height = (int(v) for v in sensor.film().crop_size())
-    return _View(scene, sensor, materials, hide_emitters, width, height)
+    width, height = (int(v) for v in chosen.film().crop_size())
+    return _View(scene, chosen, materials, hide_emitters, width, height)
 
 
 def _check_spp(spp: int) -> None:
@@ -331,7 +332,7 @@ class MaterialBuffers(mi.SamplingIntegrator):
         """``buffer.channel`` of each channel, in the order of :meth:`render`'s output."""
         return [f"{name}.{channel}" for name, channels in CHANNELS.items() for channel in channels]
 
-    def render(
+    def render(  # type: ignore[override]
         self,
         scene: mi.Scene,
         sensor: mi.Sensor | int = 0,

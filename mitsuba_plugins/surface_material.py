@@ -142,15 +142,29 @@ def _invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
 
 
 def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
-    """An id table for a scene that has none: shapes and their BSDFs numbered from 1 in the scene's order."""
+    """An id table for a scene that has none: shapes and their BSDFs numbered from 1 in the scene's order.
+
+    Keys are shape ids; scenes read from XML leave them all alike, and these become ``id#2``, ``id#3``...
+    """
     materials: dict[int, int] = {}
+    bsdfs = []  # kept alive: id() tells objects apart only while they exist
     table: dict[str, tuple[int, int]] = {}
-    for shape in scene.shapes():
+    for shape, name in zip(scene.shapes(), _unique_names(scene.shapes()), strict=True):
         if shape.is_emitter():
             continue
-        material = materials.setdefault(id(shape.bsdf()), len(materials) + 1)
-        table[shape.id()] = (len(table) + 1, material)
+        bsdfs.append(shape.bsdf())
+        material = materials.setdefault(id(bsdfs[-1]), len(materials) + 1)
+        table[name] = (len(table) + 1, material)
     return table
+
+
+def _unique_names(shapes: Sequence[Any]) -> list[str]:
+    counts: dict[str, int] = {}
+    names = []
+    for shape in shapes:
+        count = counts[shape.id()] = counts.get(shape.id(), 0) + 1
+        names.append(shape.id() if count == 1 else f"{shape.id()}#{count}")
+    return names
 
 
 class SceneMaterials:
@@ -170,24 +184,25 @@ class SceneMaterials:
         # Python wrappers of C++ objects are made anew on each access: they are kept, so that id() is theirs.
         self._bsdfs: list[Any] = []
         shapes: Sequence[Any] = scene.shapes()
-        registry = np.asarray(dr.reinterpret_array(mi.UInt32, scene.shapes_dr())).astype(np.int64)
+        pointers: Any = scene.shapes_dr()
+        registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
         size = int(registry.max(initial=0)) + 1
         evaluator_index = np.zeros(size, np.uint32)
         instance_ids = np.zeros(size, np.uint32)
         material_ids = np.zeros(size, np.uint32)
         is_emitter = np.zeros(size, bool)
-        for shape, index in zip(shapes, registry, strict=True):
+        for shape, name, index in zip(shapes, _unique_names(shapes), registry, strict=True):
             if shape.is_emitter():
                 is_emitter[index] = True
                 continue
             evaluator_index[index] = self._evaluator_index(shape, problems)
-            if shape.id() in self.ids:
-                instance_ids[index], material_ids[index] = self._checked_ids(shape.id(), problems)
+            if name in self.ids:
+                instance_ids[index], material_ids[index] = self._checked_ids(name, problems)
             elif evaluator_index[index]:
                 problems.append(
                     Problem(
                         "scene",
-                        f"shape {shape.id()}",
+                        f"shape {name}",
                         "no ids",
                         "an entry in the id table",
                         "add the shape to the table, and load the scene with optimize=False",

@@ -15,7 +15,7 @@ import numpy as np
 from datagen.errors import Problem
 
 TOLERANCE = 1e-4
-"""Values this far outside [0, 1] are rounding (of half floats, of resampling) and are clamped, not refused."""
+"""Values this far outside [0, 1] are rounding (half floats, resampling) and are clamped, not refused."""
 # Texture plugins whose lookup depends on the UV coordinates of the surface.
 UV_TEXTURES = ("BitmapTexture", "Checkerboard")
 

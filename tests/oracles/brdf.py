@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""The material model in float64 NumPy, written from its equations: slow, plain, and right.
+
+Letters: ``wi`` viewer, ``wo`` light, unit (..., 3), local frame with z the normal; ``alpha`` the slope width;
+D, S, R the material's channels, D and S (..., 3) or broadcastable, R (...). Directions are used as given:
+rounding them to float32 first shows the error of an implementation, not that of its input.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import erf
+
+MIN_ALPHA = 1e-3
+MIN_LOBE_PROBABILITY = 0.1
+
+Array = np.ndarray
+
+
+def alpha_from_roughness(roughness: Array) -> Array:
+    """alpha = R^2, clamped to [1e-3, 1]; NaN counts as R = 1."""
+    r = np.asarray(roughness, np.float64)
+    r = np.clip(np.where(np.isnan(r), 1.0, r), 0.0, 1.0)
+    return np.clip(r**2, MIN_ALPHA, 1.0)
+
+
+def effective_albedo(albedo: Array) -> Array:
+    """Clamped to [0, 1]; NaN counts as 0."""
+    a = np.asarray(albedo, np.float64)
+    return np.clip(np.where(np.isnan(a), 0.0, a), 0.0, 1.0)
+
+
+def theta(w: Array) -> Array:
+    """Angle from the normal, accurate near 0 and near pi/2."""
+    return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2])
+
+
+def beckmann_d(h: Array, alpha: Array) -> Array:
+    """Walter et al. 2007, eq. 25; ``h`` of any length."""
+    t = theta(h)
+    inside = t < np.pi / 2
+    t = np.where(inside, t, 0.0)
+    d = np.exp(-((np.tan(t) / alpha) ** 2)) / (np.pi * alpha**2 * np.cos(t) ** 4)
+    return np.where(inside, d, 0.0)
+
+
+def smith_g1(w: Array, alpha: Array) -> Array:
+    """2 / (1 + erf a + exp(-a^2) / (a sqrt pi)), a = 1 / (alpha tan); 0 below the horizon."""
+    tan = np.hypot(w[..., 0], w[..., 1]) / np.where(w[..., 2] > 0, w[..., 2], 1.0)
+    with np.errstate(divide="ignore", over="ignore", under="ignore"):
+        a = 1.0 / (alpha * tan)
+        g = 2.0 / (1.0 + erf(a) + np.exp(-(a**2)) / (a * np.sqrt(np.pi)))
+    return np.where(w[..., 2] > 0, g, 0.0)
+
+
+def schlick(specular_albedo: Array, cos: Array) -> Array:
+    """Schlick's Fresnel with the fifth power."""
+    return specular_albedo + (1.0 - specular_albedo) * (1.0 - cos) ** 5
+
+
+def cos_half_angle(wi: Array, wo: Array) -> Array:
+    """wi.h as the cosine of half the angle between the directions (Kahan's form: no cancellation)."""
+    total = np.sum((wi + wo) ** 2, -1)
+    difference = np.sum((wi - wo) ** 2, -1)
+    return np.sqrt(total / np.maximum(total + difference, 1e-300))
+
+
+def specular_lobe(wi: Array, wo: Array, alpha: Array) -> Array:
+    """D_b G1(wi) / (4 cos_i): the density of wo when h follows the visible normals [1/sr]."""
+    cos_i = np.where(wi[..., 2] > 0, wi[..., 2], 1.0)
+    value = beckmann_d(wi + wo, alpha) * smith_g1(wi, alpha) / (4.0 * cos_i)
+    return np.where((wi[..., 2] > 0) & (wo[..., 2] > 0), value, 0.0)
+
+
+def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
+    """f(wi, wo) cos_o, (..., 3), for the upper side: method.md section 1."""
+    diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
+    alpha = alpha_from_roughness(roughness)
+    lobe = specular_lobe(wi, wo, alpha) * smith_g1(wo, alpha)
+    f = schlick(specular, cos_half_angle(wi, wo)[..., None]) * lobe[..., None]
+    up = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
+    return np.where(up, f + (1.0 - specular) * diffuse / np.pi * wo[..., 2:], 0.0)
+
+
+def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
+    """Share of samples that the specular lobe gets (a choice of the sampler, not of the model)."""
+    diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
+    s = np.mean(schlick(specular, wi[..., 2:]), -1)
+    d = np.mean((1.0 - specular) * diffuse, -1)
+    return np.maximum(s / np.where(s + d > 0, s + d, 1.0), MIN_LOBE_PROBABILITY)
+
+
+def pdf(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array) -> Array:
+    """Density of the sampler at ``wo`` [1/sr]."""
+    p = specular_probability(wi, diffuse, specular)
+    up = (wi[..., 2] > 0) & (wo[..., 2] > 0)
+    lobe = specular_lobe(wi, wo, alpha_from_roughness(roughness))
+    return np.where(up, p * lobe + (1.0 - p) * wo[..., 2] / np.pi, 0.0)
+
+
+def direction(angle_rad: Array, azimuth_rad: Array) -> Array:
+    """Unit vector at an angle from the normal."""
+    s = np.sin(angle_rad)
+    return np.stack([s * np.cos(azimuth_rad), s * np.sin(azimuth_rad), np.cos(angle_rad) + 0 * azimuth_rad], -1)
+
+
+def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array, Array]:
+    """Normals (n, 3) and quadrature weights [sr] of a midpoint grid over slopes up to ``reach`` alpha."""
+    edges = np.linspace(-reach * alpha, reach * alpha, num + 1)
+    mid = 0.5 * (edges[1:] + edges[:-1])
+    x, y = (a.ravel() for a in np.meshgrid(mid, mid))
+    length = np.sqrt(1.0 + x**2 + y**2)
+    normal = np.stack([-x, -y, np.ones_like(x)], -1) / length[:, None]
+    # d(omega) = cos^3 d(slopes)
+    return normal, (edges[1] - edges[0]) ** 2 / length**3
+
+
+def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: int = 600) -> float:
+    """Directional albedo of the specular term for one ``wi`` (3,), by quadrature over visible normals."""
+    alpha = float(alpha_from_roughness(np.float64(roughness)))
+    h, weight = slopes_grid(alpha, num)
+    cos_h = h @ wi
+    wo = 2.0 * cos_h[:, None] * h - wi
+    g1_i = smith_g1(wi[None], alpha)[0]
+    value = beckmann_d(h, alpha) * g1_i * np.maximum(cos_h, 0.0) / wi[2]
+    value *= schlick(specular, np.maximum(cos_h, 0.0)) * smith_g1(wo, alpha)
+    return float(np.sum(np.where((cos_h > 0) & (wo[:, 2] > 0), value, 0.0) * weight))
+
+
+def directional_albedo(wi: Array, diffuse: float, specular: float, roughness: float) -> float:
+    """Share of the light from ``wi`` that is reflected: passes 1 at grazing angles (docs/bsdf.md)."""
+    return (1.0 - specular) * diffuse + specular_albedo_towards(wi, specular, roughness)
