@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""The bilateral solver with dense float64 matrices, for images of some hundred pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass
+class DenseSystem:
+    """S (V, P) and the smoothness term lambda (diag(m) - diag(n) B diag(n)) of one image."""
+
+    splat: NDArray
+    smoothness: NDArray
+
+    def matrix(self, confidence: NDArray) -> NDArray:
+        """A for one channel's confidence (P,)."""
+        return self.smoothness + np.diag(self.splat @ confidence)
+
+    def solve(self, target: NDArray, confidence: NDArray) -> NDArray:
+        """Filtered pixels (P,) of one channel."""
+        y = np.linalg.solve(self.matrix(confidence), self.splat @ (confidence * target))
+        return self.splat.T @ y
+
+
+def build(
+    guide: NDArray,
+    sigma_xy: float,
+    sigma_luma: float,
+    sigma_chroma: float,
+    lam: float,
+    num_bistochastize: int = 10,
+) -> DenseSystem:
+    """The system of a guide image (H, W, 3), linear RGB: cells by a dictionary, neighbours by comparison."""
+    height, width, _ = guide.shape
+    rgb = guide.astype(np.float64) / guide.max() * 255.0
+    yuv = np.stack(
+        [
+            0.299 * rgb[..., 0] + 0.587 * rgb[..., 1] + 0.114 * rgb[..., 2],
+            -0.168736 * rgb[..., 0] - 0.331264 * rgb[..., 1] + 0.5 * rgb[..., 2] + 128,
+            0.5 * rgb[..., 0] - 0.418688 * rgb[..., 1] - 0.081312 * rgb[..., 2] + 128,
+        ],
+        axis=-1,
+    )
+    cells: dict[tuple[int, ...], int] = {}
+    pixel_cells = []
+    for row in range(height):
+        for column in range(width):
+            y, u, v = yuv[row, column]
+            place = (row / sigma_xy, column / sigma_xy, y / sigma_luma, u / sigma_chroma, v / sigma_chroma)
+            cell = tuple(int(np.floor(p)) for p in place)
+            pixel_cells.append(cells.setdefault(cell, len(cells)))
+    splat = np.zeros((len(cells), height * width))
+    splat[pixel_cells, np.arange(height * width)] = 1.0
+    blur = np.zeros((len(cells), len(cells)))
+    for a, i in cells.items():
+        for b, j in cells.items():
+            gap = [abs(p - q) for p, q in zip(a, b, strict=True)]
+            if sum(gap) == 0:
+                blur[i, j] = 10.0
+            elif sum(gap) == 1:
+                blur[i, j] = 1.0
+    counts = splat.sum(axis=1)
+    n = np.ones(len(cells))
+    for _ in range(num_bistochastize):
+        n = np.sqrt(n * counts / (blur @ n))
+    m = n * (blur @ n)
+    return DenseSystem(splat, lam * (np.diag(m) - n[:, None] * blur * n[None, :]))
