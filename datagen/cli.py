@@ -302,6 +302,20 @@ def sheet(folder: FolderArgument) -> None:
     _write_sheets(folder)
 
 
+@app.command()
+def schema(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the schemas.")] = Path("docs/schemas"),
+) -> None:
+    """Write the JSON Schemas of all file formats.
+
+    Example: datagen schema --out docs/schemas
+    """
+    from datagen.formats.schemas import write_schemas
+
+    for path in write_schemas(out):
+        typer.echo(path)
+
+
 def main() -> None:
     """Entry point: bad input ends with its message and code 2, a broken pipe in silence."""
     from datagen.errors import InputError

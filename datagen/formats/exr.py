@@ -68,7 +68,7 @@ def encode_view(buffers: Mapping[str, NDArray], compression: str = "zip", num_th
 def decode_view(
     source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
 ) -> dict[str, NDArray]:
-    """Decode an EXR file to buffers as stored (half stays float16). ``names`` None = all registered ones found.
+    """Decode an EXR file to buffers as stored (half stays float16); ``names`` None = all that are there.
 
     Raises :class:`InputError` where the file is damaged, too large, or lacks a requested buffer.
     """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Shards: WebDataset tar files with deterministic bytes, one configuration each, and the dataset's index.
 
-A shard holds ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order, after
-``__meta__/configuration.json`` (WebDataset skips names of that form). Headers are USTAR with fixed owner,
-mode and time.
+A shard holds ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order,
+after ``__meta__/configuration.json`` (WebDataset skips names of that form). Headers are USTAR with fixed
+owner, mode and time.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _add(tar: tarfile.TarFile, name: str, size: int, stream: BinaryIO) -> None:
 
 
 def write_shard(stream: BinaryIO, configuration: bytes, members: Iterable[tuple[str, Path]]) -> None:
-    """Write a shard: the configuration's canonical JSON, then ``members`` (name in the tar, file) in order."""
+    """Write a shard: the configuration's canonical JSON, then ``members`` (name in the tar, file)."""
     with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         _add(tar, CONFIGURATION_MEMBER, len(configuration), io.BytesIO(configuration))
         for name, path in members:

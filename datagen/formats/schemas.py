@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""JSON Schemas of every file format, exported from the models that read them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from datagen.formats.asset import Asset
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.configuration import Configuration
+from datagen.formats.recipe import Recipe
+from datagen.formats.shard import DatasetIndex
+from datagen.formats.view import ViewRecord
+
+_ADAPTERS: dict[str, TypeAdapter] = {
+    "asset": TypeAdapter(Asset),
+    "configuration": TypeAdapter(Configuration),
+    "recipe": TypeAdapter(Recipe),
+    "view": TypeAdapter(ViewRecord),
+    "dataset-index": TypeAdapter(DatasetIndex),
+}
+
+
+def json_schemas() -> dict[str, dict]:
+    """JSON Schema (2020-12) of each format, by name."""
+    return {
+        name: {"$schema": "https://json-schema.org/draft/2020-12/schema", **adapter.json_schema()}
+        for name, adapter in _ADAPTERS.items()
+    }
+
+
+def write_schemas(folder: Path) -> list[Path]:
+    """Write ``<name>.schema.json`` for each format; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, schema in json_schemas().items():
+        path = folder / f"{name}.schema.json"
+        write_bytes_atomically(path, (json.dumps(schema, indent=2, sort_keys=True) + "\n").encode())
+        written.append(path)
+    return written
