@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: MIT
+"""Denoising with clean auxiliary buffers: OIDN on the CPU, OptiX on NVIDIA.
+
+Two path samples a pixel with noise-free albedo and normal beat sixteen with noisy ones; the auxiliary buffers
+therefore come from a pass of their own (:mod:`mitsuba_plugins.material_buffers`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Quality = str
+QUALITIES = ("fast", "balanced", "high")
+
+
+class Denoiser(Protocol):
+    """Something that turns a noisy image into a clean one. ``name`` goes into the view's record."""
+
+    name: str
+
+    def denoise(
+        self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """``color`` (H, W, 3) linear radiance, ``albedo`` (H, W, 3) in [0, 1], ``normal`` (H, W, 3) world."""
+        ...
+
+
+def auxiliary_albedo(
+    diffuse: NDArray[np.float32], specular: NDArray[np.float32], mask: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Reflectance seen head-on, (1 - S) D + S, that guides the denoiser; 1 where there is no surface.
+
+    Emitters and background show their radiance unmodulated, which is what an albedo of 1 says; 0 would tell the
+    denoiser that nothing there is texture. ``mask`` (H, W, 1) is the surface's share of the pixel.
+    """
+    reflectance = (1.0 - specular) * diffuse + specular
+    return (mask * reflectance + (1.0 - mask)).astype(np.float32)
+
+
+@dataclass
+class OidnDenoiser:
+    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 takes all cores. Not for use by two threads at once."""
+
+    quality: Quality = "high"
+    num_threads: int = 0
+
+    def __post_init__(self) -> None:
+        import pyoidn
+
+        if self.quality not in QUALITIES:
+            raise ValueError(f"quality {self.quality!r}; expected one of {', '.join(QUALITIES)}")
+        self.name = f"oidn-{'.'.join(str(v) for v in _oidn_version())}-{self.quality}"
+        self._device = pyoidn.Device()
+        if self.num_threads:
+            self._device.set_int("numThreads", self.num_threads)
+        self._device.set_bool("setAffinity", False)  # workers share the machine; pinned threads would collide
+        self._device.commit()
+        self._check()
+        self._filters: dict[tuple[int, int], tuple[Any, dict[str, NDArray[np.float32]]]] = {}
+
+    def denoise(
+        self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """See :class:`Denoiser`. The result is never negative."""
+        shape = (int(color.shape[0]), int(color.shape[1]))
+        if shape not in self._filters:
+            self._filters[shape] = self._make_filter(shape)
+        oidn_filter, images = self._filters[shape]
+        for name, array in (("color", color), ("albedo", albedo), ("normal", normal)):
+            images[name][...] = array
+        oidn_filter.execute()
+        self._check()
+        return np.maximum(images["output"], 0.0)
+
+    def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
+        """A committed filter on buffers that stay: building its network costs more than one small image."""
+        import pyoidn
+        from pyoidn.denoise import _QUALITIES
+        from pyoidn.filter import OIDN_FORMAT_FLOAT3
+
+        images = {
+            name: np.zeros((*shape, 3), np.float32) for name in ("color", "albedo", "normal", "output")
+        }
+        oidn_filter = pyoidn.Filter(self._device, "RT")
+        for name, array in images.items():
+            oidn_filter.set_image(name, array, OIDN_FORMAT_FLOAT3)
+        oidn_filter.set_bool("hdr", True)
+        oidn_filter.set_bool("cleanAux", True)
+        oidn_filter.set_quality(_QUALITIES[self.quality])
+        oidn_filter.commit()
+        self._check()
+        return oidn_filter, images
+
+    def _check(self) -> None:
+        error = self._device.get_error()
+        if error is not None:
+            raise RuntimeError(f"OIDN failed: {error}")
+
+    def close(self) -> None:
+        """Release the native filters and the device."""
+        for oidn_filter, _ in self._filters.values():
+            oidn_filter.release()
+        self._filters.clear()
+        self._device.release()
+
+
+def _oidn_version() -> tuple[int, ...]:
+    from importlib.metadata import version
+
+    return tuple(int(part) for part in version("pyoidn").split(".")[:3])
+
+
+@dataclass
+class OptixDenoiser:
+    """NVIDIA's denoiser through Mitsuba; needs the CUDA variant."""
+
+    def __post_init__(self) -> None:
+        self.name = "optix"
+        self._denoisers: dict[tuple[int, int], Any] = {}
+
+    def denoise(
+        self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """See :class:`Denoiser`."""
+        import mitsuba as mi
+
+        height, width = color.shape[:2]
+        if (height, width) not in self._denoisers:
+            self._denoisers[height, width] = mi.OptixDenoiser(
+                input_size=[width, height], albedo=True, normals=True, temporal=False
+            )
+        result = self._denoisers[height, width](
+            mi.TensorXf(np.ascontiguousarray(color, np.float32)),
+            denoise_alpha=False,
+            albedo=mi.TensorXf(np.ascontiguousarray(albedo, np.float32)),
+            normals=mi.TensorXf(np.ascontiguousarray(normal, np.float32)),
+        )
+        return np.maximum(np.array(result, dtype=np.float32)[..., :3], 0.0)
+
+
+def make_denoiser(variant: str, num_threads: int = 0) -> Denoiser:
+    """The denoiser that fits a Mitsuba variant."""
+    return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)

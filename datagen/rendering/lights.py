@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: MIT
+"""Lights of a configuration as Mitsuba emitters.
+
+Flat lights are meshes like everything else (a disk is a polygon of equal area), so that rooms need one kind of
+shape. Their surface reflects nothing. Lights that are not visible keep their shape, for reflections and for
+multiple importance sampling, and are listed in :attr:`LightSetup.hidden`; camera rays pass through them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from datagen.errors import Problem
+from datagen.formats.configuration import Configuration
+from datagen.formats.lights import (
+    AreaLight,
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SkyLight,
+    SphereLight,
+    SpotLight,
+)
+from datagen.images import read_image
+from datagen.meshes import Mesh
+from datagen.rendering.geometry import make_shape
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+DISK_CORNERS = 64
+"""Corners of the polygon that stands for an elliptic light; its outline is off by 0.08 % of the radius."""
+_MIN_AREA_M2 = 1e-12  # below this Mitsuba divides by a vanishing area
+# Columns: Mitsuba's envmap frame (Y up, centre column along +Z) in ours (Z up, centre column along +Y).
+_ENVIRONMENT_FROM_MITSUBA = np.array(
+    [[-1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]], dtype=np.float64
+)
+
+
+@dataclass
+class LightSetup:
+    """Entries for the scene's dictionary; ``hidden`` names the shapes that camera rays do not see."""
+
+    entries: dict[str, Any] = field(default_factory=dict)
+    hidden: set[str] = field(default_factory=set)
+
+
+def make_lights(
+    configuration: Configuration, library: Library, black: Any, problems: list[Problem]
+) -> LightSetup:
+    """All lights of a configuration but its emissive parts. ``black`` is the BSDF of luminous shapes.
+
+    Faults (zero area, two skies, an image that is missing or holds NaN) are added to ``problems``.
+    """
+    setup = LightSetup()
+    skies = [light.name for light in configuration.lights if isinstance(light, EnvironmentLight | SkyLight)]
+    if len(skies) > 1:
+        problems.append(
+            Problem(
+                f"configuration {configuration.id}",
+                "lights",
+                ", ".join(skies),
+                "at most one light of type environment or sky",
+                "remove the others",
+            )
+        )
+        return setup
+    for index, light in enumerate(configuration.lights):
+        name = f"light_{index}"
+        where = f"configuration {configuration.id}: lights[{index}] ({light.name})"
+        entry = _make_light(light, name, where, library, black, problems)
+        if entry is not None:
+            setup.entries[name] = entry
+            if isinstance(light, AreaLight) and not light.is_visible:
+                setup.hidden.add(name)
+    return setup
+
+
+def _make_light(
+    light: Light, name: str, where: str, library: Library, black: Any, problems: list[Problem]
+) -> Any:
+    if isinstance(light, PointLight):
+        return {"type": "point", "position": list(light.position_m), "intensity": _rgb(light.intensity)}
+    if isinstance(light, SpotLight):
+        return _spot(light, where, problems)
+    if isinstance(light, DirectionalLight):
+        return _directional(light, where, problems)
+    if isinstance(light, AreaLight):
+        mesh = area_light_mesh(light)
+        if not mesh.areas().sum() > _MIN_AREA_M2:
+            expected = "edges that span an area"
+            problems.append(Problem(where, "edge_u_m x edge_v_m", "no area", expected, "correct the light"))
+            return None
+        return make_shape(name, mesh, black, light.radiance)
+    if isinstance(light, SphereLight):
+        return {
+            "type": "sphere",
+            "center": list(light.position_m),
+            "radius": light.radius_m,
+            "bsdf": black,
+            "emitter": {"type": "area", "radiance": _rgb(light.radiance)},
+        }
+    if isinstance(light, EnvironmentLight):
+        return _environment(light, where, library, problems)
+    return _sky(light, where, problems)
+
+
+def _rgb(value: tuple[float, float, float]) -> dict[str, Any]:
+    return {"type": "rgb", "value": [float(c) for c in value]}
+
+
+def _unit(vector: tuple[float, float, float], where: str, field: str, problems: list[Problem]) -> Any:
+    array = np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(array))
+    if not length > 0:
+        problems.append(Problem(where, field, str(vector), "a direction", "correct the light"))
+        return None
+    return array / length
+
+
+def _spot(light: SpotLight, where: str, problems: list[Problem]) -> Any:
+    import mitsuba as mi
+
+    direction = _unit(light.direction, where, "direction", problems)
+    if light.beam_width_rad > light.cutoff_rad:
+        got = f"{light.beam_width_rad:g}"
+        problems.append(
+            Problem(where, "beam_width_rad", got, f"at most cutoff_rad = {light.cutoff_rad:g}", "lower it")
+        )
+        return None
+    if direction is None:
+        return None
+    up = [0.0, 0.0, 1.0] if abs(direction[2]) < 0.99 else [1.0, 0.0, 0.0]
+    origin = np.asarray(light.position_m, dtype=np.float64)
+    return {
+        "type": "spot",
+        "to_world": mi.ScalarTransform4f().look_at(
+            origin=origin.tolist(), target=(origin + direction).tolist(), up=up
+        ),
+        "intensity": _rgb(light.intensity),
+        "cutoff_angle": math.degrees(light.cutoff_rad),
+        # Mitsuba divides by cutoff - beam width; a hard edge is an edge of a thousandth
+        "beam_width": math.degrees(min(light.beam_width_rad, 0.999 * light.cutoff_rad)),
+    }
+
+
+def _directional(light: DirectionalLight, where: str, problems: list[Problem]) -> Any:
+    direction = _unit(light.direction, where, "direction", problems)
+    if direction is None:
+        return None
+    if light.angular_diameter_rad == 0:
+        return {
+            "type": "directional",
+            "direction": direction.tolist(),
+            "irradiance": _rgb(light.irradiance),
+        }
+    return {
+        "type": "sun_disc",
+        "direction": direction.tolist(),
+        "irradiance": _rgb(light.irradiance),
+        "angular_diameter_rad": light.angular_diameter_rad,
+    }
+
+
+def area_light_mesh(light: AreaLight) -> Mesh:
+    """The luminous face of an area light, front side along edge_u x edge_v."""
+    origin, u, v = (np.asarray(a, dtype=np.float64) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
+    if light.shape == "rectangle":
+        corners = np.stack([origin, origin + u, origin + u + v, origin + v])
+        faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    else:
+        angle = np.arange(DISK_CORNERS) * (2 * math.pi / DISK_CORNERS)
+        # a polygon inscribed in this radius has the area of the unit circle
+        radius = math.sqrt(2 * math.pi / (DISK_CORNERS * math.sin(2 * math.pi / DISK_CORNERS)))
+        centre = origin + 0.5 * (u + v)
+        rim = centre + 0.5 * radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
+        corners = np.concatenate([centre[None], rim])
+        step = np.arange(DISK_CORNERS)
+        faces = np.stack([np.zeros_like(step), step + 1, (step + 1) % DISK_CORNERS + 1], axis=1)
+    return Mesh(corners.astype(np.float32), faces.astype(np.int32))
+
+
+def _environment(light: EnvironmentLight, where: str, library: Library, problems: list[Problem]) -> Any:
+    import mitsuba as mi
+
+    if light.image is None:
+        return {"type": "constant", "radiance": _rgb(tuple(c * light.scale for c in light.radiance))}  # type: ignore[arg-type]
+    if light.asset is None:
+        expected = "the id of the package that holds the image"
+        problems.append(Problem(where, "asset", "null", expected, "name it"))
+        return None
+    path = library.package(light.asset).local_file(light.image)
+    pixels = read_image(path)
+    if pixels.dtype.kind != "f":
+        problems.append(Problem(path, "", "an image of 8 or 16 bits", "a linear EXR image", "convert it"))
+        return None
+    if not np.isfinite(pixels).all() or (pixels < 0).any():
+        problems.append(Problem(path, "", "NaN, Inf or negative values", "radiance", "repair the image"))
+        return None
+    pixels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    world_from_mitsuba = np.asarray(light.world_from_environment, np.float64) @ _ENVIRONMENT_FROM_MITSUBA
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(pixels, dtype=np.float32)),
+        "scale": light.scale,
+        "to_world": mi.ScalarTransform4f(world_from_mitsuba),
+    }
+
+
+def _sky(light: SkyLight, where: str, problems: list[Problem]) -> Any:
+    direction = _unit(light.sun_direction, where, "sun_direction", problems)
+    if direction is None:
+        return None
+    return {
+        "type": "sunsky",
+        "sun_direction": direction.tolist(),
+        "turbidity": light.turbidity,
+        "albedo": light.ground_albedo,
+        "sky_scale": light.sky_scale,
+        "sun_scale": light.sun_scale,
+    }

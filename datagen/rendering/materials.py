@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""From slots and assignments to BSDFs: who wears what, and the ``cook_torrance`` tree that shows it.
+
+Two slots share a BSDF, and a material id, exactly if package, material and adjustment agree; UV scales are
+in the meshes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from datagen.errors import Problem
+from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
+from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
+from datagen.rendering.textures import NO_ADJUSTMENT, TextureCache
+
+if TYPE_CHECKING:
+    from datagen.formats.package import Package
+    from datagen.library import Library
+
+
+@dataclass(frozen=True)
+class SurfaceMaterial:
+    """What a slot wears in a configuration. ``name`` is the material asset's id, or ``asset/slot``."""
+
+    name: str
+    package: Package
+    material: Material
+    adjustment: ColorAdjustment
+    emission: tuple[float, float, float] | None
+    uv_scale: float | None
+    is_assigned: bool
+
+    @property
+    def key(self) -> tuple:
+        """Equal keys, equal BSDFs."""
+        return (self.package.sha256, self.name, self.adjustment)
+
+    @property
+    def needs_uv(self) -> bool:
+        """Whether any channel is an image."""
+        return bool(self.material.textures())
+
+
+def resolve_materials(
+    placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
+) -> dict[str, SurfaceMaterial]:
+    """Slot -> what it wears. Faults are added to ``problems``."""
+    asset = package.asset
+    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    where = f"configuration: {placed.name}"
+    for field, slots in (("materials", placed.materials), ("emission", placed.emission)):
+        for slot in slots:
+            if slot not in asset.materials:
+                expected = f"a slot of {asset.id}: {', '.join(sorted(asset.materials))}"
+                problems.append(Problem(where, f"{field}.{slot}", "no such slot", expected, "correct it"))
+    resolved = {}
+    for slot, own in asset.materials.items():
+        assignment = placed.materials.get(slot, MaterialAssignment())
+        source, material, name = package, own, f"{asset.id}/{slot}"
+        if assignment.asset is not None:
+            source = library.package(assignment.asset)
+            if not isinstance(source.asset, MaterialAsset):
+                expected, got = "a material", f"{assignment.asset!r} ({source.asset.kind})"
+                problems.append(Problem(where, f"materials.{slot}.asset", got, expected, "choose a material"))
+                continue
+            material, name = source.asset.material, source.asset.id
+        emission = placed.emission.get(slot, material.emission)
+        resolved[slot] = SurfaceMaterial(
+            name,
+            source,
+            material,
+            assignment.adjustment,
+            emission if emission is not None and any(c > 0 for c in emission) else None,
+            assignment.uv_scale,
+            assignment.asset is not None,
+        )
+    return resolved
+
+
+def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_uv: bool = False) -> Any:
+    """The BSDF of a material: ``cook_torrance`` inside ``normalmap`` inside ``mask``, as far as needed.
+
+    ``has_mirrored_uv``: the mesh's UVs run clockwise, where Mitsuba's tangent frame (right-handed by
+    construction) turns the bitangent round; the normal map's green channel is turned round with it.
+    """
+    import mitsuba as mi
+
+    material, package, adjustment = surface.material, surface.package, surface.adjustment
+    description: dict[str, Any] = {"type": "cook_torrance"}
+    for role in ("diffuse_albedo", "specular_albedo", "roughness"):
+        description[role] = textures.channel(package, getattr(material, role), role, adjustment)
+    if material.normal is not None:
+        normal = textures.channel(
+            package, material.normal, "normal", NO_ADJUSTMENT, flip_green=has_mirrored_uv
+        )
+        description = {"type": "normalmap", "normalmap": normal, "bsdf": description}
+    if material.opacity is not None and material.opacity != 1.0:
+        opacity = textures.channel(package, material.opacity, "opacity")
+        description = {"type": "mask", "opacity": opacity, "bsdf": description}
+    return mi.load_dict(description)

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: MIT
+"""Two small Mitsuba plugins that the renderer needs: a camera with full intrinsics and a sun with a disc.
+
+``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels, off-centre and with oblong pixels if need
+be (Mitsuba's ``perspective`` knows square ones only). All parameters are opaque: another view is another set of
+numbers, never another kernel. ``sun_disc``: parallel light with an angular diameter. It is sampled, never hit:
+camera and mirror rays do not see it, and its reflections come through emitter sampling alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from datagen.cameras import Camera
+
+Array = Any
+# Beyond this many metres nothing of a room can cast a shadow; finite, so that float32 positions stay exact.
+_SHADOW_DISTANCE_FACTOR = 2.0
+
+
+class PinholePixels(mi.Sensor):
+    """The project's :class:`datagen.cameras.Camera` as a sensor. Set it with :meth:`set_camera`."""
+
+    def __init__(self, props: mi.Properties):
+        super().__init__(props)
+        self.m_needs_sample_2 = True
+        self.m_needs_sample_3 = False
+        size = self.film().crop_size()
+        self.width_px, self.height_px = int(size[0]), int(size[1])
+        self.set_camera(Camera(self.width_px, self.height_px, 1.0, 1.0, 0.0, 0.0, np.eye(4)))
+
+    def set_camera(self, camera: Camera) -> None:
+        """Look through another camera of the same resolution. Raises ``ValueError`` if it has another."""
+        if (camera.width_px, camera.height_px) != (self.width_px, self.height_px):
+            got = f"{camera.width_px}x{camera.height_px}"
+            raise ValueError(f"camera of {got} pixels; the film has {self.width_px}x{self.height_px}")
+        matrix = np.asarray(camera.world_from_camera, dtype=np.float64)
+        self._set("m_position", mi.Point3f, matrix[:3, 3])
+        self._set("m_right", mi.Vector3f, matrix[:3, 0] / camera.fx_px)
+        self._set("m_down", mi.Vector3f, matrix[:3, 1] / camera.fy_px)
+        self._set("m_forward", mi.Vector3f, matrix[:3, 2])
+        self._set("m_centre", mi.Point2f, np.array([camera.cx_px, camera.cy_px]))
+        # Mitsuba's cameras look along +z with y up and x to the left.
+        self.m_to_world = mi.ScalarTransform4f(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+
+    def _set(self, name: str, kind: Any, values: np.ndarray) -> None:
+        value = kind(*(mi.Float(float(v)) for v in values))
+        dr.make_opaque(value)
+        setattr(self, name, value)
+
+    def sample_ray(
+        self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
+    ) -> tuple[Any, Any]:
+        """Ray through ``sample2``, a position on the film in [0, 1]^2 (x right, y down), of weight 1."""
+        x = sample2.x * self.width_px - self.m_centre.x
+        y = sample2.y * self.height_px - self.m_centre.y
+        ray = dr.zeros(mi.Ray3f, dr.width(sample2))
+        ray.time = time
+        ray.o = self.m_position
+        ray.d = dr.normalize(self.m_forward + x * self.m_right + y * self.m_down)
+        ray.maxt = dr.largest(mi.Float)
+        return ray, mi.Color3f(1.0)
+
+    def sample_ray_differential(
+        self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
+    ) -> tuple[Any, Any]:
+        """As :meth:`sample_ray`; textures are not filtered by ray differentials, so none are made."""
+        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        return mi.RayDifferential3f(ray), weight
+
+    def to_string(self) -> str:
+        """Human-readable description."""
+        return f"PinholePixels[{self.width_px}x{self.height_px}]"
+
+
+class SunDisc(mi.Emitter):
+    """Parallel light of ``irradiance`` [W/m^2] across ``direction`` (of travel), spread over a cone.
+
+    ``angular_diameter_rad``: directions are uniform over the disc's solid angle, radiance E / (pi sin^2 r). The
+    emitter calls itself a delta, so that integrators give emitter sampling the whole weight: nothing else can
+    find it.
+    """
+
+    def __init__(self, props: mi.Properties):
+        super().__init__(props)
+        self.irradiance = props.get_unbounded_texture("irradiance", 1.0)
+        to_sun = -np.asarray(props["direction"], dtype=np.float64).ravel()
+        to_sun /= np.linalg.norm(to_sun)
+        helper = np.array([1.0, 0, 0]) if abs(to_sun[0]) < 0.7 else np.array([0, 1.0, 0])
+        side = np.cross(to_sun, helper)
+        side /= np.linalg.norm(side)
+        self.frame = mi.Frame3f(
+            *(mi.Vector3f(*(float(c) for c in v)) for v in (side, np.cross(to_sun, side), to_sun))
+        )
+        radius = 0.5 * float(props.get("angular_diameter_rad", 0.0))
+        # 1 - cos of small angles cancels in float32
+        self.one_minus_cos = mi.Float(2.0 * math.sin(radius / 2) ** 2)
+        # solid angle / projected solid angle: E counts directions by their cosine with the axis
+        self.weight = mi.Float(2.0 / (1.0 + math.cos(radius)))
+        self.distance = mi.Float(1.0)
+        dr.make_opaque(self.frame, self.one_minus_cos, self.weight, self.distance)
+        self.m_needs_sample_3 = False
+        self.m_flags = +mi.EmitterFlags.Infinite | +mi.EmitterFlags.DeltaDirection
+
+    def set_scene(self, scene: mi.Scene) -> None:
+        """Learn how far away the light must start to be outside the scene."""
+        box = scene.bbox()
+        extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
+        reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
+        self.distance = mi.Float(_SHADOW_DISTANCE_FACTOR * max(reach, 1e-3))
+        dr.make_opaque(self.distance)
+
+    def is_environment(self) -> bool:
+        """Never found by rays."""
+        return False
+
+    def sample_direction(
+        self, it: mi.Interaction3f, sample: Array, active: Array = True
+    ) -> tuple[Any, Any]:
+        """A direction of the disc, uniform over its solid angle."""
+        one_minus_cos = sample.x * self.one_minus_cos
+        sine = dr.sqrt(dr.maximum(one_minus_cos * (2.0 - one_minus_cos), 0.0))
+        sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)
+        direction = self.frame.to_world(mi.Vector3f(sine * cos_phi, sine * sin_phi, 1.0 - one_minus_cos))
+        ds = dr.zeros(mi.DirectionSample3f, dr.width(it.p))
+        ds.p = it.p + direction * self.distance
+        ds.n = -direction
+        ds.uv = mi.Point2f(0.0)
+        ds.time = it.time
+        ds.pdf = mi.Float(1.0)
+        ds.delta = mi.Bool(True)
+        ds.emitter = mi.EmitterPtr(self)
+        ds.d = direction
+        ds.dist = self.distance
+        si = dr.zeros(mi.SurfaceInteraction3f, dr.width(it.p))
+        return ds, dr.select(active, self.irradiance.eval(si, active) * self.weight, 0.0)
+
+    def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
+        """Zero: like any delta it cannot be met by chance."""
+        return mi.Float(0.0)
+
+    def eval_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
+        """Zero, see :meth:`pdf_direction`."""
+        return mi.Color3f(0.0)
+
+    def eval(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
+        """Zero: the disc is not seen."""
+        return mi.Color3f(0.0)
+
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        """Empty: the light has no place."""
+        return mi.ScalarBoundingBox3f()
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        """Expose the irradiance."""
+        callback.put("irradiance", self.irradiance, mi.ParamFlags.Differentiable)
+
+    def to_string(self) -> str:
+        """Human-readable description."""
+        return "SunDisc[]"
+
+
+_registered: set[str] = set()
+
+
+def register_rendering_plugins() -> None:
+    """Make both plugins known to Mitsuba under the active variant, besides those of ``mitsuba_plugins``."""
+    from mitsuba_plugins import register
+
+    register()
+    variant = mi.variant()
+    if variant not in _registered:
+        mi.register_sensor("pinhole_pixels", PinholePixels)
+        mi.register_emitter("sun_disc", SunDisc)
+        _registered.add(variant)

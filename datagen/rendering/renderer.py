@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: MIT
+"""Views of a configuration: beauty and ground truth, each in a pass of its own, then the denoiser.
+
+The scene is built once; a view is another set of camera numbers for the same kernels. Both passes use a box
+filter on the same pixels. The path pass draws its samples from (configuration seed, view index) alone and adds
+them in a fixed order, so that a view's bytes do not depend on what was rendered before it or by whom.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.buffers import BUFFERS, RENDERED_BUFFERS
+from datagen.cameras import Camera
+from datagen.errors import input_error
+from datagen.formats.configuration import Configuration
+from datagen.formats.recipe import RenderRecipe
+from datagen.formats.view import RenderRecord
+from datagen.rendering.denoiser import Denoiser, auxiliary_albedo, make_denoiser
+from datagen.rendering.scene_builder import AssetCaches, BuiltScene, build_scene, sensor_for
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+HALF_MAX = 65504.0
+MAX_LANES = 1 << 26
+"""Light paths traced in one launch; a view with more takes several."""
+
+
+class RenderError(RuntimeError):
+    """A view came out with NaN or Inf; nothing of it is kept."""
+
+
+@dataclass
+class RenderedView:
+    """A finished view: ``buffers`` by registered name (H, W, C), the rest for its JSON and the timing log."""
+
+    index: int
+    buffers: dict[str, NDArray]
+    instances: dict[str, str]
+    materials: dict[str, str]
+    render: RenderRecord
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
+    """Seed in [0, 2^31) that depends on nothing else than its arguments."""
+    text = f"{configuration_seed}:{view_index}:{purpose}".encode()
+    return int.from_bytes(hashlib.sha256(text).digest()[:4], "little") >> 1
+
+
+class SceneRenderer:
+    """Renders the views of one configuration.
+
+    Selects the recipe's Mitsuba variant. ``caches`` None shares the process's. Raises what
+    :func:`build_scene` raises.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        library: Library,
+        recipe: RenderRecipe,
+        caches: AssetCaches | None = None,
+        denoiser: Denoiser | None = None,
+    ):
+        from mitsuba_plugins.variant import select_variant
+
+        start = time.perf_counter()
+        self.variant = select_variant(None if recipe.variant == "auto" else recipe.variant)
+        self.configuration, self.recipe = configuration, recipe
+        self.built: BuiltScene = build_scene(configuration, library, caches)
+        self._tracer = PathTracer(self.built, recipe.max_depth, recipe.russian_roulette_depth)
+        self._denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
+        self._sensors: dict[tuple[int, int], Any] = {}
+        self._materials = self._make_materials()
+        self._instances = {str(k): v for k, v in self.built.instance_names.items()}
+        self._material_names = {str(k): v for k, v in self.built.material_names.items()}
+        self.seconds_to_build = time.perf_counter() - start
+
+    def _make_materials(self) -> Any:
+        from datagen.rendering.shape_ids import MergedShapeMaterials
+
+        return MergedShapeMaterials(self.built)
+
+    def render_view(self, index: int) -> RenderedView:
+        """Render view ``index``: all of ``RENDERED_BUFFERS``, and ``beauty_noisy`` if the recipe keeps it.
+
+        Raises :class:`RenderError` where a pixel is NaN or Inf.
+        """
+        return self._finish(*self._trace(index))
+
+    def render_views(self, indices: Iterable[int]) -> Iterator[RenderedView]:
+        """Views in the order of ``indices``; one is denoised while the next is traced."""
+        with ThreadPoolExecutor(1, thread_name_prefix="denoise") as pool:
+            pending: Future[RenderedView] | None = None
+            for index in indices:
+                traced = self._trace(index)
+                if pending is not None:
+                    yield pending.result()
+                pending = pool.submit(self._finish, *traced)
+            if pending is not None:
+                yield pending.result()
+
+    def _sensor(self, camera: Camera) -> Any:
+        size = (camera.width_px, camera.height_px)
+        if size not in self._sensors:
+            self._sensors[size] = sensor_for(camera)
+        self._sensors[size].set_camera(camera)
+        return self._sensors[size]
+
+    def _trace(self, index: int) -> tuple[int, NDArray[np.float32], dict[str, NDArray], dict[str, float]]:
+        """Noisy beauty and ground truth of a view, with the seconds of each pass."""
+        from mitsuba_plugins.material_buffers import render_material_buffers
+
+        if not 0 <= index < len(self.configuration.cameras):
+            raise input_error(
+                f"configuration {self.configuration.id}",
+                "view",
+                index,
+                f"0 ... {len(self.configuration.cameras) - 1}",
+            )
+        sensor = self._sensor(self.configuration.cameras[index].camera())
+        seed = self.configuration.seed
+        start = time.perf_counter()
+        noisy = self._tracer.render(sensor, self.recipe.path_samples, view_seed(seed, index, "path"))
+        traced = time.perf_counter()
+        buffers = render_material_buffers(
+            self.built.scene,
+            sensor,
+            self.recipe.auxiliary_samples,
+            view_seed(seed, index, "buffers"),
+            self._materials,
+        )
+        buffers.pop("position_world", None)
+        seconds = {"path": traced - start, "buffers": time.perf_counter() - traced}
+        return index, noisy, buffers, seconds
+
+    def _finish(
+        self,
+        index: int,
+        noisy: NDArray[np.float32],
+        buffers: dict[str, NDArray],
+        seconds: dict[str, float],
+    ) -> RenderedView:
+        start = time.perf_counter()
+        self._check_finite(index, {"beauty_noisy": noisy, **buffers})
+        beauty = noisy
+        if self._denoiser is not None:
+            albedo = auxiliary_albedo(
+                buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
+            )
+            beauty = self._denoiser.denoise(noisy, albedo, buffers["normal_world"])
+            self._check_finite(index, {"beauty": beauty})
+        clipped = int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1)))
+        buffers["beauty"] = np.minimum(beauty, HALF_MAX)
+        names = list(RENDERED_BUFFERS)
+        if self.recipe.keep_noisy:
+            buffers["beauty_noisy"] = np.minimum(noisy, HALF_MAX)
+            names.append("beauty_noisy")
+        record = RenderRecord(
+            variant=self.variant,
+            seed=view_seed(self.configuration.seed, index, "path"),
+            path_samples=self.recipe.path_samples,
+            auxiliary_samples=self.recipe.auxiliary_samples,
+            max_depth=self.recipe.max_depth,
+            russian_roulette_depth=self.recipe.russian_roulette_depth,
+            denoiser=self._denoiser.name if self._denoiser is not None else "none",
+            clipped_pixels=clipped,
+        )
+        seconds["denoise"] = time.perf_counter() - start
+        ordered = {name: buffers[name].reshape(*noisy.shape[:2], BUFFERS[name].num_channels) for name in names}
+        return RenderedView(index, ordered, self._instances, self._material_names, record, seconds)
+
+    def _check_finite(self, index: int, buffers: dict[str, NDArray]) -> None:
+        for name, array in buffers.items():
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                bad = ~np.isfinite(array).all(axis=-1)
+                row, column = (int(v) for v in np.argwhere(bad)[0])
+                raise RenderError(
+                    f"configuration {self.configuration.id}, view {self.configuration.cameras[index].name}: "
+                    f"{int(bad.sum())} pixels of {name} are NaN or Inf, the first at row {row}, column {column}"
+                )
+
+
+class PathTracer:
+    """Mitsuba's ``path`` integrator, sampled without a film: every pixel's samples are added in their order."""
+
+    def __init__(self, built: BuiltScene, max_depth: int, russian_roulette_depth: int):
+        import mitsuba as mi
+
+        self.built = built
+        self._integrator = mi.load_dict(
+            {"type": "path", "max_depth": max_depth, "rr_depth": russian_roulette_depth}
+        )
+        self._sampler = mi.load_dict({"type": "independent"})
+
+    def render(self, sensor: Any, num_samples: int, seed: int) -> NDArray[np.float32]:
+        """Mean radiance (H, W, 3) of ``num_samples`` paths a pixel, uniformly distributed over the pixel."""
+        width, height = (int(v) for v in sensor.film().crop_size())
+        num_per_launch = max(1, min(num_samples, MAX_LANES // (width * height)))
+        total = np.zeros((height, width, 3), np.float64)
+        done = 0
+        while done < num_samples:
+            count = min(num_per_launch, num_samples - done)
+            total += self._launch(sensor, width, height, count, (seed + 0x9E3779B9 * done) & 0xFFFFFFFF)
+            done += count
+        return (total / num_samples).astype(np.float32)
+
+    def _launch(self, sensor: Any, width: int, height: int, count: int, seed: int) -> NDArray[np.float32]:
+        """Sum over ``count`` samples of each pixel, (H, W, 3)."""
+        import drjit as dr
+        import mitsuba as mi
+
+        num_lanes = width * height * count
+        with dr.suspend_grad():
+            self._sampler.seed(seed, num_lanes)
+            pixel = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
+            row = pixel // width
+            offset = self._sampler.next_2d()
+            position = mi.Point2f(
+                (mi.Float(pixel - row * width) + offset.x) / width, (mi.Float(row) + offset.y) / height
+            )
+            ray, _ = sensor.sample_ray_differential(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
+            radiance, _, _ = self._integrator.sample(self.built.scene, self._sampler, ray)
+            dr.eval(radiance)
+            sums = [dr.block_sum(channel, count) for channel in radiance]
+            dr.eval(sums)
+        return np.stack([np.array(s) for s in sums], axis=-1).reshape(height, width, 3)

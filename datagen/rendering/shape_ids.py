@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""Ids of merged shapes for the ground-truth pass: the instance is looked up by triangle, not by shape."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from datagen.rendering.scene_builder import BuiltScene
+from mitsuba_plugins.surface_material import SceneMaterials, SurfaceChannels, _invisible
+
+Array = Any
+
+
+class MergedShapeMaterials(SceneMaterials):
+    """:class:`SceneMaterials` of a :class:`BuiltScene`.
+
+    Every triangle of the scene has an index of its own (from 1; 0 is "none"), and ids are looked up by it.
+    Lights that the camera does not see are passed through, like surfaces without opacity.
+    """
+
+    def __init__(self, built: BuiltScene):
+        super().__init__(built.scene, {name: (1, material) for name, material in built.shape_materials.items()})
+        pointers: Any = built.scene.shapes_dr()
+        registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
+        first_face = np.zeros(int(registry.max(initial=0)) + 1, np.uint32)
+        instances, materials = [np.zeros(1, np.uint32)], [np.zeros(1, np.uint32)]
+        num_faces = 1
+        for shape, index in zip(built.scene.shapes(), registry, strict=True):
+            name = shape.id()
+            faces = built.face_instances.get(name)
+            if faces is None or shape.is_emitter():  # lights have depth, but no ids
+                faces = np.zeros(max(int(shape.primitive_count()), 1), np.uint32)
+            first_face[index] = num_faces
+            instances.append(faces)
+            materials.append(np.where(faces > 0, built.shape_materials.get(name, 0), 0).astype(np.uint32))
+            num_faces += len(faces)
+        self._first_face = mi.UInt32(first_face)
+        self._instance_of_face = mi.UInt32(np.concatenate(instances))
+        self._material_of_face = mi.UInt32(np.concatenate(materials))
+        self._hide(built, registry)
+
+    def _hide(self, built: BuiltScene, registry: np.ndarray) -> None:
+        if not built.hidden_shapes:
+            return
+        self._evaluators.append(_invisible)
+        self.has_transparency = True
+        evaluator = np.array(self._evaluator_of_shape)
+        is_emitter = np.array(self._is_emitter_shape)
+        for shape, index in zip(built.scene.shapes(), registry, strict=True):
+            if shape.id() in built.hidden_shapes:
+                evaluator[index] = len(self._evaluators) - 1
+                is_emitter[index] = False
+        self._evaluator_of_shape = mi.UInt32(evaluator)
+        self._is_emitter_shape = mi.Bool(is_emitter)
+
+    def _shape(self, si: mi.SurfaceInteraction3f) -> Array:
+        return dr.reinterpret_array(mi.UInt32, si.shape)
+
+    def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
+        """Index of the triangle that was hit; 0 for none."""
+        is_hit = si.is_valid()
+        first = dr.gather(mi.UInt32, self._first_face, self._shape(si), is_hit)
+        return dr.select(is_hit, first + si.prim_index, 0)
+
+    def is_emitter(self, si: mi.SurfaceInteraction3f, active: Array) -> Array:
+        """Whether a hit lies on a light that the camera sees."""
+        return dr.gather(mi.Bool, self._is_emitter_shape, self._shape(si), active)
+
+    def ids_at(self, shape_index: Array) -> tuple[Any, Any]:
+        """(instance id, material id) by :meth:`shape_index`; 0 for none and for lights."""
+        return (
+            dr.gather(mi.UInt32, self._instance_of_face, shape_index),
+            dr.gather(mi.UInt32, self._material_of_face, shape_index),
+        )
+
+    def channels_at(self, si: mi.SurfaceInteraction3f, active: Array) -> SurfaceChannels:
+        """The material's channels at a hit; zeros where inactive or on a light."""
+        index = dr.gather(mi.UInt32, self._evaluator_of_shape, self._shape(si), active)
+        return SurfaceChannels(*dr.switch(index, self._evaluators, si, active))

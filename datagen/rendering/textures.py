@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Channels of a material as Mitsuba textures: decoded, adjusted and uploaded once, shared between scenes.
+
+What the BSDF reads is what the ground truth reads, so every decision about values falls here, before upload:
+decoding, scale and offset (``datagen.images``), then the configuration's :class:`ColorAdjustment`, then the
+rounding to half floats. Constants go through the same functions as images, as images of one texel.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.asset import Texture
+from datagen.formats.configuration import ColorAdjustment
+from datagen.images import read_image, texture_values
+
+if TYPE_CHECKING:
+    from datagen.formats.package import Package
+
+Role = Literal["diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"]
+SCALAR_ROLES = ("roughness", "opacity")
+NO_ADJUSTMENT = ColorAdjustment()
+DEFAULT_CACHE_BYTES = 1 << 30
+# A metal's F0 is coloured; what lies under this saturation is rounding of a grey one and keeps its colour.
+_MIN_SATURATION = 1e-3
+
+
+def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustment) -> NDArray[np.float32]:
+    """Channel values under a variation, clamped to [0, 1].
+
+    ``values`` (H, W, 3) for colours, (H, W) for roughness. D: hue, saturation and value in linear HSV. S: hue
+    and saturation of what is coloured, its value stays. R: offset. Opacity and normals never vary.
+    """
+    if role == "roughness":
+        return np.clip(values + np.float32(adjustment.roughness_offset), 0.0, 1.0)
+    has_color_change = (
+        adjustment.hue_shift != 0 or adjustment.saturation_scale != 1 or adjustment.value_scale != 1
+    )
+    if role not in ("diffuse_albedo", "specular_albedo") or not has_color_change:
+        return values
+    import cv2
+
+    hsv = cv2.cvtColor(np.ascontiguousarray(values, dtype=np.float32), cv2.COLOR_RGB2HSV)
+    hue, saturation, value = hsv[..., 0], hsv[..., 1], hsv[..., 2]
+    is_colored = saturation > _MIN_SATURATION if role == "specular_albedo" else np.ones_like(hue, bool)
+    hsv[..., 0] = np.where(is_colored, (hue + 360.0 * adjustment.hue_shift) % 360.0, hue)
+    scaled = np.clip(saturation * adjustment.saturation_scale, 0.0, 1.0)
+    hsv[..., 1] = np.where(is_colored, scaled, saturation)
+    if role == "diffuse_albedo":
+        hsv[..., 2] = np.clip(value * adjustment.value_scale, 0.0, 1.0)
+    return np.clip(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), 0.0, 1.0)
+
+
+def adjusted_constant(
+    value: float | tuple[float, float, float], role: Role, adjustment: ColorAdjustment
+) -> NDArray[np.float32]:
+    """A constant under a variation: (3,) for colours, () for scalars."""
+    array = np.asarray(value, dtype=np.float32)
+    return adjusted(array[None, None], role, adjustment)[0, 0]
+
+
+class TextureCache:
+    """Uploaded textures by content, least recently used go first. One a process serves all configurations.
+
+    The same image under another adjustment is another texture; UV scales are in the meshes and are not.
+    """
+
+    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
+        self.max_bytes = max_bytes
+        self.num_bytes = 0
+        self._textures: OrderedDict[tuple, tuple[Any, int]] = OrderedDict()
+
+    def channel(
+        self,
+        package: Package,
+        value: Texture | float | tuple[float, float, float],
+        role: Role,
+        adjustment: ColorAdjustment = NO_ADJUSTMENT,
+        *,
+        flip_green: bool = False,
+    ) -> Any:
+        """A Mitsuba texture (or its dictionary, for a constant) of one channel of a material.
+
+        ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
+        and for NaN or Inf in them.
+        """
+        if not isinstance(value, Texture):
+            constant = adjusted_constant(value, role, adjustment)
+            if role in SCALAR_ROLES:
+                return {"type": "uniform", "value": float(constant)}
+            return {"type": "rgb", "value": [float(c) for c in constant]}
+        if role in ("opacity", "normal"):
+            adjustment = NO_ADJUSTMENT
+        key = (package.sha256, value, role, adjustment, flip_green)
+        if key in self._textures:
+            self._textures.move_to_end(key)
+            return self._textures[key][0]
+        values = _decoded(package, value, role, adjustment)
+        if flip_green:
+            values = values * np.float32([1, -1, 1]) + np.float32([0, 1, 0])
+        texture = upload(values)
+        self._textures[key] = (texture, values.size * 2)
+        self.num_bytes += values.size * 2
+        while self.num_bytes > self.max_bytes and len(self._textures) > 1:
+            _, (_, num_bytes) = self._textures.popitem(last=False)
+            self.num_bytes -= num_bytes
+        return texture
+
+
+def _decoded(package: Package, texture: Texture, role: Role, adjustment: ColorAdjustment) -> NDArray:
+    path = package.local_file(texture.texture)
+    pixels = read_image(path)
+    num_bad = int(np.count_nonzero(~np.isfinite(pixels))) if pixels.dtype.kind == "f" else 0
+    if num_bad:
+        first = tuple(int(i) for i in np.argwhere(~np.isfinite(pixels))[0])
+        got = f"{num_bad} of {pixels.size} values NaN or Inf (first at {first})"
+        raise InputError(Problem(path, role, got, "finite values", "repair the texture"))
+    if role == "normal" and texture.channel != "rgb":
+        raise input_error(path, "normal.channel", texture.channel, "rgb", "correct the material")
+    return adjusted(texture_values(texture, pixels, role in SCALAR_ROLES), role, adjustment)
+
+
+def upload(values: NDArray[np.float32]) -> Any:
+    """A ``bitmap`` texture of linear values (H, W) or (H, W, 3), stored as half floats, repeated, bilinear."""
+    import mitsuba as mi
+
+    pixels = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], dtype=np.float16)
+    return mi.load_dict({"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True, "format": "auto"})
