@@ -31,7 +31,6 @@ def collect(root: Path, deep: bool = False) -> DatasetIndex:
             continue
         if deep:
             problems += _check_hash(folder, manifest)
-        configuration = folder.read_configuration(unit)
         if not buffers:
             buffers = next(ShardReader(root / manifest.shard).records()).buffers
         splits[unit.split] = splits.get(unit.split, 0) + 1
@@ -43,8 +42,8 @@ def collect(root: Path, deep: bool = False) -> DatasetIndex:
                 configuration=unit.id,
                 split=unit.split,
                 num_views=manifest.num_views,
-                seed=configuration.seed,
-                assets=tuple(sorted(configuration.assets)),
+                seed=unit.seed,
+                assets=unit.assets,
             )
         )
     if problems:

@@ -50,6 +50,8 @@ class PlannedUnit(StrictModel):
     split: Split
     key: str
     num_views: int
+    seed: int
+    assets: tuple[str, ...]
 
 
 class Plan(StrictModel):

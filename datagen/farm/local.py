@@ -24,13 +24,14 @@ from pathlib import Path
 
 import psutil
 
-from datagen.errors import InputError
-from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit
+from datagen.errors import InputError, input_error
+from datagen.farm.folder import DatasetFolder, FailureRecord, Plan, PlannedUnit
 from datagen.formats.base import canonical_json, write_bytes_atomically
 
 EXIT_INTERRUPTED = 75
 """Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""
 GRACE_S = 20.0
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class LocalOptions:
     max_units_per_worker: int = 20
     max_growth_mb: float = 1000.0
     stages: tuple[str, ...] = ("render", "stats", "pack")
+    only: tuple[int, ...] | None = None
+    """Indices of the units to run; None runs all."""
 
 
 @dataclass
@@ -52,6 +55,17 @@ class RunSummary:
     already_done: int = 0
     set_aside: list[str] = field(default_factory=list)
     interrupted: bool = False
+
+
+def available_cpus() -> int:
+    """Processors that this process may use; a queue may grant fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _planned(plan: Plan, root: Path, index: int) -> PlannedUnit:
+    if not 0 <= index < len(plan.units):
+        raise input_error(root, "unit", index, f"0 to {len(plan.units) - 1}", "correct the index")
+    return plan.units[index]
 
 
 Event = tuple[str, str, str, int, int]
@@ -69,7 +83,8 @@ def _worker_main(connection: Connection, root: str, threads: int, stages: tuple[
     def ask_to_stop(signum: int, frame: object) -> None:
         stop["asked"] = True
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    for number in _STOP_SIGNALS:  # Ctrl-C and queues signal the whole group; the parent decides
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, ask_to_stop)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, str(threads))
@@ -198,13 +213,10 @@ def run_unit_here(
     def ask_to_stop(signum: int, frame: object) -> None:
         stop["asked"] = True
 
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1):
+    for number in _STOP_SIGNALS:
         signal.signal(number, ask_to_stop)
-    context = _WorkerContext(DatasetFolder(root), None)
-    if not 0 <= index < len(context.plan.units):
-        from datagen.errors import input_error
-
-        raise input_error(root, "unit", index, f"0 to {len(context.plan.units) - 1}", "correct the index")
+    context = _WorkerContext(DatasetFolder(root), available_cpus())
+    _planned(context.plan, root, index)
 
     class _Reporter:
         def send(self, message: tuple) -> None:
@@ -266,24 +278,22 @@ def run_local(
 ) -> RunSummary:
     """Run every unit of the plan that is not done, with ``options.workers`` processes.
 
-    SIGINT and SIGTERM let views in progress finish (at most 20 s), then stop. Returns what happened; units
+    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop. Returns what happened; units
     that failed ``attempts`` times are in ``set_aside`` and under ``failed/``.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
     summary = RunSummary()
-    todo = deque(unit for unit in plan.units if not folder.is_done(unit))
-    summary.already_done = len(plan.units) - len(todo)
+    units = plan.units if options.only is None else [_planned(plan, root, index) for index in options.only]
+    todo = deque(unit for unit in units if not folder.is_done(unit))
+    summary.already_done = len(units) - len(todo)
     if not todo:
         return summary
     attempts: dict[str, int] = {}
     stop = {"asked": False}
-    previous = {
-        number: signal.signal(number, lambda *_: stop.update(asked=True))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    previous = {number: signal.signal(number, lambda *_: stop.update(asked=True)) for number in _STOP_SIGNALS}
     num_workers = max(1, min(options.workers, len(todo)))
-    threads = max(1, (os.cpu_count() or 1) // num_workers)
+    threads = max(1, available_cpus() // num_workers)
     workers: list[_Worker] = []
     try:
         while (todo or any(w.unit for w in workers)) and not stop["asked"]:

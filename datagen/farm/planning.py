@@ -123,6 +123,8 @@ def _write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan
                 split=configuration.split,
                 key=unit_key(configuration, recipe, variant, versions),
                 num_views=len(configuration.cameras),
+                seed=configuration.seed,
+                assets=tuple(sorted(configuration.assets)),
             )
         )
     assets = {}

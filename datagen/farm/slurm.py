@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: MIT
+"""Runs a plan on Slurm, or on any queue that can call one command a unit.
+
+Slurm does not give exactly-once: a killed node's job is requeued while its old process may run to its end.
+The output protocol of ``work_unit`` does. Nothing is ever keyed on a job id: a restarted controller reuses
+them.
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.errors import input_error
+from datagen.farm.folder import DatasetFolder
+from datagen.farm.local import EXIT_INTERRUPTED
+from datagen.farm.status import array_spec
+from datagen.formats.base import sha256_hex, write_bytes_atomically
+
+
+@dataclass(frozen=True)
+class SlurmOptions:
+    """What the job scripts ask for. ``time_limit`` and ``memory`` as Slurm has them; ``throttle`` 0 = none.
+
+    ``notice_s`` before the time limit the unit is told to finish its view and is requeued.
+    ``setup`` is shell code that makes ``datagen`` callable on a node (``source .venv/bin/activate``).
+    ``max_array`` is the cluster's MaxArraySize: longer plans become several array jobs.
+    """
+
+    time_limit: str = "04:00:00"
+    memory: str = "8G"
+    cpus: int = 4
+    gpus: int = 0
+    throttle: int = 0
+    notice_s: int = 120
+    attempts: int = 3
+    setup: str = ""
+    partition: str = ""
+    account: str = ""
+    max_array: int = 1001
+
+
+def job_name(root: Path) -> str:
+    """Name that all jobs of a dataset folder share; found again by ``squeue`` and ``scancel``."""
+    return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
+
+
+def _directives(root: Path, options: SlurmOptions, **extra: str) -> str:
+    lines = {
+        "job-name": job_name(root),
+        "time": options.time_limit,
+        "mem": options.memory,
+        "cpus-per-task": str(options.cpus),
+        **({"gres": f"gpu:{options.gpus}"} if options.gpus else {}),
+        **({"partition": options.partition} if options.partition else {}),
+        **({"account": options.account} if options.account else {}),
+        **extra,
+    }
+    # Slurm reads directives without a shell: a value with spaces needs double quotes.
+    return "\n".join(
+        f'#SBATCH --{key}="{value}"' if " " in value else f"#SBATCH --{key}={value}"
+        for key, value in lines.items()
+    )
+
+
+def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[int]) -> str:
+    """The array job's script. Task i works on unit ``offset + i``, since arrays have a largest index."""
+    throttle = f"%{options.throttle}" if options.throttle else ""
+    array = array_spec([index - offset for index in indices]) + throttle
+    log = f"{_escaped(root.resolve())}/logs/slurm-unit-%a.log"
+    directives = _directives(
+        root,
+        options,
+        array=array,
+        requeue="",
+        output=log,
+        signal=f"B:USR1@{options.notice_s}",
+        **{"open-mode": "append"},
+    ).replace("--requeue=", "--requeue")
+    return f"""#!/bin/bash
+# Units of {root.name}: one array task a unit. Written by `datagen farm submit`; safe to submit again.
+{directives}
+set -u
+{options.setup}
+folder={shlex.quote(str(root.resolve()))}
+unit=$(({offset} + SLURM_ARRAY_TASK_ID))
+task="${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}"
+
+# Slurm tells the script {options.notice_s} s before the time limit; the unit finishes its view and
+# ends with {EXIT_INTERRUPTED}.
+datagen unit "$folder" "$unit" --attempts {options.attempts} &
+worker=$!
+trap 'kill -USR1 "$worker" 2>/dev/null' USR1 TERM
+wait "$worker"
+code=$?
+while kill -0 "$worker" 2>/dev/null; do
+    wait "$worker"
+    code=$?
+done
+if [ "$code" = {EXIT_INTERRUPTED} ]; then
+    # Not $SLURM_JOB_ID: the last task's is the array's, and all tasks would start again.
+    scontrol requeue "$task"
+fi
+exit "$code"
+"""
+
+
+def collect_script(root: Path, options: SlurmOptions) -> str:
+    """The dependent job's script: index, verification, report of what is missing."""
+    log = f"{_escaped(root.resolve())}/logs/slurm-collect.log"
+    return f"""#!/bin/bash
+# Collects {root.name} after its units. Written by `datagen farm submit`.
+{_directives(root, options, output=log, **{"open-mode": "append"})}
+set -u
+{options.setup}
+folder={shlex.quote(str(root.resolve()))}
+datagen farm status "$folder"
+datagen farm collect "$folder" --deep
+datagen verify "$folder"
+"""
+
+
+def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
+    """One command a line, for any other queue (GNU parallel, xargs, SGE, HTCondor, ...)."""
+    folder = shlex.quote(str(root.resolve()))
+    lines = [f"datagen unit {folder} {index} --attempts {options.attempts}" for index in indices]
+    return "\n".join(lines) + "\n"
+
+
+def _escaped(path: Path) -> str:
+    """A path as Slurm's file name patterns take it."""
+    return str(path).replace("%", "%%")
+
+
+@dataclass(frozen=True)
+class Submission:
+    """What :func:`submit` did: the scripts, and the job ids (empty for a dry run)."""
+
+    scripts: tuple[Path, ...]
+    job_ids: tuple[str, ...]
+    num_units: int
+
+
+def _undone(folder: DatasetFolder) -> list[int]:
+    return [unit.index for unit in folder.read_plan().units if not folder.is_done(unit)]
+
+
+def submit(root: Path, options: SlurmOptions, engine: str = "slurm", dry_run: bool = False) -> Submission:
+    """Write job scripts for the units that are not done, and submit them unless ``dry_run``.
+
+    Engines: ``slurm``, or ``shell`` (only a list of commands is written). Raises :class:`InputError`.
+    """
+    folder = DatasetFolder(root)
+    indices = _undone(folder)
+    jobs = root / "jobs"
+    jobs.mkdir(exist_ok=True)
+    folder.logs_path.mkdir(exist_ok=True)
+    if engine == "shell":
+        path = jobs / "units.sh"
+        write_bytes_atomically(path, shell_script(root, indices, options).encode())
+        return Submission((path,), (), len(indices))
+    if engine != "slurm":
+        raise input_error("farm submit", "engine", engine, "slurm or shell", "choose one of them")
+    scripts = []
+    for number, start in enumerate(range(0, _end(indices), options.max_array - 1)):
+        chunk = [i for i in indices if start <= i < start + options.max_array - 1]
+        if not chunk:
+            continue
+        path = jobs / f"units-{number}.sbatch"
+        write_bytes_atomically(path, array_script(root, options, start, chunk).encode())
+        scripts.append(path)
+    collect = jobs / "collect.sbatch"
+    write_bytes_atomically(collect, collect_script(root, options).encode())
+    if dry_run or not scripts:
+        return Submission((*scripts, collect), (), len(indices))
+    if shutil.which("sbatch") is None:
+        remedy = "run this on a cluster's login node, or use --dry-run or --engine shell"
+        raise input_error("farm submit", "sbatch", "not found", "Slurm's commands on PATH", remedy)
+    already = running_jobs(root)
+    if already:
+        remedy = "wait for them, or `datagen farm cancel` first"
+        raise input_error(root, "jobs", f"{len(already)} in the queue", "none of this folder", remedy)
+    ids = [_sbatch(path) for path in scripts]
+    # afterok would wait for ever on one failed task.
+    ids.append(_sbatch(collect, f"--dependency=afterany:{':'.join(ids)}"))
+    return Submission((*scripts, collect), tuple(ids), len(indices))
+
+
+def _end(indices: list[int]) -> int:
+    return indices[-1] + 1 if indices else 0
+
+
+def _sbatch(script: Path, *arguments: str) -> str:
+    result = subprocess.run(
+        ["sbatch", "--parsable", *arguments, str(script)], capture_output=True, text=True, check=False
+    )
+    if result.returncode != 0:
+        what = " ".join(result.stderr.split()) or f"exit code {result.returncode}"
+        raise input_error(script, "sbatch", what, "an accepted job", "correct the options and submit again")
+    return result.stdout.strip().split(";")[0]
+
+
+def running_jobs(root: Path) -> list[str]:
+    """Job ids of this folder in Slurm's queue, pending or running, arrays as one."""
+    result = subprocess.run(
+        ["squeue", "--noheader", "--format=%A", f"--name={job_name(root)}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if result.returncode != 0:
+        what = " ".join(result.stderr.split()) or f"exit code {result.returncode}"
+        raise input_error(root, "squeue", what, "an answer from Slurm", "check that the controller runs")
+    return sorted(set(result.stdout.split()))
+
+
+def cancel(root: Path) -> list[str]:
+    """Cancel every job of this folder; what is finished stays. Returns the ids."""
+    ids = running_jobs(root)
+    if ids:
+        subprocess.run(["scancel", f"--name={job_name(root)}"], check=True, capture_output=True)
+    return ids

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: MIT
+"""What a plan's units are doing, read from the folder alone: manifests are the truth, logs are a courtesy."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.errors import InputError
+from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit, UnitManifest
+
+RUNNING_AGE_S = 600.0
+"""A unit whose work folder changed within this time counts as running."""
+
+
+@dataclass(frozen=True)
+class FarmStatus:
+    """Counts and rates of a plan. ``core_seconds`` sums the time of finished units; ``array_spec`` names the
+    units that are not done, as Slurm's ``--array`` takes it."""
+
+    total: int
+    done: int
+    running: tuple[str, ...]
+    failed: tuple[FailureRecord, ...]
+    waiting: int
+    views_done: int
+    views_total: int
+    num_bytes: int
+    core_seconds: float
+    median_unit_s: float | None
+    units_per_hour: float | None
+    seconds_left: float | None
+    array_spec: str
+
+
+def array_spec(indices: list[int]) -> str:
+    """Indices as Slurm's sparse array syntax: ``0-3,7,9-12``."""
+    parts: list[str] = []
+    start = previous = None
+    for index in [*sorted(indices), None]:
+        if start is not None and (index is None or index != previous + 1):  # type: ignore[operator]
+            parts.append(str(start) if start == previous else f"{start}-{previous}")
+            start = None
+        if start is None:
+            start = index
+        previous = index
+    return ",".join(parts)
+
+
+def _names(folder: Path) -> set[str]:
+    try:
+        return {entry.name for entry in os.scandir(folder)}
+    except FileNotFoundError:
+        return set()
+
+
+def read_status(root: Path) -> FarmStatus:
+    """Look at a planned folder. One listing each of markers, shards, work and failures; each manifest is read
+    once. Raises :class:`InputError` where there is no plan."""
+    folder = DatasetFolder(root)
+    plan = folder.read_plan()
+    markers = _names(folder.units_path)
+    shards = {f"shards/{name}" for name in _names(folder.shards_path)}
+    now = _file_system_now(folder)
+    done: list[UnitManifest] = []
+    finish_times: list[float] = []
+    undone: list[PlannedUnit] = []
+    for unit in plan.units:
+        manifest = None
+        if f"{unit.key}.json" in markers:
+            try:
+                manifest = folder.read_manifest(unit)
+            except InputError:
+                manifest = None  # a damaged marker proves nothing: the unit is made again
+        if manifest is None or manifest.shard not in shards:
+            undone.append(unit)
+            continue
+        done.append(manifest)
+        finish_times.append(folder.manifest_path(unit).stat().st_mtime)
+    running = tuple(unit.id for unit in undone if _age(folder.work_path(unit), now) < RUNNING_AGE_S)
+    failed = tuple(_failures(folder, undone))
+    seconds = [sum(manifest.seconds.values()) for manifest in done]
+    rate = _rate_per_hour(finish_times, now)
+    return FarmStatus(
+        total=len(plan.units),
+        done=len(done),
+        running=running,
+        failed=failed,
+        waiting=len(undone) - len(running) - sum(f.id not in running for f in failed),
+        views_done=sum(manifest.num_views for manifest in done),
+        views_total=sum(unit.num_views for unit in plan.units),
+        num_bytes=sum(manifest.num_bytes for manifest in done),
+        core_seconds=sum(seconds),
+        median_unit_s=statistics.median(seconds) if seconds else None,
+        units_per_hour=rate,
+        seconds_left=len(undone) / rate * 3600 if rate and undone else (0.0 if not undone else None),
+        array_spec=array_spec([unit.index for unit in undone]),
+    )
+
+
+def _file_system_now(folder: DatasetFolder) -> float:
+    """The file system's own clock: hosts disagree, so ages are judged against a file written just now."""
+    probe = folder.root / f".clock.{os.getpid()}"
+    try:
+        probe.touch()
+        return probe.stat().st_mtime
+    except OSError:
+        return time.time()  # a read-only folder can still be looked at
+    finally:
+        with suppress(OSError):  # read-only: nothing was written either
+            probe.unlink(missing_ok=True)
+
+
+def _age(work: Path, now: float) -> float:
+    newest = 0.0
+    for path in (work, work / "rendered", work / "complete"):
+        try:
+            newest = max(newest, path.stat().st_mtime)
+        except OSError:
+            continue  # not there, or removed by whoever finished it
+    return now - newest
+
+
+def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureRecord]:
+    names = _names(folder.failed_path)
+    records = []
+    for unit in undone:
+        if f"{unit.id}.json" in names:
+            try:
+                records.append(folder.read_failure(unit.id))
+            except InputError:
+                continue  # being written at this moment
+    return records
+
+
+def _rate_per_hour(times: list[float], now: float) -> float | None:
+    """Units finished per hour over the last hour, or since the first one where that is less."""
+    recent = [t for t in times if now - t <= 3600]
+    if len(recent) < 2:
+        return None
+    span = max(now - min(recent), 1.0)
+    return len(recent) / span * 3600
+
+
+def forget_failures(root: Path) -> list[str]:
+    """Remove the records of units that were set aside; returns their ids."""
+    folder = DatasetFolder(root)
+    forgotten = []
+    for unit in folder.read_plan().units:
+        path = folder.failed_path / f"{unit.id}.json"
+        if path.exists():
+            path.unlink()
+            forgotten.append(unit.id)
+    return forgotten
+
+
+def last_lines(path: Path, count: int = 5) -> list[str]:
+    """The last lines of a log, read from its end."""
+    try:
+        with path.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - 8192))
+            return file.read().decode(errors="replace").splitlines()[-count:]
+    except OSError as error:
+        return [f"(no log: {error})"]
+
+
+def print_status(root: Path, cost_per_core_hour: float = 0.0) -> FarmStatus:
+    """Print the status for people; returns it."""
+    status = read_status(root)
+    hours = status.core_seconds / 3600
+    print(
+        f"units    {status.done} done, {len(status.running)} running, {len(status.failed)} failed, ", end=""
+    )
+    print(f"{status.waiting} waiting, {status.total} in all")
+    print(f"views    {status.views_done} of {status.views_total}; {status.num_bytes / 1e9:.2f} GB")
+    if status.median_unit_s is not None:
+        cost = f", cost {hours * cost_per_core_hour:.2f}" if cost_per_core_hour else ""
+        print(f"time     {hours:.2f} h of finished units, median {status.median_unit_s:.0f} s a unit{cost}")
+    if status.units_per_hour:
+        left = f", about {status.seconds_left / 60:.0f} min left" if status.seconds_left else ""
+        print(f"rate     {status.units_per_hour:.0f} units an hour{left}")
+    for failure in status.failed:
+        print(f"failed   {failure.id} after {failure.attempts} attempts: {failure.reason}")
+        print(f"         reproduce: {failure.command}")
+        for line in last_lines(root / failure.log) if failure.log else []:
+            print(f"         | {line}")
+    if status.array_spec:
+        print(f"not done --array={status.array_spec}")
+    return status
