@@ -253,6 +253,32 @@ def _run_stages(
 
 
 @app.command()
+def estimate(
+    recipe_path: RecipeArgument,
+    workers: WorkersOption = 1,
+    library: LibraryOption = None,
+    out: Annotated[Path, typer.Option(help="Where the dataset would go, for the free disk.")] = Path(),
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Predict time, disk and memory of a recipe from two timed samples; exit code 1 if the disk is too small.
+
+    Example: datagen estimate scenes/recipes/paper.yaml --workers 2
+    """
+    import shutil
+
+    from datagen.inspection.estimate import estimate as run_estimate
+    from datagen.inspection.estimate import print_estimate
+
+    recipe = _load_recipe(recipe_path, library, {})
+    opened = _open_library(recipe, recipe_path.parent)
+    with _Progress("timing samples", 2, "samples") as progress:
+        result = run_estimate(recipe, opened, lambda done, total: progress.set(done))
+    existing = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
+    has_room = print_estimate(result, workers, shutil.disk_usage(existing).free, as_json)
+    raise typer.Exit(0 if has_room else 1)
+
+
+@app.command()
 def render(folder: FolderArgument, workers: WorkersOption = 1) -> None:
     """Render the views of a planned dataset folder that are not there yet.
 

@@ -278,8 +278,8 @@ def run_local(
 ) -> RunSummary:
     """Run every unit of the plan that is not done, with ``options.workers`` processes.
 
-    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop. Returns what happened; units
-    that failed ``attempts`` times are in ``set_aside`` and under ``failed/``.
+    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop. Returns what happened;
+    units that failed ``attempts`` times are in ``set_aside`` and under ``failed/``.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: MIT
+"""Predicts time, disk and memory of a recipe from a few timed samples, before anything large starts.
+
+Two small plans of the same recipe, with few and with twice as many views, run through the real stages in a
+temporary folder. What a view costs, what a configuration costs once, and what grows with the number of views
+(statistics and memory) follow from the two by straight lines.
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from datagen.errors import input_error
+from datagen.farm.folder import DatasetFolder, UnitManifest
+from datagen.farm.local import LocalOptions, run_local
+from datagen.farm.planning import create_plan
+from datagen.formats.recipe import Recipe
+from datagen.library import Library
+
+VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2  # upper bound a pixel: uncompressed and complete view side by side
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Prediction for a whole recipe on this machine. Seconds are of all its processors together."""
+
+    num_configurations: int
+    num_views: int
+    seconds_per_view: float
+    seconds_per_configuration: float
+    planning_seconds: float
+    total_seconds: float
+    bytes_per_view: float
+    total_bytes: float
+    working_bytes: float
+    peak_memory_mb: float
+    sample_seconds: float
+
+
+@dataclass(frozen=True)
+class _Sample:
+    num_views: int
+    plan_s: float
+    manifest: UnitManifest
+
+    @property
+    def view_s(self) -> float:
+        return statistics.median(sum(t.seconds.values()) for t in self.manifest.views)
+
+    @property
+    def stage_s(self) -> dict[str, float]:
+        return self.manifest.seconds
+
+
+def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) -> _Sample:
+    small = recipe.model_copy(update={"configurations": 1, "views": num_views})
+    start = time.perf_counter()
+    plan = create_plan(small, library, root)
+    plan_s = time.perf_counter() - start
+    summary = run_local(root, LocalOptions(attempts=1))
+    if summary.interrupted:
+        raise KeyboardInterrupt
+    folder = DatasetFolder(root)
+    if summary.set_aside:
+        failure = folder.read_failure(summary.set_aside[0])
+        raise input_error("estimate", "sample", failure.reason, "a unit that renders", "see the message")
+    manifest = folder.read_manifest(plan.units[0])
+    assert manifest is not None
+    return _Sample(num_views, plan_s, manifest)
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, x: float) -> float:
+    """Value at ``x`` of the line through two points, never below the larger measured one's share."""
+    slope = max(0.0, (y2 - y1) / (x2 - x1)) if x2 != x1 else 0.0
+    return max(y2, y2 + slope * (x - x2)) if x >= x2 else y1 + slope * (x - x1)
+
+
+def estimate(
+    recipe: Recipe, library: Library, report: Callable[[int, int], None] = lambda done, total: None
+) -> Estimate:
+    """Time two samples of ``recipe`` and predict the whole. ``report(done, total)`` follows the samples."""
+    begin = time.perf_counter()
+    # The first run in a fresh process compiles kernels; what later units pay is what counts.
+    few = min(4, recipe.views)
+    many = min(8, recipe.views)
+    samples = []
+    with tempfile.TemporaryDirectory(prefix="datagen-estimate-") as folder:
+        for number, num_views in enumerate((few, many)):
+            report(number, 2)
+            samples.append(_run_sample(recipe, library, num_views, Path(folder) / str(number)))
+        report(2, 2)
+    a, b = samples
+    views = recipe.views
+    once_s = statistics.median(
+        max(0.0, s.stage_s.get("render", 0.0) - s.num_views * s.view_s) for s in samples
+    )
+    statistics_s = (
+        _line(
+            a.num_views,
+            a.stage_s.get("stats", 0.0) / a.num_views,
+            b.num_views,
+            b.stage_s.get("stats", 0.0) / b.num_views,
+            views,
+        )
+        * views
+    )
+    pack_s = b.stage_s.get("pack", 0.0) / b.num_views * views
+    planning_s = _line(a.num_views, a.plan_s, b.num_views, b.plan_s, views) * recipe.configurations
+    unit_s = once_s + b.view_s * views + statistics_s + pack_s
+    bytes_per_view = b.manifest.num_bytes / b.num_views
+    pixels = recipe.resolution[0] * recipe.resolution[1]
+    return Estimate(
+        num_configurations=recipe.configurations,
+        num_views=recipe.configurations * views,
+        seconds_per_view=unit_s / views,
+        seconds_per_configuration=unit_s,
+        planning_seconds=planning_s,
+        total_seconds=planning_s + unit_s * recipe.configurations,
+        bytes_per_view=bytes_per_view,
+        total_bytes=bytes_per_view * views * recipe.configurations,
+        working_bytes=float(pixels * views * VIEW_BYTES_WHILE_WORKING),
+        peak_memory_mb=_line(
+            a.num_views, a.manifest.peak_memory_mb, b.num_views, b.manifest.peak_memory_mb, views
+        ),
+        sample_seconds=time.perf_counter() - begin,
+    )
+
+
+def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: bool = False) -> bool:
+    """Print the prediction; returns whether the disk has room for it."""
+    needed = result.total_bytes + workers * result.working_bytes
+    if as_json:
+        import json
+
+        print(json.dumps(asdict(result), indent=2))
+        return needed <= free_bytes
+    hours = result.total_seconds / 3600
+    print(f"{result.num_configurations} configurations, {result.num_views} views")
+    print(
+        f"time    {_duration(result.total_seconds)} on this machine, {result.seconds_per_view:.2f} s a view, "
+        f"{_duration(result.seconds_per_configuration)} a configuration ({hours:.1f} machine hours to share "
+        "out on a farm)"
+    )
+    print(
+        f"disk    {result.total_bytes / 1e9:.2f} GB, {result.bytes_per_view / 1e6:.2f} MB a view, and "
+        f"{workers * result.working_bytes / 1e9:.2f} GB while {workers} units are in progress; "
+        f"{free_bytes / 1e9:.1f} GB are free"
+    )
+    print(f"memory  {result.peak_memory_mb / 1024:.2f} GB a worker, {workers} workers")
+    print(f"(from samples that took {_duration(result.sample_seconds)})")
+    if needed > free_bytes:
+        print("the disk has not enough room: free some, or lower configurations, views or resolution")
+    return needed <= free_bytes
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
