@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: MIT
+"""Multi-view colour statistics of every pixel (method 2): minimum, median and maximum over the best views.
+
+One Dr.Jit source runs on CPU and GPU and is compiled once for all views. Per pixel with a surface: p is
+unprojected from the view's depth, the views that see p are ranked (``view_selection``), colours of the best
+are fetched at p's projections, and each channel is sorted by a network. The median of an even number of
+colours is the mean of the middle two. A pixel without a surface (nothing hit, an emitter, or less than half
+covered by reflecting surface), or one that no chosen view sees, holds its own colour and the count 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.buffers import STATISTICS_BUFFERS
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem
+from datagen.multiview.view_selection import OwnView, Selection, select_views
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, aligned, project, vectors_from_rows
+from mitsuba_plugins.variant import select_variant
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+MIN_COVERAGE = 0.5
+"""Least ``surface_mask`` of a pixel that counts as surface; below, its colour is mostly something else's."""
+MIN_BEST_VIEWS, MAX_BEST_VIEWS = 4, 24
+
+
+@dataclass(frozen=True)
+class StatisticsView:
+    """One view's input: camera, ``color`` (H, W, 3) scene-linear, ``depth_z_m`` (H, W, 1) in metres (0: no
+    hit), ``normal_world`` (H, W, 3), ``surface_mask`` (H, W, 1) in [0, 1]; any float dtype.
+    """
+
+    camera: Camera
+    color: NDArray
+    depth_z_m: NDArray
+    normal_world: NDArray
+    surface_mask: NDArray
+    name: str = "view"
+
+    @classmethod
+    def from_buffers(
+        cls, camera: Camera, buffers: Mapping[str, NDArray], name: str = "view"
+    ) -> StatisticsView:
+        """The same from a view's buffers by name, its colour being ``beauty``."""
+        return cls(
+            camera,
+            buffers["beauty"],
+            buffers["depth_z_m"],
+            buffers["normal_world"],
+            buffers["surface_mask"],
+            name,
+        )
+
+    def problems(self) -> list[Problem]:
+        """Every fault of the arrays: shapes that differ from the camera's, NaN or Inf."""
+        height, width = self.camera.height_px, self.camera.width_px
+        found = []
+        for field_name, channels in (
+            ("color", 3),
+            ("depth_z_m", 1),
+            ("normal_world", 3),
+            ("surface_mask", 1),
+        ):
+            array = getattr(self, field_name)
+            if array.shape != (height, width, channels):
+                got, expected = f"shape {array.shape}", f"{(height, width, channels)} like its camera"
+                found.append(Problem(self.name, field_name, got, expected, "render the view again"))
+            elif not np.isfinite(array).all():
+                bad = int(np.count_nonzero(~np.isfinite(array)))
+                found.append(
+                    Problem(
+                        self.name, field_name, f"{bad} NaN or Inf", "finite values", "render the view again"
+                    )
+                )
+        return found
+
+
+@dataclass(frozen=True)
+class StatisticsOptions:
+    """What is computed. ``best_views`` in [4, 24] is k; ``include_self`` makes a view's own pixel a
+    candidate; ``color_fetch`` reads a colour at a projection from the nearest pixel or the four around it.
+    """
+
+    best_views: int = 12
+    include_self: bool = True
+    color_fetch: Literal["nearest", "bilinear"] = "bilinear"
+    visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
+
+    def __post_init__(self) -> None:
+        problems = []
+        if not MIN_BEST_VIEWS <= self.best_views <= MAX_BEST_VIEWS:
+            expected = f"a whole number in [{MIN_BEST_VIEWS}, {MAX_BEST_VIEWS}]"
+            problems.append(
+                Problem("statistics", "best_views", repr(self.best_views), expected, "correct it")
+            )
+        if self.color_fetch not in ("nearest", "bilinear"):
+            expected = "'nearest' or 'bilinear'"
+            problems.append(
+                Problem("statistics", "color_fetch", repr(self.color_fetch), expected, "correct it")
+            )
+        if problems:
+            raise InputError(*problems)
+
+
+def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
+    """Mask (H, W) of the pixels that have statistics of more than their own colour."""
+    return (depth_z_m[..., 0] > 0) & (surface_mask[..., 0] >= MIN_COVERAGE)
+
+
+def compute_statistics(
+    views: Sequence[StatisticsView],
+    options: StatisticsOptions | None = None,
+    scene: mi.Scene | None = None,
+    progress: Callable[[int, int], Any] | None = None,
+) -> Iterator[dict[str, NDArray[np.float32]]]:
+    """Statistics of each view in turn, as float32 arrays by buffer name.
+
+    ``color_min``, ``color_median``, ``color_max`` are (H, W, 3) scene-linear, ``observation_count`` is
+    (H, W, 1). ``scene`` is needed for traced visibility only. ``progress(done, total)`` is called after each
+    view. Input is checked before anything is computed; all faults of all views are raised in one
+    :class:`InputError`.
+    """
+    options = options or StatisticsOptions()
+    problems = [problem for view in views for problem in view.problems()]
+    if options.visibility.mode == "trace" and scene is None:
+        problems.append(
+            Problem("statistics", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'")
+        )
+    if problems:
+        raise InputError(*problems)
+    select_variant()
+    packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
+    return _statistics_of_all(views, packed, options, scene, progress)
+
+
+def _statistics_of_all(
+    views: Sequence[StatisticsView],
+    packed: PackedViews,
+    options: StatisticsOptions,
+    scene: mi.Scene | None,
+    progress: Callable[[int, int], Any] | None,
+) -> Iterator[dict[str, NDArray[np.float32]]]:
+    import drjit as dr
+
+    colors = _pack_colors(views, packed)
+
+    def launch(index: int) -> tuple[Any, ...]:
+        result = _view_statistics(views[index], index, packed, colors, options, scene)
+        dr.eval(result)  # asynchronous: the next view is computed while the caller writes this one
+        return result
+
+    pending = launch(0)
+    for index, view in enumerate(views):
+        result, pending = pending, launch(index + 1) if index + 1 < len(views) else ()
+        shape = (view.camera.height_px, view.camera.width_px, -1)
+        arrays = [np.stack([channel.numpy() for channel in color], axis=-1) for color in result[:3]]
+        arrays.append(result[3].numpy()[:, None])
+        yield {name: array.reshape(shape) for name, array in zip(STATISTICS_BUFFERS, arrays, strict=True)}
+        if progress is not None:
+            progress(index + 1, len(views))
+
+
+def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Float:
+    """Colours of all views, four floats a pixel: one packet load fetches a colour."""
+    import mitsuba as mi
+
+    colors = np.zeros((packed.num_pixels, 4), dtype=np.float32)
+    for first, view in zip(packed.first_pixels, views, strict=True):
+        pixels = view.color.reshape(-1, 3)
+        colors[first : first + len(pixels), :3] = pixels
+    return mi.Float(aligned(colors))
+
+
+def _view_statistics(
+    view: StatisticsView,
+    index: int,
+    packed: PackedViews,
+    colors: mi.Float,
+    options: StatisticsOptions,
+    scene: mi.Scene | None,
+) -> tuple[Any, ...]:
+    """Minimum, median, maximum (each a list of three channels) and count of one view's pixels (*traced*)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    own = OwnView(dr.opaque(mi.UInt32, index), options.include_self)
+    first = dr.opaque(mi.UInt32, int(packed.first_pixels[index]))
+    pixel = dr.arange(mi.UInt32, view.camera.width_px * view.camera.height_px)
+    mask = dr.gather(mi.Bool, mi.Bool(aligned(has_surface(view.depth_z_m, view.surface_mask))), pixel)
+    normals = vectors_from_rows(view.normal_world.reshape(-1, 3))
+    normals *= dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))  # averaged at edges, zero on background
+    own_pixel = first + pixel
+
+    points = _unproject(packed, own.index, pixel, dr.gather(mi.Float, packed.depth, own_pixel))
+    selection = select_views(
+        packed, points, normals, options.best_views, options.visibility, scene, own, mask
+    )
+    own_color = dr.gather(mi.Vector4f, colors, own_pixel)
+    chosen = _fetch_colors(packed, points, selection, colors, options, own.index, own_color)
+    count = selection.num_chosen
+    statistics = [
+        _order_statistics([dr.select(j < count, color[j], np.inf) for j in range(options.best_views)], count)
+        for color in chosen
+    ]
+    has_any = count > 0
+    minimum, median, maximum = (
+        [dr.select(has_any, statistics[c][s], own_color[c]) for c in range(3)] for s in range(3)
+    )
+    return minimum, median, maximum, mi.Float(count)
+
+
+def _unproject(packed: PackedViews, view: mi.UInt32, pixel: mi.UInt32, depth: mi.Float) -> mi.Point3f:
+    """World points at the centres of a view's pixels (*traced*)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    at = project(packed, view, mi.Point3f(0, 0, 0))
+    # A kernel's last SIMD packet has idle lanes, whose gathers give 0: an integer division by that is fatal.
+    width = dr.maximum(at.layout[1], 1)
+    row = pixel // width
+    x = (mi.Float(pixel - row * width) + 0.5 - at.intrinsics[2]) / at.intrinsics[0]
+    y = (mi.Float(row) + 0.5 - at.intrinsics[3]) / at.intrinsics[1]
+    return mi.Point3f(at.rotation.T @ mi.Vector3f(x * depth, y * depth, depth) + at.centre)
+
+
+def _fetch_colors(
+    packed: PackedViews,
+    points: mi.Point3f,
+    selection: Selection,
+    colors: mi.Float,
+    options: StatisticsOptions,
+    own: mi.UInt32,
+    own_color: mi.Vector4f,
+) -> Any:
+    """Colours in the chosen views as three local arrays of k floats (*traced*)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    def body(*state: Any) -> tuple[Any, ...]:
+        j, red, green, blue = state
+        view = selection.views[j]
+        at = project(packed, view, points)
+        is_own = view == own
+        color = own_color
+        if options.color_fetch == "nearest":
+            pixel = at.layout[0] + mi.UInt32(at.v_px) * at.layout[1] + mi.UInt32(at.u_px)
+            fetched = dr.gather(mi.Vector4f, colors, pixel, ~is_own)
+        else:
+            fetched = _fetch_bilinear(at, colors, ~is_own)
+        color = dr.select(is_own, own_color, fetched)  # exact: no detour over a projection
+        red[j], green[j], blue[j] = color[0], color[1], color[2]
+        return j + 1, red, green, blue
+
+    locals_ = tuple(dr.alloc_local(mi.Float, options.best_views, mi.Float(0)) for _ in range(3))
+    state = (mi.UInt32(0), *locals_)
+    _, *rgb = dr.while_loop(state, lambda j, *_: j < selection.num_chosen, body, label="fetch_colors")
+    return rgb
+
+
+def _fetch_bilinear(at: Any, colors: mi.Float, active: mi.Bool) -> mi.Vector4f:
+    import drjit as dr
+    import mitsuba as mi
+
+    # beyond the outermost pixel centres the border pixel's colour continues
+    last_x, last_y = at.layout[1] - 1, at.layout[2] - 1
+    x = dr.clip(at.u_px - 0.5, 0, mi.Float(last_x))
+    y = dr.clip(at.v_px - 0.5, 0, mi.Float(last_y))
+    left, top = mi.UInt32(x), mi.UInt32(y)
+    right, bottom = dr.minimum(left + 1, last_x), dr.minimum(top + 1, last_y)
+    weight_x, weight_y = x - mi.Float(left), y - mi.Float(top)
+
+    def tap(column: mi.UInt32, row: mi.UInt32) -> mi.Vector4f:
+        return dr.gather(mi.Vector4f, colors, at.layout[0] + row * at.layout[1] + column, active)
+
+    upper = dr.lerp(tap(left, top), tap(right, top), weight_x)
+    lower = dr.lerp(tap(left, bottom), tap(right, bottom), weight_x)
+    return dr.lerp(upper, lower, weight_y)
+
+
+def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, Any]:
+    """Minimum, median and maximum of the first ``count`` of ``values``; the others are Inf (*traced*)."""
+    import drjit as dr
+
+    values = list(values)
+    for low, high in sorting_network(len(values)):
+        values[low], values[high] = (
+            dr.minimum(values[low], values[high]),
+            dr.maximum(values[low], values[high]),
+        )
+    lower, upper, maximum = values[0], values[0], values[0]
+    for rank in range(1, len(values)):
+        maximum = dr.select(count == rank + 1, values[rank], maximum)
+        lower = dr.select((count - 1) // 2 == rank, values[rank], lower)
+        upper = dr.select(count // 2 == rank, values[rank], upper)
+    return values[0], 0.5 * (lower + upper), maximum
+
+
+def sorting_network(size: int) -> list[tuple[int, int]]:
+    """Compare-exchange pairs of Batcher's odd-even merge sort for ``size`` values (any size)."""
+    pairs = []
+    full = 1 << max(size - 1, 0).bit_length()
+    run = 1
+    while run < full:
+        step = run
+        while step >= 1:
+            for start in range(step % run, full - step, 2 * step):
+                for offset in range(min(step, full - start - step)):
+                    low, high = start + offset, start + offset + step
+                    if low // (2 * run) == high // (2 * run) and high < size:
+                        pairs.append((low, high))
+            step //= 2
+        run *= 2
+    return pairs

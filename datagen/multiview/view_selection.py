@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""Choosing the views whose colours stand for a point: cost, ranking and the list of the best (method 2).
+
+cost_i = -n . omega_i + d_ip / max_j d_jp, j over all cameras; the k visible views of least cost are kept.
+Equal costs keep the view of lower index, so the choice does not depend on how the kernel is scheduled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, max_distance, observe
+
+if TYPE_CHECKING:
+    import drjit as dr
+    import mitsuba as mi
+
+
+@dataclass(frozen=True)
+class OwnView:
+    """The view to whose pixel grid the points belong: it sees them by definition, or is left out."""
+
+    index: mi.UInt32
+    is_included: bool = True
+
+
+class Selection(NamedTuple):
+    """The chosen views of each point (*traced*)."""
+
+    num_chosen: mi.UInt32
+    """How many of the lists' entries are set: min(k, number of views that see the point)."""
+    costs: dr.Local
+    """(k,) floats, rising; Inf past the end."""
+    views: dr.Local
+    """(k,) view indices in the order of their costs."""
+
+
+def select_views(
+    views: PackedViews,
+    points: mi.Point3f,
+    normals: mi.Vector3f,
+    num_best: int,
+    options: VisibilityOptions,
+    scene: mi.Scene | None = None,
+    own: OwnView | None = None,
+    active: mi.Bool | bool = True,
+) -> Selection:
+    """The ``num_best`` views of least cost among those that see each point (*traced*).
+
+    ``own`` is None for points that belong to no view's pixel grid, such as texels. No view is chosen for
+    points that are not ``active``.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    num_points = dr.width(points)
+    num_views = dr.opaque(mi.UInt32, views.num_views)
+    inverse_farthest = dr.rcp(max_distance(views, points))
+    infinity = mi.Float(np.inf)
+
+    def insert(
+        costs: dr.Local, chosen: dr.Local, cost: mi.Float, view: mi.UInt32
+    ) -> tuple[dr.Local, dr.Local]:
+        """Bubble one candidate into the sorted lists; what falls off the end is dropped."""
+
+        def body(j: Any, cost: Any, view: Any, costs: Any, chosen: Any) -> tuple[Any, ...]:
+            other_cost, other_view = costs[j], chosen[j]
+            is_better = cost < other_cost
+            costs[j] = dr.select(is_better, cost, other_cost)
+            chosen[j] = dr.select(is_better, view, other_view)
+            cost, view = dr.select(is_better, other_cost, cost), dr.select(is_better, other_view, view)
+            return j + 1, cost, view, costs, chosen
+
+        state = (mi.UInt32(0), cost, mi.UInt32(view), costs, chosen)
+        *_, costs, chosen = dr.while_loop(
+            state, lambda j, cost, *_: (j < num_best) & (cost < infinity), body, label="insert"
+        )
+        return costs, chosen
+
+    def visit(view: Any, num_visible: Any, costs: Any, chosen: Any) -> tuple[Any, ...]:
+        seen = observe(views, view, points, normals, options, scene)
+        is_candidate = seen.is_visible & active
+        if own is not None:
+            is_own = view == own.index
+            is_candidate = is_candidate | (is_own & active) if own.is_included else is_candidate & ~is_own
+        cost = dr.select(is_candidate, seen.distance_m * inverse_farthest - seen.cosine, infinity)
+        num_visible = num_visible + dr.select(is_candidate, mi.UInt32(1), mi.UInt32(0))
+        costs, chosen = insert(costs, chosen, cost, view)
+        return view + 1, num_visible, costs, chosen
+
+    start = (
+        mi.UInt32(0),
+        dr.zeros(mi.UInt32, num_points),
+        dr.alloc_local(mi.Float, num_best, infinity),
+        dr.alloc_local(mi.UInt32, num_best, mi.UInt32(0)),
+    )
+    _, num_visible, costs, chosen = dr.while_loop(
+        start, lambda view, *_: view < num_views, visit, label="select_views"
+    )
+    return Selection(dr.minimum(num_visible, num_best), costs, chosen)

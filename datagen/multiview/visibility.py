@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: MIT
+"""Which views see which points: packed views and the projection and visibility kernels on them.
+
+Letters: p a world point with unit normal n, i a view, o_i its centre, omega_i the unit direction from p to
+o_i, d_ip = |o_i - p|, (x, y, z) the point in view i's camera space, (u, v) its projection in pixels.
+
+A view sees p (method 2) if p projects inside its image, n . omega_i > 0 and nothing lies between. For that:
+
+- ``depth`` compares with the view's own depth buffer at the pixel that p projects into. With n' the normal in
+  camera space, a pixel's step moves the depth of p's tangent plane by
+  z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)| per pixel, and p counts as seen where
+  |z_buffer - z| <= tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
+  The test is two-sided: where the buffer lies far *behind* p the pixel's centre misses p's surface and the
+  pixel shows something else, so its colour would not be p's.
+- ``trace`` asks the scene's geometry with a shadow ray from the camera that ends a relative distance
+  ``trace_tolerance / max(n . omega_i, 0.05)`` before p.
+
+What is marked *traced* takes and returns Dr.Jit arrays and may be called inside a kernel; the view index is
+an array, never a literal, so that one compiled kernel serves every view and any number of views. Pixels of
+all views are stored one view after another, so views may differ in size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem
+from mitsuba_plugins.variant import select_variant
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+CAMERA_STRIDE = 16  # floats a view: rotation (9, row-major camera_from_world), centre (3), fx, fy, cx, cy
+_ALIGNMENT = 64  # bytes of the widest SIMD register
+_MAX_PIXELS = 2**32  # pixel indices are 32-bit
+_MIN_TRACE_COSINE = 0.05  # keeps the shadow ray from being cut far short of a point seen at grazing angles
+
+
+@dataclass(frozen=True)
+class VisibilityOptions:
+    """How occlusion is decided; the formulas are in the module's docstring.
+
+    ``depth_tolerance`` and ``slope_limit`` are relative to depth, ``slope_tolerance_px`` is in pixels,
+    ``trace_tolerance`` is relative to the distance between camera and point.
+    """
+
+    mode: Literal["depth", "trace"] = "depth"
+    depth_tolerance: float = 0.005
+    slope_tolerance_px: float = 1.0
+    slope_limit: float = 0.05
+    trace_tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        problems = []
+        if self.mode not in ("depth", "trace"):
+            problems.append(
+                Problem("visibility", "mode", repr(self.mode), "'depth' or 'trace'", "correct it")
+            )
+        for name in ("depth_tolerance", "slope_tolerance_px", "slope_limit", "trace_tolerance"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                problems.append(
+                    Problem("visibility", name, repr(value), "a finite number of at least 0", "correct it")
+                )
+        if problems:
+            raise InputError(*problems)
+
+
+class Projection(NamedTuple):
+    """Points as one view's camera has them, inside its image or not (*traced*)."""
+
+    rotation: mi.Matrix3f
+    """camera_from_world."""
+    centre: mi.Point3f
+    intrinsics: mi.Vector4f
+    """fx, fy, cx, cy in pixels."""
+    offset: mi.Vector3f
+    """p - o_i in world space."""
+    z_m: mi.Float
+    u_px: mi.Float
+    v_px: mi.Float
+    layout: mi.Vector4u
+    """Index of the view's first pixel in the packed storage, width, height, 0."""
+
+
+class Observation(NamedTuple):
+    """What one view has of each point (*traced*); the rest means nothing where ``is_visible`` is False."""
+
+    is_visible: mi.Bool
+    cosine: mi.Float
+    """n . omega_i."""
+    distance_m: mi.Float
+    """d_ip."""
+    u_px: mi.Float
+    v_px: mi.Float
+
+
+class PackedViews:
+    """Cameras and depth buffers of all views on the device.
+
+    ``depth_z_m`` holds one (H, W) or (H, W, 1) array a view (0 where nothing was hit), or is None where only
+    traced visibility will be asked for. Raises :class:`InputError` for empty or mismatched input.
+    """
+
+    def __init__(
+        self, cameras: Sequence[Camera], depth_z_m: Sequence[NDArray] | None, name: str = "views"
+    ) -> None:
+        if not cameras:
+            raise InputError(Problem(name, "", "no views", "at least one view", "add views"))
+        if depth_z_m is not None and len(depth_z_m) != len(cameras):
+            raise InputError(
+                Problem(name, "depth_z_m", f"{len(depth_z_m)} buffers", f"{len(cameras)}, one a camera", "")
+            )
+        select_variant()
+        import mitsuba as mi
+
+        sizes = [camera.width_px * camera.height_px for camera in cameras]
+        self.num_views = len(cameras)
+        self.num_pixels = sum(sizes)
+        if self.num_pixels >= _MAX_PIXELS:
+            raise InputError(
+                Problem(
+                    name, "", f"{self.num_pixels} pixels", f"fewer than {_MAX_PIXELS}", "use smaller images"
+                )
+            )
+        first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+        self.first_pixels = first
+        layout = [
+            (offset, camera.width_px, camera.height_px, 0)
+            for offset, camera in zip(first, cameras, strict=True)
+        ]
+        self.cameras = mi.Float(aligned(np.concatenate([_camera_row(camera) for camera in cameras])))
+        centres = np.array([[*camera.position_m, 0.0] for camera in cameras], dtype=np.float32)
+        self.centres = mi.Float(aligned(centres))
+        self.layout = mi.UInt32(aligned(np.array(layout), np.uint32))
+        self.depth = None if depth_z_m is None else mi.Float(_flatten_depth(cameras, depth_z_m, name))
+
+
+def aligned_empty(size: int, dtype: Any) -> NDArray:
+    """A flat NumPy array in memory aligned for packet loads, for a Dr.Jit array to share.
+
+    On the CPU Dr.Jit works in NumPy's own memory. Where that lies across packets it compiles another kernel,
+    with scalar gathers instead of packet loads; which one would be a matter of luck with the allocator.
+    """
+    num_bytes = size * np.dtype(dtype).itemsize
+    memory = np.empty(num_bytes + _ALIGNMENT, dtype=np.uint8)
+    start = -memory.ctypes.data % _ALIGNMENT
+    return memory[start : start + num_bytes].view(dtype)
+
+
+def aligned(array: NDArray, dtype: Any = None) -> NDArray:
+    """A flat copy of ``array`` in such memory."""
+    flat = aligned_empty(array.size, dtype or array.dtype)
+    flat[:] = array.ravel()
+    return flat
+
+
+def _camera_row(camera: Camera) -> NDArray[np.float32]:
+    rotation = camera.camera_from_world[:3, :3].ravel()
+    intrinsics = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]
+    return np.concatenate([rotation, camera.position_m, intrinsics]).astype(np.float32)
+
+
+def _flatten_depth(cameras: Sequence[Camera], depth: Sequence[NDArray], name: str) -> NDArray[np.float32]:
+    problems = []
+    flat = aligned_empty(sum(camera.width_px * camera.height_px for camera in cameras), np.float32)
+    first = 0
+    for index, (camera, buffer) in enumerate(zip(cameras, depth, strict=True)):
+        part = np.asarray(buffer, dtype=np.float32)
+        shape = (camera.height_px, camera.width_px)
+        if part.shape not in (shape, (*shape, 1)):
+            problems.append(
+                Problem(name, f"[{index}].depth_z_m", f"shape {part.shape}", f"{(*shape, 1)} like its camera")
+            )
+        elif not np.isfinite(part).all():
+            problems.append(
+                Problem(name, f"[{index}].depth_z_m", "NaN or Inf", "finite depth, 0 where nothing was hit")
+            )
+        else:
+            flat[first : first + part.size] = part.ravel()
+        first += camera.width_px * camera.height_px
+    if problems:
+        raise InputError(*problems)
+    return flat
+
+
+def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projection:
+    """Project ``points`` into the camera of each lane's ``view`` (*traced*)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    parts = CAMERA_STRIDE // 4
+    packets = [dr.gather(mi.Vector4f, views.cameras, view * parts + part) for part in range(parts)]
+    values = [packet[k] for packet in packets for k in range(4)]
+    rotation, centre, intrinsics = mi.Matrix3f(*values[:9]), mi.Point3f(*values[9:12]), packets[3]
+    offset: Any = mi.Vector3f(points - centre)
+    local = rotation @ offset
+    u = local.x / local.z * intrinsics[0] + intrinsics[2]
+    v = local.y / local.z * intrinsics[1] + intrinsics[3]
+    layout = dr.gather(mi.Vector4u, views.layout, view)
+    return Projection(rotation, centre, intrinsics, offset, local.z, u, v, layout)
+
+
+def max_distance(views: PackedViews, points: mi.Point3f) -> mi.Float:
+    """max_j d_jp over all cameras, whether they see the point or not (*traced*)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    num_views = dr.opaque(mi.UInt32, views.num_views)
+
+    def body(view: mi.UInt32, largest: mi.Float) -> tuple[mi.UInt32, mi.Float]:
+        centre = dr.gather(mi.Vector4f, views.centres, view)
+        offset: Any = mi.Point3f(centre[0], centre[1], centre[2]) - points
+        return view + 1, dr.maximum(largest, dr.squared_norm(offset))
+
+    state = (mi.UInt32(0), dr.zeros(mi.Float, dr.width(points)))
+    _, largest = dr.while_loop(
+        state, lambda view, _: view < num_views, body, labels=("view", "largest"), label="max_distance"
+    )
+    return dr.sqrt(largest)
+
+
+def observe(
+    views: PackedViews,
+    view: mi.UInt32,
+    points: mi.Point3f,
+    normals: mi.Vector3f,
+    options: VisibilityOptions,
+    scene: mi.Scene | None = None,
+) -> Observation:
+    """Project ``points`` with unit ``normals`` into ``view`` and decide whether it sees them (*traced*)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    at = project(views, view, points)
+    distance: Any = dr.norm(at.offset)
+    facing: Any = -dr.dot(normals, at.offset)
+    width, height = mi.Float(at.layout[1]), mi.Float(at.layout[2])
+    is_inside = (at.z_m > 0) & (at.u_px >= 0) & (at.v_px >= 0) & (at.u_px < width) & (at.v_px < height)
+    is_visible = is_inside & (facing > 0)
+    if options.mode == "depth":
+        is_visible &= _agrees_with_depth(views, at, normals, facing, options, is_visible)
+    else:
+        if scene is None:
+            raise ValueError("visibility 'trace' needs a scene")
+        gap = options.trace_tolerance / dr.maximum(facing / distance, _MIN_TRACE_COSINE)
+        ray = mi.Ray3f(at.centre, at.offset / distance)
+        ray.maxt = distance * (1 - gap)
+        is_visible &= ~scene.ray_test(ray, active=is_visible)
+    return Observation(is_visible, facing / distance, distance, at.u_px, at.v_px)
+
+
+def _agrees_with_depth(
+    views: PackedViews,
+    at: Projection,
+    normals: mi.Vector3f,
+    facing: mi.Float,
+    options: VisibilityOptions,
+    active: mi.Bool,
+) -> mi.Bool:
+    import drjit as dr
+    import mitsuba as mi
+
+    if views.depth is None:
+        raise ValueError("visibility 'depth' needs the views' depth buffers")
+    pixel = at.layout[0] + mi.UInt32(at.v_px) * at.layout[1] + mi.UInt32(at.u_px)
+    seen = dr.gather(mi.Float, views.depth, pixel, active)
+    normal = at.rotation @ normals
+    step = dr.abs(normal.x) / at.intrinsics[0] + dr.abs(normal.y) / at.intrinsics[1]
+    # facing = |n' . (x/z, y/z, 1)| z; at grazing angles the quotient may be Inf, which the limit takes
+    slope = dr.minimum(options.slope_tolerance_px * step * at.z_m / facing, options.slope_limit)
+    return dr.abs(seen - at.z_m) <= at.z_m * (options.depth_tolerance + slope)
+
+
+def vectors_from_rows(rows: NDArray) -> Any:
+    """(N, 3) numbers as a ``mi.Vector3f``, the same kernel serving every N.
+
+    ``mi.Vector3f(array)`` would make N a literal of the kernels that use it.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    flat = aligned(np.asarray(rows), np.float32)
+    return dr.gather(mi.Vector3f, mi.Float(flat), dr.arange(mi.UInt32, len(flat) // 3))
+
+
+class PointObservations(NamedTuple):
+    """Every view's observation of every point, as NumPy arrays of V views and N points."""
+
+    visible_mask: NDArray[np.bool_]
+    """(V, N)."""
+    pixels: NDArray[np.float32]
+    """(V, N, 2), projections in pixels; NaN where not visible."""
+    cosine: NDArray[np.float32]
+    """(V, N), n . omega_i; 0 where not visible."""
+    distance_m: NDArray[np.float32]
+    """(V, N), distance between camera and point, whether visible or not."""
+
+
+def observe_points(
+    views: PackedViews,
+    points: NDArray,
+    normals: NDArray,
+    options: VisibilityOptions | None = None,
+    scene: mi.Scene | None = None,
+) -> PointObservations:
+    """Observations of free points (N, 3) with unit normals (N, 3), independent of any pixel grid.
+
+    The whole result is returned, V x N; work through many points in blocks.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    options = options or VisibilityOptions()
+    position, normal = mi.Point3f(vectors_from_rows(points)), vectors_from_rows(normals)
+    dr.eval(position, normal)
+    rows = []
+    for view in range(views.num_views):
+        seen = observe(views, dr.opaque(mi.UInt32, view), position, normal, options, scene)
+        outputs = (seen.is_visible, seen.u_px, seen.v_px, seen.cosine, seen.distance_m)
+        dr.eval(outputs)
+        rows.append([np.asarray(value.numpy()) for value in outputs])
+    visible, u, v, cosine, distance = (np.stack(column) for column in zip(*rows, strict=True))
+    pixels = np.where(visible[..., None], np.stack([u, v], axis=-1), np.float32(np.nan))
+    return PointObservations(visible, pixels, np.where(visible, cosine, np.float32(0)), distance)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: MIT
+"""A small scene of axis-aligned boxes with exact depth, normals and occlusion, for the multi-view tests.
+
+A floor, one wall and two boxes: rays past them hit the background. The cameras include one behind the wall's
+front, one that looks away from everything, and one that grazes the floor. Colours are white noise, so that a
+fetch from any wrong place shows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera, look_at
+from datagen.multiview.statistics import StatisticsView
+
+BOXES = np.array(  # (box, low/high corner, xyz)
+    [
+        [[-3.0, -3.0, -0.2], [3.0, 3.0, 0.0]],  # floor
+        [[-3.0, 2.0, 0.0], [1.5, 2.2, 2.0]],  # wall
+        [[-1.1, -0.3, 0.0], [-0.2, 0.6, 1.1]],
+        [[0.4, 0.1, 0.0], [1.3, 0.9, 0.5]],
+    ]
+)
+_POSES = (  # position, target
+    ((0.3, -4.1, 2.2), (0.0, 0.3, 0.4)),
+    ((-2.7, -3.2, 1.7), (0.1, 0.4, 0.5)),
+    ((2.9, -2.6, 1.4), (-0.2, 0.5, 0.6)),
+    ((3.1, 1.1, 2.6), (-0.3, 0.2, 0.1)),
+    ((-0.4, 4.7, 1.23), (0.2, 1.0, 0.9)),  # behind the wall
+    ((0.2, -4.4, 1.0), (0.3, -9.0, 1.2)),  # looks away
+    ((-3.9, -1.7, 0.12), (0.6, 0.3, 0.15)),  # grazes the floor
+    ((0.5, -0.6, 3.4), (0.1, 0.7, 0.0)),
+    ((-1.9, -2.2, 0.9), (-0.6, 0.1, 0.5)),  # near
+)
+
+
+def hit_boxes(origins: NDArray, directions: NDArray, boxes: NDArray = BOXES) -> tuple[NDArray, NDArray]:
+    """Least positive ray parameter (N,), Inf without a hit, and outward normal (N, 3) there."""
+    nearest = np.full(len(origins), np.inf)
+    normals = np.zeros((len(origins), 3))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for low, high in boxes:
+            a, b = (low - origins) / directions, (high - origins) / directions
+            enter, leave = np.minimum(a, b), np.maximum(a, b)
+            axis = enter.argmax(axis=1)
+            t = enter.max(axis=1)
+            hit = (t <= leave.min(axis=1)) & (t > 0) & (t < nearest)
+            nearest[hit] = t[hit]
+            rows = np.nonzero(hit)[0]
+            normals[rows] = 0
+            normals[rows, axis[hit]] = -np.sign(directions[rows, axis[hit]])
+    return nearest, normals
+
+
+def is_occluded(centres: NDArray, points: NDArray) -> NDArray:
+    """Whether a box lies between camera and point, (N,); the point's own surface does not count."""
+    offset = points - centres
+    t, _ = hit_boxes(centres, offset)
+    return t < 1 - 1e-3
+
+
+def make_views(
+    sizes: tuple[tuple[int, int], ...] = ((33, 22),),
+    num_views: int = len(_POSES),
+    seed: int = 5,
+    is_noise: bool = True,
+) -> list[StatisticsView]:
+    """Views of the scene; ``sizes`` are (width, height) and taken in turn. Some pixels are not surface."""
+    rng = np.random.default_rng(seed)
+    views = []
+    for index, (position, target) in enumerate(_POSES[:num_views]):
+        width, height = sizes[index % len(sizes)]
+        camera = Camera(
+            width,
+            height,
+            0.9 * width,
+            0.93 * width,
+            0.5 * width + 0.3,
+            0.5 * height - 0.2,
+            look_at(position, target),
+        )
+        directions = camera.ray_directions().reshape(-1, 3)
+        t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
+        depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0).reshape(height, width, 1)
+        mask = (depth > 0).astype(np.float32)
+        emitters = rng.random(mask.shape) < 0.03  # hit, but no reflecting surface
+        mask[emitters] *= 0.3
+        if is_noise:
+            color = rng.random((height, width, 3))
+        else:
+            color = np.broadcast_to(0.5 + 0.5 * normals.reshape(height, width, 3), (height, width, 3))
+        views.append(
+            StatisticsView(
+                camera,
+                color.astype(np.float32),
+                depth.astype(np.float32),
+                normals.reshape(height, width, 3).astype(np.float32),
+                mask,
+                f"view_{index:02d}",
+            )
+        )
+    return views
+
+
+def mitsuba_scene():
+    """The same boxes as a Mitsuba scene; the variant must have been selected."""
+    import mitsuba as mi
+
+    scene = {"type": "scene"}
+    for index, (low, high) in enumerate(BOXES):
+        transform = mi.ScalarTransform4f().translate(((low + high) / 2).tolist()) @ (
+            mi.ScalarTransform4f().scale(((high - low) / 2).tolist())
+        )
+        scene[f"box_{index}"] = {"type": "cube", "to_world": transform}
+    return mi.load_dict(scene)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Projection and visibility of free points, by depth buffers and by shadow rays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from datagen.cameras import Camera, look_at
+from datagen.errors import InputError
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
+from tests.datagen.multiview_scenes import is_occluded, make_views, mitsuba_scene
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+
+
+def surface_points(seed: int = 3, count: int = 3000):
+    """Points on the floor and on the top and front of a box, with their normals."""
+    rng = np.random.default_rng(seed)
+    u, v = rng.random((2, count))
+    floor = np.stack([-2 + 4 * u, -2.5 + 4 * v, np.zeros(count)], axis=-1)
+    front = np.stack([-1.1 + 0.9 * u, np.full(count, -0.3), 1.1 * v], axis=-1)
+    inside = ((floor[:, :2] > [-1.1, -0.3]) & (floor[:, :2] < [-0.2, 0.6])).all(axis=1)
+    inside |= ((floor[:, :2] > [0.4, 0.1]) & (floor[:, :2] < [1.3, 0.9])).all(axis=1)
+    floor = floor[~inside]
+    points = np.concatenate([floor, front])
+    normals = np.concatenate([np.tile([0.0, 0, 1], (len(floor), 1)), np.tile([0.0, -1, 0], (count, 1))])
+    return points, normals
+
+
+def exact_visibility(views, points, normals):
+    visible = []
+    for view in views:
+        camera = view.camera
+        pixels, z = camera.project(points)
+        with np.errstate(invalid="ignore"):
+            inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < [camera.width_px, camera.height_px]).all(-1)
+        faces = np.einsum("nc,nc->n", normals, camera.position_m - points) > 0
+        centre = np.broadcast_to(camera.position_m, points.shape)
+        visible.append(inside & faces & ~is_occluded(centre, points))
+    return np.array(visible)
+
+
+def test_traced_visibility_is_exact_and_depth_is_within_a_pixel_of_silhouettes():
+    points, normals = surface_points()
+    mismatch = []
+    for size in ((120, 80), (240, 160), (480, 320)):
+        views = make_views((size,))
+        expected = exact_visibility(views, points, normals)
+        packed = PackedViews([v.camera for v in views], [v.depth_z_m for v in views])
+        by_depth = observe_points(packed, points, normals, VisibilityOptions("depth"))
+        mismatch.append((by_depth.visible_mask != expected).mean())
+    assert 0.1 < expected.mean() < 0.9
+    # what is lost or won lies along silhouettes, so it halves as pixels do, down to what the tolerance leaves
+    assert mismatch[1] < 0.6 * mismatch[0] and mismatch[2] < 0.7 * mismatch[1] and mismatch[2] < 0.01
+    traced = observe_points(packed, points, normals, VisibilityOptions("trace"), mitsuba_scene())
+    assert (traced.visible_mask != expected).mean() < 2e-4  # within the tolerance of an edge's shadow
+
+
+def test_pixels_distance_and_cosine_equal_the_camera_model():
+    views = make_views(((60, 40), (50, 45)))
+    points, normals = surface_points(count=500)
+    packed = PackedViews([v.camera for v in views], [v.depth_z_m for v in views])
+    seen = observe_points(packed, points, normals)
+    for index, view in enumerate(views):
+        mask = seen.visible_mask[index]
+        pixels, _ = view.camera.project(points)
+        offset = view.camera.position_m - points
+        distance = np.linalg.norm(offset, axis=-1)
+        np.testing.assert_allclose(seen.pixels[index][mask], pixels[mask], atol=1e-3)
+        np.testing.assert_allclose(seen.distance_m[index], distance, rtol=1e-5)
+        cosine = np.einsum("nc,nc->n", normals, offset) / distance
+        np.testing.assert_allclose(seen.cosine[index][mask], cosine[mask], atol=1e-5)
+        assert np.isnan(seen.pixels[index][~mask]).all() and (seen.cosine[index][~mask] == 0).all()
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 60, 80, 88])
+def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
+    """Points between the pixel centres of a steeply seen plane; without the slope term they would be lost."""
+    camera = Camera(64, 64, 64.0, 64.0, 32.0, 32.0, look_at((0, 0, 0), (0, 1, 0)))
+    tilt = np.deg2rad(tilt_deg)
+    normal = np.array([0.0, -np.cos(tilt), np.sin(tilt)])
+    pixel_rays = camera.unproject(camera.pixel_centers(), np.ones((64, 64)))
+    through = np.array([0.0, 3.0, 0.0]) @ normal
+    slanted = pixel_rays @ normal
+    depth = np.where(slanted < -1e-3, through / np.where(slanted < -1e-3, slanted, 1), 0)
+    depth = np.where(depth < 50, depth, 0)
+    rng = np.random.default_rng(1)
+    pixels = rng.uniform(24, 40, (2000, 2))
+    rays = camera.unproject(pixels, np.ones(2000))
+    z = through / (rays @ normal)
+    points = rays * z[:, None]
+    hit = (z > 0.1) & (z < 20)
+    assert hit.sum() > 300
+    normals = np.tile(normal, (2000, 1))
+    packed = PackedViews([camera], [depth])
+    options = VisibilityOptions(depth_tolerance=1e-3, slope_limit=1.0)
+    seen = observe_points(packed, points[hit], normals[hit], options).visible_mask[0]
+    flat = VisibilityOptions(depth_tolerance=1e-3, slope_limit=0.0)
+    without = observe_points(packed, points[hit], normals[hit], flat).visible_mask[0]
+    assert seen.mean() > 0.99
+    assert tilt_deg < 60 or without.mean() < 0.9
+
+
+def test_points_behind_outside_and_facing_away_are_not_seen():
+    camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
+    packed = PackedViews([camera], [np.full((10, 10), 2.0)])
+    points = [(0, 2, 0), (0, -2, 0), (3, 2, 0), (0, 2, 0), (0, 2.5, 0), (0, 1.5, 0)]
+    normals = [(0, -1, 0), (0, -1, 0), (0, -1, 0), (0, 1, 0), (0, -1, 0), (0, -1, 0)]
+    seen = observe_points(packed, np.array(points), np.array(normals))
+    assert seen.visible_mask[0].tolist() == [True, False, False, False, False, False]
+
+
+def test_bad_input_is_refused():
+    camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, np.eye(4))
+    with pytest.raises(InputError, match="like its camera"):
+        PackedViews([camera], [np.zeros((5, 10))])
+    with pytest.raises(InputError, match="NaN or Inf"):
+        PackedViews([camera], [np.full((10, 10), np.inf)])
+    with pytest.raises(InputError, match="one a camera"):
+        PackedViews([camera], [])
+    with pytest.raises(InputError, match="mode"):
+        VisibilityOptions("raster")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="depth_tolerance"):
+        VisibilityOptions(depth_tolerance=-1.0)
+    packed = PackedViews([camera], None)
+    with pytest.raises(ValueError, match="depth buffers"):
+        observe_points(packed, np.zeros((1, 3)), np.ones((1, 3)))
+    with pytest.raises(ValueError, match="scene"):
+        observe_points(packed, np.zeros((1, 3)), np.ones((1, 3)), VisibilityOptions("trace"))
