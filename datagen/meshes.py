@@ -141,12 +141,20 @@ def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 
 
 def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
-    """Area- and angle-free smooth normals: the normalised sum of the triangles' cross products, (N, 3)."""
+    """Smooth normals (N, 3): the sum of the triangles' unit normals weighted by their angle at the vertex."""
     corners = mesh.triangles()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
     total = np.zeros((len(mesh.positions), 3))
-    for corner in range(3):
-        np.add.at(total, mesh.faces[:, corner], cross)
+    for k in range(3):
+        a = corners[:, (k + 1) % 3] - corners[:, k]
+        b = corners[:, (k + 2) % 3] - corners[:, k]
+        angle = np.arctan2(length[:, 0], (a * b).sum(axis=1))[:, None]
+        for axis in range(3):
+            total[:, axis] += np.bincount(
+                mesh.faces[:, k], weights=(unit * angle)[:, axis], minlength=len(total)
+            )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     safe = np.where(length > 0, total / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
     return safe.astype(np.float32)
