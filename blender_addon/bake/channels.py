@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From weighted lobes to the channels D, S, R and opacity, as expressions.
+
+With lobe weights w, diffuse reflectances r, F0s s and slope widths a = roughness^2:
+
+    S = sum w s        D = sum w r / (1 - S)        R = sqrt(sum w m a / sum w m),  m = mean component of s
+
+D divides by 1 - S because the project's BSDF renders (1 - S) D / pi: so what is kept through a mix is the
+light that is reflected diffusely, not the parameter (docs/decisions/0030). A single lobe keeps its parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .closures import Closures, Lobe
+from .expression import (
+    BLACK,
+    ONE,
+    Expression,
+    add,
+    clamp,
+    complement,
+    constant,
+    divide,
+    is_constant,
+    multiply,
+    operate,
+    reduce_to_scalar,
+    widen,
+)
+
+_LEAST_DIFFUSE_SHARE = constant(1e-3)  # a mix that is all specular leaves 0 / 0 for D
+_NO_SPECULAR = constant(1e-6)  # without any specular part the mean slope width is 0 / 0; so it becomes 1
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Expressions of the channels; ``opacity`` is None where the surface is opaque, ``emission`` None where
+    it does not emit."""
+
+    diffuse_albedo: Expression
+    specular_albedo: Expression
+    roughness: Expression
+    opacity: Expression | None
+    emission: Expression | None
+
+    def baked(self) -> dict[str, Expression]:
+        """Name -> expression of everything present, in a fixed order."""
+        named = {
+            "diffuse_albedo": self.diffuse_albedo,
+            "specular_albedo": self.specular_albedo,
+            "roughness": self.roughness,
+            "opacity": self.opacity,
+            "emission": self.emission,
+        }
+        return {name: expression for name, expression in named.items() if expression is not None}
+
+
+def channels_of(closures: Closures) -> Channels:
+    """The channels of a surface. A surface without any lobe is black and rough, as Blender renders it."""
+    opacity: Expression = clamp_sum(complement(closures.transparency))
+    lobes = _normalized(closures.lobes, opacity)
+    if not lobes:
+        diffuse, specular, roughness = BLACK, BLACK, ONE
+    elif len(lobes) == 1 and is_constant(lobes[0].weight, 1) and lobes[0].albedo is not None:
+        diffuse, specular = lobes[0].albedo, lobes[0].specular
+        roughness = lobes[0].roughness if lobes[0].roughness is not None else ONE
+    else:
+        diffuse, specular, roughness = _mixed(lobes)
+    emission = None if is_constant(closures.emission, 0) else widen(closures.emission)
+    return Channels(
+        widen(diffuse),
+        widen(specular),
+        roughness,
+        None if is_constant(opacity, 1) else opacity,
+        emission,
+    )
+
+
+def clamp_sum(expression: Expression) -> Expression:
+    """Clamp unless it is the plain value of a socket or a constant inside [0, 1] already."""
+    if is_constant(expression, 1):
+        return expression
+    return clamp(expression)
+
+
+def _normalized(lobes: list[Lobe], opacity: Expression) -> list[Lobe]:
+    """Weights relative to the opaque share, so that a mask does not darken what it leaves."""
+    if is_constant(opacity, 1):
+        return lobes
+    bare = _unclamped(opacity)
+    return [
+        Lobe(
+            ONE if _unclamped(lobe.weight) == bare else divide(lobe.weight, opacity),
+            lobe.diffuse,
+            lobe.specular,
+            lobe.roughness,
+            lobe.albedo,
+        )
+        for lobe in lobes
+    ]
+
+
+def _unclamped(expression: Expression) -> Expression:
+    while (
+        not is_constant(expression)
+        and getattr(expression, "name", "") in ("minimum", "maximum")
+        and is_constant(expression.arguments[1])  # type: ignore[union-attr]
+    ):
+        expression = expression.arguments[0]  # type: ignore[union-attr]
+    return expression
+
+
+def _mixed(lobes: list[Lobe]) -> tuple[Expression, Expression, Expression]:
+    specular = clamp(add(*(multiply(lobe.weight, lobe.specular) for lobe in lobes)))
+    reflected = add(*(multiply(lobe.weight, lobe.diffuse) for lobe in lobes))
+    share = operate("maximum", complement(specular), _LEAST_DIFFUSE_SHARE)
+    diffuse = clamp(divide(reflected, share))
+    glossy = [lobe for lobe in lobes if lobe.roughness is not None and not is_constant(lobe.specular, 0)]
+    values = {lobe.roughness for lobe in glossy}
+    if not values:
+        return diffuse, specular, ONE
+    if len(values) == 1:
+        (only,) = values
+        assert only is not None
+        return diffuse, specular, only
+    total, width = _NO_SPECULAR, _NO_SPECULAR
+    for lobe in glossy:
+        assert lobe.roughness is not None
+        share = multiply(lobe.weight, reduce_to_scalar(lobe.specular, "average"))
+        total = add(total, share)  # type: ignore[assignment]
+        width = add(width, multiply(share, lobe.roughness, lobe.roughness))  # type: ignore[assignment]
+    return diffuse, specular, operate("sqrt", divide(width, total))

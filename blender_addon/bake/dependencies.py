@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a value of a shader graph depends on: nothing, a UV map, the mesh, the place of the instance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import bpy
+
+from ..problems import APPROXIMATION, ERROR, NOTE, ProblemList
+from .expression import Expression, sockets
+from .frames import IDENTITY, UvFrame, image_frame
+from .graph import Stack, input_of, node_at, path_of, source_of
+
+_GENERATED_BY_DEFAULT = {
+    "TEX_NOISE", "TEX_VORONOI", "TEX_WAVE", "TEX_MAGIC", "TEX_GRADIENT", "TEX_CHECKER", "TEX_BRICK",
+    "TEX_WHITE_NOISE", "TEX_GABOR",
+}  # fmt: skip
+_REFUSED = {
+    "SCRIPT": "Open Shading Language scripts are not evaluated",
+    "SHADERTORGB": "Shader to RGB exists in Eevee only",
+    "CAMERA": "the value changes with the camera",
+    "PARTICLE_INFO": "particle values are not known outside a particle system",
+    "HAIR_INFO": "hair values are not known on a mesh",
+    "UVALONGSTROKE": "strokes are not exported",
+    "TEX_POINTDENSITY": "point density textures are not evaluated",
+    "TEX_IES": "IES textures belong to lights",
+    "TEX_SKY": "a sky texture belongs to the world",
+    "TEX_ENVIRONMENT": "an environment texture in a surface changes with the view",
+}
+_GEOMETRY_ON_INSTANCE = {"Position", "Normal", "True Normal", "Tangent"}
+_ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT", "NORMAL_MAP", "BUMP"}
+
+
+@dataclass
+class Dependencies:
+    """``uv_layers`` read ("" is the layer that renders); ``frames`` in which image textures read them;
+    ``is_periodic``: repeats with every UV unit of the frame; ``mesh``: needs the mesh itself; ``world``: needs
+    the instance's place; ``object_info``: needs Object Info values; ``has_texture``: may vary at all."""
+
+    uv_layers: set[str] = field(default_factory=set)
+    frames: set[UvFrame | None] = field(default_factory=set)
+    is_periodic: bool = True
+    mesh: bool = False
+    world: bool = False
+    object_info: bool = False
+
+    @property
+    def is_constant(self) -> bool:
+        return not (self.uv_layers or self.mesh or self.world or self.object_info)
+
+    @property
+    def needs_mesh(self) -> bool:
+        """Whether a bake on a plane cannot stand in for the mesh."""
+        return self.mesh or self.world or len(self.uv_layers) > 1
+
+    @property
+    def is_per_instance(self) -> bool:
+        return self.world or self.object_info
+
+    def merge(self, other: Dependencies) -> None:
+        """Add what ``other`` depends on."""
+        self.uv_layers |= other.uv_layers
+        self.frames |= other.frames
+        self.is_periodic &= other.is_periodic
+        self.mesh |= other.mesh
+        self.world |= other.world
+        self.object_info |= other.object_info
+
+
+class DependencyWalk:
+    """Walks upstream of expressions of one material's tree."""
+
+    def __init__(self, tree: bpy.types.NodeTree, material: str, problems: ProblemList):
+        self.tree, self.material, self.problems = tree, material, problems
+        self._seen: set[tuple[tuple[str, ...], str, str]] = set()
+        self._result = Dependencies()
+
+    def of(self, *expressions: Expression) -> Dependencies:
+        """Everything that the expressions depend on."""
+        self._seen, self._result = set(), Dependencies()
+        for expression in expressions:
+            for value in sorted(sockets(expression), key=lambda s: (s.path, s.node, s.socket)):
+                stack, node = node_at(self.tree, value.path, value.node)
+                output = next(o for o in node.outputs if o.identifier == value.socket)
+                self._visit(stack, node, output)
+        return self._result
+
+    def _report(self, severity: str, node: bpy.types.Node, message: str, remedy: str = "") -> None:
+        self.problems.add(severity, message, remedy, material=self.material, node=node.label or node.name)
+
+    def _visit(self, stack: Stack, node: bpy.types.Node, output: bpy.types.NodeSocket) -> None:
+        key = (path_of(stack), node.name, output.identifier)
+        if key in self._seen:
+            return
+        self._seen.add(key)
+        kind = node.type
+        if kind in _REFUSED:
+            self._report(
+                ERROR, node, f"{node.bl_label}: {_REFUSED[kind]}", "replace it by a node that uses the surface"
+            )
+            return
+        if kind == "TEX_IMAGE":
+            self._image(stack, node)
+            return
+        if kind == "TEX_COORD":
+            self._coordinate(node, output.name)
+        elif kind == "UVMAP":
+            self._uv(node.uv_map)
+            if node.from_instancer:
+                self._report(ERROR, node, "UVs of the instancer are not exported", "turn From Instancer off")
+        elif kind == "NEW_GEOMETRY":
+            self._geometry(node, output.name)
+        elif kind == "OBJECT_INFO":
+            self._result.object_info = True
+        elif kind == "ATTRIBUTE":
+            if node.attribute_type == "GEOMETRY":
+                self._result.mesh = True
+            else:
+                self._report(
+                    ERROR,
+                    node,
+                    f"attributes of type {node.attribute_type} are not evaluated",
+                    "store the value on the geometry",
+                )
+        elif kind == "POINT_INFO":
+            self._report(ERROR, node, "point clouds are not exported", "convert them to a mesh")
+        elif kind in _ON_MESH:
+            self._result.mesh = True
+        elif kind in ("FRESNEL", "LAYER_WEIGHT"):
+            self._report(
+                NOTE,
+                node,
+                f"{node.bl_label} changes with the view: taken at normal incidence, which for a Fresnel mix "
+                "is the F0 that the exported BSDF starts from",
+            )
+        elif kind == "VECT_TRANSFORM" and node.convert_from != node.convert_to:
+            if "CAMERA" in (node.convert_from, node.convert_to):
+                self._report(ERROR, node, "the value changes with the camera", "use World and Object only")
+            self._result.world = True
+        elif kind == "LIGHT_PATH":
+            self._report(NOTE, node, "Light Path is taken as for a camera ray")
+        self._upstream(stack, node)
+
+    def _upstream(self, stack: Stack, node: bpy.types.Node) -> None:
+        for socket in node.inputs:
+            if socket.type == "SHADER":
+                continue
+            if node.type in ("FRESNEL", "LAYER_WEIGHT") and socket.name == "Normal":
+                continue  # at normal incidence by definition
+            source = source_of(stack, socket)
+            if source.node is not None and source.socket is not None:
+                self._visit(source.stack, source.node, source.socket)
+            elif socket.name == "Vector" and node.type in _GENERATED_BY_DEFAULT:
+                self._result.mesh = True
+        if self._is_procedural(node):
+            self._result.is_periodic = False
+
+    @staticmethod
+    def _is_procedural(node: bpy.types.Node) -> bool:
+        """Whether the node turns coordinates into something that need not repeat with them."""
+        return node.type in _GENERATED_BY_DEFAULT or (
+            node.type not in ("TEX_IMAGE", "UVMAP", "TEX_COORD")
+            and any(o.type == "VALUE" for o in node.outputs)
+            and any(i.type == "VECTOR" and i.is_linked for i in node.inputs)
+        )
+
+    def _uv(self, layer: str) -> None:
+        self._result.uv_layers.add(layer)
+        self._result.frames.add(None)  # read other than by an image through an affine map
+
+    def _image(self, stack: Stack, node: bpy.types.Node) -> None:
+        if node.image is None:
+            self._report(ERROR, node, "the Image Texture has no image", "choose an image or remove the node")
+            return
+        if node.image.source in ("FILE", "TILED") and not node.image.has_data and not node.image.packed_file:
+            pixels_exist = node.image.size[0] > 0  # loads it
+            if not pixels_exist:
+                self._report(
+                    ERROR,
+                    node,
+                    f"the image {node.image.name!r} cannot be read ({node.image.filepath})",
+                    "find the missing file or pack it",
+                )
+                return
+        if node.image.source in ("SEQUENCE", "MOVIE"):
+            self._report(NOTE, node, "of a moving image the current frame is exported")
+        if node.projection != "FLAT":
+            self._result.mesh = True
+        frame = image_frame(stack, node)
+        if frame is None:
+            vector = input_of(node, "Vector")
+            assert vector is not None
+            source = source_of(stack, vector)
+            if source.node is not None and source.socket is not None:
+                before = set(self._result.uv_layers)
+                self._visit(source.stack, source.node, source.socket)
+                self._result.is_periodic = False
+                del before
+            else:
+                self._uv("")
+        else:
+            self._result.uv_layers.add(frame.layer)
+            self._result.frames.add(frame)
+            if node.extension != "REPEAT" or node.image.source == "TILED":
+                self._result.is_periodic = False
+
+    def _coordinate(self, node: bpy.types.Node, name: str) -> None:
+        if node.from_instancer:
+            self._report(
+                ERROR, node, "coordinates of the instancer are not exported", "turn From Instancer off"
+            )
+        if name == "UV":
+            self._uv("")
+        elif name == "Object" and node.object is not None:
+            self._result.world = True
+        elif name in ("Generated", "Normal", "Object"):
+            self._result.mesh = True
+        else:
+            self._report(
+                ERROR,
+                node,
+                f"{name} coordinates change with the view",
+                "use UV, Object or Generated coordinates",
+            )
+
+    def _geometry(self, node: bpy.types.Node, name: str) -> None:
+        if name in _GEOMETRY_ON_INSTANCE:
+            self._result.world = True
+        elif name == "Incoming":
+            self._report(ERROR, node, "Incoming changes with the view", "use a value of the surface")
+        elif name == "Backfacing":
+            self._report(APPROXIMATION, node, "back faces get the front's material")
+        else:
+            self._result.mesh = True
+
+
+__all__ = ["IDENTITY", "Dependencies", "DependencyWalk"]

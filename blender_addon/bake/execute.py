@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes channel expressions to arrays with Cycles' EMIT bake, in a scene of its own.
+
+Everything that is created (scene, copies of materials and groups, images, meshes) belongs to a
+:class:`BakeSession` and is removed when it closes, whatever happened in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from .expression import Constant, Expression, Operation, SocketValue
+
+BAKE_UV = "sm_bake"
+_PREFIX = ".sm_"
+_VECTOR_MATH = {
+    "add": "ADD", "subtract": "SUBTRACT", "multiply": "MULTIPLY", "divide": "DIVIDE",
+    "minimum": "MINIMUM", "maximum": "MAXIMUM",
+}  # fmt: skip
+_SCALAR_MATH = {**_VECTOR_MATH, "sqrt": "SQRT"}
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class WorkingMaterial:
+    """A copy of a material whose channel values are top-level sockets, switched to the output one by one."""
+
+    material: bpy.types.Material
+    outputs: dict[str, bpy.types.NodeSocket | Constant]
+    emission: bpy.types.Node
+    target: bpy.types.Node
+
+
+class BakeSession:
+    """Owns a temporary scene. Use as a context manager."""
+
+    def __init__(self) -> None:
+        self._created: list[tuple[Any, Any]] = []
+        self._scene: bpy.types.Scene | None = None
+
+    def __enter__(self) -> BakeSession:
+        self._scene = bpy.data.scenes.new(f"{_PREFIX}bake")
+        self._scene.render.engine = "CYCLES"
+        cycles = self._scene.cycles
+        cycles.samples = 1
+        cycles.use_adaptive_sampling = False
+        cycles.use_denoising = False
+        cycles.device = "CPU"
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for collection, block in reversed(self._created):
+            collection.remove(block, do_unlink=True)
+        self._created.clear()
+        if self._scene is not None:
+            world = self._scene.world
+            bpy.data.scenes.remove(self._scene, do_unlink=True)
+            if world is not None and world.users == 0:
+                bpy.data.worlds.remove(world)
+            self._scene = None
+
+    @property
+    def scene(self) -> bpy.types.Scene:
+        assert self._scene is not None, "the session is closed"
+        return self._scene
+
+    def own(self, collection: Any, block: Any) -> Any:
+        """Have a datablock removed when the session closes."""
+        self._created.append((collection, block))
+        return block
+
+    def discard(self, block: Any) -> None:
+        """Remove a datablock of this session now."""
+        for index, (collection, owned) in enumerate(self._created):
+            if owned == block:
+                del self._created[index]
+                collection.remove(block, do_unlink=True)
+                return
+
+    # ---- materials
+
+    def working_material(
+        self,
+        material: bpy.types.Material,
+        expressions: dict[str, Expression],
+        object_info: dict[str, tuple[float, ...]] | None = None,
+    ) -> WorkingMaterial:
+        """Copy a material and build its channels as sockets. ``object_info`` replaces Object Info outputs."""
+        copy = self.own(bpy.data.materials, material.copy())
+        copy.name = f"{_PREFIX}{material.name}"
+        tree = copy.node_tree
+        single_user: set[tuple[str, ...]] = set()
+        if object_info is not None:
+            self._fix_object_info(tree, (), object_info, single_user)
+        builder = _Builder(self, tree, single_user)
+        outputs = {name: builder.build(expression) for name, expression in expressions.items()}
+        emission = tree.nodes.new("ShaderNodeEmission")
+        target = tree.nodes.new("ShaderNodeTexImage")
+        output = tree.get_output_node("CYCLES")
+        for name in ("Displacement", "Volume"):
+            for link in list(output.inputs[name].links):
+                tree.links.remove(link)
+        tree.links.new(emission.outputs[0], output.inputs["Surface"])
+        for node in tree.nodes:
+            node.select = False
+        target.select = True
+        tree.nodes.active = target
+        return WorkingMaterial(copy, outputs, emission, target)
+
+    def _fix_object_info(
+        self,
+        tree: bpy.types.NodeTree,
+        path: tuple[str, ...],
+        values: dict[str, tuple[float, ...]],
+        single_user: set[tuple[str, ...]],
+    ) -> None:
+        """Replace links from Object Info nodes by the instance's values, in this tree and its groups."""
+        for node in list(tree.nodes):
+            if node.type == "GROUP" and node.node_tree is not None:
+                self.make_single(tree, (*path, node.name), node, single_user)
+                self._fix_object_info(node.node_tree, (*path, node.name), values, single_user)
+            elif node.type == "OBJECT_INFO":
+                for output in node.outputs:
+                    value = values[output.name]
+                    for link in list(output.links):
+                        if len(value) == 1:
+                            source = tree.nodes.new("ShaderNodeValue")
+                            source.outputs[0].default_value = value[0]
+                        else:
+                            source = tree.nodes.new("ShaderNodeCombineXYZ")
+                            for socket, component in zip(source.inputs, value, strict=True):
+                                socket.default_value = component
+                        tree.links.new(source.outputs[0], link.to_socket)
+
+    def make_single(
+        self,
+        tree: bpy.types.NodeTree,
+        path: tuple[str, ...],
+        node: bpy.types.Node,
+        single_user: set[tuple[str, ...]],
+    ) -> None:
+        """Give a group node a tree of its own, once."""
+        if path not in single_user:
+            node.node_tree = self.own(bpy.data.node_groups, node.node_tree.copy())
+            node.node_tree.name = f"{_PREFIX}group"
+            single_user.add(path)
+
+    # ---- objects
+
+    def plane(
+        self, material: bpy.types.Material, uv_layers: dict[str, Array], size_m: float, active: str
+    ) -> bpy.types.Object:
+        """A square in the XY plane from 0 to ``size_m`` with the given UVs (4, 2) at its corners."""
+        mesh = self.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}plane"))
+        s = size_m
+        mesh.from_pydata([(0, 0, 0), (s, 0, 0), (s, s, 0), (0, s, 0)], [], [(0, 1, 2, 3)])
+        for name, values in uv_layers.items():
+            layer = mesh.uv_layers.new(name=name)
+            layer.uv.foreach_set("vector", np.ascontiguousarray(values, np.float32).ravel())
+            if name == active:
+                layer.active_render = True
+        bake = mesh.uv_layers.new(name=BAKE_UV)
+        bake.uv.foreach_set("vector", UNIT_SQUARE.ravel())
+        mesh.materials.append(material)
+        return self.object_of(mesh)
+
+    def object_of(self, mesh: bpy.types.Mesh) -> bpy.types.Object:
+        """An object in the session's scene that shows ``mesh``."""
+        thing = self.own(bpy.data.objects, bpy.data.objects.new(f"{_PREFIX}object", mesh))
+        self.scene.collection.objects.link(thing)
+        return thing
+
+    @contextmanager
+    def only(self, thing: bpy.types.Object) -> Iterator[None]:
+        """Make an object the sole, selected and active one for operators."""
+        layer = self.scene.view_layers[0]
+        for other in self.scene.collection.objects:
+            other.hide_render = other != thing
+        thing.select_set(True, view_layer=layer)
+        layer.objects.active = thing
+        with bpy.context.temp_override(
+            scene=self.scene,
+            view_layer=layer,
+            active_object=thing,
+            object=thing,
+            selected_objects=[thing],
+            selected_editable_objects=[thing],
+        ):
+            yield
+
+    # ---- baking
+
+    def bake(
+        self,
+        thing: bpy.types.Object,
+        working: WorkingMaterial,
+        channel: str,
+        size: int,
+        uv_layer: str = BAKE_UV,
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Bake one channel to (size, size, 3), row 0 at the bottom, and the mask of texels hit."""
+        tree = working.material.node_tree
+        colour = working.emission.inputs["Color"]
+        for link in list(colour.links):
+            tree.links.remove(link)
+        source = working.outputs[channel]
+        if isinstance(source, Constant):
+            value = source.value * (3 if source.width == 1 else 1)
+            return np.full((size, size, 3), value, np.float32), np.ones((size, size), bool)
+        tree.links.new(source, colour)
+        return self._run("EMIT", thing, working, size, uv_layer)
+
+    def bake_normal(
+        self, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str = BAKE_UV
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Bake the tangent-space normal of whatever is linked to the working material's output."""
+        return self._run("NORMAL", thing, working, size, uv_layer)
+
+    def _run(
+        self, kind: str, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        image = bpy.data.images.new(f"{_PREFIX}target", size, size, alpha=True, float_buffer=True, is_data=True)
+        self.own(bpy.data.images, image)
+        try:
+            image.generated_color = (0, 0, 0, 0)
+            working.target.image = image
+            with self.only(thing):
+                bpy.ops.object.bake(type=kind, uv_layer=uv_layer, margin=0, use_clear=True)
+            pixels = np.empty(size * size * 4, np.float32)
+            image.pixels.foreach_get(pixels)
+        finally:
+            working.target.image = None
+            self.discard(image)
+        pixels = pixels.reshape(size, size, 4)
+        return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3] > 0.5
+
+
+UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+
+
+class _Builder:
+    """Turns expressions into nodes of a working tree."""
+
+    def __init__(self, session: BakeSession, tree: bpy.types.NodeTree, single_user: set[tuple[str, ...]]):
+        self.session, self.tree, self.single_user = session, tree, single_user
+        self._built: dict[Expression, bpy.types.NodeSocket] = {}
+
+    def build(self, expression: Expression) -> bpy.types.NodeSocket | Constant:
+        """The top-level socket that carries an expression; constants stay constants."""
+        if isinstance(expression, Constant):
+            return expression
+        if expression not in self._built:
+            if isinstance(expression, SocketValue):
+                self._built[expression] = self._expose(expression)
+            else:
+                self._built[expression] = self._operation(expression)
+        return self._built[expression]
+
+    def _expose(self, value: SocketValue) -> bpy.types.NodeSocket:
+        tree, groups = self.tree, []
+        for depth, name in enumerate(value.path):
+            node = tree.nodes[name]
+            self.session.make_single(tree, value.path[: depth + 1], node, self.single_user)
+            groups.append(node)
+            tree = node.node_tree
+        socket = next(o for o in tree.nodes[value.node].outputs if o.identifier == value.socket)
+        for group in reversed(groups):
+            inner = group.node_tree
+            outputs = [node for node in inner.nodes if node.bl_idname == "NodeGroupOutput"]
+            end = next((node for node in outputs if node.is_active_output), None)
+            if end is None:
+                end = outputs[0] if outputs else inner.nodes.new("NodeGroupOutput")
+            kind = {"VALUE": "NodeSocketFloat", "RGBA": "NodeSocketColor"}.get(socket.type, "NodeSocketVector")
+            item = inner.interface.new_socket(name="sm_value", in_out="OUTPUT", socket_type=kind)
+            inner.links.new(socket, next(i for i in end.inputs if i.identifier == item.identifier))
+            socket = next(o for o in group.outputs if o.identifier == item.identifier)
+        return socket
+
+    def _operation(self, operation: Operation) -> bpy.types.NodeSocket:
+        if operation.name == "luminance":
+            node = self.tree.nodes.new("ShaderNodeRGBToBW")
+            self._connect(operation.arguments[0], node.inputs[0])
+            return node.outputs[0]
+        if operation.name == "average":
+            node = self.tree.nodes.new("ShaderNodeVectorMath")
+            node.operation = "DOT_PRODUCT"
+            self._connect(operation.arguments[0], node.inputs[0])
+            node.inputs[1].default_value = (1 / 3,) * 3
+            return node.outputs["Value"]
+        if operation.width == 3:
+            node = self.tree.nodes.new("ShaderNodeVectorMath")
+            node.operation = _VECTOR_MATH[operation.name]
+        else:
+            node = self.tree.nodes.new("ShaderNodeMath")
+            node.operation = _SCALAR_MATH[operation.name]
+        for argument, socket in zip(operation.arguments, node.inputs, strict=False):
+            self._connect(argument, socket)
+        return node.outputs[0]
+
+    def _connect(self, expression: Expression, socket: bpy.types.NodeSocket) -> None:
+        built = self.build(expression)
+        if not isinstance(built, Constant):
+            self.tree.links.new(built, socket)
+        elif hasattr(socket.default_value, "__len__"):
+            components = built.value if built.width == 3 else built.value * 3
+            socket.default_value = (*components, 1.0)[: len(socket.default_value)]
+        else:
+            socket.default_value = built.value[0]

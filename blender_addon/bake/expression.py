@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Values of a shader graph as small expressions: constants, sockets of the graph, and arithmetic on them.
+
+A channel of the project's BSDF is such an expression. Building one folds constants, so that what stays
+constant, or is just one socket, shows; what remains is built from math nodes and baked. Widths: 1 is a
+scalar, 3 a linear Rec.709 colour or a vector. A scalar meets a colour by repetition.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+
+LUMINANCE = (0.2126729, 0.7151522, 0.0721750)
+"""Blender's conversion of a colour to a value in the Rec.709 scene-linear space."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A known value, of 1 or 3 components."""
+
+    value: tuple[float, ...]
+
+    @property
+    def width(self) -> int:
+        return len(self.value)
+
+
+@dataclass(frozen=True)
+class SocketValue:
+    """The value of an output socket: ``path`` names the group nodes from the material's tree down to it."""
+
+    path: tuple[str, ...]
+    node: str
+    socket: str
+    width: int
+
+
+@dataclass(frozen=True)
+class Operation:
+    """``name`` applied to ``arguments`` component by component (see :data:`OPERATIONS`)."""
+
+    name: str
+    arguments: tuple[Expression, ...]
+    width: int
+
+
+Expression = Constant | SocketValue | Operation
+
+OPERATIONS: dict[str, Callable[..., float]] = {
+    "add": lambda a, b: a + b,
+    "subtract": lambda a, b: a - b,
+    "multiply": lambda a, b: a * b,
+    "divide": lambda a, b: a / b if b else 0.0,  # Blender's math nodes divide by zero to zero
+    "minimum": min,
+    "maximum": max,
+    "sqrt": lambda a: math.sqrt(max(a, 0.0)),
+}
+_REDUCTIONS = ("luminance", "average")
+
+
+def constant(*value: float) -> Constant:
+    """A constant of one or three components."""
+    return Constant(tuple(float(v) for v in value))
+
+
+ZERO, ONE, BLACK = constant(0), constant(1), constant(0, 0, 0)
+
+
+def is_constant(expression: Expression, value: float | None = None) -> bool:
+    """Whether the expression is known, and equals ``value`` in every component if one is given."""
+    return isinstance(expression, Constant) and (
+        value is None or all(component == value for component in expression.value)
+    )
+
+
+def _component(expression: Constant, index: int) -> float:
+    return expression.value[index if expression.width == 3 else 0]
+
+
+def _is_complement(expression: Expression) -> bool:
+    return (
+        isinstance(expression, Operation)
+        and expression.name == "subtract"
+        and is_constant(expression.arguments[0], 1)
+    )
+
+
+def operate(name: str, *arguments: Expression) -> Expression:
+    """Apply an operation, folding what is known and dropping neutral elements."""
+    width = max(argument.width for argument in arguments)
+    if all(isinstance(argument, Constant) for argument in arguments):
+        function = OPERATIONS[name]
+        return Constant(
+            tuple(
+                float(function(*(_component(a, i) for a in arguments)))  # type: ignore[arg-type]
+                for i in range(width)
+            )
+        )
+    if len(arguments) == 2:
+        a, b = arguments
+        if name == "multiply" and (is_constant(a, 0) or is_constant(b, 0)):
+            return ZERO if width == 1 else BLACK
+        if name == "add" and is_constant(a, 0) and b.width == width:
+            return b
+        if name in ("add", "subtract") and is_constant(b, 0) and a.width == width:
+            return a
+        if name == "multiply" and is_constant(a, 1) and b.width == width:
+            return b
+        if name in ("multiply", "divide") and is_constant(b, 1) and a.width == width:
+            return a
+        if name == "divide" and is_constant(a, 0):
+            return ZERO if width == 1 else BLACK
+        if name in ("minimum", "maximum") and a == b:
+            return a
+        if name == "divide" and a == b and a.width == width:
+            return ONE  # where both are 0 nothing of the lobe is seen, so that its value does not matter
+        if name == "subtract" and is_constant(a, 1) and _is_complement(b) and b.width == width:
+            return b.arguments[1]  # type: ignore[union-attr]
+    return Operation(name, arguments, width)
+
+
+def add(*terms: Expression) -> Expression:
+    """Sum of any number of terms."""
+    return reduce(lambda a, b: operate("add", a, b), terms) if terms else ZERO
+
+
+def multiply(*factors: Expression) -> Expression:
+    """Product of any number of factors."""
+    return reduce(lambda a, b: operate("multiply", a, b), factors) if factors else ONE
+
+
+def subtract(a: Expression, b: Expression) -> Expression:
+    """a - b."""
+    return operate("subtract", a, b)
+
+
+def divide(a: Expression, b: Expression) -> Expression:
+    """a / b, 0 where b is 0."""
+    return operate("divide", a, b)
+
+
+def clamp(expression: Expression) -> Expression:
+    """Into [0, 1]."""
+    return operate("minimum", operate("maximum", expression, ZERO), ONE)
+
+
+def complement(expression: Expression) -> Expression:
+    """1 - x."""
+    return subtract(ONE, expression)
+
+
+def lerp(a: Expression, b: Expression, factor: Expression) -> Expression:
+    """a (1 - factor) + b factor."""
+    if a == b:
+        return a
+    return add(multiply(a, complement(factor)), multiply(b, factor))
+
+
+def reduce_to_scalar(expression: Expression, name: str = "luminance") -> Expression:
+    """Colour to value as Blender converts it: ``luminance`` of a colour, ``average`` of a vector."""
+    if expression.width == 1:
+        return expression
+    if isinstance(expression, Constant):
+        weights = LUMINANCE if name == "luminance" else (1 / 3,) * 3
+        return constant(sum(w * v for w, v in zip(weights, expression.value, strict=True)))
+    if name not in _REDUCTIONS:
+        raise ValueError(f"no reduction {name!r}")
+    return Operation(name, (expression,), 1)
+
+
+def widen(expression: Expression) -> Expression:
+    """A scalar constant repeated to three components; anything else unchanged."""
+    if isinstance(expression, Constant) and expression.width == 1:
+        return Constant(expression.value * 3)
+    return expression
+
+
+def fresnel_f0(ior: Expression) -> Expression:
+    """Reflectance at normal incidence of a dielectric, ((ior - 1) / (ior + 1))^2."""
+    ratio = divide(subtract(ior, ONE), add(ior, ONE))
+    return multiply(ratio, ratio)
+
+
+def sockets(expression: Expression) -> set[SocketValue]:
+    """All graph sockets that the expression reads."""
+    if isinstance(expression, SocketValue):
+        return {expression}
+    if isinstance(expression, Operation):
+        return set().union(*(sockets(argument) for argument in expression.arguments))
+    return set()

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Follows links of a shader graph to where a value really comes from. Reads the graph, never changes it.
+
+A *stack* is the tuple of group nodes from the material's tree down to the tree being looked at; reroutes,
+muted nodes, muted links and group boundaries are looked through.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+
+from .expression import (
+    Constant,
+    Expression,
+    SocketValue,
+    constant,
+    reduce_to_scalar,
+    widen,
+)
+
+Stack = tuple[bpy.types.Node, ...]
+_WIDTH = {"VALUE": 1, "INT": 1, "BOOLEAN": 1, "RGBA": 3, "VECTOR": 3, "ROTATION": 3}
+_MAX_HOPS = 10_000  # a cycle of reroutes would otherwise never end
+
+
+@dataclass(frozen=True)
+class Graph:
+    """A material's, light's or world's node tree."""
+
+    tree: bpy.types.NodeTree
+
+    def output_node(self) -> bpy.types.Node | None:
+        """The output node that Cycles renders."""
+        return self.tree.get_output_node("CYCLES")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where an input's value comes from: an output ``socket`` of ``node``, or an unlinked input ``socket``
+    (``node`` is None), or nothing at all (both None: a muted node without a passage)."""
+
+    stack: Stack
+    node: bpy.types.Node | None
+    socket: bpy.types.NodeSocket | None
+
+    @property
+    def is_linked(self) -> bool:
+        return self.node is not None
+
+
+def _incoming(socket: bpy.types.NodeSocket) -> bpy.types.NodeLink | None:
+    for link in socket.links:
+        if not link.is_muted and link.is_valid:
+            return link
+    return None
+
+
+def _group_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
+    outputs = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
+    return next((node for node in outputs if node.is_active_output), outputs[0] if outputs else None)
+
+
+def _by_identifier(sockets: bpy.types.bpy_prop_collection, identifier: str) -> bpy.types.NodeSocket | None:
+    return next((socket for socket in sockets if socket.identifier == identifier), None)
+
+
+def source_of(stack: Stack, socket: bpy.types.NodeSocket) -> Source:
+    """What feeds an input socket."""
+    for _ in range(_MAX_HOPS):
+        link = _incoming(socket)
+        if link is None:
+            return Source(stack, None, socket)
+        node, output = link.from_node, link.from_socket
+        if node.bl_idname == "NodeReroute":
+            socket = node.inputs[0]
+        elif node.mute:
+            passage = next((inner for inner in node.internal_links if inner.to_socket == output), None)
+            if passage is None:
+                return Source(stack, None, None)
+            socket = passage.from_socket
+        elif node.bl_idname == "NodeGroupInput":
+            outer = _by_identifier(stack[-1].inputs, output.identifier)
+            if outer is None:
+                return Source(stack, None, None)
+            stack, socket = stack[:-1], outer
+        elif node.bl_idname == "ShaderNodeGroup":
+            inner = _group_output(node.node_tree) if node.node_tree else None
+            inner_socket = _by_identifier(inner.inputs, output.identifier) if inner else None
+            if inner_socket is None:
+                return Source(stack, None, None)
+            stack, socket = (*stack, node), inner_socket
+        else:
+            return Source(stack, node, output)
+    raise RuntimeError(f"links around node {socket.node.name!r} form a ring")
+
+
+def path_of(stack: Stack) -> tuple[str, ...]:
+    """Names of the group nodes of a stack."""
+    return tuple(node.name for node in stack)
+
+
+def input_of(node: bpy.types.Node, *names: str) -> bpy.types.NodeSocket | None:
+    """The first input whose identifier or name is one of ``names``."""
+    for name in names:
+        socket = _by_identifier(node.inputs, name) or node.inputs.get(name)
+        if socket is not None:
+            return socket
+    return None
+
+
+def socket_width(socket: bpy.types.NodeSocket) -> int:
+    """1 for values, 3 for colours and vectors."""
+    return _WIDTH[socket.type]
+
+
+def default_of(socket: bpy.types.NodeSocket) -> Constant:
+    """An unlinked input's own value; alpha of a colour is dropped."""
+    value = socket.default_value
+    return constant(*tuple(value)[:3]) if hasattr(value, "__len__") else constant(float(value))
+
+
+# Values that mean the same for every export: the graph is seen as by a camera ray that hits the front.
+LIGHT_PATH_VALUES = {"Is Camera Ray": 1.0}
+
+
+def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
+    """The value of an input socket as an expression of the input's own width."""
+    source = source_of(stack, socket)
+    if source.socket is None:
+        value: Expression = constant(0.0)
+        kind = "VALUE"
+    elif source.node is None:
+        value, kind = default_of(source.socket), source.socket.type
+    elif source.node.type == "VALUE":
+        value, kind = constant(source.node.outputs[0].default_value), "VALUE"
+    elif source.node.type == "RGB":
+        value, kind = constant(*source.node.outputs[0].default_value[:3]), "RGBA"
+    elif source.node.type == "LIGHT_PATH":
+        value, kind = constant(LIGHT_PATH_VALUES.get(source.socket.name, 0.0)), "VALUE"
+    else:
+        kind = source.socket.type
+        value = SocketValue(
+            path_of(source.stack), source.node.name, source.socket.identifier, socket_width(source.socket)
+        )
+    if socket_width(socket) == 1:
+        return reduce_to_scalar(value, "average" if kind == "VECTOR" else "luminance")
+    return widen(value)
+
+
+def node_at(tree: bpy.types.NodeTree, path: tuple[str, ...], name: str) -> tuple[Stack, bpy.types.Node]:
+    """The node that an expression's socket belongs to, with the stack that leads to it."""
+    stack: Stack = ()
+    for group in path:
+        stack = (*stack, tree.nodes[group])
+        tree = stack[-1].node_tree
+    return stack, tree.nodes[name]

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decides for each channel of a material how it becomes a constant or a texture. Changes no data.
+
+- ``constant``: nothing upstream varies; evaluated once.
+- ``image``: the channel is an image file read through the UV map; the file passes through.
+- ``plane``: depends on UVs only; baked once per material on a plane.
+- ``mesh``: depends on object coordinates, attributes or place; baked per mesh (or per instance).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import bpy
+
+from ..problems import APPROXIMATION, ERROR, NOTE, Problem, ProblemList
+from .channels import Channels, channels_of
+from .closures import TRANSMISSION_POLICIES, Closures, ClosureWalk
+from .dependencies import Dependencies, DependencyWalk
+from .expression import Constant, Expression, Operation, SocketValue, is_constant, sockets
+from .frames import IDENTITY, UvFrame, image_frame
+from .graph import Graph, Stack, input_of, node_at, source_of
+
+ENCODINGS = {"sRGB": "srgb", "Non-Color": "linear", "Raw": "linear", "Linear Rec.709": "linear"}
+_SEPARATE = {"Red": "r", "Green": "g", "Blue": "b", "R": "r", "G": "g", "B": "b"}
+SCALAR_CHANNELS = ("roughness", "opacity")
+
+
+@dataclass(frozen=True)
+class PlainImage:
+    """A channel that is one image: ``channel`` rgb, r, g, b or a; ``encoding`` srgb or linear."""
+
+    image: bpy.types.Image
+    channel: str
+    encoding: str
+    frame: UvFrame
+    needs_unit_uv: bool
+
+
+@dataclass
+class MaterialPlan:
+    """How one material is exported.
+
+    ``constants`` need no bake beyond a value; ``images`` pass through; ``varying`` are baked on a plane, or on
+    the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
+    """
+
+    name: str
+    channels: Channels
+    constants: dict[str, Expression] = field(default_factory=dict)
+    images: dict[str, PlainImage] = field(default_factory=dict)
+    varying: dict[str, Expression] = field(default_factory=dict)
+    dependencies: Dependencies = field(default_factory=Dependencies)
+    frame: UvFrame | None = None
+    normals: list[tuple[Stack, bpy.types.NodeSocket]] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+    @property
+    def needs_mesh(self) -> bool:
+        """Whether a part of its own mesh has to be baked."""
+        return bool(self.varying) and self.dependencies.needs_mesh
+
+    @property
+    def is_per_instance(self) -> bool:
+        return bool(self.varying) and self.dependencies.is_per_instance
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether one UV unit holds everything."""
+        return self.dependencies.is_periodic and None not in self.dependencies.frames
+
+
+def plan_material(material: bpy.types.Material, transmission: str | None = None) -> MaterialPlan:
+    """Plan one material; problems are in the plan. ``transmission`` overrides the material's policy."""
+    problems = ProblemList()
+    policy = transmission or str(material.get("sm_transmission", "refuse"))
+    if policy not in TRANSMISSION_POLICIES:
+        problems.add(
+            ERROR,
+            f"sm_transmission = {policy!r}",
+            f"use one of {', '.join(TRANSMISSION_POLICIES)}",
+            material=material.name,
+        )
+    if not material.use_nodes or material.node_tree is None:
+        colour = Constant(tuple(material.diffuse_color[:3]))
+        channels = Channels(colour, Constant((0.0,) * 3), Constant((1.0,)), None, None)
+        return MaterialPlan(material.name, channels, constants=channels.baked())
+    graph = Graph(material.node_tree)
+    closures = ClosureWalk(material.name, problems, policy).walk(graph)
+    _note_leftover_lobes(closures, material.name, problems)
+    channels = channels_of(closures)
+    plan = MaterialPlan(material.name, channels, normals=closures.normals)
+    _classify(plan, material.node_tree, problems)
+    plan.problems = list(problems)
+    return plan
+
+
+def _note_leftover_lobes(closures: Closures, name: str, problems: ProblemList) -> None:
+    glossy = {
+        lobe.roughness
+        for lobe in closures.lobes
+        if lobe.roughness is not None and not is_constant(lobe.specular, 0)
+    }
+    if len(glossy) > 1 and not any("coat" in p.message for p in problems):
+        problems.add(
+            NOTE,
+            f"{len(glossy)} glossy lobes become one; exact where their mix is a mask of 0 and 1, else the "
+            "slope width is their mean weighted by F0",
+            material=name,
+        )
+
+
+def _classify(plan: MaterialPlan, tree: bpy.types.NodeTree, problems: ProblemList) -> None:
+    walk = DependencyWalk(tree, plan.name, problems)
+    varying: dict[str, Expression] = {}
+    for name, expression in plan.channels.baked().items():
+        if walk.of(expression).is_constant:
+            plan.constants[name] = expression
+        else:
+            varying[name] = expression
+    plain = {
+        name: image
+        for name, expression in varying.items()
+        if (image := plain_image(tree, expression, name in SCALAR_CHANNELS)) is not None
+    }
+    frames = {image.frame for image in plain.values()}
+    if plain and len(plain) == len(varying) and len(frames) == 1:
+        plan.images, (plan.frame,) = plain, frames
+        for name, image in plain.items():
+            _note_interpolation(tree, varying[name], plan.name, problems, image)
+        plan.dependencies = walk.of(*varying.values())
+        return
+    if not varying:
+        return
+    plan.dependencies = walk.of(*varying.values())
+    read_frames = plan.dependencies.frames
+    if len(read_frames) == 1 and None not in read_frames:
+        (plan.frame,) = read_frames  # type: ignore[assignment]
+    else:
+        layer = next(iter(plan.dependencies.uv_layers), "")
+        plan.frame = UvFrame(layer, IDENTITY)
+    if not plan.dependencies.needs_mesh and not plan.dependencies.is_per_instance and plan.is_periodic:
+        plan.images = {name: image for name, image in plain.items() if image.frame == plan.frame}
+    plan.varying = {name: value for name, value in varying.items() if name not in plan.images}
+
+
+def _note_interpolation(
+    tree: bpy.types.NodeTree, expression: Expression, name: str, problems: ProblemList, image: PlainImage
+) -> None:
+    for value in sockets(expression):
+        node = node_at(tree, value.path, value.node)[1]
+        if node.type == "TEX_IMAGE" and node.interpolation == "Closest":
+            problems.add(
+                APPROXIMATION,
+                f"pixels of {image.image.name!r} are interpolated linearly instead of shown as squares",
+                material=name,
+                node=node.name,
+            )
+
+
+def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
+    """The same plan with pass-through images baked too, because their coordinates cannot be kept."""
+    varying = {
+        name: expression
+        for name, expression in plan.channels.baked().items()
+        if name in plan.images or name in plan.varying
+    }
+    dependencies = Dependencies()
+    dependencies.merge(plan.dependencies)
+    dependencies.mesh |= on_mesh
+    dependencies.is_periodic = False
+    return MaterialPlan(
+        plan.name, plan.channels, plan.constants, {}, varying, dependencies, plan.frame, plan.normals,
+        plan.problems,
+    )  # fmt: skip
+
+
+def _strip_clamp(expression: Expression) -> tuple[Expression, bool]:
+    stripped = False
+    while (
+        isinstance(expression, Operation)
+        and expression.name in ("minimum", "maximum")
+        and isinstance(expression.arguments[1], Constant)
+    ):
+        expression, stripped = expression.arguments[0], True
+    return expression, stripped
+
+
+def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
+    """The image that the expression is, if it is nothing but an image read through an affine UV map."""
+    bare, _ = _strip_clamp(expression)
+    is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
+    if is_luminance:
+        bare = bare.arguments[0]  # type: ignore[union-attr]
+    if not isinstance(bare, SocketValue):
+        return None
+    stack, node = node_at(tree, bare.path, bare.node)
+    output = next(o for o in node.outputs if o.identifier == bare.socket)
+    channel = "rgb"
+    if node.type in ("SEPARATE_COLOR", "SEPRGB") and getattr(node, "mode", "RGB") == "RGB":
+        channel = _SEPARATE.get(output.name, "")
+        colour = input_of(node, "Color", "Image")
+        source = source_of(stack, colour) if colour is not None else None
+        if not channel or source is None or source.node is None or source.node.type != "TEX_IMAGE":
+            return None
+        stack, node, output = source.stack, source.node, source.socket
+    if node.type != "TEX_IMAGE" or node.image is None or output is None:
+        return None
+    if output.name == "Alpha":
+        if channel != "rgb":
+            return None
+        channel = "a"
+    frame = image_frame(stack, node)
+    image = node.image
+    encoding = ENCODINGS.get(image.colorspace_settings.name)
+    is_file = image.source == "FILE" and node.projection == "FLAT"
+    if frame is None or encoding is None or not is_file or (encoding == "srgb" and image.is_float):
+        return None
+    if (channel == "rgb") == is_scalar:
+        if not is_scalar or not _is_grey(image):
+            return None  # one component as a colour, or a coloured image read as a value: bake
+        channel = "r"
+    if channel != "a" and image.channels == 4 and image.alpha_mode in ("STRAIGHT", "PREMUL"):
+        if not _is_opaque(image):
+            return None
+    if channel == "a":
+        encoding = "linear"
+    return PlainImage(image, channel, encoding, frame, node.extension != "REPEAT")
+
+
+def _pixels(image: bpy.types.Image) -> object:
+    import numpy as np
+
+    values = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(-1, image.channels)
+
+
+def _is_grey(image: bpy.types.Image) -> bool:
+    import numpy as np
+
+    if image.channels < 3:
+        return True
+    values: np.ndarray = _pixels(image)  # type: ignore[assignment]
+    return bool(len(values) and np.abs(values[:, :3] - values[:, :1]).max() <= 0.5 / 255)
+
+
+def _is_opaque(image: bpy.types.Image) -> bool:
+    import numpy as np
+
+    values: np.ndarray = _pixels(image)  # type: ignore[assignment]
+    return bool(len(values) and values[:, 3].min() >= 1 - 0.5 / 255)

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How many texels a channel needs: box-filtered levels of a fine bake, and the error of each. No bpy.
+
+Images are (H, W, C) float32, row 0 at the bottom (v = 0); H and W are powers of two. A mask (H, W) says which
+texels the surface covers; the others are filled from their neighbours and do not count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Level:
+    """An image that represents a finer one: ``error`` is the mean absolute difference over covered texels
+    between the finer one and this one interpolated linearly."""
+
+    image: Image
+    error: float
+
+
+def halve(image: Image, weight: Image, axis: int) -> tuple[Image, Image]:
+    """Box-filter pairs along an axis, weighted by coverage; returns image and weight."""
+    first, second = (slice(None, None, 2), slice(1, None, 2))
+    a, b = (image[first], image[second]) if axis == 0 else (image[:, first], image[:, second])
+    p, q = (weight[first], weight[second]) if axis == 0 else (weight[:, first], weight[:, second])
+    total = p + q
+    return (a * p + b * q) / np.maximum(total, 1e-12), total / 2
+
+
+def _axis_weights(size: int, target: int, is_periodic: bool) -> tuple[NDArray, NDArray, NDArray]:
+    centre = (np.arange(target) + 0.5) * size / target - 0.5
+    low = np.floor(centre).astype(int)
+    fraction = (centre - low).astype(np.float32)
+    if is_periodic:
+        return low % size, (low + 1) % size, fraction
+    return np.clip(low, 0, size - 1), np.clip(low + 1, 0, size - 1), fraction
+
+
+def interpolate(image: Image, height: int, width: int, is_periodic: bool) -> Image:
+    """Bilinear lookup at the texel centres of a finer grid."""
+    low, high, t = _axis_weights(image.shape[0], height, is_periodic)
+    rows = image[low] * (1 - t)[:, None, None] + image[high] * t[:, None, None]
+    low, high, t = _axis_weights(image.shape[1], width, is_periodic)
+    return rows[:, low] * (1 - t)[None, :, None] + rows[:, high] * t[None, :, None]
+
+
+def fill(image: Image, mask: Mask) -> Image:
+    """Give texels outside the mask the colour of the nearest coarser level that has any (push-pull)."""
+    if mask.all():
+        return image
+    if not mask.any():
+        return np.zeros_like(image)
+    levels: list[tuple[Image, Image]] = [(image, mask.astype(np.float32)[..., None])]
+    while levels[-1][0].shape[0] > 1 or levels[-1][0].shape[1] > 1:
+        current, weight = levels[-1]
+        for axis in (0, 1):
+            if current.shape[axis] > 1:
+                current, weight = halve(current, weight, axis)
+        levels.append((current, weight))
+    filled = levels[-1][0]
+    for current, weight in reversed(levels[:-1]):
+        coarse = interpolate(filled, current.shape[0], current.shape[1], False)
+        filled = np.where(weight > 0, current, coarse)
+    return filled.astype(np.float32)
+
+
+def smallest_level(image: Image, mask: Mask, tolerance: float, is_periodic: bool, least: int = 1) -> Level:
+    """The coarsest level within ``tolerance`` of ``image``; each axis is halved on its own.
+
+    A channel that varies along one axis only keeps a single row or column. Returns the image itself (error 0)
+    where no level is good enough.
+    """
+    best = Level(fill(image, mask), 0.0)
+    weight = mask.astype(np.float32)[..., None]
+    if not mask.any():
+        return Level(np.zeros((1, 1, image.shape[2]), np.float32), 0.0)
+    current = image
+    axes = [0, 1]
+    while axes:
+        for axis in list(axes):
+            if current.shape[axis] // 2 < least:
+                axes.remove(axis)
+                continue
+            smaller, smaller_weight = halve(current, weight, axis)
+            filled = fill(smaller, smaller_weight[..., 0] > 0)
+            error = level_error(filled, image, mask, is_periodic)
+            if error > tolerance:
+                axes.remove(axis)
+                continue
+            current, weight, best = smaller, smaller_weight, Level(filled, error)
+    return best
+
+
+def level_error(level: Image, image: Image, mask: Mask, is_periodic: bool) -> float:
+    """Mean absolute difference over covered texels, of the worst component."""
+    difference = np.abs(interpolate(level, image.shape[0], image.shape[1], is_periodic) - image)
+    return float(difference[mask].mean(axis=0).max())

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Runs a material's plan: constants, textures of the size that they need, and the UV map that reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..problems import APPROXIMATION, NOTE, ProblemList
+from ..settings import ExportSettings
+from .execute import UNIT_SQUARE, Array, BakeSession, WorkingMaterial
+from .expression import Constant
+from .frames import IDENTITY, UvFrame
+from .plan import SCALAR_CHANNELS, MaterialPlan, PlainImage
+from .pyramid import fill, halve, level_error, smallest_level
+
+_FIRST_PX = 256
+_ODD_PX = 181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
+_FLAT = 1e-4  # a texture that varies by less is a constant
+
+Window = tuple[float, float, float, float]
+UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class BakedTexture:
+    """``pixels`` (H, W, C) float32, row 0 at v = 0, linear; ``error``: mean absolute difference to twice the
+    resolution (or to the finest bake)."""
+
+    pixels: Array
+    error: float
+
+
+Channel = tuple[float, ...] | BakedTexture | PlainImage
+
+
+@dataclass
+class BakedMaterial:
+    """``channels`` by name. The mesh's UVs become texture coordinates by ``frame`` and then the window's
+    (u0, v0, u1, v1) move to the unit square; ``uv`` (C, 2) replaces them where the mesh was laid out anew."""
+
+    channels: dict[str, Channel] = field(default_factory=dict)
+    frame: UvFrame | None = None
+    window: Window = UNIT_WINDOW
+    uv: NDArray[np.float32] | None = None
+    normal: BakedTexture | None = None
+
+    def texture_coordinates(self, uv: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Map a mesh's UVs (C, 2) to those that the textures want."""
+        if self.frame is not None:
+            uv = self.frame.apply(uv)
+        u0, v0, u1, v1 = self.window
+        if self.window == UNIT_WINDOW:
+            return uv
+        low, size = np.array([u0, v0]), np.array([u1 - u0, v1 - v0])
+        return ((uv - low) / size).astype(np.float32)
+
+
+class MaterialBaker:
+    """Bakes materials inside one session."""
+
+    def __init__(self, session: BakeSession, settings: ExportSettings, problems: ProblemList):
+        self.session, self.settings, self.problems = session, settings, problems
+
+    def on_plane(
+        self,
+        material: bpy.types.Material,
+        plan: MaterialPlan,
+        window: Window = UNIT_WINDOW,
+        object_info: dict[str, tuple[float, ...]] | None = None,
+        size_m: float = 1.0,
+        layer_names: tuple[str, ...] = (),
+    ) -> BakedMaterial:
+        """Everything of a material that needs no mesh. ``layer_names``: UV layers that its nodes name."""
+        result = BakedMaterial(frame=plan.frame, window=window)
+        result.channels.update(plan.images)
+        pending = {**plan.constants, **plan.varying}
+        direct = {name: value for name, value in pending.items() if isinstance(value, Constant)}
+        result.channels.update({name: _constant(name, value.value) for name, value in direct.items()})
+        pending = {name: value for name, value in pending.items() if name not in direct}
+        if not pending:
+            return self._finish(result, plan)
+        working = self.session.working_material(material, pending, object_info)
+        frame = plan.frame or UvFrame("", IDENTITY)
+        u0, v0, u1, v1 = window
+        corners = np.array([[u0, v0], [u1, v0], [u1, v1], [u0, v1]])
+        uv = frame.inverse(corners).astype(np.float32)
+        names = dict.fromkeys((*layer_names, frame.layer or "UVMap"))
+        thing = self.session.plane(
+            working.material, {name: uv for name in names}, size_m, frame.layer or "UVMap"
+        )
+        is_periodic = plan.is_periodic and window == UNIT_WINDOW
+        for name in pending:
+            if name in plan.constants:
+                pixels, _ = self.session.bake(thing, working, name, 4)
+                result.channels[name] = _constant(name, tuple(pixels.reshape(-1, 3).mean(axis=0).tolist()))
+            else:
+                result.channels[name] = self._grow(thing, working, name, plan.name, is_periodic)
+        self._release(thing, working)
+        return self._finish(result, plan)
+
+    def on_mesh(
+        self,
+        material: bpy.types.Material,
+        plan: MaterialPlan,
+        thing: bpy.types.Object,
+        slot: int,
+        uv: NDArray[np.float32],
+        object_info: dict[str, tuple[float, ...]] | None = None,
+    ) -> BakedMaterial:
+        """Bake a slot of a mesh (an object of the session) under its bake layout ``uv``."""
+        result = BakedMaterial(uv=uv)
+        mesh = thing.data
+        pending = {**plan.constants, **plan.varying}
+        working = self.session.working_material(material, pending, object_info)
+        idle = self._idle_material()
+        originals = list(mesh.materials)
+        for index in range(len(originals)):
+            mesh.materials[index] = working.material if index == slot else idle
+        if not originals:
+            mesh.materials.append(working.material)
+        for name in pending:
+            source = working.outputs[name]
+            if isinstance(source, Constant):
+                result.channels[name] = _constant(name, source.value)
+            else:
+                result.channels[name] = self._grow(thing, working, name, plan.name, False, idle)
+        self._release(None, working)
+        return self._finish(result, plan)
+
+    def _idle_material(self) -> bpy.types.Material:
+        """A material for the slots that are not being baked; every slot needs an image to bake to."""
+        material = self.session.own(bpy.data.materials, bpy.data.materials.new(".sm_idle"))
+        material.use_nodes = True
+        node = material.node_tree.nodes.new("ShaderNodeTexImage")
+        node.image = self.session.own(bpy.data.images, bpy.data.images.new(".sm_idle", 1, 1, is_data=True))
+        material.node_tree.nodes.active = node
+        return material
+
+    def _release(self, thing: bpy.types.Object | None, working: WorkingMaterial) -> None:
+        if thing is not None:
+            mesh = thing.data
+            self.session.discard(thing)
+            self.session.discard(mesh)
+        self.session.discard(working.material)
+
+    def _grow(
+        self,
+        thing: bpy.types.Object,
+        working: WorkingMaterial,
+        name: str,
+        material: str,
+        is_periodic: bool,
+        idle: bpy.types.Material | None = None,
+    ) -> Channel:
+        """Bake at rising sizes until a level of half the size or less represents the bake."""
+        limit, tolerance = self.settings.max_texture_px, self.settings.tolerance
+        size = min(_FIRST_PX, limit)
+        while True:
+            pixels, mask = self.session.bake(thing, working, name, size)
+            pixels = _tidy(name, pixels)
+            if not mask.any():
+                return _constant(name, (0.0,) * 3)
+            level = smallest_level(pixels, mask, tolerance, is_periodic)
+            is_small = level.image.size < pixels.size
+            if is_small and (size == limit or self._is_trusted(thing, working, name, pixels, mask)):
+                break
+            if size == limit:
+                break
+            size = min(size * 4, limit)
+        if name == "emission":
+            return self._mean_emission(pixels[mask], material)
+        if np.ptp(level.image.reshape(-1, level.image.shape[2]), axis=0).max() < _FLAT:
+            return _constant(name, tuple(float(v) for v in level.image.mean(axis=(0, 1))))
+        if level.image.size == pixels.size and size == limit:
+            error = _last_change(pixels, mask, is_periodic)
+            self.problems.add(
+                APPROXIMATION,
+                f"{name} is cut at {size} px: it still changed by {error:.4f} on average at the last doubling",
+                "raise the largest texture size, or accept it",
+                material=material,
+            )
+            return BakedTexture(level.image, error)
+        return BakedTexture(level.image, level.error)
+
+    def _is_trusted(
+        self,
+        thing: bpy.types.Object,
+        working: WorkingMaterial,
+        name: str,
+        pixels: Array,
+        mask: NDArray[np.bool_],
+    ) -> bool:
+        """Whether a bake at an unrelated size shows the same statistics: if not, the first one aliases."""
+        other, other_mask = self.session.bake(thing, working, name, _ODD_PX)
+        if not other_mask.any():
+            return False
+        a, b = pixels[mask], _tidy(name, other)[other_mask]
+        allowed = 4 * self.settings.tolerance
+        return bool(
+            np.abs(a.mean(axis=0) - b.mean(axis=0)).max() <= allowed
+            and np.abs(a.std(axis=0) - b.std(axis=0)).max() <= allowed
+        )
+
+    def _mean_emission(self, values: NDArray[np.float32], material: str) -> tuple[float, ...]:
+        mean, spread = values.mean(axis=0), float(values.std(axis=0).max())
+        if spread > _FLAT * max(float(mean.max()), 1e-6):
+            self.problems.add(
+                APPROXIMATION,
+                f"the emission varies over the surface (standard deviation {spread:.3g}); its mean is exported",
+                "split the mesh where the emission changes",
+                material=material,
+            )
+        return tuple(float(v) for v in mean)
+
+    def _finish(self, result: BakedMaterial, plan: MaterialPlan) -> BakedMaterial:
+        if plan.normals and not self.settings.bake_normals:
+            self.problems.add(
+                NOTE,
+                "bump and normal inputs are left out",
+                "turn on Bake Normals to get a normal texture",
+                material=plan.name,
+            )
+        return result
+
+
+def _tidy(name: str, pixels: Array) -> Array:
+    """One component for scalars; clip to the channel's range (emission has no upper end)."""
+    if name in SCALAR_CHANNELS:
+        pixels = pixels[..., :1]
+    if name == "emission":
+        return np.maximum(pixels, 0)
+    return np.clip(pixels, 0, 1)
+
+
+def _constant(name: str, value: tuple[float, ...]) -> tuple[float, ...]:
+    width = 1 if name in SCALAR_CHANNELS else 3
+    if width == 1:
+        value = value[:1]
+    elif len(value) == 1:
+        value = value * 3
+    if name == "emission":
+        return tuple(max(0.0, float(v)) for v in value)
+    return tuple(min(1.0, max(0.0, float(v))) for v in value)
+
+
+def _last_change(pixels: Array, mask: NDArray[np.bool_], is_periodic: bool) -> float:
+    smaller, weight = halve(pixels, mask.astype(np.float32)[..., None], 0)
+    smaller, weight = halve(smaller, weight, 1)
+    return level_error(fill(smaller, weight[..., 0] > 0), pixels, mask, is_periodic)
+
+
+__all__ = ["UNIT_SQUARE", "BakedMaterial", "BakedTexture", "MaterialBaker"]

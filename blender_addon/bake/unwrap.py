@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A UV layout without overlaps for the faces of one material slot, on a mesh that belongs to the session."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gather.mesh import MeshArrays, is_unit_unwrap
+from .execute import BAKE_UV, BakeSession
+
+_ISLAND_MARGIN = 0.004  # of the unit square: two texels at 512
+_LARGEST_CHECKED = 200_000  # triangles; above, testing the mesh's own layout costs more than a new one
+
+
+def bake_layout(
+    session: BakeSession, thing: bpy.types.Object, arrays: MeshArrays, slot: int
+) -> NDArray[np.float32]:
+    """UVs (C, 2) under which the slot's faces can be baked; also written to the layer ``BAKE_UV``.
+
+    The mesh's own UVs serve if they are a valid unwrap; otherwise Smart UV Project makes new ones.
+    """
+    mesh = thing.data
+    layer = mesh.uv_layers.get(BAKE_UV) or mesh.uv_layers.new(name=BAKE_UV)
+    own = arrays.uv_layers.get(arrays.active_uv)
+    num_triangles = int((arrays.triangle_slots == slot).sum())
+    if own is not None and num_triangles <= _LARGEST_CHECKED and is_unit_unwrap(arrays, own, slot):
+        layer.uv.foreach_set("vector", own.ravel())
+        return own
+    _smart_project(session, thing, arrays, slot)
+    values = np.empty((len(mesh.loops), 2), np.float32)
+    mesh.uv_layers[BAKE_UV].uv.foreach_get("vector", values.ravel())
+    return values
+
+
+def _smart_project(session: BakeSession, thing: bpy.types.Object, arrays: MeshArrays, slot: int) -> None:
+    mesh = thing.data
+    num_polygons = len(mesh.polygons)
+    chosen = np.zeros(num_polygons, bool)
+    chosen[arrays.triangle_polygons[arrays.triangle_slots == slot]] = True
+    mesh.uv_layers.active = mesh.uv_layers[BAKE_UV]
+    mesh.polygons.foreach_set("hide", np.zeros(num_polygons, bool))
+    with session.only(thing):
+        mesh.polygons.foreach_set("select", chosen)
+        _select_edges_and_vertices(mesh, chosen)
+        bpy.ops.object.mode_set(mode="EDIT")
+        try:
+            bpy.ops.uv.smart_project(
+                angle_limit=math.radians(66), island_margin=_ISLAND_MARGIN, correct_aspect=False
+            )
+        finally:
+            bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def _select_edges_and_vertices(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
+    totals = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", totals)
+    corner_chosen = np.repeat(chosen, totals)
+    vertex_of_corner = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", vertex_of_corner)
+    edge_of_corner = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("edge_index", edge_of_corner)
+    vertices = np.zeros(len(mesh.vertices), bool)
+    vertices[vertex_of_corner[corner_chosen]] = True
+    edges = np.zeros(len(mesh.edges), bool)
+    edges[edge_of_corner[corner_chosen]] = True
+    mesh.vertices.foreach_set("select", vertices)
+    mesh.edges.foreach_set("select", edges)

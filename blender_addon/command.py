@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The export as a command: arguments, a progress bar, the problem list, an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .problems import ExportRefused, Problem
+from .settings import KINDS, ExportSettings
+
+if TYPE_CHECKING:
+    from .export import ExportResult, Progress
+
+REFUSED, CANCELLED = 2, 130
+_BAR_WIDTH = 30
+
+
+def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentParser:
+    """The command's arguments; defaults are those of :class:`ExportSettings`."""
+    default = ExportSettings()
+    parser = argparse.ArgumentParser(prog=program, description="Export a .blend file as asset packages.")
+    parser.add_argument("blend", type=Path, nargs="?", help="the file (inside Blender: the open one)")
+    parser.add_argument("--out", type=Path, required=True, help="folder that the packages go into")
+    parser.add_argument("--kind", choices=KINDS, default=default.kind)
+    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="export this one only")
+    parser.add_argument("--tolerance", type=float, default=default.tolerance,
+                        help="mean change of a channel at which its texture stops growing")  # fmt: skip
+    parser.add_argument("--max-texture", type=int, default=default.max_texture_px, metavar="PX")
+    parser.add_argument("--texture-bits", type=int, choices=(8, 16), default=default.texture_bits)
+    parser.add_argument("--bake-normals", action="store_true")
+    parser.add_argument("--license", default="", help="SPDX identifier where the file's tags give none")
+    parser.add_argument("--author", default="")
+    parser.add_argument("--source", default="")
+    parser.add_argument("--check", action="store_true", help="list the problems and write nothing")
+    return parser
+
+
+def settings_from(arguments: argparse.Namespace) -> ExportSettings:
+    """Settings that the arguments ask for."""
+    return ExportSettings(
+        kind=arguments.kind,
+        tolerance=arguments.tolerance,
+        max_texture_px=arguments.max_texture,
+        bake_normals=arguments.bake_normals,
+        texture_bits=arguments.texture_bits,
+        only=tuple(arguments.only),
+        license=arguments.license,
+        author=arguments.author,
+        source=arguments.source,
+    )
+
+
+@contextlib.contextmanager
+def quiet_stdout() -> Iterator[None]:
+    """Keep Cycles' own lines, which it writes past Python, off the terminal."""
+    sys.stdout.flush()
+    saved = os.dup(1)
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 1)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(null)
+
+
+def _show(progress: Progress, started: float) -> None:
+    if not sys.stderr.isatty():
+        return
+    filled = int(progress.fraction * _BAR_WIDTH)
+    elapsed = time.monotonic() - started
+    left = f"{elapsed / progress.fraction - elapsed:4.0f} s left" if progress.fraction > 0.02 else ""
+    bar = "#" * filled + "." * (_BAR_WIDTH - filled)
+    print(f"\r\033[K[{bar}] {progress.fraction:4.0%} {left} {progress.text[:60]}", end="", file=sys.stderr)
+
+
+def _list(problems: Sequence[Problem]) -> None:
+    for problem in problems:
+        print(problem, file=sys.stderr)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Export what is open; returns the exit code."""
+    from .export import check, export_steps
+
+    try:
+        settings = settings_from(arguments)
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return REFUSED
+    if arguments.check:
+        with quiet_stdout():
+            problems = check(settings)
+        _list(problems)
+        return REFUSED if any(p.severity == "error" for p in problems) else 0
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    steps, started = export_steps(arguments.out, settings), time.monotonic()
+    result: ExportResult | None = None
+    try:
+        with quiet_stdout():
+            while result is None:
+                try:
+                    _show(next(steps), started)
+                except StopIteration as stop:
+                    result = stop.value
+    except ExportRefused as refused:
+        print("\r\033[K" if sys.stderr.isatty() else "", end="", file=sys.stderr)
+        _list(refused.problems)
+        return REFUSED
+    except KeyboardInterrupt:
+        steps.close()
+        print("\ncancelled: nothing was written", file=sys.stderr)
+        return CANCELLED
+    print("\r\033[K" if sys.stderr.isatty() else "", end="", file=sys.stderr)
+    _list(result.problems)
+    for folder in result.packages:
+        print(folder)
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point with pip's bpy: opens the file, then exports."""
+    arguments = build_parser().parse_args(argv)
+    if arguments.blend is None or not arguments.blend.is_file():
+        print(f"error: {arguments.blend}: no such file; give the path of a .blend file", file=sys.stderr)
+        return REFUSED
+    try:
+        import bpy
+    except ImportError:
+        print("error: Blender's module bpy is missing; pip install bpy==4.5.*", file=sys.stderr)
+        return REFUSED
+    with quiet_stdout():
+        bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), load_ui=False)
+    return run(arguments)

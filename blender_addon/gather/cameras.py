@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's cameras as pinhole intrinsics and a pose (x right, y down, z forward)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..problems import APPROXIMATION, ERROR, ProblemList
+
+
+@dataclass(frozen=True)
+class CameraData:
+    """``asset_from_camera`` (4, 4) rigid, position in metres; intrinsics in pixels."""
+
+    name: str
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    asset_from_camera: NDArray[np.float64]
+
+
+def gather_camera(
+    thing: bpy.types.Object,
+    render: bpy.types.RenderSettings,
+    metres_per_unit: float,
+    problems: ProblemList,
+) -> CameraData | None:
+    """One perspective camera; others are refused by name. Pixels are square unless the render says otherwise."""
+    camera = thing.data
+    if camera.type != "PERSP":
+        problems.add(
+            ERROR,
+            f"camera of type {camera.type.lower()} cannot be exported",
+            "use a perspective camera, or set sm_role = ignore",
+            object=thing.name,
+        )
+        return None
+    if camera.dof.use_dof:
+        problems.add(APPROXIMATION, "depth of field is left out: everything is sharp", object=thing.name)
+    scale = render.resolution_percentage / 100
+    width, height = max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))
+    # In units of a pixel's width; a pixel is aspect_y / aspect_x as high as it is wide.
+    aspect = render.pixel_aspect_y / render.pixel_aspect_x
+    tall = height * aspect
+    fits_width = camera.sensor_fit == "HORIZONTAL" or (camera.sensor_fit == "AUTO" and width >= tall)
+    extent = width if fits_width else tall
+    sensor = camera.sensor_height if camera.sensor_fit == "VERTICAL" else camera.sensor_width
+    focal = extent * camera.lens / sensor
+    pose = np.array(thing.matrix_world, dtype=np.float64)
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    pose[:3, 3] *= metres_per_unit
+    return CameraData(
+        thing.name,
+        width,
+        height,
+        focal,
+        focal / aspect,
+        width / 2 - camera.shift_x * extent,
+        height / 2 + camera.shift_y * extent / aspect,
+        pose @ np.diag([1.0, -1.0, -1.0, 1.0]),
+    )

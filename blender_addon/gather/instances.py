@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything that the dependency graph shows, once: meshes by identity, instances with their matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..problems import APPROXIMATION, ERROR, NOTE, ProblemList
+from .mesh import MeshArrays, gather_mesh
+from .tags import MARKER_ROLES, role_of
+
+_SURFACES = ("MESH", "CURVE", "SURFACE", "FONT", "META")
+_REFUSED = {
+    "CURVES": "hair curves cannot be exported",
+    "POINTCLOUD": "point clouds cannot be exported",
+    "VOLUME": "volumes cannot be exported",
+    "GREASEPENCIL": "grease pencil cannot be exported",
+    "GPENCIL": "grease pencil cannot be exported",
+}
+_MATRIX_EPSILON = 1e-12
+
+
+@dataclass
+class Instance:
+    """One appearance of a mesh. ``matrix`` (4, 4) world_from_object in Blender units; ``owner`` is the object
+    in the scene that brings it; ``materials`` by slot; ``object_info`` are the Object Info node's outputs."""
+
+    name: str
+    owner: str
+    mesh_key: int
+    matrix: NDArray[np.float64]
+    materials: tuple[str | None, ...]
+    object_info: dict[str, tuple[float, ...]]
+
+    @property
+    def is_mirrored(self) -> bool:
+        return bool(np.linalg.det(self.matrix[:3, :3]) < 0)
+
+
+@dataclass
+class Gathered:
+    """``meshes`` by key, and where they appear."""
+
+    meshes: dict[int, MeshArrays] = field(default_factory=dict)
+    instances: list[Instance] = field(default_factory=list)
+
+
+def hash_name(name: str) -> int:
+    """Cycles' random id of an object that is no instance, from its name (util/hash.h)."""
+    mask = 0xFFFFFFFF
+    value = 0
+    for byte in name.encode():
+        value = (value * 37 + byte) & mask
+    return _hash_pair(value, 0)
+
+
+def _hash_pair(x: int, y: int) -> int:
+    """Bob Jenkins' hash of two words, as in Cycles."""
+    mask = 0xFFFFFFFF
+
+    def rotate(v: int, k: int) -> int:
+        return ((v << k) | (v >> (32 - k))) & mask
+
+    a = b = c = (0xDEADBEEF + (2 << 2) + 13) & mask
+    b, a = (b + y) & mask, (a + x) & mask
+    for which, shift in (("c", 14), ("a", 11), ("b", 25), ("c", 16), ("a", 4), ("b", 14), ("c", 24)):
+        if which == "c":
+            c = ((c ^ b) - rotate(b, shift)) & mask
+        elif which == "a":
+            a = ((a ^ c) - rotate(c, shift)) & mask
+        else:
+            b = ((b ^ a) - rotate(a, shift)) & mask
+    return c
+
+
+def gather_instances(
+    depsgraph: bpy.types.Depsgraph,
+    is_wanted: Callable[[str], bool],
+    keep: Callable[[int, bpy.types.Mesh, tuple[str | None, ...]], None],
+    problems: ProblemList,
+) -> Iterator[Gathered]:
+    """Read all visible surfaces whose owner ``is_wanted``; yields the (growing) result after each instance.
+
+    ``keep`` is called with the key, the evaluated mesh and the materials of each instance, and may copy the
+    mesh: it is gone once the iteration moves on.
+    """
+    result = Gathered()
+    for shown in depsgraph.object_instances:
+        thing = shown.object
+        owner = shown.parent.original if shown.is_instance and shown.parent else thing.original
+        if not is_wanted(owner.name) or not shown.show_self or role_of(owner) in (*MARKER_ROLES, "ignore"):
+            continue
+        if owner.hide_render or thing.original.hide_render or role_of(thing.original) in MARKER_ROLES:
+            continue
+        if thing.type in _REFUSED:
+            problems.add(ERROR, _REFUSED[thing.type], "convert to a mesh or hide it", object=owner.name)
+            continue
+        if thing.type not in _SURFACES:
+            continue
+        _check_modifiers(thing.original, problems)
+        matrix = np.array(shown.matrix_world, dtype=np.float64)
+        if abs(np.linalg.det(matrix[:3, :3])) < _MATRIX_EPSILON:
+            problems.add(NOTE, "has no volume (a scale of 0) and is left out", object=owner.name)
+            continue
+        key, materials = _mesh_of(thing, result, keep)
+        if len(result.meshes[key].triangles) == 0:
+            continue
+        result.instances.append(
+            Instance(
+                thing.original.name, owner.name, key, matrix, materials, _object_info(shown, thing, matrix)
+            )
+        )
+        yield result
+    yield result
+
+
+def _mesh_of(
+    thing: bpy.types.Object,
+    result: Gathered,
+    keep: Callable[[int, bpy.types.Mesh, tuple[str | None, ...]], None],
+) -> tuple[int, tuple[str | None, ...]]:
+    is_mesh = isinstance(thing.data, bpy.types.Mesh)
+    key = thing.data.as_pointer() if is_mesh else thing.original.as_pointer()
+    data = thing.data if is_mesh else thing.to_mesh()
+    materials = _materials(thing, data)
+    if key not in result.meshes:
+        result.meshes[key] = gather_mesh(data)
+    keep(key, data, materials)
+    if not is_mesh:
+        thing.to_mesh_clear()
+    return key, materials
+
+
+def _materials(thing: bpy.types.Object, data: bpy.types.Mesh) -> tuple[str | None, ...]:
+    slots = thing.material_slots
+    found: list[str | None] = []
+    for index in range(max(len(data.materials), 1)):
+        material = data.materials[index] if index < len(data.materials) else None
+        if index < len(slots) and slots[index].link == "OBJECT":
+            material = slots[index].material
+        found.append(material.original.name if material is not None else None)
+    return tuple(found)
+
+
+def _object_info(
+    shown: bpy.types.DepsgraphObjectInstance, thing: bpy.types.Object, matrix: NDArray[np.float64]
+) -> dict[str, tuple[float, ...]]:
+    original = thing.original
+    random_id = shown.random_id & 0xFFFFFFFF if shown.is_instance else hash_name(original.name)
+    colour = tuple(original.color)
+    return {
+        "Location": tuple(float(v) for v in matrix[:3, 3]),
+        "Color": colour[:3],
+        "Alpha": (colour[3],),
+        "Object Index": (float(original.pass_index),),
+        "Material Index": (0.0,),
+        "Random": (random_id / 0xFFFFFFFF,),
+    }
+
+
+def _check_modifiers(thing: bpy.types.Object, problems: ProblemList) -> None:
+    for modifier in thing.modifiers:
+        if modifier.type == "PARTICLE_SYSTEM" and modifier.particle_system.settings.type == "HAIR":
+            problems.add(ERROR, "hair cannot be exported", "convert it to a mesh or remove it", object=thing.name)
+        differs = modifier.show_render != modifier.show_viewport
+        if modifier.type in ("SUBSURF", "MULTIRES") and modifier.show_render:
+            differs |= modifier.levels != modifier.render_levels
+        if differs:
+            problems.add(
+                APPROXIMATION,
+                f"modifier {modifier.name!r} is exported as the viewport shows it, not as it renders",
+                "give it the same levels and visibility for viewport and render",
+                object=thing.name,
+            )

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's lights in radiometric units, as dictionaries of the asset format.
+
+With P = energy * colour * 2^exposure (the light's own exposure): point of radius 0, I = P / 4 pi; sphere,
+L = P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi. Lengths become
+metres by ``m`` (metres per unit), under which radiance stays and intensity grows by m^2.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bake.closures import ClosureWalk
+from ..bake.expression import Constant
+from ..bake.graph import Graph
+from ..problems import APPROXIMATION, ERROR, NOTE, ProblemList
+
+Light = dict[str, Any]
+
+
+def gather_light(
+    thing: bpy.types.Object, matrix: NDArray[np.float64], metres_per_unit: float, problems: ProblemList
+) -> Light | None:
+    """One light object at ``matrix`` (4, 4) world_from_object, or None with a problem noted."""
+    data = thing.data
+    power = _power(data, thing.name, problems)
+    if power is None or not power.any():
+        return None
+    frame = matrix.copy()
+    frame[:3, 3] *= metres_per_unit
+    if data.type == "POINT":
+        return _point(thing, power, frame, metres_per_unit, problems)
+    if data.type == "SPOT":
+        return _spot(thing, power, frame, metres_per_unit, problems)
+    if data.type == "SUN":
+        return _sun(thing, power, frame)
+    return _area(thing, power, frame, metres_per_unit, problems)
+
+
+def _power(data: bpy.types.Light, name: str, problems: ProblemList) -> NDArray[np.float64] | None:
+    colour = np.array(data.color, dtype=np.float64)
+    if getattr(data, "use_temperature", False):
+        colour = colour * np.array(data.temperature_color)[:3]
+    power = data.energy * 2.0 ** getattr(data, "exposure", 0.0) * colour
+    if data.use_nodes and data.node_tree is not None:
+        found = ProblemList()
+        emission = ClosureWalk(name, found, "mask").walk(Graph(data.node_tree)).emission
+        if not isinstance(emission, Constant) or found.errors:
+            problems.add(
+                ERROR, "the light's nodes vary (texture or IES); only a constant is exported",
+                "unlink them or use an area light without nodes", object=name,
+            )  # fmt: skip
+            return None
+        power = power * np.array(emission.value * (3 if emission.width == 1 else 1))
+    if (power < 0).any():
+        problems.add(ERROR, "emits negative light", "use a positive energy and colour", object=name)
+        return None
+    return power
+
+
+def _triple(values: NDArray[np.float64]) -> list[float]:
+    return [float(v) for v in values]
+
+
+def _direction(frame: NDArray[np.float64]) -> list[float]:
+    axis = -frame[:3, 2]
+    return _triple(axis / np.linalg.norm(axis))
+
+
+def _point(
+    thing: bpy.types.Object, power: NDArray, frame: NDArray, metres: float, problems: ProblemList
+) -> Light:
+    radius = thing.data.shadow_soft_size
+    base = {"name": thing.name, "position_m": _triple(frame[:3, 3])}
+    if radius <= 0:
+        factor = metres**2 / (4 * math.pi)
+        return {**base, "type": "point", "intensity": _triple(power * factor)}
+    if not getattr(thing.data, "normalize", True):
+        radiance = power / (4 * math.pi) / math.pi * math.pi  # per unit of area: see tests of normalize
+        return {**base, "type": "sphere", "radius_m": radius * metres, "radiance": _triple(radiance)}
+    _note_visibility(thing, problems)
+    radiance = power / (4 * math.pi**2 * radius**2)
+    return {**base, "type": "sphere", "radius_m": radius * metres, "radiance": _triple(radiance)}
+
+
+def _note_visibility(thing: bpy.types.Object, problems: ProblemList) -> None:
+    if not thing.visible_camera:
+        problems.add(NOTE, "the light's sphere is visible to the camera after the export", object=thing.name)
+
+
+def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
+    """Cycles' fall-off of a spot: smoothstep of (cos - cos(half)) / ((1 - cos(half)) blend)."""
+    edge = math.cos(half_angle)
+    if blend <= 0:
+        return (cosine >= edge).astype(float)
+    t = np.clip((cosine - edge) / ((1 - edge) * blend), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def fitted_beam_width(half_angle: float, blend: float) -> float:
+    """Half angle of full intensity whose linear fall-off (in angle) to ``half_angle`` sends as much flux."""
+    angle = (np.arange(4096) + 0.5) / 4096 * half_angle
+    weight = np.sin(angle)
+    wanted = float((spot_profile(np.cos(angle), half_angle, blend) * weight).sum())
+    low, high = 0.0, half_angle * (1 - 1e-6)
+    for _ in range(60):
+        middle = (low + high) / 2
+        falloff = np.clip((half_angle - angle) / (half_angle - middle), 0, 1)
+        low, high = (middle, high) if float((falloff * weight).sum()) < wanted else (low, middle)
+    return (low + high) / 2
+
+
+def _spot(
+    thing: bpy.types.Object, power: NDArray, frame: NDArray, metres: float, problems: ProblemList
+) -> Light:
+    data = thing.data
+    half = min(data.spot_size / 2, math.radians(89.9))
+    if data.spot_blend > 0:
+        problems.add(
+            APPROXIMATION,
+            "the spot's soft edge becomes a linear one of the same flux; on the axis it is exact",
+            object=thing.name,
+        )
+    if data.shadow_soft_size > 0:
+        problems.add(
+            APPROXIMATION, "the spot's radius is left out: its shadows are sharp", "set Radius to 0",
+            object=thing.name,
+        )  # fmt: skip
+    scale = np.linalg.norm(frame[:3, :3], axis=0)
+    if scale.max() / scale.min() > 1.001:
+        problems.add(
+            APPROXIMATION, "the spot's unequal scale is left out: its cone is round", object=thing.name
+        )
+    return {
+        "type": "spot",
+        "name": thing.name,
+        "position_m": _triple(frame[:3, 3]),
+        "direction": _direction(frame),
+        "intensity": _triple(power * metres**2 / (4 * math.pi)),
+        "cutoff_rad": half,
+        "beam_width_rad": fitted_beam_width(half, data.spot_blend),
+    }
+
+
+def _sun(thing: bpy.types.Object, power: NDArray, frame: NDArray) -> Light:
+    return {
+        "type": "directional",
+        "name": thing.name,
+        "direction": _direction(frame),
+        "irradiance": _triple(power),
+        "angular_diameter_rad": min(float(thing.data.angle), 1.0),
+    }
+
+
+def _area(
+    thing: bpy.types.Object, power: NDArray, frame: NDArray, metres: float, problems: ProblemList
+) -> Light | None:
+    data = thing.data
+    if data.spread < math.pi - 1e-4:
+        problems.add(
+            ERROR,
+            f"an area light of spread {math.degrees(data.spread):.0f} degrees has no counterpart",
+            "set Spread to 180 degrees",
+            object=thing.name,
+        )
+        return None
+    size_u = data.size
+    size_v = data.size_y if data.shape in ("RECTANGLE", "ELLIPSE") else data.size
+    edge_u = frame[:3, 0] * size_u * metres
+    edge_v = -frame[:3, 1] * size_v * metres  # so that edge_u x edge_v points along -Z
+    is_disk = data.shape in ("DISK", "ELLIPSE")
+    area = float(np.linalg.norm(np.cross(edge_u, edge_v))) / metres**2 * (math.pi / 4 if is_disk else 1)
+    if area <= 0:
+        problems.add(ERROR, "the area light has no area", "give it a size", object=thing.name)
+        return None
+    radiance = power / (math.pi * area) if getattr(data, "normalize", True) else power / math.pi
+    light = {
+        "type": "area",
+        "name": thing.name,
+        "origin_m": _triple(frame[:3, 3] - (edge_u + edge_v) / 2),
+        "edge_u_m": _triple(edge_u),
+        "edge_v_m": _triple(edge_v),
+        "radiance": _triple(radiance),
+        "shape": "disk" if is_disk else "rectangle",
+        "is_visible": bool(thing.visible_camera),
+    }
+    return light

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Evaluated meshes as arrays, and their split into triangles of one material with shared vertices.
+
+Letters: V vertices, C corners, T triangles. Corners index vertices; triangles index corners. Everything is
+in the object's own frame, in Blender units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class MeshArrays:
+    """One evaluated mesh.
+
+    ``positions`` (V, 3); ``corner_vertices`` (C,); ``normals`` unit, (V, 3) where the mesh is smooth all over,
+    else (C, 3); ``triangles`` (T, 3) corners; ``triangle_polygons`` (T,) the face of each triangle;
+    ``triangle_slots`` (T,) material slots; ``uv_layers`` name -> (C, 2), v upwards; ``active_uv`` is the layer
+    that renders, or "".
+    """
+
+    positions: FloatArray
+    corner_vertices: IntArray
+    normals: FloatArray
+    triangles: IntArray
+    triangle_polygons: IntArray
+    triangle_slots: IntArray
+    uv_layers: dict[str, FloatArray] = field(default_factory=dict)
+    active_uv: str = ""
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether normals belong to vertices rather than to corners."""
+        return len(self.normals) == len(self.positions) and len(self.normals) != len(self.corner_vertices)
+
+
+@dataclass(frozen=True)
+class Submesh:
+    """Triangles of one material, ready for a file: ``positions``, ``normals`` (N, 3), ``uv`` (N, 2) or None,
+    ``faces`` (T, 3) int32."""
+
+    positions: FloatArray
+    normals: FloatArray
+    uv: FloatArray | None
+    faces: IntArray
+
+
+def _read(collection: bpy.types.bpy_prop_collection, name: str, shape: tuple[int, ...], dtype: type) -> NDArray:
+    values = np.empty(int(np.prod(shape)), dtype)
+    collection.foreach_get(name, values)
+    return values.reshape(shape)
+
+
+def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
+    """Read an evaluated mesh; triangulates polygons as Blender renders them."""
+    num_corners, num_triangles = len(mesh.loops), len(mesh.loop_triangles)
+    corner_vertices = _read(mesh.attributes[".corner_vert"].data, "value", (num_corners,), np.int32)
+    positions = _read(mesh.attributes["position"].data, "vector", (len(mesh.vertices), 3), np.float32)
+    triangles = _read(mesh.loop_triangles, "loops", (num_triangles, 3), np.int32)
+    polygons = _read(mesh.loop_triangle_polygons, "value", (num_triangles,), np.int32)
+    if mesh.normals_domain == "POINT":
+        normals = _read(mesh.vertex_normals, "vector", (len(mesh.vertices), 3), np.float32)
+    else:
+        normals = _read(mesh.corner_normals, "vector", (num_corners, 3), np.float32)
+    slots = np.zeros(num_triangles, np.int32)
+    if "material_index" in mesh.attributes:
+        per_polygon = _read(
+            mesh.attributes["material_index"].data, "value", (len(mesh.polygons),), np.int32
+        )
+        slots = per_polygon[polygons]
+    last_slot = max(len(mesh.materials) - 1, 0)  # Blender renders an index past the end with the last slot
+    layers = {
+        layer.name: _read(layer.uv, "vector", (num_corners, 2), np.float32) for layer in mesh.uv_layers
+    }
+    active = next((layer.name for layer in mesh.uv_layers if layer.active_render), "")
+    return MeshArrays(
+        positions, corner_vertices, normals, triangles, polygons, np.clip(slots, 0, last_slot), layers, active
+    )
+
+
+def _hash_rows(*columns: NDArray) -> NDArray[np.uint64]:
+    """A 64-bit hash of each row of float32 or int32 columns (N, k), read as bits."""
+    result = np.zeros(len(columns[0]), np.uint64)
+    multiplier = np.uint64(0x9E3779B97F4A7C15)
+    for column in columns:
+        bits = np.ascontiguousarray(column).view(np.uint32).reshape(len(column), -1)
+        for index in range(bits.shape[1]):
+            result ^= bits[:, index].astype(np.uint64) + np.uint64(0x7F4A7C15)
+            result *= multiplier
+            result ^= result >> np.uint64(29)
+    return result
+
+
+def submesh(
+    mesh: MeshArrays, slot: int | None = None, uv: FloatArray | None = None, is_mirrored: bool = False
+) -> Submesh:
+    """The triangles of one slot (None: all), with corners that agree in everything merged to one vertex.
+
+    ``uv`` (C, 2) are the texture coordinates to write. ``is_mirrored`` reflects x and turns the winding, for
+    instances whose matrix mirrors. Triangles that refer to one vertex twice are dropped.
+    """
+    triangles = mesh.triangles if slot is None else mesh.triangles[mesh.triangle_slots == slot]
+    vertices = mesh.corner_vertices[triangles]
+    is_proper = (
+        (vertices[:, 0] != vertices[:, 1])
+        & (vertices[:, 1] != vertices[:, 2])
+        & (vertices[:, 2] != vertices[:, 0])
+    )
+    if not is_proper.all():
+        triangles, vertices = triangles[is_proper], vertices[is_proper]
+    if mesh.is_smooth and uv is None:
+        used, faces = _compact(vertices.ravel(), len(mesh.positions))
+        positions, normals, out_uv = mesh.positions[used], mesh.normals[used], None
+    else:
+        corners = triangles.ravel()
+        corner_vertex = mesh.corner_vertices[corners]
+        columns: list[NDArray] = [corner_vertex[:, None]]
+        if not mesh.is_smooth:
+            columns.append(mesh.normals[corners] + np.float32(0))  # adding 0 turns -0 into 0
+        if uv is not None:
+            columns.append(uv[corners] + np.float32(0))
+        first, faces = _merge(columns)
+        representative = corners[first]
+        vertex = mesh.corner_vertices[representative]
+        positions = mesh.positions[vertex]
+        normals = mesh.normals[vertex] if mesh.is_smooth else mesh.normals[representative]
+        out_uv = None if uv is None else uv[representative]
+    faces = faces.reshape(-1, 3).astype(np.int32)
+    if is_mirrored:
+        mirror = np.array([-1, 1, 1], np.float32)
+        positions, normals, faces = positions * mirror, normals * mirror, faces[:, ::-1]
+    return Submesh(positions, normals, out_uv, np.ascontiguousarray(faces))
+
+
+def _compact(indices: IntArray, size: int) -> tuple[IntArray, IntArray]:
+    """Used entries in rising order, and ``indices`` renumbered to them."""
+    is_used = np.zeros(size, bool)
+    is_used[indices] = True
+    number = np.cumsum(is_used, dtype=np.int32) - 1
+    return np.flatnonzero(is_used).astype(np.int32), number[indices]
+
+
+def _merge(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
+    """First row of each distinct row in order of appearance, and each row's number among them."""
+    hashes = _hash_rows(*columns)
+    _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    first, inverse = first[order], rank[inverse]
+    for column in columns:  # a collision of the hash would silently weld two vertices: refuse to merge then
+        if not np.array_equal(column[first][inverse], column):
+            return np.arange(len(hashes)), np.arange(len(hashes))
+    return first, inverse
+
+
+def is_unit_unwrap(mesh: MeshArrays, uv: FloatArray, slot: int | None = None) -> bool:
+    """Whether the layer's triangles lie in [0, 1]^2 and cover about as much as the sum of their areas."""
+    triangles = mesh.triangles if slot is None else mesh.triangles[mesh.triangle_slots == slot]
+    corners = uv[triangles]
+    if not np.isfinite(corners).all() or corners.min() < -1e-5 or corners.max() > 1 + 1e-5:
+        return False
+    edge_a, edge_b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * np.abs(edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0])
+    if (area < 1e-12).mean() > 0.01:
+        return False
+    return _num_overlapping_samples(corners, area) < 0.005
+
+
+def _num_overlapping_samples(corners: FloatArray, area: FloatArray, size: int = 256) -> float:
+    """Share of samples, spread over the triangles by area, that meet another triangle in their grid cell's
+    centre. Deterministic: cell centres are tested against the triangles whose box holds them."""
+    covered = np.zeros((size, size), np.int32)
+    low = np.clip(np.ceil(corners.min(axis=1) * size - 0.5).astype(int), 0, size - 1)
+    high = np.clip(np.floor(corners.max(axis=1) * size - 0.5).astype(int), -1, size - 1)
+    for index in np.flatnonzero((high >= low).all(axis=1) & (area > 0)):
+        (u0, v0), (u1, v1) = low[index], high[index]
+        grid_u = (np.arange(u0, u1 + 1) + 0.5) / size
+        grid_v = (np.arange(v0, v1 + 1) + 0.5) / size
+        a, b, c = corners[index].astype(np.float64)
+        inside = None
+        for p, q in ((a, b), (b, c), (c, a)):
+            side = (q[0] - p[0]) * (grid_v[:, None] - p[1]) - (q[1] - p[1]) * (grid_u[None, :] - p[0])
+            sign = side > 1e-9
+            other = side < -1e-9
+            inside = (sign, other) if inside is None else (inside[0] & sign, inside[1] & other)
+        assert inside is not None
+        covered[v0 : v1 + 1, u0 : u1 + 1] += inside[0] | inside[1]
+    total = int((covered > 0).sum())
+    return float((covered > 1).sum()) / total if total else 0.0

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The custom properties by which a file says what its things are. docs/blender.md lists them for artists."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import bpy
+
+from ..problems import ERROR, ProblemList
+
+ROLES = (
+    "environment", "object", "support_surface", "light_slot", "opening", "camera_region", "ignore",
+)  # fmt: skip
+MARKER_ROLES = ("support_surface", "light_slot", "opening", "camera_region")
+MATERIAL_CLASSES = (
+    "wood", "metal", "plastic", "rubber", "leather", "fabric", "ceramic", "stone", "paper", "glazed",
+    "painted", "plaster", "glass", "organic", "other",
+)  # fmt: skip
+SUPPORT_KINDS = ("floor", "table", "shelf", "seat", "bed", "sill", "counter")
+USAGES = ("any", "evaluation_only")
+
+
+def role_of(block: bpy.types.ID) -> str:
+    """``sm_role`` of an object or collection, "" where it has none."""
+    return str(block.get("sm_role", ""))
+
+
+def words(value: Any) -> tuple[str, ...]:
+    """A tag that lists words: ``"wood, metal"`` or a sequence of strings."""
+    if value is None:
+        return ()
+    parts = value.split(",") if isinstance(value, str) else [str(part) for part in value]
+    return tuple(part.strip() for part in parts if part.strip())
+
+
+def numbers(value: Any) -> tuple[float, ...]:
+    """A tag that holds numbers: an array property, one number, or ``"0.9, 1.1"``."""
+    if isinstance(value, str):
+        return tuple(float(part) for part in value.split(","))
+    if hasattr(value, "__len__"):
+        return tuple(float(part) for part in value)
+    return (float(value),)
+
+
+def slug(name: str) -> str:
+    """A name as an identifier: lower case, digits, ``_ - .``."""
+    text = re.sub(r"[^a-z0-9_.-]+", "_", name.lower()).strip("._-")
+    return re.sub(r"\.{2,}", ".", text) or "unnamed"
+
+
+def check_words(
+    values: tuple[str, ...], allowed: tuple[str, ...], tag: str, problems: ProblemList, **place: str
+) -> tuple[str, ...]:
+    """The values that are allowed; each other one is an error."""
+    for value in values:
+        if value not in allowed:
+            problems.add(ERROR, f"{tag} = {value!r}", f"use one of {', '.join(allowed)}", **place)
+    return tuple(value for value in values if value in allowed)
+
+
+def material_classes(material: bpy.types.Material, problems: ProblemList) -> tuple[str, ...]:
+    """``sm_class`` of a material, the main class first."""
+    found = check_words(
+        words(material.get("sm_class")), MATERIAL_CLASSES, "sm_class", problems, material=material.name
+    )
+    return found or ("other",)
+
+
+def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple[str, ...]:
+    """``sm_replaceable_by`` of a material: classes that may take its place."""
+    return check_words(
+        words(material.get("sm_replaceable_by")),
+        MATERIAL_CLASSES,
+        "sm_replaceable_by",
+        problems,
+        material=material.name,
+    )
+
+
+def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemList) -> dict[str, str]:
+    """Licence, author, source and usage, from ``sm_license`` and so on; a licence there must be."""
+    result = {}
+    for key in ("license", "author", "source", "usage"):
+        value = str(block.get(f"sm_{key}", "") or fallback.get(key, ""))
+        if value:
+            result[key] = value
+    if "license" not in result:
+        problems.add(
+            ERROR,
+            f"{block.name!r} names no licence",
+            "set sm_license (an SPDX identifier such as CC0-1.0) or the export's licence",
+        )
+    if result.get("usage", "any") not in USAGES:
+        problems.add(ERROR, f"sm_usage = {result['usage']!r}", f"use one of {', '.join(USAGES)}")
+    return result

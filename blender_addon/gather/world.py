@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The world as an environment light: a constant radiance, or an equirectangular image of whatever it shows."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bake.execute import BakeSession
+from ..bake.expression import BLACK, Constant, Expression, add, complement, is_constant, multiply, widen
+from ..bake.graph import Graph, Stack, source_of, value_of
+from ..problems import ERROR, ProblemList
+
+_LONG_SIDE_PX = 2048
+# The format's image has +Y of its frame in the middle column, Blender's panorama +X of the world: Rz(-90 deg).
+WORLD_FROM_ENVIRONMENT = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], float)
+
+
+def gather_world(
+    scene: bpy.types.Scene, session: BakeSession, problems: ProblemList
+) -> tuple[dict[str, Any], NDArray[np.float32] | None] | None:
+    """The environment light and, if it is no constant, its image (H, W, 3), row 0 at the top.
+
+    None where the world is black or missing. Any graph of Background shaders is rendered as a panorama.
+    """
+    world = scene.world
+    if world is None:
+        return None
+    name = world.name
+    if not world.use_nodes or world.node_tree is None:
+        radiance: Expression | None = Constant(tuple(float(v) for v in world.color))
+    else:
+        output = Graph(world.node_tree).output_node()
+        if output is None:
+            return None
+        if source_of((), output.inputs["Volume"]).is_linked:
+            problems.add(ERROR, f"the volume of the world {name!r} cannot be exported", "unlink it")
+        radiance = _background((), output.inputs["Surface"])
+    if isinstance(radiance, Constant):
+        if is_constant(radiance, 0):
+            return None
+        values = [max(0.0, v) for v in widen(radiance).value]  # type: ignore[union-attr]
+        return {"type": "environment", "name": name, "radiance": values}, None
+    image = _panorama(world, session)
+    entry = {
+        "type": "environment",
+        "name": name,
+        "scale": 1.0,
+        "world_from_environment": WORLD_FROM_ENVIRONMENT,
+    }
+    return entry, image
+
+
+def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None:
+    """Radiance of a graph of backgrounds as an expression; None where only a render can tell."""
+    source = source_of(stack, socket)
+    node = source.node
+    if node is None:
+        return BLACK
+    if node.type in ("BACKGROUND", "EMISSION"):
+        colour = value_of(source.stack, node.inputs["Color"])
+        return multiply(colour, value_of(source.stack, node.inputs["Strength"]))
+    if node.type in ("MIX_SHADER", "ADD_SHADER"):
+        first, second = (_background(source.stack, s) for s in node.inputs[-2:])
+        if first is None or second is None:
+            return None
+        if node.type == "ADD_SHADER":
+            return add(first, second)
+        factor = value_of(source.stack, node.inputs[0])
+        return add(multiply(first, complement(factor)), multiply(second, factor))
+    return None
+
+
+def _panorama(world: bpy.types.World, session: BakeSession) -> NDArray[np.float32]:
+    """Render the world alone through an equirectangular camera."""
+    scene = session.scene
+    camera = session.own(bpy.data.cameras, bpy.data.cameras.new(".sm_panorama"))
+    camera.type = "PANO"
+    settings = camera if hasattr(camera, "panorama_type") else camera.cycles
+    settings.panorama_type = "EQUIRECTANGULAR"
+    thing = session.own(bpy.data.objects, bpy.data.objects.new(".sm_panorama", camera))
+    thing.rotation_euler = (np.pi / 2, 0, -np.pi / 2)  # looks along +X, Z up
+    scene.collection.objects.link(thing)
+    scene.camera, scene.world = thing, world
+    render = scene.render
+    render.resolution_x, render.resolution_y = _LONG_SIDE_PX, _LONG_SIDE_PX // 2
+    render.resolution_percentage = 100
+    scene.cycles.samples = 4
+    scene.cycles.pixel_filter_type = "BOX"
+    render.image_settings.file_format = "OPEN_EXR"
+    render.image_settings.color_depth = "32"
+    render.image_settings.color_mode = "RGB"
+    scene.view_settings.view_transform = "Raw"
+    hidden = [(other, other.hide_render) for other in scene.collection.objects if other != thing]
+    for other, _ in hidden:
+        other.hide_render = True
+    with tempfile.TemporaryDirectory() as folder:
+        render.filepath = str(Path(folder) / "world.exr")
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+        image = session.own(bpy.data.images, bpy.data.images.load(render.filepath))
+        image.colorspace_settings.name = "Non-Color"
+        pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        pixels = pixels.reshape(image.size[1], image.size[0], image.channels)[::-1, :, :3].copy()
+        session.discard(image)
+    scene.world, scene.camera = None, None
+    scene.cycles.samples = 1
+    return pixels

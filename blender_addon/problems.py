@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an export could not do, or did only approximately: one entry each, with object, node and remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+ERROR, APPROXIMATION, NOTE = "error", "approximation", "note"
+SEVERITIES = (ERROR, APPROXIMATION, NOTE)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One entry of the problem list.
+
+    ``severity``: ``error`` stops the export; ``approximation`` is exported otherwise than Blender shows it;
+    ``note`` changes nothing. ``message`` says what was found and, for an approximation, how far off the
+    result is; ``remedy`` what the artist can do.
+    """
+
+    severity: str
+    message: str
+    remedy: str = ""
+    object: str = ""
+    material: str = ""
+    node: str = ""
+
+    @property
+    def place(self) -> str:
+        """Where: ``object 'Cup', material 'Glaze', node 'Glass BSDF'``."""
+        parts = [("object", self.object), ("material", self.material), ("node", self.node)]
+        return ", ".join(f"{label} {name!r}" for label, name in parts if name)
+
+    def __str__(self) -> str:
+        text = f"{self.severity}: {self.place + ': ' if self.place else ''}{self.message}"
+        return f"{text}; {self.remedy}" if self.remedy else text
+
+
+class ProblemList:
+    """Problems in the order found, each once."""
+
+    def __init__(self) -> None:
+        self._entries: dict[Problem, None] = {}
+
+    def add(self, severity: str, message: str, remedy: str = "", **place: str) -> None:
+        """Append one problem; ``place`` has any of object, material, node."""
+        self._entries.setdefault(Problem(severity, message, remedy, **place))
+
+    def extend(self, problems: Iterable[Problem]) -> None:
+        """Append several, skipping those already there."""
+        for problem in problems:
+            self._entries.setdefault(problem)
+
+    def __iter__(self) -> Iterator[Problem]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    @property
+    def errors(self) -> list[Problem]:
+        """Those that stop an export."""
+        return [problem for problem in self._entries if problem.severity == ERROR]
+
+
+class ExportRefused(Exception):
+    """The export stopped before anything was written; carries every problem that was found."""
+
+    def __init__(self, problems: Iterable[Problem]):
+        self.problems = list(problems)
+        errors = [problem for problem in self.problems if problem.severity == ERROR]
+        super().__init__("\n".join(str(problem) for problem in errors) or "nothing to export")
+
+
+class ExportCancelled(Exception):
+    """The user cancelled; nothing was written and nothing is left in the file."""

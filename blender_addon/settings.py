@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of an export, the same for the operator, the panel and the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+KINDS = ("auto", "environment", "object", "material")
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """What to export and how finely.
+
+    ``kind``: ``auto`` follows the ``sm_role`` tags, and takes the scene as one environment where there are
+    none. ``tolerance``: mean absolute change of a channel that a texture may still make when it doubles;
+    the texture stops growing there. ``max_texture_px``: side at which it stops in any case (a power of two).
+    ``bake_normals``: bump and normal maps become a normal texture. ``texture_bits``: 8 or 16.
+    ``only``: names of the objects, collections or materials to export (empty: all that are tagged).
+    ``license``, ``author``, ``source``: provenance where the asset's own tags do not say. ``apply_box_uv``:
+    meshes without UVs get box-projected ones at one unit a metre, so that other materials can be put on them.
+    ``report``: write the fidelity report. ``report_renderer``: Python executable that has mitsuba, or "".
+    """
+
+    kind: str = "auto"
+    tolerance: float = 1 / 255
+    max_texture_px: int = 2048
+    bake_normals: bool = False
+    texture_bits: int = 8
+    only: tuple[str, ...] = ()
+    license: str = ""
+    author: str = ""
+    source: str = ""
+    apply_box_uv: bool = True
+    report: bool = False
+    report_renderer: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"kind = {self.kind!r}; expected one of {', '.join(KINDS)}")
+        size = self.max_texture_px
+        if size < 16 or size > 16384 or size & (size - 1):
+            raise ValueError(f"max_texture_px = {size}; expected a power of two from 16 to 16384")
+        if not 0 < self.tolerance < 1:
+            raise ValueError(f"tolerance = {self.tolerance}; expected a value between 0 and 1")
+        if self.texture_bits not in (8, 16):
+            raise ValueError(f"texture_bits = {self.texture_bits}; expected 8 or 16")
