@@ -175,6 +175,21 @@ def flat_shaded(mesh: Mesh) -> Mesh:
     )
 
 
+def compacted(mesh: Mesh) -> Mesh:
+    """The mesh with vertices shared wherever position, normal and UV agree exactly; unused ones go."""
+    columns = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
+    table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)
+    keys = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    rows = mesh.faces.ravel()[first]
+    return Mesh(
+        mesh.positions[rows],
+        inverse.reshape(-1, 3).astype(np.int32),
+        None if mesh.normals is None else mesh.normals[rows],
+        None if mesh.uv is None else mesh.uv[rows],
+    )
+
+
 def without_degenerate(mesh: Mesh) -> Mesh:
     """The mesh less triangles of zero area; unused vertices go too."""
     keep = mesh.areas() > 0
