@@ -45,21 +45,6 @@ def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
     return tuple(resolved)
 
 
-def resolve_library_paths(names: Iterable[str | Path], base: Path) -> list[Path]:
-    """Folders of a recipe's ``library``: "bundled" is the project's own, others are relative to ``base``.
-
-    A name that does not exist there is taken relative to the working directory, for names given as flags.
-    """
-    folders = []
-    for name in names:
-        if str(name) == "bundled":
-            folders.append(bundled_library())
-        else:
-            near = base / name
-            folders.append(near if near.exists() else Path(name))
-    return folders
-
-
 class Library:
     """Asset packages of one or more folders, indexed by id.
 
