@@ -34,8 +34,8 @@ def auxiliary_albedo(
 ) -> NDArray[np.float32]:
     """Reflectance seen head-on, (1 - S) D + S, that guides the denoiser; 1 where there is no surface.
 
-    Emitters and background show their radiance unmodulated, which is what an albedo of 1 says; 0 would tell the
-    denoiser that nothing there is texture. ``mask`` (H, W, 1) is the surface's share of the pixel.
+    Emitters and background show their radiance unmodulated, which is what an albedo of 1 says. ``mask``
+    (H, W, 1) is the surface's share of the pixel.
     """
     reflectance = (1.0 - specular) * diffuse + specular
     return (mask * reflectance + (1.0 - mask)).astype(np.float32)
@@ -43,7 +43,7 @@ def auxiliary_albedo(
 
 @dataclass
 class OidnDenoiser:
-    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 takes all cores. Not for use by two threads at once."""
+    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 takes all cores. One caller at a time."""
 
     quality: Quality = "high"
     num_threads: int = 0
@@ -82,9 +82,7 @@ class OidnDenoiser:
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
 
-        images = {
-            name: np.zeros((*shape, 3), np.float32) for name in ("color", "albedo", "normal", "output")
-        }
+        images = {name: np.zeros((*shape, 3), np.float32) for name in ("color", "albedo", "normal", "output")}
         oidn_filter = pyoidn.Filter(self._device, "RT")
         for name, array in images.items():
             oidn_filter.set_image(name, array, OIDN_FORMAT_FLOAT3)
@@ -131,7 +129,7 @@ class OptixDenoiser:
         height, width = color.shape[:2]
         if (height, width) not in self._denoisers:
             self._denoisers[height, width] = mi.OptixDenoiser(
-                input_size=[width, height], albedo=True, normals=True, temporal=False
+                input_size=mi.ScalarVector2u(width, height), albedo=True, normals=True, temporal=False
             )
         result = self._denoisers[height, width](
             mi.TensorXf(np.ascontiguousarray(color, np.float32)),

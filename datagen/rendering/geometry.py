@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The meshes of a configuration, merged so that one Mitsuba shape holds all that shares a BSDF.
 
-Parts are brought to world space in double precision and joined by BSDF, emission and vertex layout: the path
-tracer is more than twice as fast with 35 shapes as with the 775 of the same room, and traces its kernels faster
-(docs/decisions/0007). Which instance a triangle belongs to is kept in a table beside, by face.
+Parts are brought to world space in double precision and joined by BSDF, emission and vertex layout: the
+path tracer is more than twice as fast with 35 shapes as with the 775 of the same room (docs/decisions/0007).
+Which instance a triangle belongs to is kept in a table beside, by face.
 v of a texture coordinate runs upwards in files and downwards in Mitsuba; it is turned round here.
 """
 
@@ -60,7 +60,7 @@ def _check(mesh: Mesh, where: str) -> None:
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
         return
     faults = inspect_mesh(mesh)
-    raise InputError(Problem(where, "", str(faults), "a mesh of finite, connected triangles", "export it again"))
+    raise InputError(Problem(where, "", str(faults), "finite triangles", "export it again"))
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class MeshGroup:
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """A part as it is rendered: world space, outward winding also under mirroring, UVs scaled, v downwards."""
+    """A part as it is rendered: world space, wound outward also if mirrored, UVs scaled, v downwards."""
     world = mesh.transformed(world_from_part)
     faces = world.faces
     if np.linalg.det(world_from_part[:3, :3]) < 0:
@@ -120,7 +120,7 @@ def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
 
 
 def make_shape(name: str, mesh: Mesh, bsdf: Any, emission: tuple[float, float, float] | None = None) -> Any:
-    """A Mitsuba mesh of world-space triangles with a BSDF and, where ``emission`` is given, an area emitter."""
+    """A Mitsuba mesh of world-space triangles with a BSDF and, given ``emission``, an area emitter."""
     import mitsuba as mi
 
     props = mi.Properties()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Lights of a configuration as Mitsuba emitters.
 
-Flat lights are meshes like everything else (a disk is a polygon of equal area), so that rooms need one kind of
-shape. Their surface reflects nothing. Lights that are not visible keep their shape, for reflections and for
-multiple importance sampling, and are listed in :attr:`LightSetup.hidden`; camera rays pass through them.
+Flat lights are meshes like everything else (a disk is a polygon of equal area), so that rooms need one kind
+of shape. Their surface reflects nothing. Lights that are not visible keep their shape, for reflections and
+for multiple importance sampling, and are listed in :attr:`LightSetup.hidden`: camera rays pass through them.
 """
 
 from __future__ import annotations

@@ -58,7 +58,8 @@ def resolve_materials(
     resolved = {}
     for slot, own in asset.materials.items():
         assignment = placed.materials.get(slot, MaterialAssignment())
-        source, material, name = package, own, f"{asset.id}/{slot}"
+        source, name = package, f"{asset.id}/{slot}"
+        material: Material = own
         if assignment.asset is not None:
             source = library.package(assignment.asset)
             if not isinstance(source.asset, MaterialAsset):

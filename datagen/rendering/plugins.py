@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Two small Mitsuba plugins that the renderer needs: a camera with full intrinsics and a sun with a disc.
 
-``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels, off-centre and with oblong pixels if need
-be (Mitsuba's ``perspective`` knows square ones only). All parameters are opaque: another view is another set of
-numbers, never another kernel. ``sun_disc``: parallel light with an angular diameter. It is sampled, never hit:
-camera and mirror rays do not see it, and its reflections come through emitter sampling alone.
+``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels, off-centre and with oblong pixels if
+need be (Mitsuba's ``perspective`` knows square ones only). All parameters are opaque: another view is another
+set of numbers, never another kernel. ``sun_disc``: parallel light with an angular diameter. It is sampled,
+never hit: camera and mirror rays do not see it, and its reflections come through emitter sampling alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from datagen.cameras import Camera
 
 Array = Any
-# Beyond this many metres nothing of a room can cast a shadow; finite, so that float32 positions stay exact.
+# Shadow rays start this many scene diagonals away: outside of it, and finite so that float32 stays exact.
 _SHADOW_DISTANCE_FACTOR = 2.0
 
 
@@ -34,6 +34,12 @@ class PinholePixels(mi.Sensor):
         self.width_px, self.height_px = int(size[0]), int(size[1])
         self.set_camera(Camera(self.width_px, self.height_px, 1.0, 1.0, 0.0, 0.0, np.eye(4)))
 
+    m_position: Any
+    m_right: Any
+    m_down: Any
+    m_forward: Any
+    m_centre: Any
+
     def set_camera(self, camera: Camera) -> None:
         """Look through another camera of the same resolution. Raises ``ValueError`` if it has another."""
         if (camera.width_px, camera.height_px) != (self.width_px, self.height_px):
@@ -46,7 +52,8 @@ class PinholePixels(mi.Sensor):
         self._set("m_forward", mi.Vector3f, matrix[:3, 2])
         self._set("m_centre", mi.Point2f, np.array([camera.cx_px, camera.cy_px]))
         # Mitsuba's cameras look along +z with y up and x to the left.
-        self.m_to_world = mi.ScalarTransform4f(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+        to_world: Any = mi.ScalarTransform4f(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+        self.m_to_world = to_world
 
     def _set(self, name: str, kind: Any, values: np.ndarray) -> None:
         value = kind(*(mi.Float(float(v)) for v in values))
@@ -81,14 +88,14 @@ class PinholePixels(mi.Sensor):
 class SunDisc(mi.Emitter):
     """Parallel light of ``irradiance`` [W/m^2] across ``direction`` (of travel), spread over a cone.
 
-    ``angular_diameter_rad``: directions are uniform over the disc's solid angle, radiance E / (pi sin^2 r). The
-    emitter calls itself a delta, so that integrators give emitter sampling the whole weight: nothing else can
-    find it.
+    ``angular_diameter_rad``: directions are uniform over the disc's solid angle, radiance E / (pi sin^2 r).
+    The emitter calls itself a delta, so that integrators give emitter sampling the whole weight: nothing else
+    can find it.
     """
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)
-        self.irradiance = props.get_unbounded_texture("irradiance", 1.0)
+        self.irradiance: Any = props.get_unbounded_texture("irradiance", 1.0)
         to_sun = -np.asarray(props["direction"], dtype=np.float64).ravel()
         to_sun /= np.linalg.norm(to_sun)
         helper = np.array([1.0, 0, 0]) if abs(to_sun[0]) < 0.7 else np.array([0, 1.0, 0])
@@ -97,7 +104,8 @@ class SunDisc(mi.Emitter):
         self.frame = mi.Frame3f(
             *(mi.Vector3f(*(float(c) for c in v)) for v in (side, np.cross(to_sun, side), to_sun))
         )
-        radius = 0.5 * float(props.get("angular_diameter_rad", 0.0))
+        diameter: Any = props.get("angular_diameter_rad", 0.0)
+        radius = 0.5 * float(diameter)
         # 1 - cos of small angles cancels in float32
         self.one_minus_cos = mi.Float(2.0 * math.sin(radius / 2) ** 2)
         # solid angle / projected solid angle: E counts directions by their cosine with the axis
@@ -119,15 +127,13 @@ class SunDisc(mi.Emitter):
         """Never found by rays."""
         return False
 
-    def sample_direction(
-        self, it: mi.Interaction3f, sample: Array, active: Array = True
-    ) -> tuple[Any, Any]:
+    def sample_direction(self, it: mi.Interaction3f, sample: Array, active: Array = True) -> tuple[Any, Any]:
         """A direction of the disc, uniform over its solid angle."""
         one_minus_cos = sample.x * self.one_minus_cos
         sine = dr.sqrt(dr.maximum(one_minus_cos * (2.0 - one_minus_cos), 0.0))
         sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)
-        direction = self.frame.to_world(mi.Vector3f(sine * cos_phi, sine * sin_phi, 1.0 - one_minus_cos))
-        ds = dr.zeros(mi.DirectionSample3f, dr.width(it.p))
+        direction: Any = self.frame.to_world(mi.Vector3f(sine * cos_phi, sine * sin_phi, 1.0 - one_minus_cos))
+        ds: Any = dr.zeros(mi.DirectionSample3f, dr.width(it.p))
         ds.p = it.p + direction * self.distance
         ds.n = -direction
         ds.uv = mi.Point2f(0.0)
@@ -173,7 +179,7 @@ def register_rendering_plugins() -> None:
     from mitsuba_plugins import register
 
     register()
-    variant = mi.variant()
+    variant = str(mi.variant())
     if variant not in _registered:
         mi.register_sensor("pinhole_pixels", PinholePixels)
         mi.register_emitter("sun_disc", SunDisc)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Views of a configuration: beauty and ground truth, each in a pass of its own, then the denoiser.
 
-The scene is built once; a view is another set of camera numbers for the same kernels. Both passes use a box
-filter on the same pixels. The path pass draws its samples from (configuration seed, view index) alone and adds
-them in a fixed order, so that a view's bytes do not depend on what was rendered before it or by whom.
+The scene is built once; a view is another set of camera numbers for the same kernels. Both passes use a
+box filter on the same pixels. The path pass draws its samples from (configuration seed, view index) alone
+and adds them in a fixed order, so that a view's bytes do not depend on what was rendered before it or where.
 """
 
 from __future__ import annotations
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 HALF_MAX = 65504.0
-MAX_LANES = 1 << 26
-"""Light paths traced in one launch; a view with more takes several."""
 
 
 class RenderError(RuntimeError):
@@ -78,6 +76,8 @@ class SceneRenderer:
         self.variant = select_variant(None if recipe.variant == "auto" else recipe.variant)
         self.configuration, self.recipe = configuration, recipe
         self.built: BuiltScene = build_scene(configuration, library, caches)
+        from datagen.rendering.path_tracer import PathTracer
+
         self._tracer = PathTracer(self.built, recipe.max_depth, recipe.russian_roulette_depth)
         self._denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
         self._sensors: dict[tuple[int, int], Any] = {}
@@ -177,7 +177,9 @@ class SceneRenderer:
             clipped_pixels=clipped,
         )
         seconds["denoise"] = time.perf_counter() - start
-        ordered = {name: buffers[name].reshape(*noisy.shape[:2], BUFFERS[name].num_channels) for name in names}
+        ordered = {
+            name: buffers[name].reshape(*noisy.shape[:2], BUFFERS[name].num_channels) for name in names
+        }
         return RenderedView(index, ordered, self._instances, self._material_names, record, seconds)
 
     def _check_finite(self, index: int, buffers: dict[str, NDArray]) -> None:
@@ -186,52 +188,7 @@ class SceneRenderer:
                 bad = ~np.isfinite(array).all(axis=-1)
                 row, column = (int(v) for v in np.argwhere(bad)[0])
                 raise RenderError(
-                    f"configuration {self.configuration.id}, view {self.configuration.cameras[index].name}: "
-                    f"{int(bad.sum())} pixels of {name} are NaN or Inf, the first at row {row}, column {column}"
+                    f"configuration {self.configuration.id}, "
+                    f"view {self.configuration.cameras[index].name}: {int(bad.sum())} pixels of {name} are "
+                    f"NaN or Inf, the first at row {row}, column {column}"
                 )
-
-
-class PathTracer:
-    """Mitsuba's ``path`` integrator, sampled without a film: every pixel's samples are added in their order."""
-
-    def __init__(self, built: BuiltScene, max_depth: int, russian_roulette_depth: int):
-        import mitsuba as mi
-
-        self.built = built
-        self._integrator = mi.load_dict(
-            {"type": "path", "max_depth": max_depth, "rr_depth": russian_roulette_depth}
-        )
-        self._sampler = mi.load_dict({"type": "independent"})
-
-    def render(self, sensor: Any, num_samples: int, seed: int) -> NDArray[np.float32]:
-        """Mean radiance (H, W, 3) of ``num_samples`` paths a pixel, uniformly distributed over the pixel."""
-        width, height = (int(v) for v in sensor.film().crop_size())
-        num_per_launch = max(1, min(num_samples, MAX_LANES // (width * height)))
-        total = np.zeros((height, width, 3), np.float64)
-        done = 0
-        while done < num_samples:
-            count = min(num_per_launch, num_samples - done)
-            total += self._launch(sensor, width, height, count, (seed + 0x9E3779B9 * done) & 0xFFFFFFFF)
-            done += count
-        return (total / num_samples).astype(np.float32)
-
-    def _launch(self, sensor: Any, width: int, height: int, count: int, seed: int) -> NDArray[np.float32]:
-        """Sum over ``count`` samples of each pixel, (H, W, 3)."""
-        import drjit as dr
-        import mitsuba as mi
-
-        num_lanes = width * height * count
-        with dr.suspend_grad():
-            self._sampler.seed(seed, num_lanes)
-            pixel = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
-            row = pixel // width
-            offset = self._sampler.next_2d()
-            position = mi.Point2f(
-                (mi.Float(pixel - row * width) + offset.x) / width, (mi.Float(row) + offset.y) / height
-            )
-            ray, _ = sensor.sample_ray_differential(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
-            radiance, _, _ = self._integrator.sample(self.built.scene, self._sampler, ray)
-            dr.eval(radiance)
-            sums = [dr.block_sum(channel, count) for channel in radiance]
-            dr.eval(sums)
-        return np.stack([np.array(s) for s in sums], axis=-1).reshape(height, width, 3)

@@ -61,9 +61,9 @@ def process_caches() -> AssetCaches:
 class BuiltScene:
     """A scene ready to render.
 
-    ``instance_names`` and ``material_names`` map ids (from 1) to names: ``environment part`` as
-    ``placed/part``, objects by their placed name; materials by asset id, or ``asset/slot``, with ``#2`` and so
-    on where a variation needs its own id. ``face_instances``: shape id -> instance id of each triangle.
+    ``instance_names`` and ``material_names`` map ids (from 1) to names: parts of the environment as
+    ``placed/part``, objects by their placed name; materials by asset id, or ``asset/slot``, with ``#2`` and
+    so on where a variation needs its own id. ``face_instances``: shape id -> instance id of each triangle.
     ``shape_materials``: shape id -> material id. ``hidden_shapes`` are lights that the camera does not see.
     """
 
@@ -139,7 +139,7 @@ def _check_packages(configuration: Configuration, library: Library) -> None:
     used |= {
         light.asset for light in configuration.lights if isinstance(light, EnvironmentLight) and light.asset
     }
-    problems = []
+    problems: list[Problem] = []
     for asset_id in sorted(used):
         try:
             got = library.package(asset_id).sha256
@@ -181,7 +181,9 @@ class _Builder:
         world_from_asset = np.asarray(placed.world_from_asset, dtype=np.float64)
         if not abs(np.linalg.det(world_from_asset[:3, :3])) > 1e-18:
             self.problems.append(
-                Problem(f"configuration: {placed.name}", "world_from_asset", "singular", "an invertible matrix")
+                Problem(
+                    f"configuration: {placed.name}", "world_from_asset", "singular", "an invertible matrix"
+                )
             )
             return
         surfaces = resolve_materials(placed, package, self.library, self.problems)
@@ -224,7 +226,11 @@ class _Builder:
         self._register_material(surface)
         for has_mirrored_uv, piece in pieces:
             key = GroupKey(
-                surface.key, surface.emission, piece.normals is not None, piece.uv is not None, has_mirrored_uv
+                surface.key,
+                surface.emission,
+                piece.normals is not None,
+                piece.uv is not None,
+                has_mirrored_uv,
             )
             group = self.groups.setdefault(key, MeshGroup(key))
             group.meshes.append(piece)

@@ -23,7 +23,8 @@ class MergedShapeMaterials(SceneMaterials):
     """
 
     def __init__(self, built: BuiltScene):
-        super().__init__(built.scene, {name: (1, material) for name, material in built.shape_materials.items()})
+        shape_ids = {name: (1, material) for name, material in built.shape_materials.items()}
+        super().__init__(built.scene, shape_ids)
         pointers: Any = built.scene.shapes_dr()
         registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
         first_face = np.zeros(int(registry.max(initial=0)) + 1, np.uint32)

@@ -102,7 +102,8 @@ class TextureCache:
             return self._textures[key][0]
         values = _decoded(package, value, role, adjustment)
         if flip_green:
-            values = values * np.float32([1, -1, 1]) + np.float32([0, 1, 0])
+            values = values.copy()
+            values[..., 1] = 1.0 - values[..., 1]
         texture = upload(values)
         self._textures[key] = (texture, values.size * 2)
         self.num_bytes += values.size * 2
@@ -126,7 +127,7 @@ def _decoded(package: Package, texture: Texture, role: Role, adjustment: ColorAd
 
 
 def upload(values: NDArray[np.float32]) -> Any:
-    """A ``bitmap`` texture of linear values (H, W) or (H, W, 3), stored as half floats, repeated, bilinear."""
+    """A ``bitmap`` texture of linear values (H, W) or (H, W, 3): half floats, repeated, bilinear."""
     import mitsuba as mi
 
     pixels = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], dtype=np.float16)

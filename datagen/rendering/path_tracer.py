@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: MIT
+"""Light transport: unidirectional path tracing with emitter sampling and multiple importance sampling.
+
+The estimator is that of Mitsuba's ``path`` (tests hold one against the other), with what rooms need besides:
+
+* lights that the camera does not see: camera rays pass through them, everything else meets them;
+* opacity: shadow rays are attenuated by what they cross instead of being stopped by it, so that leaves and
+  curtains cast their own shadows also from point lights, and crossing them costs no path depth.
+
+No film is involved: a pixel's samples are neighbours in one array and are added in their order, so that a
+result has the same bytes however many threads made it. Camera, seed and sample count are data of the kernel.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from datagen.rendering.scene_builder import BuiltScene
+
+Array = Any
+
+MAX_LANES = 1 << 26
+"""Light paths traced in one launch; a view with more takes several."""
+MAX_CROSSINGS = 32
+"""Transparent surfaces that one ray crosses before it counts as blocked."""
+
+
+class PathTracer:
+    """Traces the light paths of one scene.
+
+    ``max_depth`` counts segments from the camera to the light (1: emitters only, 2: direct light);
+    Russian roulette ends paths from ``russian_roulette_depth`` segments on.
+    """
+
+    def __init__(self, built: BuiltScene, max_depth: int, russian_roulette_depth: int):
+        self.scene = built.scene
+        self.max_depth, self.russian_roulette_depth = max_depth, russian_roulette_depth
+        self._sampler = mi.load_dict({"type": "independent"})
+        self._has_transparency = any(
+            mi.has_flag(flags, mi.BSDFFlags.Null)
+            for flags in (shape.bsdf().flags() for shape in built.scene.shapes() if shape.bsdf() is not None)
+        )
+        self._is_hidden_shape = self._hidden_table(built) if built.hidden_shapes else None
+
+    def _hidden_table(self, built: BuiltScene) -> Any:
+        pointers: Any = built.scene.shapes_dr()
+        registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
+        table = np.zeros(int(registry.max(initial=0)) + 1, bool)
+        for shape, index in zip(built.scene.shapes(), registry, strict=True):
+            table[index] = shape.id() in built.hidden_shapes
+        return mi.Bool(table)
+
+    def render(self, sensor: Any, num_samples: int, seed: int) -> NDArray[np.float32]:
+        """Mean radiance (H, W, 3) of ``num_samples`` paths a pixel, uniformly distributed over the pixel.
+
+        ``seed`` is taken modulo 2^32.
+        """
+        width, height = (int(v) for v in sensor.film().crop_size())
+        num_per_launch = max(1, min(num_samples, MAX_LANES // (width * height)))
+        total = np.zeros((height, width, 3), np.float64)
+        done = 0
+        while done < num_samples:
+            count = min(num_per_launch, num_samples - done)
+            launch_seed = (seed + 0x9E3779B9 * done) & 0xFFFFFFFF
+            total += self._launch(sensor, width, height, count, launch_seed)
+            done += count
+        return (total / num_samples).astype(np.float32)
+
+    def _launch(self, sensor: Any, width: int, height: int, count: int, seed: int) -> NDArray[np.float32]:
+        """Sum over ``count`` samples of each pixel, (H, W, 3)."""
+        num_lanes = width * height * count
+        with dr.suspend_grad():
+            self._sampler.seed(seed, num_lanes)
+            pixel: Any = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
+            row: Any = pixel // width
+            offset: Any = self._sampler.next_2d()
+            position = mi.Point2f(
+                (mi.Float(pixel - row * width) + offset.x) / width, (mi.Float(row) + offset.y) / height
+            )
+            ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
+            radiance = self.sample(self._sampler, ray)
+            dr.eval(radiance)
+            sums = [dr.block_sum(channel, count) for channel in radiance]
+            dr.eval(sums)
+        return np.stack([np.array(s) for s in sums], axis=-1).reshape(height, width, 3)
+
+    @dr.syntax
+    def sample(self, sampler: Any, ray: Array) -> Array:
+        """Radiance (Color3f) that arrives along camera rays, one path each."""
+        scene, ctx = self.scene, mi.BSDFContext()
+        ray = mi.Ray3f(ray)
+        result, throughput = mi.Color3f(0.0), mi.Color3f(1.0)
+        depth, num_crossed = mi.UInt32(0), mi.UInt32(0)
+        previous = dr.zeros(mi.Interaction3f)
+        previous_pdf, previous_is_delta = mi.Float(1.0), mi.Bool(True)
+        active = mi.Bool(True)
+        while active:
+            si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
+
+            # ---- light that the ray met ---------------------------------------------------------------
+            is_seen = active & ~self._is_hidden(si, depth)
+            emitter = si.emitter(scene)
+            ds = mi.DirectionSample3f(scene, si, previous)
+            emitter_pdf = scene.pdf_emitter_direction(previous, ds, is_seen & ~previous_is_delta)
+            weight = dr.select(previous_is_delta, 1.0, _power_heuristic(previous_pdf, emitter_pdf))
+            result += throughput * emitter.eval(si, is_seen) * weight
+
+            active_next = active & si.is_valid() & ((depth + 1 < self.max_depth) | ~is_seen)
+            bsdf = si.bsdf()
+
+            # ---- light sampled from here ----------------------------------------------------------------
+            is_smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            active_emitter = active_next & is_seen & is_smooth
+            ds, radiance = self._sample_emitter(si, sampler.next_2d(), active_emitter)
+            active_emitter &= ds.pdf != 0.0
+            wo = si.to_local(ds.d)
+
+            # ---- the surface: value towards the light, and where the path goes on -------------------------
+            value, pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
+                ctx, si, wo, sampler.next_1d(), sampler.next_2d(), active_next
+            )
+            weight = dr.select(ds.delta, 1.0, _power_heuristic(ds.pdf, pdf))
+            result += dr.select(active_emitter, throughput * value * radiance * weight, 0.0)
+
+            passes = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+            if dr.hint(self._is_hidden_shape is not None, mode="scalar"):
+                passes |= ~is_seen
+                bsdf_weight = dr.select(is_seen, bsdf_weight, 1.0)
+            direction = dr.select(passes, ray.d, si.to_world(bs.wo))
+            ray = si.spawn_ray(direction)
+            throughput *= bsdf_weight
+            # What was crossed is no vertex: the last one keeps its place and density for the MIS weight.
+            scatters = active_next & ~passes
+            previous = dr.select(scatters, mi.Interaction3f(si), previous)
+            previous_pdf = dr.select(scatters, bs.pdf, previous_pdf)
+            is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+            previous_is_delta = dr.select(scatters, is_delta, previous_is_delta)
+            depth = dr.select(scatters, depth + 1, depth)
+            num_crossed = dr.select(passes, num_crossed + 1, num_crossed)
+
+            # ---- Russian roulette --------------------------------------------------------------------------
+            largest = dr.max(throughput)
+            survival = dr.minimum(largest, 0.95)
+            plays = scatters & (depth >= self.russian_roulette_depth)
+            survives = sampler.next_1d() < survival
+            throughput = dr.select(plays, throughput / dr.maximum(survival, 1e-30), throughput)
+            active = active_next & (~plays | survives) & (largest > 0.0) & (num_crossed < MAX_CROSSINGS)
+        return result
+
+    def _is_hidden(self, si: Any, depth: Array) -> Array:
+        """Whether a ray that comes from the camera met a light that the camera does not see."""
+        if self._is_hidden_shape is None:
+            return mi.Bool(False)
+        shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)
+        return (depth == 0) & dr.gather(mi.Bool, self._is_hidden_shape, shape, si.is_valid())
+
+    def _sample_emitter(self, si: Any, sample: Array, active: Array) -> tuple[Any, Any]:
+        """Direction to a light, and its radiance over the density, less what lies between."""
+        if not self._has_transparency:
+            return self.scene.sample_emitter_direction(si, sample, True, active)
+        ds, radiance = self.scene.sample_emitter_direction(si, sample, False, active)
+        return ds, radiance * self._transmittance(si, ds, active & (ds.pdf != 0.0))
+
+    @dr.syntax
+    def _transmittance(self, si: Any, ds: Any, active: Array) -> Array:
+        """What part of the light of ``ds`` reaches ``si`` through surfaces of partial opacity."""
+        ray = si.spawn_ray_to(ds.p)
+        left = dr.select(active, mi.Color3f(1.0), mi.Color3f(0.0))
+        num_crossed = mi.UInt32(0)
+        distance = mi.Float(ray.maxt)
+        while active:
+            hit = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
+            is_hit = active & hit.is_valid()
+            left *= dr.select(is_hit, hit.bsdf().eval_null_transmission(hit, is_hit), 1.0)
+            distance -= hit.t
+            next_ray = hit.spawn_ray(ray.d)
+            next_ray.maxt = distance
+            ray = next_ray
+            num_crossed += 1
+            active = is_hit & (dr.max(left) > 0.0) & (distance > 0.0)
+            if active & (num_crossed >= MAX_CROSSINGS):
+                left = mi.Color3f(0.0)
+                active = mi.Bool(False)
+        return left
+
+
+def _power_heuristic(pdf: Array, other: Array) -> Array:
+    """Veach's power heuristic; 0 where both densities vanish."""
+    square, other_square = dr.square(pdf), dr.square(other)
+    total = square + other_square
+    return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)
