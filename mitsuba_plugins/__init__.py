@@ -11,9 +11,11 @@ Choose the variant first, then register::
 
 from __future__ import annotations
 
+from typing import Any
+
 from mitsuba_plugins.variant import select_variant
 
-__all__ = ["register", "select_variant"]
+__all__ = ["load_dict", "register", "select_variant"]
 
 _registered_variants: set[str] = set()
 
@@ -36,3 +38,17 @@ def register() -> None:
     mi.register_bsdf("cook_torrance", CookTorrance)
     mi.register_integrator("material_buffers", MaterialBuffers)
     _registered_variants.add(variant)
+
+
+def load_dict(scene: dict[str, Any], **options: Any) -> Any:
+    """``mitsuba.load_dict`` that raises one :class:`datagen.errors.InputError` for all bad materials.
+
+    By itself Mitsuba turns what a plugin's constructor raises into a ``RuntimeError`` with a stack trace, at
+    the first fault. ``options`` are those of ``mitsuba.load_dict`` (``parallel``, ``optimize``).
+    """
+    import mitsuba as mi
+
+    from mitsuba_plugins.texture_checks import gathering_problems
+
+    with gathering_problems():
+        return mi.load_dict(scene, **options)

@@ -24,7 +24,6 @@ import mitsuba as mi
 
 MIN_ALPHA = 1e-3
 """Floor of the slope width: a lobe this narrow is what float32 and the rendering loss both survive."""
-MAX_ALPHA = 1.0
 MAX_TAN2 = 1e3
 """Beyond this tan^2 the density is below exp(-985) for every alpha <= 1: zero in float32."""
 MAX_EXPONENT = 100.0
@@ -39,22 +38,24 @@ def alpha_from_roughness(roughness: Array) -> Array:
     """Slope width of a perceptual roughness, alpha = clamp(R^2, 1e-3, 1). The one place that converts.
 
     Defined for every float: negative counts as 0, above 1 as 1, and NaN as 1 (the roughest surface is the
-    one that cannot make fireflies). The derivative is 2R inside (sqrt(1e-3), 1) and 0 outside.
+    one that cannot make fireflies). The derivative is 2R on (sqrt(1e-3), 1] and 0 outside.
     """
     bounded = effective_roughness(roughness)
-    return dr.clip(dr.square(bounded), MIN_ALPHA, MAX_ALPHA)
+    return dr.maximum(dr.square(bounded), MIN_ALPHA)
 
 
 def effective_roughness(roughness: Array) -> Array:
     """The roughness that is rendered for a given input: clamped to [0, 1], NaN is 1."""
-    below_one = dr.select(roughness < 1.0, roughness, 1.0)  # a NaN compares false and becomes 1
-    return dr.maximum(below_one, 0.0)
+    # A NaN compares false and becomes 1. The comparisons include the ends, so that a parameter that sits on
+    # one keeps its derivative and an optimiser can leave again.
+    below_one = dr.select(roughness <= 1.0, roughness, 1.0)
+    return dr.select(below_one >= 0.0, below_one, 0.0)
 
 
 def effective_albedo(albedo: Array) -> Array:
     """The albedo that is rendered for a given input: clamped to [0, 1] per channel, NaN is 0."""
-    non_negative = dr.select(albedo > 0.0, albedo, 0.0)  # a NaN compares false and becomes 0
-    return dr.minimum(non_negative, 1.0)
+    non_negative = dr.select(albedo >= 0.0, albedo, 0.0)  # a NaN compares false and becomes 0
+    return dr.select(non_negative <= 1.0, non_negative, 1.0)
 
 
 def beckmann_d(h: Array, alpha: Array) -> Array:
@@ -66,7 +67,8 @@ def beckmann_d(h: Array, alpha: Array) -> Array:
     normal2 = dr.square(h.z)
     # The comparison comes before the division: an h in the tangent plane, or a zero vector, divides by 1.
     valid = (h.z > 0.0) & (tangential2 < MAX_TAN2 * normal2)
-    tan2 = dr.select(valid, tangential2, 0.0) / dr.select(valid, normal2, 1.0)
+    inverse_z = 1.0 / dr.select(valid, h.z, 1.0)
+    tan2 = dr.select(valid, dr.square(h.x * inverse_z) + dr.square(h.y * inverse_z), 0.0)
     alpha2 = dr.square(alpha)
     exponent = tan2 / alpha2
     valid &= exponent < MAX_EXPONENT

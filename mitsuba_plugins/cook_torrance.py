@@ -195,9 +195,11 @@ class _Lobes:
         value, pdf = mi.Color3f(0.0), mi.Float(0.0)
         if self.has_specular:
             half = self.wi + wo
-            # wi.h = |wi + wo| / 2 for unit vectors: exact where 1 + wi.wo would cancel.
-            cos_half = dr.minimum(0.5 * dr.sqrt(dr.maximum(dr.squared_norm(half), 1e-30)), 1.0)
-            fresnel = self.specular + (1.0 - self.specular) * _fifth_power(1.0 - cos_half)
+            # wi.h = |wi + wo| / 2 for unit vectors: exact where 1 + wi.wo would cancel. Likewise 1 - wi.h is
+            # sin^2 / (1 + wi.h) with sin = |wi - wo| / 2: no cancellation where the light is the viewer.
+            cos_half = 0.5 * dr.sqrt(dr.maximum(dr.squared_norm(half), 1e-30))
+            one_minus_cos = 0.25 * dr.squared_norm(self.wi - wo) / (1.0 + cos_half)
+            fresnel = self.specular + (1.0 - self.specular) * _fifth_power(dr.minimum(one_minus_cos, 1.0))
             # D_b G1(wi) / (4 cos_i): the density of wo when h follows the visible normals, and also what
             # the lobe is made of.
             visible = 0.25 * beckmann.beckmann_d(half, self.alpha) * self.masking

@@ -7,12 +7,14 @@ refused here, where the file's name and the texel are still known.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from datagen.errors import Problem
+from datagen.errors import InputError, Problem
 
 TOLERANCE = 1e-4
 """Values this far outside [0, 1] are rounding (half floats, resampling) and are clamped, not refused."""
@@ -79,13 +81,34 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     return problems
 
 
-def check_parameter(material: str, name: str, texture: Any) -> None:
-    """Raise :class:`datagen.errors.InputError` with everything that is wrong with one parameter."""
-    from datagen.errors import InputError
+# Problems gathered while a scene loads, or None when nobody gathers. A plain list: appending is atomic, and
+# Mitsuba builds plugins on several threads.
+_gathered: list[Problem] | None = None
 
+
+def check_parameter(material: str, name: str, texture: Any) -> None:
+    """Report everything that is wrong with one parameter.
+
+    Raises :class:`datagen.errors.InputError`, or hands the problems to :func:`gathering_problems`.
+    """
     problems = parameter_problems(material, name, texture)
-    if problems:
+    if problems and _gathered is None:
         raise InputError(*problems)
+    if problems and _gathered is not None:
+        _gathered.extend(problems)
+
+
+@contextmanager
+def gathering_problems() -> Iterator[None]:
+    """Within, bad parameters do not raise one by one; on leaving, one InputError carries them all."""
+    global _gathered
+    _gathered = problems = []
+    try:
+        yield
+    finally:
+        _gathered = None
+    if problems:
+        raise InputError(*sorted(problems, key=str))  # threads finish in any order
 
 
 def _first(mask: np.ndarray) -> str:

@@ -53,16 +53,15 @@ def smith_g1(w: Array, alpha: Array) -> Array:
     return np.where(w[..., 2] > 0, g, 0.0)
 
 
-def schlick(specular_albedo: Array, cos: Array) -> Array:
-    """Schlick's Fresnel with the fifth power."""
-    return specular_albedo + (1.0 - specular_albedo) * (1.0 - cos) ** 5
+def schlick(specular_albedo: Array, one_minus_cos: Array) -> Array:
+    """Schlick's Fresnel with the fifth power, of 1 - cos (which is what must not cancel)."""
+    return specular_albedo + (1.0 - specular_albedo) * one_minus_cos**5
 
 
-def cos_half_angle(wi: Array, wo: Array) -> Array:
-    """wi.h as the cosine of half the angle between the directions (Kahan's form: no cancellation)."""
-    total = np.sum((wi + wo) ** 2, -1)
-    difference = np.sum((wi - wo) ** 2, -1)
-    return np.sqrt(total / np.maximum(total + difference, 1e-300))
+def one_minus_cos_half(wi: Array, wo: Array) -> Array:
+    """1 - wi.h, from half the angle between the directions: 2 sin^2(angle / 4), by Kahan's angle."""
+    angle = 2.0 * np.arctan2(np.linalg.norm(wi - wo, axis=-1), np.linalg.norm(wi + wo, axis=-1))
+    return 2.0 * np.sin(angle / 4.0) ** 2
 
 
 def specular_lobe(wi: Array, wo: Array, alpha: Array) -> Array:
@@ -77,7 +76,7 @@ def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: A
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
     alpha = alpha_from_roughness(roughness)
     lobe = specular_lobe(wi, wo, alpha) * smith_g1(wo, alpha)
-    f = schlick(specular, cos_half_angle(wi, wo)[..., None]) * lobe[..., None]
+    f = schlick(specular, one_minus_cos_half(wi, wo)[..., None]) * lobe[..., None]
     up = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
     return np.where(up, f + (1.0 - specular) * diffuse / np.pi * wo[..., 2:], 0.0)
 
@@ -85,7 +84,7 @@ def eval_cos(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: A
 def specular_probability(wi: Array, diffuse: Array, specular: Array) -> Array:
     """Share of samples that the specular lobe gets (a choice of the sampler, not of the model)."""
     diffuse, specular = effective_albedo(diffuse), effective_albedo(specular)
-    s = np.mean(schlick(specular, wi[..., 2:]), -1)
+    s = np.mean(schlick(specular, 1.0 - wi[..., 2:]), -1)
     d = np.mean((1.0 - specular) * diffuse, -1)
     return np.maximum(s / np.where(s + d > 0, s + d, 1.0), MIN_LOBE_PROBABILITY)
 
@@ -101,7 +100,8 @@ def pdf(wi: Array, wo: Array, diffuse: Array, specular: Array, roughness: Array)
 def direction(angle_rad: Array, azimuth_rad: Array) -> Array:
     """Unit vector at an angle from the normal."""
     s = np.sin(angle_rad)
-    return np.stack([s * np.cos(azimuth_rad), s * np.sin(azimuth_rad), np.cos(angle_rad) + 0 * azimuth_rad], -1)
+    x, y, z = np.broadcast_arrays(s * np.cos(azimuth_rad), s * np.sin(azimuth_rad), np.cos(angle_rad))
+    return np.stack([x, y, z], -1)
 
 
 def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array, Array]:
@@ -123,7 +123,7 @@ def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: i
     wo = 2.0 * cos_h[:, None] * h - wi
     g1_i = smith_g1(wi[None], alpha)[0]
     value = beckmann_d(h, alpha) * g1_i * np.maximum(cos_h, 0.0) / wi[2]
-    value *= schlick(specular, np.maximum(cos_h, 0.0)) * smith_g1(wo, alpha)
+    value *= schlick(specular, 1.0 - np.maximum(cos_h, 0.0)) * smith_g1(wo, alpha)
     return float(np.sum(np.where((cos_h > 0) & (wo[:, 2] > 0), value, 0.0) * weight))
 
 

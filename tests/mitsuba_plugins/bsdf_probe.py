@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: MIT
+"""Calls the BSDF on arrays of directions and materials, NumPy in, NumPy out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mitsuba_plugins import register, select_variant
+
+select_variant("llvm_ad_rgb")
+register()
+
+import drjit as dr  # noqa: E402
+import mitsuba as mi  # noqa: E402
+
+EPS = float(np.finfo(np.float32).eps)
+# Angles of wi from the normal: from straight above to 1e-6 rad above the horizon.
+ANGLES_RAD = np.concatenate(
+    [
+        np.radians([0.0, 1.0, 10.0, 30.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.9]),
+        np.pi / 2 - np.array([1e-4, 1e-5, 1e-6]),
+    ]
+)
+ROUGHNESS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
+
+
+def vector(array: np.ndarray) -> Any:
+    """(n, 3) to Vector3f."""
+    a = np.asarray(array, np.float32)
+    return mi.Vector3f(*(mi.Float(np.ascontiguousarray(a[:, i])) for i in range(3)))
+
+
+def color(array: np.ndarray) -> Any:
+    """(n, 3) to Color3f."""
+    v = vector(array)
+    return mi.Color3f(v.x, v.y, v.z)
+
+
+def array(value: Any) -> np.ndarray:
+    """Dr.Jit to NumPy, (n,) or (n, 3)."""
+    a = np.array(value)
+    return a.T if a.ndim == 2 else a
+
+
+def _layout(n: int) -> tuple[int, int]:
+    width = int(np.ceil(np.sqrt(n)))
+    return width, int(np.ceil(n / width))
+
+
+def interaction(wi: np.ndarray) -> Any:
+    """Interaction with the given local directions (n, 3); lane i looks up texel i of :func:`material`."""
+    n = len(wi)
+    width, height = _layout(n)
+    index = np.arange(n)
+    si = dr.zeros(mi.SurfaceInteraction3f, n)
+    si.wi = vector(wi)
+    si.uv = mi.Point2f(
+        mi.Float(((index % width + 0.5) / width).astype(np.float32)),
+        mi.Float(((index // width + 0.5) / height).astype(np.float32)),
+    )
+    si.sh_frame = mi.Frame3f(mi.Vector3f(0.0, 0.0, 1.0))
+    si.n = mi.Normal3f(0.0, 0.0, 1.0)
+    si.dp_du = mi.Vector3f(1.0, 0.0, 0.0)
+    si.t = mi.Float(1.0)
+    return si
+
+
+def _texels(values: np.ndarray) -> np.ndarray:
+    width, height = _layout(len(values))
+    flat = np.zeros((width * height, values.shape[1]), np.float32)
+    flat[: len(values)] = values
+    return flat.reshape(height, width, -1)
+
+
+def material(diffuse: Any, specular: Any, roughness: Any, num: int = 1, **options: Any) -> Any:
+    """A cook_torrance whose channels differ from lane to lane: D, S (n, 3) or number, R (n,) or number.
+
+    Values are set after construction, so that they may lie outside the range that the plugin accepts.
+    """
+    d, s = (np.broadcast_to(np.asarray(a, np.float32), (num, 3)) for a in (diffuse, specular))
+    r = np.broadcast_to(np.asarray(roughness, np.float32), (num,))[:, None]
+    channels = {"diffuse_albedo": _texels(d), "specular_albedo": _texels(s), "roughness": _texels(r)}
+    textures = {
+        name: {
+            "type": "bitmap",
+            "bitmap": mi.Bitmap(np.zeros_like(texels)),
+            "raw": True,
+            "filter_type": "nearest",
+            "wrap_mode": "clamp",
+            "format": "variant",
+        }
+        for name, texels in channels.items()
+    }
+    bsdf = mi.load_dict({"type": "cook_torrance", **textures, **options})
+    parameters = mi.traverse(bsdf)
+    for name, texels in channels.items():
+        parameters[f"{name}.data"] = mi.TensorXf(texels)
+    parameters.update()
+    return bsdf
+
+
+def unit_float32(w: np.ndarray) -> np.ndarray:
+    """Rounded to float32, returned as float64: the exact input that the implementation sees."""
+    return np.asarray(w, np.float32).astype(np.float64)
