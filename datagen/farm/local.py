@@ -368,6 +368,8 @@ def _handle(
     if outcome in ("done", "already"):
         summary.done.append(unit.id)
         (folder.failed_path / f"{unit.id}.json").unlink(missing_ok=True)
+        if worker.log is not None and worker.log.exists() and worker.log.stat().st_size == 0:
+            worker.log.unlink()
         on_event(("done", unit.id, "", 0, 0))
     elif outcome == "failed":
         _failed(unit, reason, worker.log, todo, attempts, folder, options, summary, on_event)

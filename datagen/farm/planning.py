@@ -94,7 +94,7 @@ def create_plan(
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
-    return _write_plan(folder, recipe, library)
+    return write_plan(folder, recipe, library)
 
 
 def _is_assembled(folder: DatasetFolder, recipe: Recipe, index: int) -> bool:
@@ -107,7 +107,8 @@ def _is_assembled(folder: DatasetFolder, recipe: Recipe, index: int) -> bool:
         return False  # damaged: it is assembled again
 
 
-def _write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
+def write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
+    """Write the plan over the configurations that are on disk; nothing is planned before this."""
     versions = pixel_versions()
     variant = resolve_variant(None if recipe.render.variant == "auto" else recipe.render.variant)
     units = []

@@ -14,7 +14,7 @@ from datagen.errors import InputError
 from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit, UnitManifest
 
 RUNNING_AGE_S = 600.0
-"""A unit whose work folder changed within this time counts as running."""
+"""A unit whose heartbeat is younger counts as running."""
 
 
 @dataclass(frozen=True)
@@ -116,13 +116,11 @@ def _file_system_now(folder: DatasetFolder) -> float:
 
 
 def _age(work: Path, now: float) -> float:
-    newest = 0.0
-    for path in (work, work / "rendered", work / "complete"):
-        try:
-            newest = max(newest, path.stat().st_mtime)
-        except OSError:
-            continue  # not there, or removed by whoever finished it
-    return now - newest
+    """Seconds since an attempt at the unit last showed that it is alive; infinite where none is."""
+    try:
+        return now - (work / "running").stat().st_mtime
+    except OSError:
+        return float("inf")
 
 
 def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureRecord]:

@@ -43,8 +43,6 @@ from datagen.formats.view import StatisticsRecord, ViewRecord
 if TYPE_CHECKING:
     from datagen.library import Library
 
-STAGES = ("render", "stats", "pack")
-
 
 class Interrupted(Exception):
     """The unit was asked to stop; everything finished so far is on disk."""
@@ -79,6 +77,16 @@ class UnitRun:
     def complete_path(self) -> Path:
         return self.work / "complete"
 
+    @property
+    def heartbeat_path(self) -> Path:
+        """Touched while an attempt works; only `status` looks at it."""
+        return self.work / "running"
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        """Report, and show that the unit is alive."""
+        self.heartbeat_path.touch()
+        self.report(stage, done, total)
+
     def check_stop(self) -> None:
         """Raise :class:`Interrupted` if the unit was asked to stop."""
         if self.should_stop():
@@ -106,7 +114,7 @@ class UnitRun:
         write_bytes_atomically(folder / f"{record.name}.json", canonical_json(record))
 
 
-def run_unit(run: UnitRun, stages: Iterable[str] = STAGES) -> bool:
+def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) -> bool:
     """Bring a unit through ``stages``; returns False where it was already committed.
 
     Raises :class:`Interrupted`, :class:`InputError`, or whatever the renderer raises; finished views stay.
@@ -115,23 +123,25 @@ def run_unit(run: UnitRun, stages: Iterable[str] = STAGES) -> bool:
         return False
     configuration = run.folder.read_configuration(run.unit)
     try:
+        run.work.mkdir(parents=True, exist_ok=True)
         for stage in stages:
-            start = time.perf_counter()
-            {"render": _render, "stats": _gather_statistics, "pack": _pack}[stage](run, configuration)
-            run.seconds[stage] = round(time.perf_counter() - start, 3)
+            _STAGES[stage](run, configuration)
     except (OSError, InputError):
         if run.folder.is_done(run.unit):  # another process committed it and tidied up meanwhile
             return False
         raise
+    finally:
+        run.heartbeat_path.unlink(missing_ok=True)
     return True
 
 
 def _render(run: UnitRun, configuration: Configuration) -> None:
     """Render the views that are not there yet and publish each as soon as it is finished."""
+    start = time.perf_counter()
     names = [camera.name for camera in configuration.cameras]
     run.rendered_path.mkdir(parents=True, exist_ok=True)
     missing = [i for i, name in enumerate(names) if run.read_record(run.rendered_path, name) is None]
-    run.report("render", len(names) - len(missing), len(names))
+    run.progress("render", len(names) - len(missing), len(names))
     if not missing:
         return
     run.check_stop()
@@ -163,12 +173,14 @@ def _render(run: UnitRun, configuration: Configuration) -> None:
             canonical_json(ViewTiming(view=camera.name, seconds=view.seconds)),
         )
         done += 1
-        run.report("render", done, len(names))
+        run.seconds["render"] = round(time.perf_counter() - start, 3)
+        run.progress("render", done, len(names))
         run.check_stop()
 
 
 def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
     """Gather the multi-view statistics of all views and publish the complete views."""
+    start = time.perf_counter()
     from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
     from datagen.multiview.visibility import VisibilityOptions
 
@@ -203,12 +215,13 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
         visibility=VisibilityOptions(mode=settings.visibility),
     )
     statistics_record = StatisticsRecord(num_views=len(views), **settings.model_dump())
-    run.report("stats", 0, len(names))
+    run.progress("stats", 0, len(names))
     for index, statistics in enumerate(compute_statistics(views, options, scene=scene)):
         record = records[index].model_copy(update={"statistics": statistics_record})
         buffers = {**stored[index], **statistics}
         run.publish(run.complete_path, record, buffers, run.recipe.output.compression)
-        run.report("stats", index + 1, len(names))
+        run.seconds["stats"] = round(time.perf_counter() - start, 3)
+        run.progress("stats", index + 1, len(names))
         run.check_stop()
 
 
@@ -219,13 +232,11 @@ def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:
 
 def _pack(run: UnitRun, configuration: Configuration) -> None:
     """Tar the complete views, commit the shard, write the manifest, then tidy the work folder."""
+    start = time.perf_counter()
     names = [camera.name for camera in configuration.cameras]
-    records = []
     for name in names:
-        record = run.read_record(run.complete_path, name)
-        if record is None:
+        if run.read_record(run.complete_path, name) is None:
             raise _missing_view(run.complete_path / f"{name}.exr", run, "stats")
-        records.append(record)
     members = [
         (f"{configuration.id}/{name}.{suffix}", run.complete_path / f"{name}.{suffix}")
         for name in names
@@ -252,6 +263,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
             timings.append(read_json(ViewTiming, run.rendered_path / f"{name}.timing"))
         except InputError:
             timings.append(ViewTiming(view=name, seconds={}))  # lost in an earlier attempt's kill
+    run.seconds["pack"] = round(time.perf_counter() - start, 3)
     manifest = UnitManifest(
         key=run.unit.key,
         id=run.unit.id,
@@ -287,3 +299,6 @@ def _commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
             (run.folder.root / manifest.shard).unlink(missing_ok=True)
     finally:
         partial.unlink(missing_ok=True)
+
+
+_STAGES = {"render": _render, "stats": _gather_statistics, "pack": _pack}

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""A planned dataset folder of tiny units, ready to run, made without the assembler."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from datagen.cameras import Camera, look_at
+from datagen.farm.folder import DatasetFolder
+from datagen.farm.planning import start_folder, write_plan
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.base import canonical_json, write_bytes_atomically
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.lights import PointLight
+from datagen.formats.recipe import Recipe, RenderRecipe
+from datagen.library import Library
+from tests.datagen.small_library import write_small_library
+
+SIZE = (64, 48)
+
+
+def plan_small(root: Path, library_root: Path, num_units: int = 3, num_views: int = 3) -> DatasetFolder:
+    """Write library (once) and plan; the same arguments give the same units."""
+    if not library_root.exists():
+        write_small_library(library_root)
+    library = Library([library_root])
+    room = library.select("environment")[0]
+    assert isinstance(room.asset, EnvironmentAsset)
+    region = room.asset.camera_regions[0]
+    recipe = Recipe(
+        name="small",
+        configurations=num_units,
+        views=num_views,
+        resolution=SIZE,
+        render=RenderRecipe(variant="llvm_ad_rgb", path_samples=2, auxiliary_samples=4),
+    )
+    folder = start_folder(recipe, library, root)
+    for index in range(num_units):
+        rng = np.random.default_rng(index)
+        cameras = []
+        for view in range(num_views):
+            eye, target = rng.uniform(region.minimum_m, region.maximum_m, (2, 3))
+            camera = Camera(*SIZE, 40.0, 40.0, SIZE[0] / 2, SIZE[1] / 2, look_at(eye, target))
+            cameras.append(ViewCamera.from_camera(f"view-{view:03d}", camera))
+        middle = np.mean([region.minimum_m, region.maximum_m], axis=0)
+        lamp = PointLight(name="lamp", position_m=tuple(middle), intensity=(5.0, 5.0, 4.0))
+        configuration = Configuration(
+            id=f"small-{index:05d}",
+            index=index,
+            seed=index + 10,
+            environment=PlacedAsset(name="environment", asset=room.id),
+            lights=(lamp,),
+            cameras=tuple(cameras),
+            assets={room.id: room.sha256},
+        )
+        path = folder.configuration_path(configuration.id)
+        write_bytes_atomically(path, canonical_json(configuration))
+    write_plan(folder, recipe, library)
+    return folder
