@@ -102,7 +102,8 @@ def check_parameter(material: str, name: str, texture: Any) -> None:
 def gathering_problems() -> Iterator[None]:
     """Within, bad parameters do not raise one by one; on leaving, one InputError carries them all."""
     global _gathered
-    _gathered = problems = []
+    problems: list[Problem] = []
+    _gathered = problems
     try:
         yield
     finally:

@@ -265,7 +265,7 @@ def test_gradients_are_finite_everywhere() -> None:
 
 
 def test_parameters_at_the_ends_of_their_range_keep_their_gradient() -> None:
-    """An albedo of exactly 0 or 1 and a roughness of 1 have the one-sided derivative, so optimisers can leave."""
+    """Albedos of exactly 0 or 1 and a roughness of 1 have the one-sided derivative."""
     num = 4
     wi = np.repeat(unit_float32(oracle.direction(np.array([0.7]), np.array([0.0]))), num, 0)
     wo = wi * [-1, 1, 1]
