@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""Scenes of a few quads and boxes whose images can be computed by hand, for the tests of the renderer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from datagen.cameras import Camera, look_at
+from datagen.formats.asset import (
+    EnvironmentAsset,
+    MaterialAsset,
+    ObjectAsset,
+    Part,
+    Provenance,
+    SlotMaterial,
+)
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.package import write_package
+from datagen.formats.recipe import RenderRecipe
+from datagen.library import Library
+from datagen.meshes import Mesh, encode_ply, flat_shaded
+from datagen.rendering.renderer import SceneRenderer
+
+CC0 = Provenance(license="CC0-1.0", author="tests")
+GREY = SlotMaterial(diffuse_albedo=(0.5, 0.5, 0.5), specular_albedo=(0.0, 0.0, 0.0), roughness=1.0)
+
+
+def quad(origin: Any, edge_u: Any, edge_v: Any, *, has_uv: bool = True, flip_u: bool = False) -> Mesh:
+    """Rectangle with front side along edge_u x edge_v and UVs (0, 0) at its origin."""
+    o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, edge_u, edge_v))
+    normal = np.cross(u, v)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    if flip_u:
+        uv[:, 0] = 1 - uv[:, 0]
+    return Mesh(
+        np.stack([o, o + u, o + u + v, o + v]).astype(np.float32),
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        np.tile(normal / np.linalg.norm(normal), (4, 1)).astype(np.float32),
+        uv if has_uv else None,
+    )
+
+
+def box(side: float = 1.0) -> Mesh:
+    """Cube on z = 0 around the z axis, flat shaded, without UVs."""
+    shape = trimesh.creation.box([side, side, side])
+    shape.apply_translation([0, 0, side / 2])
+    return flat_shaded(Mesh(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32)))
+
+
+def down_camera(
+    width: int = 8, height: int = 8, view_m: float = 0.01, at: Any = (0.0, 0.0), z: float = 1.0
+) -> Camera:
+    """Camera at height ``z`` that sees ``view_m`` metres of the plane z = 0 across its width.
+
+    The image's right is +x and its top is +y.
+    """
+    focal = width * z / view_m
+    pose = look_at([at[0], at[1], z], [at[0], at[1], 0.0], up=(0.0, 1.0, 0.0))
+    return Camera(width, height, focal, focal, width / 2, height / 2, pose)
+
+
+@dataclass
+class SmallScene:
+    """What :func:`renderer` needs: meshes and materials by name, and who wears what.
+
+    ``parts``: part -> (mesh, slot) of the environment; ``objects``: asset -> (mesh, material), one slot
+    ``skin``; ``materials``: package -> (material, files).
+    """
+
+    parts: dict[str, tuple[Mesh, str]] = field(
+        default_factory=lambda: {"floor": (quad([-5, -5, 0], [10, 0, 0], [0, 10, 0]), "grey")}
+    )
+    slots: dict[str, SlotMaterial] = field(default_factory=lambda: {"grey": GREY})
+    files: dict[str, bytes] = field(default_factory=dict)
+    objects: dict[str, tuple[Mesh, SlotMaterial]] = field(default_factory=dict)
+    materials: dict[str, tuple[Any, dict[str, bytes]]] = field(default_factory=dict)
+    uv_per_m: float | None = None
+
+    def write(self, root: Path) -> Library:
+        """Write the packages and open them."""
+        environment = EnvironmentAsset(
+            id="room",
+            title="room",
+            provenance=CC0,
+            materials=self.slots,
+            parts=tuple(
+                Part(name=name, mesh=f"{name}.ply", material=slot, uv_per_m=self.uv_per_m)
+                for name, (_, slot) in self.parts.items()
+            ),
+        )
+        meshes = {f"{name}.ply": encode_ply(mesh) for name, (mesh, _) in self.parts.items()}
+        write_package(root / "room", environment, {**meshes, **self.files})
+        for name, (mesh, material) in self.objects.items():
+            low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+            asset = ObjectAsset(
+                id=name,
+                title=name,
+                provenance=CC0,
+                category="thing",
+                minimum_m=tuple(map(float, low)),
+                maximum_m=tuple(map(float, high)),
+                materials={"skin": material},
+                parts=(Part(name="body", mesh="body.ply", material="skin"),),
+            )
+            write_package(root / name, asset, {"body.ply": encode_ply(mesh)})
+        for name, (material, files) in self.materials.items():
+            asset_of_material = MaterialAsset(id=name, title=name, provenance=CC0, material=material)
+            write_package(root / name, asset_of_material, files)
+        return Library([root])
+
+
+def configure(library: Library, cameras: list[Camera], **fields: Any) -> Configuration:
+    """A configuration of the room, with every package of the library listed."""
+    fields.setdefault("environment", PlacedAsset(name="room", asset="room"))
+    views = tuple(ViewCamera.from_camera(f"view_{k}", camera) for k, camera in enumerate(cameras))
+    assets = {package.id: package.sha256 for package in library}
+    return Configuration(id="test", index=0, seed=3, cameras=views, assets=assets, **fields)
+
+
+def renderer(
+    root: Path,
+    scene: SmallScene | None = None,
+    cameras: list[Camera] | None = None,
+    recipe: RenderRecipe | None = None,
+    **fields: Any,
+) -> SceneRenderer:
+    """A renderer of a small scene; by default a grey floor seen from above, direct light, no denoiser."""
+    library = (scene or SmallScene()).write(root)
+    recipe = recipe or RenderRecipe(path_samples=256, auxiliary_samples=16, max_depth=2, denoise=False)
+    return SceneRenderer(configure(library, cameras or [down_camera()], **fields), library, recipe)
+
+
+def placed(x: float, y: float, yaw: float = 0.0, scale: float = 1.0, z: float = 0.0) -> Any:
+    """``world_from_asset`` as a configuration holds it."""
+    cosine, sine = scale * np.cos(yaw), scale * np.sin(yaw)
+    matrix = np.array([[cosine, -sine, 0, x], [sine, cosine, 0, y], [0, 0, scale, z], [0, 0, 0, 1.0]])
+    return tuple(tuple(float(c) for c in row) for row in matrix)
