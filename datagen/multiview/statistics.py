@@ -21,7 +21,14 @@ from datagen.buffers import STATISTICS_BUFFERS
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem
 from datagen.multiview.view_selection import OwnView, Selection, select_views
-from datagen.multiview.visibility import PackedViews, VisibilityOptions, aligned, project, vectors_from_rows
+from datagen.multiview.visibility import (
+    PackedViews,
+    VisibilityOptions,
+    aligned,
+    aligned_empty,
+    project,
+    vectors_from_rows,
+)
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -172,11 +179,13 @@ def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Flo
     """Colours of all views, four floats a pixel: one packet load fetches a colour."""
     import mitsuba as mi
 
-    colors = np.zeros((packed.num_pixels, 4), dtype=np.float32)
+    flat = aligned_empty(packed.num_pixels * 4, np.float32)
+    colors = flat.reshape(-1, 4)
+    colors[:, 3] = 0
     for first, view in zip(packed.first_pixels, views, strict=True):
         pixels = view.color.reshape(-1, 3)
         colors[first : first + len(pixels), :3] = pixels
-    return mi.Float(aligned(colors))
+    return mi.Float(flat)
 
 
 def _view_statistics(

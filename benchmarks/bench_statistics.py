@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: MIT
+"""Speed of the multi-view statistics, and what their choices cost in accuracy.
+
+    python benchmarks/bench_statistics.py                       speed, against the vectorised NumPy oracle
+    python benchmarks/bench_statistics.py --scene S/scene.xml   the same on a Mitsuba scene, and accuracy
+
+Speed: 40 views of 640x384, 12 best; kernels and oracle take turns on the same views in one run. Growth:
+seconds a view for 10, 20, 40 and 80 views, in turns, with a straight line fitted. Accuracy (for a scene with
+textures): colours are the diffuse reflectance, which no view direction changes, so that in a perfect world
+minimum, median and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by
+pair.
+
+Writes JSON with medians and interquartile ranges to --out, and a summary to the terminal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from datagen.cameras import Camera, look_at
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics, has_surface
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
+from mitsuba_plugins.variant import select_variant
+from tests.oracles.statistics import OracleOptions, statistics_vectorized
+
+
+def summary(values: list[float]) -> dict:
+    low, median, high = np.percentile(values, [25, 50, 75])
+    return {"median": float(median), "iqr": [float(low), float(high)], "repeats": len(values)}
+
+
+def furnished_room():
+    """A closed room with thirty boxes, and a camera's pose inside it."""
+    import mitsuba as mi
+
+    rng = np.random.default_rng(7)
+    to_world = mi.ScalarTransform4f().translate([0, 0, 1.5]).scale([3, 3, 1.5])
+    scene = {"type": "scene", "room": {"type": "cube", "to_world": to_world, "flip_normals": True}}
+    for index in range(30):
+        half = rng.uniform(0.1, 0.5, 3)
+        centre = np.append(rng.uniform(-2.6, 2.6, 2), half[2])
+        if np.linalg.norm(centre[:2] - [0, -2.5]) < 1:
+            continue
+        box = mi.ScalarTransform4f().translate(centre.tolist()).scale(half.tolist())
+        scene[f"box_{index}"] = {"type": "cube", "to_world": box}
+    return mi.load_dict(scene), look_at((0, -2.5, 1.6), (0, 1, 0.8)), np.array([0.0, 0.0, 1.0])
+
+
+def scene_from_file(path: Path):
+    """A Mitsuba scene, its first sensor's pose, and the world axis nearest to that sensor's upward one."""
+    import mitsuba as mi
+
+    scene = mi.load_file(str(path))
+    pose = np.array(scene.sensors()[0].world_transform().matrix, dtype=np.float64).reshape(4, 4)
+    up = np.eye(3)[np.abs(pose[:3, 1]).argmax()]
+    return scene, look_at(pose[:3, 3], pose[:3, 3] + pose[:3, 2], up), up
+
+
+def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
+    """Surface interaction through one position of every pixel, and depth along the optical axis (H W,)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    pixels = camera.pixel_centers() - 0.5 + np.array(jitter)
+    rays = camera.unproject(pixels, np.ones(pixels.shape[:2])) - camera.position_m
+    lengths = np.linalg.norm(rays, axis=-1)
+    directions = (rays / lengths[..., None]).reshape(-1, 3).T.astype(np.float32)
+    ray = mi.Ray3f(mi.Point3f(camera.position_m.tolist()), mi.Vector3f(np.ascontiguousarray(directions)))
+    si = scene.ray_intersect(ray)
+    depth = dr.select(si.is_valid(), si.t, 0).numpy() / lengths.ravel()
+    return si, ray, depth
+
+
+def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsView:
+    """Exact buffers at pixel centres; colour is the diffuse reflectance of 4x4 positions a pixel."""
+    import drjit as dr
+    import mitsuba as mi
+
+    shape = (camera.height_px, camera.width_px)
+    si, ray, depth = first_hits(scene, camera)
+    normal = dr.select(dr.dot(si.sh_frame.n, ray.d) > 0, -si.sh_frame.n, si.sh_frame.n)
+    normal = dr.select(si.is_valid(), normal, 0).numpy().T.reshape(*shape, 3)
+    if is_textured:
+        color = np.zeros((*shape, 3))
+        for step in range(16):
+            si, _, _ = first_hits(scene, camera, ((step % 4 + 0.5) / 4, (step // 4 + 0.5) / 4))
+            value = si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
+            color += dr.select(si.is_valid(), value, 0).numpy().T.reshape(*shape, 3) / 16
+    else:
+        pattern = mi.Vector3f(dr.sin(9 * si.p.x), dr.sin(11 * si.p.y), dr.sin(7 * si.p.z))
+        color = dr.select(si.is_valid(), 0.5 + 0.4 * pattern, 0).numpy().T.reshape(*shape, 3)
+    depth = depth.reshape(*shape, 1).astype(np.float32)
+    mask = (depth > 0).astype(np.float32)
+    return StatisticsView(camera, color.astype(np.float32), depth, normal, mask, name)
+
+
+def place_cameras(
+    scene, base: np.ndarray, up: np.ndarray, count: int, width: int, height: int
+) -> list[Camera]:
+    """``base`` and views from around it in free space, towards points that it sees."""
+    import mitsuba as mi
+
+    rng = np.random.default_rng(0)
+    focal = 0.5 * width / np.tan(np.deg2rad(60) / 2)
+
+    def camera(pose: np.ndarray) -> Camera:
+        return Camera(width, height, focal, focal, width / 2, height / 2, pose)
+
+    cameras = [camera(base)]
+    _, _, depth = first_hits(scene, cameras[0])
+    points = cameras[0].unproject(cameras[0].pixel_centers().reshape(-1, 2), depth)[depth > 0]
+    scale = float(np.median(depth[depth > 0]))
+    spread = 0.5 * scale * (1 - 0.5 * up)
+    while len(cameras) < count:
+        position = base[:3, 3] + rng.uniform(-1, 1, 3) * spread
+        target = points[rng.integers(len(points))]
+        step = position - base[:3, 3]
+        length = float(np.linalg.norm(step))
+        ray = mi.Ray3f(mi.Point3f(base[:3, 3].tolist()), mi.Vector3f((step / length).tolist()))
+        ray.maxt = length
+        if scene.ray_test(ray)[0] or np.linalg.norm(target - position) < 0.3 * scale:
+            continue
+        candidate = camera(look_at(position, target, up))
+        _, _, depth = first_hits(scene, candidate.scaled(width // 8, height // 8))
+        if (depth > 0).mean() > 0.7 and np.percentile(depth[depth > 0], 5) > 0.1 * scale:
+            cameras.append(candidate)
+    return cameras
+
+
+def seconds_a_view(views: list[StatisticsView], options: StatisticsOptions, scene=None) -> float:
+    """Everything counted: packing, upload, kernels, download."""
+    start = time.perf_counter()
+    for _ in compute_statistics(views, options, scene):
+        pass
+    return (time.perf_counter() - start) / len(views)
+
+
+def measure_speed(views: list[StatisticsView], scene, repeats: int) -> dict:
+    options = StatisticsOptions()
+    traced = StatisticsOptions(visibility=VisibilityOptions("trace"))
+    seconds: dict[str, list[float]] = {"kernel": [], "kernel_trace": [], "oracle": [], "ratio": []}
+    start = time.perf_counter()
+    seconds_a_view(views[:2], options)
+    first = time.perf_counter() - start
+    seconds_a_view(views[:2], traced, scene)
+    for repeat in range(repeats):
+        seconds["kernel"].append(seconds_a_view(views, options))
+        start = time.perf_counter()
+        statistics_vectorized(views, repeat % len(views), OracleOptions())
+        seconds["oracle"].append(time.perf_counter() - start)
+        seconds["ratio"].append(seconds["oracle"][-1] / seconds["kernel"][-1])
+        seconds["kernel_trace"].append(seconds_a_view(views, traced, scene))
+    return {"first_two_views_with_compilation_s": first} | {k: summary(v) for k, v in seconds.items()}
+
+
+def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
+    numbers = [n for n in (10, 20, 40, 80) if n <= len(views)]
+    seconds: dict[int, list[float]] = {n: [] for n in numbers}
+    for _ in range(repeats):
+        for n in numbers:
+            seconds[n].append(seconds_a_view(views[:n], StatisticsOptions()))
+    medians = [float(np.median(seconds[n])) for n in numbers]
+    slope, intercept = np.polyfit(numbers, medians, 1)
+    residual = np.array(medians) - (slope * np.array(numbers) + intercept)
+    r_squared = 1 - residual.var() / np.var(medians)
+    exponent = np.polyfit(np.log(numbers), np.log(medians), 1)[0]
+    return {
+        "seconds_a_view": {str(n): summary(seconds[n]) for n in numbers},
+        "line": {"seconds": float(intercept), "seconds_a_source_view": float(slope), "r2": float(r_squared)},
+        "log_log_exponent": float(exponent),
+    }
+
+
+def measure_visibility(views: list[StatisticsView], scene) -> dict:
+    """Pairs of surface point and other view: how often the depth test differs from a shadow ray."""
+    packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
+    rng = np.random.default_rng(1)
+    traced_count, extra, missed = 0, 0, 0
+    for index in range(0, len(views), max(1, len(views) // 8)):
+        view = views[index]
+        pixels = rng.permutation(np.argwhere(has_surface(view.depth_z_m, view.surface_mask)))[:30_000]
+        rows, columns = pixels.T
+        centres = np.stack([columns, rows], axis=-1) + 0.5
+        points = view.camera.unproject(centres, view.depth_z_m[rows, columns, 0])
+        normals = view.normal_world[rows, columns]
+        by_depth = observe_points(packed, points, normals).visible_mask
+        traced = observe_points(packed, points, normals, VisibilityOptions("trace"), scene).visible_mask
+        others = np.arange(len(views)) != index
+        traced_count += int(traced[others].sum())
+        extra += int((by_depth & ~traced)[others].sum())
+        missed += int((traced & ~by_depth)[others].sum())
+    return {
+        "pairs_seen_by_rays": traced_count,
+        "only_depth_sees_share": extra / traced_count,
+        "only_rays_see_share": missed / traced_count,
+    }
+
+
+def measure_accuracy(views: list[StatisticsView], scene) -> dict:
+    """Mean absolute error of each statistic against the pixel's own, view-independent colour."""
+    results = {}
+    for mode in ("depth", "trace"):
+        for fetch in ("nearest", "bilinear"):
+            options = StatisticsOptions(color_fetch=fetch, visibility=VisibilityOptions(mode))
+            errors = []
+            for view, result in zip(views, compute_statistics(views, options, scene), strict=True):
+                mask = has_surface(view.depth_z_m, view.surface_mask)
+                parts = [np.abs(result[n] - view.color)[mask].mean() for n in ("color_min", "color_median")]
+                parts.append(np.abs(result["color_max"] - view.color)[mask].mean())
+                spread = (result["color_max"] - result["color_min"])[mask].max(axis=-1)
+                count = result["observation_count"][mask]
+                errors.append([*parts, (spread > 0.3).mean(), count.mean()])
+            names = ("minimum", "median", "maximum", "share_with_false_range_over_0.3", "mean_count")
+            results[f"{mode}_{fetch}"] = dict(zip(names, np.mean(errors, axis=0).tolist(), strict=True))
+    return results
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scene", type=Path, help="a Mitsuba scene instead of the room of boxes")
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 384), metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--views", type=int, default=80, help="the first 40 of them serve all but growth")
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--variant", default=None)
+    parser.add_argument("--out", type=Path, default=Path("bench_statistics.json"))
+    arguments = parser.parse_args()
+
+    variant = select_variant(arguments.variant)
+    scene, pose, up = scene_from_file(arguments.scene) if arguments.scene else furnished_room()
+    cameras = place_cameras(scene, pose, up, arguments.views, *arguments.size)
+    is_textured = arguments.scene is not None
+    views = [capture(scene, camera, f"view_{i}", is_textured) for i, camera in enumerate(cameras)]
+    report = {
+        "benchmark": "statistics",
+        "variant": variant,
+        "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
+        "scene": str(arguments.scene or "room of boxes"),
+        "size": list(arguments.size),
+        "best_views": 12,
+        "speed_40_views": measure_speed(views[:40], scene, arguments.repeats),
+        "growth": measure_growth(views, arguments.repeats),
+        "visibility": measure_visibility(views[:40], scene),
+    }
+    if is_textured:
+        report["accuracy"] = measure_accuracy(views[:40], scene)
+    arguments.out.write_text(json.dumps(report, indent=2) + "\n")
+    print(json.dumps(report, indent=2))
+
+
+if __name__ == "__main__":
+    main()

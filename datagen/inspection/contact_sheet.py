@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: MIT
+"""Contact sheets: one picture a configuration that shows what its views hold.
+
+Rows are views, columns are buffers. Radiance is brought to the screen with one exposure for the whole sheet
+and sRGB-encoded; albedos are sRGB-encoded as they are; normals are mapped from [-1, 1]; roughness, depth and
+count use cividis, a colour map that colour-blind readers see as others do, with a scale beneath. Pixels
+without a value (background, emitters) are hatched.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import exposure_for, srgb_from_linear
+from datagen.errors import InputError, Problem
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.exr import decode_view
+from datagen.formats.shard import CONFIGURATION_MEMBER, INDEX_FILE, Dataset, ShardReader
+
+if TYPE_CHECKING:
+    from PIL import Image, ImageDraw, ImageFont
+
+COLUMNS = (
+    ("beauty", "beauty"),
+    ("diffuse_albedo", "D  diffuse albedo"),
+    ("specular_albedo", "S  specular albedo"),
+    ("roughness", "R  roughness"),
+    ("normal_world", "normal (world)"),
+    ("depth_z_m", "depth"),
+    ("color_min", "minimum"),
+    ("color_median", "median"),
+    ("color_max", "maximum"),
+    ("observation_count", "count"),
+)
+MAX_ROWS = 6
+_CELL_WIDTH_PX = 256
+_MARGIN_PX = 8
+_TITLE_PX, _LABEL_PX = 32, 20
+_INK, _PAPER, _FAINT = (235, 235, 235), (24, 24, 26), (150, 150, 155)
+_NEEDS_SURFACE = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world")
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What the sheet's numbers are brought to the screen with."""
+
+    exposure: float
+    farthest_m: float
+    most_views: int
+
+
+def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
+    """Indices of at most ``max_rows`` views, evenly spread, the first included."""
+    if num_views <= max_rows:
+        return list(range(num_views))
+    return sorted({round(i * (num_views - 1) / (max_rows - 1)) for i in range(max_rows)})
+
+
+def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
+    """Exposure (95th percentile of surface luminance to 0.9), 98th percentile of depth, largest count."""
+    colors, depths, counts = [np.zeros((0, 3))], [np.zeros(0)], [1.0]
+    for view in views:
+        if "beauty" in view:
+            beauty = view["beauty"].astype(np.float64)
+            mask = view["surface_mask"][..., 0] > 0.5 if "surface_mask" in view else np.ones(beauty.shape[:2])
+            colors.append(beauty[mask.astype(bool)])
+        if "depth_z_m" in view:
+            depth = view["depth_z_m"][..., 0].astype(np.float64)
+            depths.append(depth[np.isfinite(depth) & (depth > 0)])
+        if "observation_count" in view:
+            counts.append(float(np.nan_to_num(view["observation_count"]).max(initial=0)))
+    depth = np.concatenate(depths)
+    farthest = float(np.percentile(depth, 98)) if depth.size else 1.0
+    return Scales(exposure_for(np.concatenate(colors)), farthest, int(max(counts)))
+
+
+def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDArray[np.uint8]:
+    """Buffer ``name`` of a view as an (H, W, 3) picture."""
+    array = view[name].astype(np.float64)
+    is_valid = np.isfinite(array).all(axis=-1)
+    array = np.where(np.isfinite(array), array, 0)
+    if name in _NEEDS_SURFACE and "surface_mask" in view:
+        is_valid &= view["surface_mask"][..., 0] > 0
+    if name == "depth_z_m":
+        is_valid &= array[..., 0] > 0
+    full_scale = {
+        "roughness": 1.0,
+        "depth_z_m": scales.farthest_m,
+        "observation_count": scales.most_views,
+    }
+    if name in full_scale:
+        picture = _color_map()(array[..., 0] / full_scale[name])
+    elif name == "normal_world":
+        picture = 0.5 + 0.5 * array
+    else:
+        exposure = 1.0 if name in ("diffuse_albedo", "specular_albedo") else scales.exposure
+        picture = srgb_from_linear(array * exposure)
+    picture = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+    rows, columns = np.indices(is_valid.shape)
+    hatch = np.where(((rows + columns) // 4 % 2)[..., None] == 0, 58, 46).astype(np.uint8)
+    return np.where(is_valid[..., None], picture, hatch)
+
+
+def _color_map() -> Callable[[NDArray], NDArray]:
+    from matplotlib import colormaps
+
+    cividis = colormaps["cividis"]
+    return lambda values: cividis(np.clip(values, 0, 1))[..., :3]
+
+
+def make_contact_sheet(
+    views: Sequence[Mapping[str, NDArray]], names: Sequence[str], title: str, scales: Scales | None = None
+) -> Image.Image:
+    """Draw ``views`` (buffers by name, one row each, labelled by ``names``) under ``title``.
+
+    Every view needs ``beauty``; columns whose buffer no view holds are left out. Raises :class:`InputError`
+    where there is nothing to draw.
+    """
+    from PIL import Image, ImageDraw
+
+    if not views or any("beauty" not in view for view in views):
+        got = "no views" if not views else "a view without beauty"
+        raise InputError(Problem("contact sheet", "views", got, "at least one view, each with beauty"))
+    scales = scales or choose_scales(views)
+    columns = [(name, label) for name, label in COLUMNS if any(name in view for view in views)]
+    heights = [_cell_size(view)[1] for view in views]
+    column_width = max(_cell_size(view)[0] for view in views)
+    left = 2 * _MARGIN_PX + max(_text_width(name, _LABEL_PX) for name in names)
+    head = _TITLE_PX + _LABEL_PX + 5 * _MARGIN_PX
+    width = left + len(columns) * (column_width + _MARGIN_PX)
+    foot = 3 * _LABEL_PX + 2 * _MARGIN_PX
+    height = head + sum(h + _MARGIN_PX for h in heights) + foot
+    sheet = Image.new("RGB", (width, height), _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    draw.text((_MARGIN_PX, _MARGIN_PX), title, _INK, _font(_TITLE_PX))
+    for index, (_, label) in enumerate(columns):
+        x = left + index * (column_width + _MARGIN_PX)
+        draw.text((x, head - _LABEL_PX - 2 * _MARGIN_PX), label, _INK, _font(_LABEL_PX))
+    y = head - _MARGIN_PX
+    for view, name, cell_height in zip(views, names, heights, strict=True):
+        draw.text((_MARGIN_PX, y + (cell_height - _LABEL_PX) // 2), name, _INK, _font(_LABEL_PX))
+        for index, (buffer, _) in enumerate(columns):
+            x = left + index * (column_width + _MARGIN_PX)
+            if buffer in view:
+                sheet.paste(_cell(screen_image(buffer, view, scales)), (x, y))
+            else:
+                draw.text((x, y), "not in this view", _FAINT, _font(_LABEL_PX))
+        y += cell_height + _MARGIN_PX
+    for index, (buffer, _) in enumerate(columns):
+        x = left + index * (column_width + _MARGIN_PX)
+        _draw_foot(sheet, draw, (x, y, column_width), buffer, scales)
+    return sheet
+
+
+def _cell_size(view: Mapping[str, NDArray]) -> tuple[int, int]:
+    """Size that a view is drawn at: small images are enlarged by whole factors only."""
+    height, width = view["beauty"].shape[:2]
+    if width < _CELL_WIDTH_PX:
+        factor = max(1, round(_CELL_WIDTH_PX / width))
+        return width * factor, height * factor
+    return _CELL_WIDTH_PX, max(1, round(height * _CELL_WIDTH_PX / width))
+
+
+def _cell(picture: NDArray[np.uint8]) -> Image.Image:
+    from PIL import Image
+
+    image = Image.fromarray(picture)
+    size = _cell_size({"beauty": picture})
+    resampling = Image.Resampling.NEAREST if size[0] >= image.width else Image.Resampling.BOX
+    return image.resize(size, resampling)
+
+
+def _draw_foot(
+    sheet: Image.Image, draw: ImageDraw.ImageDraw, place: tuple[int, int, int], name: str, scales: Scales
+) -> None:
+    """What a column's colours mean: a scale from 0 to its largest value, or a line of text."""
+    from PIL import Image
+
+    x, y, width = place
+    font = _font(_LABEL_PX)
+    ends = {
+        "roughness": ("0", "1"),
+        "depth_z_m": ("0", f"{scales.farthest_m:.2f} m"),
+        "observation_count": ("0", f"{scales.most_views} views"),
+    }
+    texts = {
+        "diffuse_albedo": "sRGB",
+        "specular_albedo": "F0, sRGB",
+        "normal_world": "x y z as R G B",
+    }
+    if name not in ends:
+        text = texts.get(name, f"exposure x {scales.exposure:.3g}, sRGB")
+        draw.text((x, y), text, _FAINT, font)
+        return
+    ramp = _color_map()(np.tile(np.linspace(0, 1, width), (_LABEL_PX, 1)))
+    sheet.paste(Image.fromarray((ramp * 255 + 0.5).astype(np.uint8)), (x, y))
+    low, high = ends[name]
+    draw.text((x, y + _LABEL_PX + 3), low, _FAINT, font)
+    draw.text((x + width - _text_width(high, _LABEL_PX), y + _LABEL_PX + 3), high, _FAINT, font)
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)
+
+
+def _text_width(text: str, size: int) -> int:
+    return int(np.ceil(_font(size).getlength(text)))
+
+
+def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
+    """Contact sheet of a shard; only the views that it shows are decoded. Raises :class:`InputError`."""
+    reader = ShardReader(shard)
+    records = list(reader.records())
+    chosen = [records[index] for index in choose_rows(len(records), max_rows)]
+    wanted = {record.name for record in chosen}
+    buffers = {}
+    for member, data in reader.members():
+        stem, _, suffix = member.rpartition(".")
+        view = stem.rpartition("/")[2]
+        if suffix == "exr" and view in wanted and member != CONFIGURATION_MEMBER:
+            buffers[view] = decode_view(data)
+    missing = [Problem(f"{shard}:{name}.exr", "", "missing", "a view") for name in wanted - buffers.keys()]
+    if missing:
+        raise InputError(*missing)
+    split = chosen[0].split if chosen else ""
+    identity = chosen[0].configuration if chosen else shard.stem
+    title = f"{identity}   {len(records)} views, {len(chosen)} shown   {split}"
+    return make_contact_sheet([buffers[r.name] for r in chosen], [r.name for r in chosen], title)
+
+
+def write_dataset_sheets(folder: Path) -> list[Path]:
+    """Write ``sheets/<configuration>.png`` for each finished configuration of a dataset folder.
+
+    Sheets that are newer than their shard are kept. Returns the paths of those written. Raises
+    :class:`InputError` where the folder has no index or no plan.
+    """
+    sheets = folder / "sheets"
+    written = []
+    for identity, shard in _finished_shards(folder):
+        path = sheets / f"{identity}.png"
+        if path.is_file() and path.stat().st_mtime >= shard.stat().st_mtime:
+            continue
+        sheets.mkdir(parents=True, exist_ok=True)
+        stream = io.BytesIO()
+        shard_sheet(shard).save(stream, format="PNG", optimize=True)
+        write_bytes_atomically(path, stream.getvalue())
+        written.append(path)
+    return written
+
+
+def _finished_shards(folder: Path) -> list[tuple[str, Path]]:
+    """(configuration, shard) of each finished unit, from the plan if there is one, else from the index."""
+    from datagen.farm.folder import DatasetFolder
+
+    if not (folder / "plan.json").is_file():
+        if not (folder / INDEX_FILE).is_file():
+            remedy = "name a dataset folder, or run `datagen run` first"
+            raise InputError(Problem(folder, "", "neither plan.json nor index.json", "a dataset", remedy))
+        return [(shard.configuration, folder / shard.file) for shard in Dataset(folder).index.shards]
+    dataset = DatasetFolder(folder)
+    found = []
+    for unit in dataset.read_plan().units:
+        manifest = dataset.read_manifest(unit) if dataset.is_done(unit) else None
+        if manifest is not None:
+            found.append((unit.id, folder / manifest.shard))
+    return found

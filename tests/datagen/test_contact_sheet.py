@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""Contact sheets: every column is there, and what a cell shows is what the buffer holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.color import srgb_from_linear
+from datagen.errors import InputError
+from datagen.formats.base import canonical_json
+from datagen.formats.shard import write_shard
+from datagen.inspection.contact_sheet import (
+    COLUMNS,
+    Scales,
+    choose_rows,
+    choose_scales,
+    make_contact_sheet,
+    screen_image,
+    shard_sheet,
+)
+from tests.datagen.small_dataset import make_buffers, make_configuration, make_view_files
+
+SCALES = Scales(exposure=0.5, farthest_m=4.0, most_views=12)
+
+
+def flat_view(**values) -> dict[str, np.ndarray]:
+    """A view of constant buffers, each value given by name."""
+    view = make_buffers(6, 8, seed=1)
+    for name, value in values.items():
+        view[name] = np.broadcast_to(np.float32(value), view[name].shape).copy()
+    return view
+
+
+def test_rows_are_few_and_spread():
+    assert choose_rows(4) == [0, 1, 2, 3]
+    assert choose_rows(40) == [0, 8, 16, 23, 31, 39]
+    assert choose_rows(1) == [0]
+    assert choose_rows(7, 2) == [0, 6]
+
+
+def test_radiance_is_exposed_and_encoded_albedo_only_encoded():
+    view = flat_view(beauty=[0.8, 0.4, 0.1], diffuse_albedo=[0.8, 0.4, 0.1])
+    beauty = screen_image("beauty", view, SCALES)[0, 0]
+    np.testing.assert_array_equal(beauty, np.round(255 * srgb_from_linear(np.array([0.4, 0.2, 0.05]))))
+    albedo = screen_image("diffuse_albedo", view, SCALES)[0, 0]
+    np.testing.assert_array_equal(albedo, np.round(255 * srgb_from_linear(np.array([0.8, 0.4, 0.1]))))
+
+
+def test_normals_are_mapped_to_the_unit_cube():
+    view = flat_view(normal_world=[0, -1, 0.5])
+    np.testing.assert_array_equal(screen_image("normal_world", view, SCALES)[0, 0], [128, 0, 191])
+
+
+@pytest.mark.parametrize(
+    ("name", "full"), [("roughness", 1.0), ("depth_z_m", 4.0), ("observation_count", 12.0)]
+)
+def test_scalars_grow_brighter_along_the_color_map(name, full):
+    shades = [
+        int(screen_image(name, flat_view(**{name: full * share}), SCALES)[0, 0].sum())
+        for share in (0.05, 0.3, 0.6, 1.0)
+    ]
+    assert shades == sorted(set(shades))
+    over = screen_image(name, flat_view(**{name: full * 1.7}), SCALES)
+    np.testing.assert_array_equal(over, screen_image(name, flat_view(**{name: full}), SCALES))
+
+
+def test_pixels_without_a_value_are_hatched():
+    view = flat_view(depth_z_m=1.0, diffuse_albedo=1.0)
+    view["depth_z_m"][0, 0] = 0
+    view["surface_mask"][1, 1] = 0
+    view["beauty"][2, 2] = np.nan
+    for name, row, column in (("depth_z_m", 0, 0), ("diffuse_albedo", 1, 1), ("beauty", 2, 2)):
+        picture = screen_image(name, view, SCALES)
+        assert set(picture[row, column]) <= {46, 58}
+        assert not set(picture[4, 4]) <= {46, 58}
+
+
+def test_scales_ignore_background_and_non_finite_values():
+    view = flat_view(beauty=2.0, depth_z_m=3.0, observation_count=5)
+    view["beauty"][0, :] = 1000
+    view["surface_mask"][0, :] = 0
+    view["depth_z_m"][1, :] = 0
+    view["depth_z_m"][2, 2] = np.nan
+    scales = choose_scales([view])
+    assert scales.exposure == pytest.approx(0.45)
+    assert scales.farthest_m == pytest.approx(3.0)
+    assert scales.most_views == 5
+
+
+@pytest.mark.parametrize("size", [(24, 40), (96, 160), (300, 500)])
+def test_every_column_and_row_is_drawn(size):
+    views = [make_buffers(*size, seed=index) for index in range(3)]
+    full = np.asarray(make_contact_sheet(views, ["view-0", "view-1", "view-2"], "title"))
+    one = np.asarray(make_contact_sheet(views[:1], ["view-0"], "title"))
+    assert full.shape[1] == one.shape[1] and full.shape[0] > one.shape[0]
+    fewer = [{k: v for k, v in view.items() if k != "color_min"} for view in views]
+    narrow = np.asarray(make_contact_sheet(fewer, ["view-0", "view-1", "view-2"], "title"))
+    assert (full.shape[1] - narrow.shape[1]) * len(COLUMNS) > 0.9 * (full.shape[1] - 100)
+    # a cell holds its buffer: painting one buffer black changes that column's band of pixels and no other
+    changed = [dict(view, diffuse_albedo=np.zeros_like(view["diffuse_albedo"])) for view in views]
+    black = np.asarray(make_contact_sheet(changed, ["view-0", "view-1", "view-2"], "title"))
+    columns = np.nonzero((black != full).any(axis=(0, 2)))[0]
+    assert 0 < np.ptp(columns) < full.shape[1] / len(COLUMNS)
+
+
+def test_nothing_to_draw_is_refused():
+    with pytest.raises(InputError, match="no views"):
+        make_contact_sheet([], [], "title")
+    with pytest.raises(InputError, match="without beauty"):
+        make_contact_sheet([{"roughness": np.ones((2, 2, 1))}], ["a"], "title")
+
+
+def write_small_shard(tmp_path: Path, num_views: int) -> Path:
+    configuration = make_configuration(num_views)
+    members = make_view_files(tmp_path, configuration)
+    shard = tmp_path / "small.tar"
+    with shard.open("wb") as file:
+        write_shard(file, canonical_json(configuration), members)
+    return shard
+
+
+def test_sheet_of_a_shard(tmp_path):
+    shard = write_small_shard(tmp_path, 8)
+    sheet = shard_sheet(shard, max_rows=3)
+    assert sheet.width > 10 * 200
+    assert sheet.height < shard_sheet(shard).height
+
+
+def test_damaged_shard_is_refused(tmp_path):
+    shard = write_small_shard(tmp_path, 2)
+    shard.write_bytes(shard.read_bytes()[:3000])
+    with pytest.raises(InputError):
+        shard_sheet(shard)
