@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: MIT
+"""The training loss (method 5): re-renderings and maps, each under an L1 and a perceptual distance.
+
+    L = L_E(I) + L_1(I) + sum over the predicted maps M of (L_E(M) + lambda L_1(M)),  lambda = 0.1
+
+I are images of predicted and of true materials under the same random views and lights. Maps are
+dictionaries of (B, C, H, W) by name: ``diffuse_albedo`` D, ``specular_albedo`` S, ``roughness`` R, in [0,
+1]. Where a track does not predict a map, the true one stands in. Pixels without a surface are made equal on
+both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from datagen.formats.base import StrictModel
+from model.shading import shade_point_light, shade_spherical_gaussians
+from model.training.conditions import (
+    AreaCondition,
+    Geometry,
+    PointCondition,
+    sample_area_condition,
+    sample_point_condition,
+)
+
+MAP_NAMES = ("diffuse_albedo", "specular_albedo", "roughness")
+_LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the logarithm finite in the dark
+
+
+class LossConfig(StrictModel):
+    """Weights and counts of the loss; the defaults are the method's."""
+
+    num_point_lights: int = Field(default=3, ge=0)
+    num_area_lights: int = Field(default=3, ge=0)
+    map_l1_weight: float = Field(default=0.1, ge=0)
+    perceptual_weight: float = Field(default=1.0, ge=0)
+    """Of every perceptual term; 0 leaves them out."""
+    num_perceptual_renders: int | None = Field(default=None, ge=0)
+    """How many of the re-renderings, the first of a random order, also enter the perceptual term; None is
+    all. Its expectation is the same, at less cost."""
+    log_maps: bool = False
+    """Compare ln(0.1 + M) instead of M for D and S (an option that the paper's source has commented out)."""
+
+
+def encode_log(image: Tensor) -> Tensor:
+    """ln(0.1 + I)."""
+    return torch.log(image + _LOG_OFFSET)
+
+
+def encode_log_unit(image: Tensor) -> Tensor:
+    """(ln(0.1 + I) - ln 0.1) / (ln 1.1 - ln 0.1), clipped to [0, 1], as the perceptual metric wants it."""
+    span = math.log(1.0 + _LOG_OFFSET) - math.log(_LOG_OFFSET)
+    return ((encode_log(image) - math.log(_LOG_OFFSET)) / span).clamp(0.0, 1.0)
+
+
+Condition = PointCondition | AreaCondition
+
+
+def render(maps: Mapping[str, Tensor], geometry: Geometry, condition: Condition) -> Tensor:
+    """Radiance (B, 3, H, W) of the maps under one condition, always in float32."""
+    diffuse, specular, roughness = (maps[name].float() for name in MAP_NAMES)
+    normal, view = geometry.normal, condition.view_dir
+    if isinstance(condition, PointCondition):
+        position, light = geometry.position, condition.light_position
+        return shade_point_light(
+            diffuse, specular, roughness, normal, view, position, light, condition.intensity
+        )
+    return shade_spherical_gaussians(diffuse, specular, roughness, normal, view, condition.lights)
+
+
+@dataclass(frozen=True)
+class LossTerms:
+    """``total`` to minimise and its unweighted parts by name, all scalars."""
+
+    total: Tensor
+    parts: dict[str, Tensor]
+
+
+class MaterialLoss(nn.Module):
+    """Callable loss of one batch. ``perceptual`` is a distance of :mod:`model.training.perceptual`, or
+    None."""
+
+    def __init__(self, config: LossConfig, perceptual: nn.Module | None):
+        super().__init__()
+        self.config = config
+        self.perceptual = perceptual if config.perceptual_weight > 0 else None
+
+    @property
+    def name(self) -> str:
+        """What a checkpoint records: terms and the perceptual distance used."""
+        distance = "none" if self.perceptual is None else str(self.perceptual.name)
+        return f"l1+{distance}"
+
+    def forward(
+        self,
+        predicted: Mapping[str, Tensor],
+        truth: Mapping[str, Tensor],
+        geometry: Geometry,
+        generator: torch.Generator,
+    ) -> LossTerms:
+        """Terms of a batch; ``predicted`` may lack maps. All draws come from the CPU ``generator``."""
+        mask = geometry.mask
+        shown = {n: torch.where(mask, predicted[n].float(), truth[n]) for n in MAP_NAMES if n in predicted}
+        materials = {**truth, **shown}
+        parts: dict[str, Tensor] = {}
+        total = next(iter(shown.values())).new_zeros(())
+        images = self._render_all(materials, truth, geometry, generator)
+        if images:
+            l1 = [(encode_log(ours) - encode_log(theirs)).abs().mean() for ours, theirs in images]
+            parts["render_l1"] = torch.stack(l1).mean()
+            total = total + parts["render_l1"]
+            count = self.config.num_perceptual_renders
+            if self.perceptual is not None and count != 0:
+                order = torch.randperm(len(images), generator=generator).tolist()[:count]
+                pairs = [tuple(encode_log_unit(image) for image in images[k]) for k in order]
+                parts["render_perceptual"] = self._distance(pairs, generator)
+                total = total + self.config.perceptual_weight * parts["render_perceptual"]
+        for name, ours in shown.items():
+            theirs = truth[name]
+            if self.config.log_maps and name != "roughness":
+                l1_map = (encode_log(ours) - encode_log(theirs)).abs().mean()
+            else:
+                l1_map = (ours - theirs).abs().mean()
+            parts[f"{name}_l1"] = l1_map
+            total = total + self.config.map_l1_weight * l1_map
+            if self.perceptual is not None:
+                pair = (ours.expand(-1, 3, -1, -1), theirs.expand(-1, 3, -1, -1))
+                parts[f"{name}_perceptual"] = self._distance([pair], generator)
+                total = total + self.config.perceptual_weight * parts[f"{name}_perceptual"]
+        return LossTerms(total, parts)
+
+    def _render_all(
+        self,
+        materials: Mapping[str, Tensor],
+        truth: Mapping[str, Tensor],
+        geometry: Geometry,
+        generator: torch.Generator,
+    ) -> list[tuple[Tensor, Tensor]]:
+        conditions: list[Condition] = []
+        for _ in range(self.config.num_point_lights):
+            conditions.append(sample_point_condition(geometry, generator))
+        for _ in range(self.config.num_area_lights):
+            conditions.append(sample_area_condition(geometry, generator))
+        pairs = []
+        for condition in conditions:
+            with torch.no_grad():
+                aim = render(truth, geometry, condition)
+            pairs.append((render(materials, geometry, condition), aim))
+        return pairs
+
+    def _distance(self, pairs: list[tuple[Tensor, ...]], generator: torch.Generator) -> Tensor:
+        """Mean distance of image pairs, each with its own transform and dropout."""
+        assert self.perceptual is not None
+        return torch.stack([self.perceptual(*pair, generator).mean() for pair in pairs]).mean()

