@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""The Slurm engine on a real Slurm of three nodes on this machine."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from datagen.farm.collect import collect
+from datagen.farm.folder import DatasetFolder
+from datagen.farm.local import LocalOptions, run_local
+from datagen.farm.slurm import SlurmOptions, array_script, job_name, shell_script, submit
+from datagen.farm.status import read_status
+from tests.datagen.small_plan import plan_small
+from tests.slurm.cluster import Cluster, missing_programs
+
+pytestmark = pytest.mark.skipif(
+    bool(missing_programs()) or os.geteuid() != 0,
+    reason=f"needs root and Slurm (Debian: apt-get install slurm-wlm munge); missing: {missing_programs()}",
+)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    with Cluster(tmp_path_factory.mktemp("slurm") / "cluster") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("assets") / "library"
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> dict[str, str]:
+    """Hashes of the shards that one local worker makes."""
+    folder = plan_small(tmp_path_factory.mktemp("local") / "dataset", library_root, num_units=4)
+    run_local(folder.root, LocalOptions(workers=1))
+    return _hashes(folder)
+
+
+def _hashes(folder: DatasetFolder) -> dict[str, str]:
+    return {shard.configuration: shard.sha256 for shard in collect(folder.root, deep=True).shards}
+
+
+def _options(**changes: object) -> SlurmOptions:
+    """Options for the test cluster; `datagen` is this environment's."""
+    setup = f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH"
+    defaults: dict = {"time_limit": "00:10:00", "memory": "1G", "cpus": 1, "setup": setup}
+    return SlurmOptions(**{**defaults, **changes})
+
+
+def _submit(cluster: Cluster, folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch, **changes: object):
+    for name in ("PATH", "SLURM_CONF"):
+        monkeypatch.setenv(name, cluster.environment[name])
+    return submit(folder.root, _options(**changes))
+
+
+def test_array_runs_the_plan_and_the_dependent_job_collects(
+    cluster: Cluster,
+    expected: dict[str, str],
+    tmp_path: Path,
+    library_root: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = plan_small(tmp_path / "a set with spaces", library_root, num_units=4)
+    submission = _submit(cluster, folder, monkeypatch, throttle=3)
+    assert len(submission.job_ids) == 2 and submission.num_units == 4
+    cluster.wait_until_idle()
+    assert folder.index_path.exists(), (folder.logs_path / "slurm-collect.log").read_text()
+    assert _hashes(folder) == expected
+    again = _submit(cluster, folder, monkeypatch)
+    assert again.num_units == 0 and again.job_ids == ()
+
+
+def test_a_killed_node_costs_time_only(
+    cluster: Cluster,
+    expected: dict[str, str],
+    tmp_path: Path,
+    library_root: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Killing slurmd alone leaves its job running as a zombie beside the requeued one: no double."""
+    folder = plan_small(tmp_path / "node", library_root, num_units=4)
+    _submit(cluster, folder, monkeypatch)
+    cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
+    cluster.kill_node("n1", and_jobs=False)
+    try:
+        cluster.wait_until_idle()
+    finally:
+        cluster.start_node("n1")
+    cluster.wait_for(lambda: cluster._states().count("idle") == 3, "the node to come back")
+    assert _hashes(folder) == expected
+    assert len(list(folder.shards_path.iterdir())) == 4
+
+
+def test_cancel_and_resume(
+    cluster: Cluster,
+    expected: dict[str, str],
+    tmp_path: Path,
+    library_root: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = plan_small(tmp_path / "cancel", library_root, num_units=4)
+    _submit(cluster, folder, monkeypatch, throttle=1)
+    cluster.wait_for(lambda: list(folder.root.glob("work/*/rendered/*.json")), "a finished view")
+    command = [sys.executable, "-m", "datagen", "farm", "cancel", str(folder.root)]
+    result = subprocess.run(command, env=cluster.environment, capture_output=True, text=True, check=True)
+    assert "cancelled" in result.stdout
+    cluster.wait_until_idle()
+    assert read_status(folder.root).done < 4
+    _submit(cluster, folder, monkeypatch)
+    cluster.wait_until_idle()
+    assert _hashes(folder) == expected
+
+
+def test_a_unit_that_always_fails_is_set_aside(
+    cluster: Cluster, tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = plan_small(tmp_path / "failing", library_root, num_units=2)
+    path = folder.configuration_path("small-00001")
+    path.write_text(path.read_text().replace('"room-0": "', '"room-0": "0'))
+    _submit(cluster, folder, monkeypatch, attempts=2)
+    cluster.wait_until_idle()
+    status = read_status(folder.root)
+    assert status.done == 1 and [f.id for f in status.failed] == ["small-00001"]
+    assert status.failed[0].attempts == 2
+    assert collect(folder.root).missing == ("small-00001",)
+
+
+@pytest.mark.slow
+def test_time_limit_with_notice_requeues_until_done(
+    cluster: Cluster, tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A unit longer than its limit is told in time, keeps its views, is requeued, and comes to an end."""
+    folder = plan_small(tmp_path / "limit", library_root, num_units=1, num_views=400)
+    _submit(cluster, folder, monkeypatch, time_limit="00:01:00", notice_s=45)
+    cluster.wait_until_idle(timeout_s=900)
+    assert read_status(folder.root).done == 1
+    log = (folder.logs_path / "slurm-unit-0.log").read_text()
+    assert "interrupted; what is finished is kept" in log
+
+
+def test_scripts_are_readable_shell(tmp_path: Path, library_root: Path) -> None:
+    folder = plan_small(tmp_path / "it's a set", library_root, num_units=2)
+    script = array_script(folder.root, _options(gpus=1, throttle=5), 0, [0, 1])
+    checked = subprocess.run(["bash", "-n"], input=script, text=True, capture_output=True)
+    assert checked.returncode == 0, checked.stderr
+    for directive in ("--array=0-1%5", "--requeue", "--gres=gpu:1", f"--job-name={job_name(folder.root)}"):
+        assert f"#SBATCH {directive}" in script
+    lines = shell_script(folder.root, [0, 1], _options()).splitlines()
+    assert len(lines) == 2 and lines[1].endswith("' 1 --attempts 3")
