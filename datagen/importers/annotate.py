@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: MIT
+"""Finds, in the bare triangles of a room, where things may stand, cameras may be and lamps may hang.
+
+The heuristics are set out in docs/importing.md; a YAML file of :class:`Annotations` overrides each of them.
+Frame: metres, Z up. Grids are indexed [x, y, z]; a *cell* is a small cube of the room grid (``RoomGrid``) or
+a small square of a surface (``_SQUARE_M``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.asset import (
+    Box,
+    LightSlot,
+    MaterialClass,
+    Opening,
+    SupportKind,
+    SupportSurface,
+)
+from datagen.formats.base import StrictModel, Vector3, quantized, read_yaml
+from datagen.formats.lights import AreaLight, Light
+
+_MAX_POINTS = 6_000_000  # sampled surface points; coarser sampling beyond keeps the memory below 100 MB
+_SQUARE_M = 0.025
+_MAX_GRID_CELLS = 6_000_000
+_MIN_CELL_M = 0.06
+_CAMERA_BAND_M = (0.7, 1.9)  # heights above the floor that a camera region must be free in
+_CAMERA_MARGIN_M = 0.2
+_STANDING_ROOM_M = 0.12  # a support needs this much free height
+_LEVEL_M = 0.012  # horizontal triangles within this height belong to one surface
+_MIN_SIDE_M = 0.15
+_MAX_SURFACES = 40
+_SLOT_SIDE_M = 0.6
+
+
+class Annotations(StrictModel):
+    """Sidecar for imported environments: every list that is given replaces the derived one.
+
+    ``classes`` and ``replaceable_by`` correct the guesses for material slots, by slot name.
+    """
+
+    support_surfaces: tuple[SupportSurface, ...] | None = None
+    light_slots: tuple[LightSlot, ...] | None = None
+    openings: tuple[Opening, ...] | None = None
+    camera_regions: tuple[Box, ...] | None = None
+    classes: dict[str, tuple[MaterialClass, ...]] = {}
+    replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
+
+
+def read_annotations(path: Path | None) -> Annotations:
+    """Annotations of a YAML file; empty ones for None. Raises :class:`InputError`."""
+    return Annotations() if path is None else read_yaml(Annotations, path)
+
+
+@dataclass(frozen=True)
+class RoomPlaces:
+    """What was found; ``floor_m`` is the height of the main floor, None if there is no enclosed space."""
+
+    floor_m: float | None
+    support_surfaces: tuple[SupportSurface, ...] = ()
+    camera_regions: tuple[Box, ...] = ()
+    light_slots: tuple[LightSlot, ...] = ()
+
+
+def find_places(
+    triangles: NDArray[np.float64],
+    classes: NDArray[np.int64],
+    seat_classes: set[int],
+    seeds: NDArray[np.float64],
+) -> RoomPlaces:
+    """Places in a room of ``triangles`` (M, 3, 3).
+
+    ``classes`` (M,) is an index a triangle, those in ``seat_classes`` are upholstery; ``seeds`` (K, 3) are
+    points known to be inside (cameras), and may be empty.
+    """
+    points, owner = _surface_points(triangles)
+    grid = RoomGrid.build(points, seeds)
+    if grid is None:
+        return RoomPlaces(None)
+    soft = np.isin(classes, list(seat_classes))[owner] if seat_classes else np.zeros(len(owner), bool)
+    surfaces = tuple(_support_surfaces(triangles, points, soft, grid))
+    regions = tuple(grid.camera_regions())
+    return RoomPlaces(grid.floor_m, surfaces, regions, tuple(grid.ceiling_slots(regions)))
+
+
+def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
+    """Upright area lights of window size: scenes stand them into windows and doors. They point inwards."""
+    found = []
+    for light in lights:
+        if isinstance(light, AreaLight) and light.shape == "rectangle":
+            normal = np.cross(light.edge_u_m, light.edge_v_m)
+            area = float(np.linalg.norm(normal))
+            if area > 0.4 and abs(normal[2]) < 0.5 * area:
+                found.append(
+                    Opening(
+                        name=light.name,
+                        origin_m=light.origin_m,
+                        edge_u_m=light.edge_u_m,
+                        edge_v_m=light.edge_v_m,
+                    )
+                )
+    return tuple(found)
+
+
+def slots_of(lights: tuple[Light, ...]) -> tuple[LightSlot, ...]:
+    """A slot for every area light that came with the scene."""
+    return tuple(
+        LightSlot(
+            name=light.name,
+            kind="area",
+            origin_m=light.origin_m,
+            edge_u_m=light.edge_u_m,
+            edge_v_m=light.edge_v_m,
+        )
+        for light in lights
+        if isinstance(light, AreaLight)
+    )
+
+
+def _vector(values: NDArray | list[float]) -> Vector3:
+    x, y, z = (quantized(float(v), 6) for v in values)
+    return x, y, z
+
+
+def _surface_points(triangles: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Points spread over the triangles at most ``_SQUARE_M`` apart (P, 3), and their triangles (P,)."""
+    edges = triangles - np.roll(triangles, 1, axis=1)
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    spacing = 0.8 * _SQUARE_M
+    while True:
+        steps = np.maximum(1, np.exp2(np.ceil(np.log2(np.maximum(longest / spacing, 1e-9))))).astype(np.int64)
+        if ((steps + 1) * (steps + 2) // 2).sum() <= _MAX_POINTS or spacing > 1e3:
+            break
+        spacing *= 1.3
+    parts, owners = [], []
+    for count in np.unique(steps):
+        index = np.flatnonzero(steps == count)
+        i, j = np.nonzero(np.add.outer(np.arange(count + 1), np.arange(count + 1)) <= count)
+        weights = np.stack([count - i - j, i, j], axis=1) / count
+        parts.append(np.einsum("pk,mkd->mpd", weights, triangles[index]).reshape(-1, 3).astype(np.float32))
+        owners.append(np.repeat(index, len(weights)))
+    return np.concatenate(parts), np.concatenate(owners)
+
+
+@dataclass(frozen=True)
+class RoomGrid:
+    """Cubes of side ``cell_m`` from ``origin_m``, ``occupied`` or ``interior`` (free and enclosed)."""
+
+    origin_m: NDArray[np.float64]
+    cell_m: float
+    occupied: NDArray[np.bool_]
+    interior: NDArray[np.bool_]
+    floor_m: float
+
+    @classmethod
+    def build(cls, points: NDArray[np.float32], seeds: NDArray[np.float64]) -> RoomGrid | None:
+        """The grid of the room that holds most seeds (or is largest); None if no space is enclosed."""
+        from scipy import ndimage
+
+        lower, upper = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+        extent = np.maximum(upper - lower, 1e-3)
+        cell = max(_MIN_CELL_M, float(np.cbrt(np.prod(extent) / _MAX_GRID_CELLS)))
+        origin = lower - 1.5 * cell
+        shape = tuple(int(n) for n in np.ceil(extent / cell) + 3)
+        occupied = np.zeros(shape, dtype=bool)
+        index = ((points - origin) / cell).astype(np.int64)
+        occupied[index[:, 0], index[:, 1], index[:, 2]] = True
+        walls = np.zeros(shape, dtype=np.int8)
+        for axis in range(3):
+            walls += np.logical_or.accumulate(occupied, axis=axis)
+            walls += np.flip(np.logical_or.accumulate(np.flip(occupied, axis), axis=axis), axis)
+        labels, count = ndimage.label(~occupied & (walls >= 5))  # five of six sides: one may be open
+        if count == 0:
+            return None
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        inside = ((seeds - origin) / cell).astype(np.int64) if len(seeds) else np.zeros((0, 3), np.int64)
+        valid = ((inside >= 0) & (inside < shape)).all(axis=1)
+        hits = labels[tuple(inside[valid].T)]
+        hits = hits[hits > 0]
+        chosen = int(np.bincount(hits).argmax()) if len(hits) else int(sizes.argmax())
+        interior = labels == chosen
+        lowest = np.where(interior.any(axis=2), interior.argmax(axis=2), -1)
+        levels = np.bincount(lowest[lowest >= 0])
+        floor_cell = int(levels.argmax())
+        edge = origin[2] + floor_cell * cell
+        near = points[np.abs(points[:, 2] - edge) < 1.5 * cell][:, 2]
+        if len(near):  # the height that most points share, rather than the edge of a cube
+            bins = np.round(near / 0.005).astype(np.int64)
+            values, counts = np.unique(bins, return_counts=True)
+            edge = float(near[bins == values[counts.argmax()]].mean())
+        return cls(origin, cell, occupied, interior, float(edge))
+
+    def is_interior(self, points: NDArray) -> NDArray[np.bool_]:
+        """Whether points (P, 3) lie in the free space of the room."""
+        index = ((points - self.origin_m) / self.cell_m).astype(np.int64)
+        valid = ((index >= 0) & (index < self.interior.shape)).all(axis=1)
+        result = np.zeros(len(points), dtype=bool)
+        result[valid] = self.interior[tuple(index[valid].T)]
+        return result
+
+    def _layer(self, height_m: float) -> int:
+        return int(np.clip((height_m - self.origin_m[2]) / self.cell_m, 0, self.interior.shape[2] - 1))
+
+    def camera_regions(self) -> Iterator[Box]:
+        """Up to four boxes that are free from knee to head height, standing on the floor."""
+        from scipy import ndimage
+
+        low, high = (
+            self._layer(self.floor_m + _CAMERA_BAND_M[0]),
+            self._layer(self.floor_m + _CAMERA_BAND_M[1]),
+        )
+        band = self.interior[:, :, low : high + 1].all(axis=2)
+        margin = max(1, math.ceil(_CAMERA_MARGIN_M / self.cell_m))
+        free = ndimage.binary_erosion(band, iterations=margin)
+        for x0, x1, y0, y1 in _rectangles(free, 4, max(2, math.ceil(0.3 / self.cell_m))):
+            column = self.interior[x0:x1, y0:y1, low:].all(axis=(0, 1))
+            free_layers = len(column) if column.all() else int(np.argmin(column))
+            top = self.origin_m[2] + (low + max(free_layers - 1, high + 1 - low)) * self.cell_m
+            minimum = [*(self.origin_m[:2] + np.array([x0, y0]) * self.cell_m), self.floor_m]
+            maximum = [*(self.origin_m[:2] + np.array([x1, y1]) * self.cell_m), top]
+            yield Box(minimum_m=_vector(minimum), maximum_m=_vector(maximum))
+
+    def ceiling_slots(self, regions: tuple[Box, ...]) -> Iterator[LightSlot]:
+        """A square lamp below the ceiling over the middle of each camera region."""
+        for number, region in enumerate(regions[:2]):
+            x, y = ((a + b) / 2 for a, b in zip(region.minimum_m[:2], region.maximum_m[:2], strict=True))
+            start = self._layer((region.minimum_m[2] + region.maximum_m[2]) / 2)
+            cell = ((np.array([x, y]) - self.origin_m[:2]) / self.cell_m).astype(int)
+            reach = max(1, round(_SLOT_SIDE_M / 2 / self.cell_m))
+            block = self.occupied[
+                max(0, cell[0] - reach) : cell[0] + reach + 1,
+                max(0, cell[1] - reach) : cell[1] + reach + 1,
+                start:,
+            ].any(axis=(0, 1))
+            if not block.any():
+                continue
+            height = self.origin_m[2] + (start + int(block.argmax())) * self.cell_m - 0.05
+            half = _SLOT_SIDE_M / 2
+            yield LightSlot(
+                name=f"ceiling_{number}",
+                kind="area",
+                origin_m=_vector([x - half, y - half, height]),
+                edge_u_m=(0.0, _SLOT_SIDE_M, 0.0),
+                edge_v_m=(_SLOT_SIDE_M, 0.0, 0.0),  # u x v points down
+            )
+
+
+def _support_surfaces(
+    triangles: NDArray[np.float64], points: NDArray[np.float32], soft: NDArray[np.bool_], grid: RoomGrid
+) -> Iterator[SupportSurface]:
+    """Axis-aligned rectangles on horizontal triangles with free space above, largest first at each level."""
+    from scipy import ndimage
+
+    found = 0
+    for height in _levels(triangles, grid):
+        above = height - grid.floor_m
+        if 0.04 < above < 0.3:
+            continue  # steps and skirtings
+        on_level = np.abs(points[:, 2] - height) < _LEVEL_M
+        surface = points[on_level]
+        inside = grid.is_interior(surface + np.float32([0, 0, 1.3 * grid.cell_m]))
+        if not inside.any():
+            continue
+        surface, cushions = surface[inside], soft[on_level][inside]
+        corner = surface[:, :2].min(axis=0) - _SQUARE_M
+        shape = tuple(int(n) for n in np.ceil((surface[:, :2].max(axis=0) - corner) / _SQUARE_M) + 2)
+        covered = _raster(surface, corner, shape)
+        covered = ndimage.binary_closing(covered, structure=np.ones((3, 3)))
+        over = points[(points[:, 2] > height + _LEVEL_M) & (points[:, 2] < height + 2.5)]
+        near = over[over[:, 2] < height + _STANDING_ROOM_M]
+        free = covered & ~ndimage.binary_dilation(_raster(near, corner, shape))
+        is_floor = abs(above) <= 0.04
+        minimum = max(3, round((0.5 if is_floor else _MIN_SIDE_M) / _SQUARE_M))
+        for x0, x1, y0, y1 in _rectangles(free, 6 if is_floor else 2, minimum):
+            origin = corner + np.array([x0, y0]) * _SQUARE_M
+            size = np.array([x1 - x0, y1 - y0]) * _SQUARE_M
+            within = ((over[:, :2] >= origin) & (over[:, :2] <= origin + size)).all(axis=1)
+            clearance = float(over[within][:, 2].min() - height) if within.any() else 2.5
+            is_soft = 2 * int(cushions.sum()) > len(cushions)
+            kind = _kind_of(above, is_soft)
+            yield SupportSurface(
+                name=f"{kind}_{found}",
+                kind=kind,
+                origin_m=_vector([*origin, height]),
+                edge_u_m=_vector([size[0], 0.0, 0.0]),
+                edge_v_m=_vector([0.0, size[1], 0.0]),
+                clearance_m=quantized(clearance, 4),
+            )
+            found += 1
+            if found >= _MAX_SURFACES:
+                return
+
+
+def _kind_of(above_floor_m: float, is_soft: bool) -> SupportKind:
+    if abs(above_floor_m) <= 0.04:
+        return "floor"
+    if is_soft and above_floor_m < 0.65:
+        return "seat"
+    if above_floor_m < 0.82:
+        return "table"
+    return "counter" if above_floor_m < 1.1 else "shelf"
+
+
+def _levels(triangles: NDArray[np.float64], grid: RoomGrid) -> list[float]:
+    """Heights at which horizontal triangles of the room add up to a surface, by area, largest first."""
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    flat = (area > 1e-9) & (np.abs(cross[:, 2]) > 0.995 * 2 * area)  # either side: windings are unreliable
+    heights, areas = triangles[flat][:, :, 2].mean(axis=1), area[flat]
+    inside = (heights > grid.floor_m - 0.1) & (heights < grid.floor_m + 2.2)
+    heights, areas = heights[inside], areas[inside]
+    order = np.argsort(heights)
+    heights, areas = heights[order], areas[order]
+    if not len(heights):
+        return []
+    groups = np.cumsum(np.concatenate([[0], np.diff(heights) > 0.5 * _LEVEL_M]))
+    total = np.bincount(groups, weights=areas)
+    mean = np.bincount(groups, weights=areas * heights) / total
+    big = np.flatnonzero(total > _MIN_SIDE_M**2)
+    return [float(mean[k]) for k in big[np.argsort(-total[big])][:_MAX_SURFACES]]
+
+
+def _raster(points: NDArray[np.float32], corner: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    mask = np.zeros(shape, dtype=bool)
+    index = ((points[:, :2] - corner) / _SQUARE_M).astype(np.int64)
+    valid = ((index >= 0) & (index < shape)).all(axis=1)
+    mask[index[valid, 0], index[valid, 1]] = True
+    return mask
+
+
+def _rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
+    """Largest free rectangles (x0, x1, y0, y1), one after the other, none overlapping another."""
+    mask = mask.copy()
+    for _ in range(count):
+        x0, x1, y0, y1 = largest_rectangle(mask, min_side)
+        if x1 <= x0:
+            return
+        yield x0, x1, y0, y1
+        mask[x0:x1, y0:y1] = False
+
+
+def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
+    """The all-True rectangle of greatest area with both sides at least ``min_side``; (0, 0, 0, 0) if none.
+
+    Row by row over the heights of the columns of True above (the largest rectangle in a histogram).
+    """
+    best, result = 0, (0, 0, 0, 0)
+    heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0 and closes every open column
+    for row in range(mask.shape[0]):
+        heights[:-1] = np.where(mask[row], heights[:-1] + 1, 0)
+        if heights.max() * mask.shape[1] <= best:
+            continue
+        stack: list[tuple[int, int]] = []  # (start, height), heights increasing
+        for column, height in enumerate(heights.tolist()):
+            start = column
+            while stack and stack[-1][1] > height:
+                start, tall = stack.pop()
+                if tall >= min_side and column - start >= min_side and tall * (column - start) > best:
+                    best = tall * (column - start)
+                    result = (row + 1 - tall, row + 1, start, column)
+            if height and (not stack or stack[-1][1] < height):
+                stack.append((start, height))
+    return result

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: MIT
+"""Material channels on their way into a package: constants stay constants, plain images pass through
+unchanged, and only what must be computed is baked, texel by texel.
+
+A *value* is a constant (float or colour), an :class:`ImageSource` (an image as it is) or a
+:class:`BakedSource` (pixels that were computed).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import srgb_from_linear
+from datagen.formats.asset import Texture
+from datagen.formats.package import FileSource
+from datagen.images import IMAGE_SUFFIXES, encode_png, read_image, texture_values
+from datagen.importers.common import slug
+
+MAX_CHANNEL_SPREAD = 0.5 / 255  # a baked channel that varies less than half an 8-bit step is a constant
+ChannelName = Literal["rgb", "r", "g", "b", "a"]
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """A channel read from an image file, with the meaning of ``datagen.formats.asset.Texture``."""
+
+    file: Path
+    encoding: Literal["srgb", "linear"]
+    channel: ChannelName = "rgb"
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def texture(self, name: str) -> Texture:
+        return Texture(
+            texture=name, encoding=self.encoding, channel=self.channel, scale=self.scale, offset=self.offset
+        )
+
+
+@dataclass(frozen=True)
+class BakedSource:
+    """Computed linear values, (H, W, 3) for colours or (H, W) for scalars; ``label`` names the file."""
+
+    values: NDArray[np.float32]
+    label: str
+    encoding: Literal["srgb", "linear"]
+
+
+Color = tuple[float, float, float]
+ColorValue = Color | ImageSource | BakedSource
+ScalarValue = float | ImageSource | BakedSource
+Value = ColorValue | ScalarValue
+
+
+def is_constant(value: Value) -> bool:
+    return not isinstance(value, ImageSource | BakedSource)
+
+
+class ImageCache:
+    """Decoded images of one import: a texture that several materials use is read once."""
+
+    def __init__(self) -> None:
+        self._pixels: dict[Path, NDArray] = {}
+
+    def pixels(self, file: Path) -> NDArray:
+        if file not in self._pixels:
+            self._pixels[file] = read_any_image(file)
+        return self._pixels[file]
+
+    def values(self, value: Value, is_scalar: bool) -> NDArray[np.float32]:
+        """A value as an array: () or (3,) for constants, (H, W) or (H, W, 3) for images."""
+        if isinstance(value, BakedSource):
+            return value.values
+        if isinstance(value, ImageSource):
+            return texture_values(value.texture(value.file.name), self.pixels(value.file), is_scalar)
+        return np.asarray(value, dtype=np.float32)
+
+
+def read_any_image(file: Path) -> NDArray:
+    """Like :func:`datagen.images.read_image`, also for BMP, TGA, TIFF and HDR, which packages do not hold."""
+    if file.suffix.lower() in IMAGE_SUFFIXES:
+        return read_image(file)
+    import cv2
+
+    pixels = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_UNCHANGED) if file.is_file() else None
+    if pixels is None:
+        from datagen.errors import input_error
+
+        raise input_error(file, got="unreadable", expected="an image", remedy="convert it to PNG or EXR")
+    if pixels.ndim == 2:
+        return pixels[..., None]
+    return np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
+
+
+def combine(
+    function: Callable[..., NDArray],
+    cache: ImageCache,
+    label: str,
+    *inputs: tuple[Value, bool],
+    is_scalar: bool,
+) -> Value:
+    """``function`` of channel values, at the resolution of the largest image among them.
+
+    ``inputs`` are (value, is_scalar) pairs; scalars reach ``function`` as (..., 1) where the result is a
+    colour. Constants give a constant; an image that turns out constant gives a constant too.
+    """
+    arrays = [cache.values(value, scalar) for value, scalar in inputs]
+    images = [a for (v, _), a in zip(inputs, arrays, strict=True) if not is_constant(v)]
+    sizes = [(a.shape[0], a.shape[1]) for a in images]
+    size = max(sizes, key=lambda s: s[0] * s[1], default=None)
+    shaped = []
+    for (value, scalar), array in zip(inputs, arrays, strict=True):
+        if size is not None and not is_constant(value) and array.shape[:2] != size:
+            array = _resized(array, size)
+        shaped.append(array[..., None] if scalar and not is_scalar else array)
+    result = np.clip(np.asarray(function(*shaped), dtype=np.float32), 0.0, 1.0)
+    if size is None:
+        return float(result) if is_scalar else _color(np.broadcast_to(result, (3,)))
+    result = np.broadcast_to(result, size if is_scalar else (*size, 3))
+    flat = result.reshape(-1, 1 if is_scalar else 3)
+    if (np.ptp(flat, axis=0) < MAX_CHANNEL_SPREAD).all():
+        mean = flat.mean(axis=0, dtype=np.float64)
+        return float(mean[0]) if is_scalar else _color(mean)
+    return BakedSource(result, label, "linear" if is_scalar else "srgb")
+
+
+def _color(array: NDArray) -> Color:
+    red, green, blue = (float(f"{x:.6g}") for x in array)
+    return red, green, blue
+
+
+def _resized(array: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    import cv2
+
+    resized = cv2.resize(array, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
+    return resized.astype(np.float32)
+
+
+class TextureFiles:
+    """The texture files of a package under construction: each image once, under a readable name."""
+
+    def __init__(self, cache: ImageCache) -> None:
+        self.files: dict[str, FileSource] = {}
+        self._cache = cache
+        self._names: dict[Path, str] = {}
+        self._baked: dict[str, str] = {}
+
+    def _free_name(self, stem: str, suffix: str) -> str:
+        base, number = slug(stem), 1
+        name = f"textures/{base}{suffix}"
+        while name in self.files:
+            number += 1
+            name = f"textures/{base}_{number}{suffix}"
+        return name
+
+    def add_file(self, file: Path) -> str:
+        """Name in the package of an image file; formats that packages do not hold become PNG or EXR."""
+        key = file.resolve()
+        if key not in self._names:
+            suffix = file.suffix.lower()
+            if suffix in IMAGE_SUFFIXES:
+                name = self._free_name(file.stem, suffix)
+                self.files[name] = file
+            else:
+                pixels = self._cache.pixels(file)
+                is_float = pixels.dtype.kind == "f"
+                name = self._free_name(file.stem, ".exr" if is_float else ".png")
+                self.files[name] = encode_exr(pixels) if is_float else encode_png(pixels[..., :3])
+            self._names[key] = name
+        return self._names[key]
+
+    def add_baked(self, source: BakedSource) -> Texture:
+        """Texture of baked values: 8 bits, sRGB-encoded for colours."""
+        values = source.values
+        encoded: NDArray = (
+            srgb_from_linear(values.astype(np.float64)) if source.encoding == "srgb" else values
+        )
+        data = encode_png(np.round(np.clip(encoded, 0, 1) * 255).astype(np.uint8))
+        digest = hashlib.sha256(data).hexdigest()
+        if digest not in self._baked:
+            name = self._free_name(source.label, ".png")
+            self.files[name] = data
+            self._baked[digest] = name
+        channel: ChannelName = "rgb" if values.ndim == 3 else "r"
+        return Texture(texture=self._baked[digest], encoding=source.encoding, channel=channel)
+
+    def color(self, value: ColorValue) -> Color | Texture:
+        """Channel of a material for a colour value."""
+        return self._channel(value) if not isinstance(value, tuple) else _color(np.clip(value, 0, 1))
+
+    def scalar(self, value: ScalarValue) -> float | Texture:
+        """Channel of a material for a scalar value; an RGB image is reduced to its luminance."""
+        if isinstance(value, ImageSource) and value.channel == "rgb":
+            grey = self._cache.pixels(value.file).shape[2] < 3
+            if grey:
+                value = ImageSource(value.file, value.encoding, "r", value.scale, value.offset)
+            else:
+                values = self._cache.values(value, is_scalar=True)
+                value = BakedSource(values, f"{value.file.stem}_grey", "linear")
+        if isinstance(value, ImageSource | BakedSource):
+            return self._channel(value)
+        return float(f"{min(max(float(value), 0.0), 1.0):.6g}")
+
+    def _channel(self, value: ImageSource | BakedSource) -> Texture:
+        if isinstance(value, BakedSource):
+            return self.add_baked(value)
+        return value.texture(self.add_file(value.file))
+
+
+def encode_exr(pixels: NDArray) -> bytes:
+    """Half-float, ZIP-compressed EXR bytes of (H, W, 3) linear pixels."""
+    import tempfile
+
+    import OpenEXR
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "image.exr"
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        rgb = np.ascontiguousarray(pixels[..., :3].clip(-65504, 65504).astype(np.float16))
+        OpenEXR.File(header, {"RGB": rgb}).write(str(path))
+        return path.read_bytes()

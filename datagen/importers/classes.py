@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: MIT
+"""Guesses of material classes and object categories from names; the table of docs/importing.md.
+
+The first word of a name that is known decides, later words of a compound winning over earlier ones
+(``WoodFloor`` is wood, ``marble_table`` stone, ``FloorTiles`` ceramic).
+"""
+
+from __future__ import annotations
+
+import re
+
+from datagen.formats.asset import MaterialClass, SupportKind
+
+_CLASS_WORDS: dict[MaterialClass, str] = {
+    "wood": "wood wooden oak pine walnut cherry rosewood veneer parquet plank planks bamboo mahogany "
+    "floorboards laminate skirt frame door",
+    "metal": "metal metallic steel stainless chrome gold silver brass copper bronze aluminium aluminum iron "
+    "tin nickel zinc hinge handle knob rod mirror",
+    "plastic": "plastic acrylic vinyl pvc nylon polymer",
+    "rubber": "rubber silicone tyre tire latex",
+    "leather": "leather suede hide",
+    "fabric": "fabric cloth textile cotton linen wool velvet felt carpet rug curtain curtains towel sofa "
+    "cushion lampshade seat bedding blanket pillow mat doormat foam fringe",
+    "ceramic": "ceramic ceramics porcelain tile tiles terracotta clay brick bathtube bathtub sink basin "
+    "toilet tea teacup cup saucer vase",
+    "stone": "stone marble granite rock slate concrete cement pebble sandstone travertine",
+    "paper": "paper cardboard book books label poster painting picture artwork landscape map wallpaper "
+    "blinds",
+    "glazed": "glazed glaze enamel lacquer lacquered",
+    "painted": "paint painted trims trim",
+    "plaster": "wall walls ceiling plaster stucco",
+    "glass": "glass bulb window pane crystal",
+    "organic": "leaf leaves leave grass plant bark moss flower fruit food soil stems skin bone candle "
+    "candles wax",
+}
+_WORD_CLASS = {word: name for name, words in _CLASS_WORDS.items() for word in words.split()}
+_STRONG = {"paint", "painted", "lacquer", "lacquered", "glazed", "wallpaper"}  # a finish hides what is below
+
+_CATEGORY_WORDS = {
+    "seat": "sofa couch chair stool armchair bench ottoman",
+    "table": "table desk nightstand commode",
+    "cabinet": "cabinet cupboard wardrobe dresser sideboard",
+    "shelf": "shelf bookshelf bookcase rack shelves",
+    "crockery": "cup plate saucer bowl teapot tea mug dish pitcher jug",
+    "bottle": "bottle vase flask jar",
+    "book": "book books magazine",
+    "lamp": "lamp light lantern chandelier",
+    "plant": "plant tree flower pot",
+    "textile": "curtain cushion pillow blanket carpet rug towel",
+    "electronics": "tv television radio phone laptop monitor computer keyboard speaker camera",
+    "toy": "toy ball sphere doll",
+    "box": "box crate basket carton",
+    "frame": "frame picture painting mirror",
+    "clock": "clock watch",
+    "statuette": "statue bust sculpture figure",
+}
+_WORD_CATEGORY = {word: name for name, words in _CATEGORY_WORDS.items() for word in words.split()}
+_FLOOR_CATEGORIES = {"seat", "table", "cabinet", "shelf"}
+
+REPLACEABLE: dict[MaterialClass, tuple[MaterialClass, ...]] = {
+    "wood": ("wood", "painted"),
+    "metal": ("metal", "painted"),
+    "plastic": ("plastic", "painted", "rubber"),
+    "rubber": ("rubber", "plastic"),
+    "leather": ("leather", "fabric"),
+    "fabric": ("fabric", "leather"),
+    "ceramic": ("ceramic", "glazed", "stone"),
+    "stone": ("stone", "ceramic"),
+    "paper": ("paper",),
+    "glazed": ("glazed", "ceramic"),
+    "painted": ("painted", "plaster"),
+    "plaster": ("plaster", "painted"),
+    "glass": (),
+    "organic": (),
+    "other": (),
+}
+"""Classes that suit the geometry of a slot of the given main class."""
+
+
+def words_of(name: str) -> list[str]:
+    """Lower-case words of a name in CamelCase, snake_case or with spaces and digits."""
+    return [w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
+
+
+def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
+    """Material class by the names of material, mesh and file, the first name that tells anything deciding."""
+    for name in names:
+        words = words_of(name)
+        for word in words:
+            if word in _STRONG:
+                return _WORD_CLASS[word]
+        hits = [_WORD_CLASS[word] for word in words if word in _WORD_CLASS]
+        if hits:
+            materials = [h for h in hits if h not in ("plaster", "paper", "fabric")]
+            return materials[-1] if materials else hits[-1]
+    return fallback
+
+
+def guess_category(*names: str) -> str:
+    """Object category by names; '' if none is known."""
+    for name in names:
+        hits = [_WORD_CATEGORY[word] for word in words_of(name) if word in _WORD_CATEGORY]
+        if hits:
+            return hits[-1]
+    return ""
+
+
+def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
+    """Where an object may stand: large things on the floor, small ones on furniture."""
+    if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:
+        return ("floor",)
+    if max(height_m, width_m) > 0.4:
+        return ("floor", "table", "counter")
+    return ("table", "shelf", "counter", "sill")

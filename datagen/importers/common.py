@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: MIT
+"""What every importer shares: options, the record of an import, licences, names and axes."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.formats.asset import Provenance
+
+DielectricPolicy = Literal["refuse", "replace"]
+DielectricStandIn = Literal["opaque", "remove"]
+MissingPolicy = Literal["refuse", "replace"]
+UpAxis = Literal["auto", "y", "z"]
+ImportKind = Literal["auto", "environment", "object", "material"]
+
+EVALUATION_SCENES = {
+    "veach-ajar": "Veach, Ajar",
+    "dining-room": "The Breakfast Room",
+}
+"""Test scenes of the method's paper, by folder name and title: always imported as ``evaluation_only``."""
+
+_LICENSE_FILES = ("LICENSE.txt", "LICENSE", "LICENSE.md", "license.txt", "README.txt", "README.md")
+_LICENSE_PATTERNS = (
+    (re.compile(r"creativecommons\.org/publicdomain/zero/1\.0|\bCC0\b", re.I), "CC0-1.0"),
+    (re.compile(r"creativecommons\.org/licenses/by/3\.0", re.I), "CC-BY-3.0"),
+    (re.compile(r"creativecommons\.org/licenses/by/4\.0", re.I), "CC-BY-4.0"),
+    (re.compile(r"creativecommons\.org/licenses/by-sa/3\.0", re.I), "CC-BY-SA-3.0"),
+    (re.compile(r"creativecommons\.org/licenses/by-sa/4\.0", re.I), "CC-BY-SA-4.0"),
+    (re.compile(r"creativecommons\.org/licenses/by-nc/4\.0", re.I), "CC-BY-NC-4.0"),
+)
+_PUBLISHERS = {"ambientcg": ("CC0-1.0", "ambientCG", "https://ambientcg.com")}
+"""Publishers all of whose assets carry one licence, as ``creator`` of an ``info.json`` names them."""
+_TITLE = re.compile(r"version of '(?P<title>[^']+)' by (?P<author>[^,\n]+), downloaded", re.I)
+_SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", re.I)
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """How to import.
+
+    ``dielectric``: see-through materials are refused, or replaced: flat panes and thin dielectrics are left
+    out, bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent files are
+    refused, or replaced by a grey or left out. ``unit_scale``: metres in a unit of the file. ``defines`` are
+    values for ``$names`` of a Mitsuba scene. Empty strings are detected or derived.
+    """
+
+    kind: ImportKind = "auto"
+    asset_id: str = ""
+    title: str = ""
+    license: str = ""
+    author: str = ""
+    source: str = ""
+    evaluation_only: bool = False
+    category: str = ""
+    classes: tuple[str, ...] = ()
+    up: UpAxis = "auto"
+    unit_scale: float = 1.0
+    tile_size_m: float | None = None
+    dielectric: DielectricPolicy = "refuse"
+    dielectric_as: dict[str, DielectricStandIn] = field(default_factory=dict)
+    missing: MissingPolicy = "refuse"
+    annotations: Path | None = None
+    defines: dict[str, str] = field(default_factory=dict)
+    as_zip: bool = False
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
+class ImportedAsset:
+    """The record of one import: where the package lies, and all that differs from the source.
+
+    ``approximations`` say what the asset represents only roughly, ``notes`` what the importer decided or
+    noticed. Both are sentences that begin with the name of what they are about.
+    """
+
+    asset_id: str
+    kind: str
+    path: Path
+    sha256: str
+    license: str
+    approximations: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+class Findings:
+    """Collects approximations and notes during an import; each sentence once, in order."""
+
+    def __init__(self) -> None:
+        self._approximations: dict[str, None] = {}
+        self._notes: dict[str, None] = {}
+
+    def approximate(self, sentence: str) -> str:
+        self._approximations[sentence] = None
+        return sentence
+
+    def note(self, sentence: str) -> None:
+        self._notes[sentence] = None
+
+    @property
+    def approximations(self) -> tuple[str, ...]:
+        return tuple(self._approximations)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return tuple(self._notes)
+
+
+def slug(text: str) -> str:
+    """A name that is safe as an id and as a file: lower-case letters, digits, '_' and '-'."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", text)
+    cleaned = re.sub(r"[^a-z0-9_-]+", "-", words.lower()).strip("-_")
+    return cleaned or "unnamed"
+
+
+def unique(name: str, taken: set[str] | dict[str, object]) -> str:
+    """``name``, or ``name_2``, ``name_3``, ... if it is taken."""
+    candidate, number = name, 1
+    while candidate in taken:
+        number += 1
+        candidate = f"{name}_{number}"
+    return candidate
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Licence and authorship as the files beside a source state them; '' where they say nothing."""
+
+    license: str = ""
+    title: str = ""
+    author: str = ""
+    source: str = ""
+
+
+def detect_origin(folder: Path) -> Origin:
+    """Read licence files and ``info.json`` beside a source. Nothing is assumed beyond what they say."""
+    info = folder / "info.json"
+    if info.is_file():
+        try:
+            data = json.loads(info.read_text(encoding="utf-8"))
+        except (ValueError, OSError):
+            data = {}
+        if isinstance(data, dict) and str(data.get("creator", "")).lower() in _PUBLISHERS:
+            license_id, author, source = _PUBLISHERS[str(data["creator"]).lower()]
+            return Origin(license_id, str(data.get("name", "")), author, source)
+    for name in _LICENSE_FILES:
+        path = folder / name
+        if not path.is_file():
+            continue
+        text = path.read_text(encoding="utf-8", errors="replace")
+        found = {spdx for pattern, spdx in _LICENSE_PATTERNS if pattern.search(text)}
+        if len(found) == 1:
+            title, link = _TITLE.search(text), _SOURCE.search(text)
+            return Origin(
+                found.pop(),
+                title["title"] if title else "",
+                title["author"].strip() if title else "",
+                link["source"] if link else "",
+            )
+    return Origin()
+
+
+def provenance(
+    source: Path, folder: Path, options: ImportOptions, findings: Findings
+) -> tuple[Provenance, str]:
+    """Provenance of an import and its title ('' if unknown).
+
+    Raises :class:`InputError` where the licence is neither given nor stated beside the source: it is never
+    made up.
+    """
+    origin = detect_origin(folder)
+    license_id = options.license or origin.license
+    if not license_id:
+        raise input_error(
+            source,
+            "license",
+            "nothing",
+            "an SPDX identifier such as CC0-1.0 or CC-BY-4.0",
+            "give it with --license; only the holder of the rights can know it",
+        )
+    names = {folder.name, source.stem}
+    is_known = bool(names & set(EVALUATION_SCENES)) or origin.title in EVALUATION_SCENES.values()
+    if is_known and not options.evaluation_only:
+        findings.note(f"{folder.name}: a test scene of the method's paper, marked evaluation_only")
+    usage: Literal["any", "evaluation_only"] = (
+        "evaluation_only" if options.evaluation_only or is_known else "any"
+    )
+    return Provenance(
+        license=license_id,
+        author=options.author or origin.author,
+        source=options.source or origin.source,
+        usage=usage,
+    ), origin.title
+
+
+Z_UP_FROM_Y_UP = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""Rotation that turns +Y up into +Z up: (x, y, z) becomes (x, -z, y)."""
+
+
+def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
+    """(4, 4) transform from the file's frame to metres with Z up."""
+    if not (np.isfinite(unit_scale) and unit_scale > 0):
+        raise input_error("unit scale", got=unit_scale, expected="a positive number of metres in a unit")
+    scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
+    return scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""Fresnel reflectances and lobe widths for turning other renderers' materials into D, S and R.
+
+F0 is the reflectance at normal incidence, in air. ``ALPHA_BECKMANN_PER_GGX`` is the ratio of lobe widths for
+which a Beckmann lobe differs least from a GGX lobe in total variation: with x = tan^2(theta_h) / alpha^2 the
+cosine-weighted densities are 1 / (1 + x)^2 and exp(-x / s) / s, and s = 1.3123 gives the least distance,
+0.180 (0.204 at equal alpha). Equal peaks would need 1, equal medians 1.2011.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+ALPHA_BECKMANN_PER_GGX = 1.1456
+AIR_IOR = 1.000277
+
+_NAMED_IOR = {
+    "vacuum": 1.0, "air": AIR_IOR, "water": 1.3330, "acetone": 1.36, "ethanol": 1.361, "bk7": 1.5046,
+    "polypropylene": 1.49, "acrylic glass": 1.49, "fused quartz": 1.458, "pyrex": 1.470, "amber": 1.55,
+    "sodium chloride": 1.544, "pet": 1.575, "diamond": 2.419, "water ice": 1.31,
+}  # fmt: skip
+
+
+def named_ior(name: str) -> float | None:
+    """Index of refraction of a dielectric that Mitsuba knows by name, or None."""
+    return _NAMED_IOR.get(name.lower())
+
+
+def dielectric_f0(ior: float) -> float:
+    """((ior - 1) / (ior + 1))^2 for a relative index of refraction."""
+    return ((ior - 1.0) / (ior + 1.0)) ** 2
+
+
+def conductor_f0(eta: NDArray, k: NDArray) -> NDArray[np.float64]:
+    """((eta - 1)^2 + k^2) / ((eta + 1)^2 + k^2), per channel."""
+    eta, k = np.asarray(eta, dtype=np.float64), np.asarray(k, dtype=np.float64)
+    return ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
+
+
+def dielectric_fresnel(cos_i: NDArray, ior: float) -> NDArray[np.float64]:
+    """Unpolarised reflectance of a smooth interface; ``ior`` is transmitted over incident side."""
+    cos_i = np.asarray(cos_i, dtype=np.float64)
+    sin2_t = (1 - cos_i**2) / ior**2
+    cos_t = np.sqrt(np.maximum(0.0, 1 - sin2_t))
+    parallel = (ior * cos_i - cos_t) / np.maximum(ior * cos_i + cos_t, 1e-30)  # 0 / 0 at grazing with ior 1
+    across = (cos_i - ior * cos_t) / np.maximum(cos_i + ior * cos_t, 1e-30)
+    return np.where(sin2_t >= 1, 1.0, 0.5 * (parallel**2 + across**2))
+
+
+def diffuse_fresnel(ior: float) -> float:
+    """Reflectance under diffuse light, 2 * integral of F(c) c dc over [0, 1] (midpoint rule, 1e-6)."""
+    cosine = (np.arange(20000) + 0.5) / 20000
+    return float(2 * (dielectric_fresnel(cosine, ior) * cosine).mean())
+
+
+def perceptual_roughness(alpha: float | NDArray, distribution: str) -> NDArray[np.float64]:
+    """R = sqrt(alpha), alpha being widened from GGX to the nearest Beckmann lobe; clamped to [0, 1]."""
+    factor = ALPHA_BECKMANN_PER_GGX if distribution == "ggx" else 1.0
+    return np.sqrt(np.clip(np.asarray(alpha, dtype=np.float64) * factor, 0.0, 1.0))
+
+
+def plastic_diffuse_albedo(reflectance: NDArray, ior: float, nonlinear: bool) -> NDArray[np.float64]:
+    """Hemispherical albedo of the diffuse part of a plastic: light enters, scatters inside, and leaves.
+
+    T (1 - f) d / (1 - f d) with T = 1 - f_outside and f the inner diffuse Fresnel reflectance; without
+    ``nonlinear`` the denominator is 1 - f and the result is T d.
+    """
+    reflectance = np.asarray(reflectance, dtype=np.float64)
+    entering = 1 - diffuse_fresnel(ior)
+    inner = diffuse_fresnel(1 / ior)
+    if not nonlinear:
+        return entering * reflectance
+    return entering * (1 - inner) * reflectance / (1 - inner * reflectance)
+
+
+def conductor_preset_f0(material: str) -> tuple[float, float, float]:
+    """F0 of a conductor that Mitsuba knows by name (``Au``, ``Cu``, ...); ``none`` is a perfect mirror.
+
+    Raises ``ValueError`` for names that Mitsuba does not know.
+    """
+    if material.lower() == "none":
+        return (1.0, 1.0, 1.0)
+    from mitsuba_plugins.variant import select_variant
+
+    select_variant()
+    import mitsuba as mi
+
+    try:
+        bsdf = mi.load_dict({"type": "conductor", "material": material})
+    except RuntimeError as error:
+        raise ValueError(str(error).splitlines()[0]) from None
+    si = mi.SurfaceInteraction3f()
+    si.wi = mi.Vector3f(0, 0, 1)
+    _, weight = bsdf.sample(mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(0.5, 0.5), True)
+    red, green, blue = (min(max(float(x), 0.0), 1.0) for x in np.array(weight).ravel()[:3])
+    if not all(map(math.isfinite, (red, green, blue))):
+        raise ValueError(f"conductor {material!r} has no finite reflectance")
+    return (red, green, blue)

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: MIT
+"""Mitsuba emitters and sensors as lights and cameras of a package.
+
+``A`` below is ``asset_from_source``: the rotation to Z up times the unit scale s. Radiance is unchanged by
+scale; intensities (W/sr) grow by s^2.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import Problem
+from datagen.formats.asset import AssetCamera
+from datagen.formats.base import Matrix4, Vector3, quantized
+from datagen.formats.lights import (
+    AreaLight,
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SkyLight,
+    SphereLight,
+    SpotLight,
+)
+from datagen.importers.channels import TextureFiles
+from datagen.importers.common import Findings, ImportOptions, unique
+from datagen.importers.mitsuba_materials import scene_file
+from datagen.importers.mitsuba_scene import MitsubaScene, SceneNode
+
+MITSUBA_FROM_ENVIRONMENT = np.array(
+    [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""Mitsuba's equirectangular image has its centre along +Z and its top along +Y; ours along +Y and +Z."""
+
+MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Mitsuba's camera has x to the left and y upwards; ours x to the right and y downwards. Both look
+along +z."""
+
+
+def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
+    """Up axis of a scene by its first sensor's upward direction; y if there is none."""
+    for sensor in scene.all_of("sensor"):
+        up = np.asarray(sensor.get("to_world", np.eye(4)))[:3, 1]
+        return "z" if abs(up[2]) > abs(up[1]) else "y"
+    return "y"
+
+
+def camera_of(
+    node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
+) -> AssetCamera:
+    """A perspective sensor as a camera; apertures and crops are left out with a note."""
+    film = next(iter(node.children_of("film")), SceneNode("film", "hdrfilm"))
+    width, height = int(film.get("width", 768)), int(film.get("height", 576))
+    name = node.id or f"camera_{number}"
+    if node.type != "perspective":
+        findings.approximate(f"{name}: sensor {node.type!r} as a pinhole camera")
+    if film.get("crop_width") or film.get("crop_height"):
+        findings.approximate(f"{name}: crop of the film left out")
+    to_world = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+    if np.linalg.det(to_world[:3, :3]) < 0:
+        findings.approximate(f"{name}: the sensor mirrors the image, the camera does not")
+    matrix = asset_from_source @ to_world @ MITSUBA_FROM_CAMERA
+    forward, down = _unit(matrix[:3, 2]), matrix[:3, 1]
+    down = _unit(down - forward * float(down @ forward))
+    rigid = np.eye(4)
+    rigid[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
+    rigid[:3, 3] = matrix[:3, 3]
+    focal = _focal_px(node, width, height)
+    return AssetCamera(
+        name=name,
+        width_px=width,
+        height_px=height,
+        fx_px=quantized(focal),
+        fy_px=quantized(focal),
+        cx_px=width * (0.5 + float(node.get("principal_point_offset_x", 0.0))),
+        cy_px=height * (0.5 + float(node.get("principal_point_offset_y", 0.0))),
+        asset_from_camera=_matrix4(rigid),
+    )
+
+
+def _focal_px(node: SceneNode, width: int, height: int) -> float:
+    if "focal_length" in node.values:  # in mm of a 35 mm film, along the diagonal
+        return (
+            float(str(node.get("focal_length")).removesuffix("mm"))
+            / math.hypot(36, 24)
+            * math.hypot(width, height)
+        )
+    axis = str(node.get("fov_axis", "x"))
+    size = {
+        "x": width,
+        "y": height,
+        "diagonal": math.hypot(width, height),
+        "smaller": min(width, height),
+        "larger": max(width, height),
+    }.get(axis, width)
+    return 0.5 * size / math.tan(0.5 * math.radians(float(node.get("fov", 90.0))))
+
+
+class LightConverter:
+    """Collects the lights of a scene; problems are gathered in ``problems``."""
+
+    def __init__(
+        self,
+        scene: Path,
+        asset_from_source: NDArray[np.float64],
+        options: ImportOptions,
+        findings: Findings,
+        textures: TextureFiles,
+    ):
+        self.scene = scene
+        self.matrix = asset_from_source
+        self.options = options
+        self.findings = findings
+        self.textures = textures
+        self.lights: list[Light] = []
+        self.problems: list[Problem] = []
+
+    def _refuse(self, node: SceneNode, got: str, expected: str, remedy: str) -> None:
+        self.problems.append(Problem(self.scene, node.where, got, expected, remedy))
+
+    def _name(self, node: SceneNode) -> str:
+        return unique(node.id or node.type, {light.name for light in self.lights})
+
+    def emission_of(self, shape: SceneNode) -> tuple[float, float, float] | None:
+        """Radiance of a shape's area emitter; None if it has none."""
+        emitters = shape.children_of("emitter")
+        if not emitters:
+            return None
+        if emitters[0].type != "area":
+            self._refuse(
+                emitters[0], f"type {emitters[0].type!r}", "an area emitter on a shape", "replace it"
+            )
+            return None
+        if emitters[0].child("radiance") is not None:
+            expected = "one radiance for the surface"
+            self._refuse(emitters[0], "a textured radiance", expected, "replace it by its mean")
+            return None
+        return _color(emitters[0].get("radiance", 1.0))
+
+    def add(self, node: SceneNode) -> None:
+        """Convert an emitter that stands by itself."""
+        method = getattr(self, f"_{node.type}", None)
+        if method is None:
+            expected = "area, constant, envmap, point, spot, directional, sky, sun or sunsky"
+            self._refuse(node, f"type {node.type!r}", expected, "replace the emitter")
+        else:
+            method(node)
+
+    def _place(self, node: SceneNode) -> NDArray[np.float64]:
+        return self.matrix @ np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+
+    def _constant(self, node: SceneNode) -> None:
+        self.lights.append(
+            EnvironmentLight(name=self._name(node), radiance=_color(node.get("radiance", 1.0)))
+        )
+
+    def _envmap(self, node: SceneNode) -> None:
+        name = str(node.get("filename", ""))
+        path = scene_file(self.scene.parent, name)
+        if path is None or not path.is_file():
+            if path is not None and self.options.missing == "replace":
+                self.findings.approximate(f"{name}: missing environment map replaced by constant radiance 1")
+                self.lights.append(EnvironmentLight(name=self._name(node)))
+                return
+            remedy = "restore it, or import with --missing replace"
+            self._refuse(node, f"{name!r} (no such file in the scene's folder)", "an environment map", remedy)
+            return
+        rotation = self._place(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
+        rigid = np.eye(4)
+        rigid[:3, :3] = rotation / np.cbrt(np.abs(np.linalg.det(rotation)))
+        self.lights.append(
+            EnvironmentLight(
+                name=self._name(node),
+                image=self.textures.add_file(path),
+                scale=float(node.get("scale", 1.0)),
+                world_from_environment=_matrix4(rigid),
+            )
+        )
+
+    def _point(self, node: SceneNode) -> None:
+        position = node.get("position")
+        matrix = self._place(node)
+        source = np.append(np.asarray(position), 1.0) if position is not None else np.array([0, 0, 0, 1.0])
+        point = (self.matrix if position is not None else matrix) @ source
+        self.lights.append(
+            PointLight(
+                name=self._name(node),
+                position_m=_vector(point[:3]),
+                intensity=self._intensity(node.get("intensity", 1.0)),
+            )
+        )
+
+    def _spot(self, node: SceneNode) -> None:
+        matrix = self._place(node)
+        cutoff = math.radians(float(node.get("cutoff_angle", 20.0)))
+        beam = node.get("beam_width")
+        if node.child("texture") is not None:
+            self.findings.approximate(f"{self._name(node)}: texture of the spot left out")
+        self.lights.append(
+            SpotLight(
+                name=self._name(node),
+                position_m=_vector(matrix[:3, 3]),
+                direction=_vector(_unit(matrix[:3, 2])),
+                intensity=self._intensity(node.get("intensity", 1.0)),
+                cutoff_rad=quantized(cutoff),
+                beam_width_rad=quantized(cutoff * 0.75 if beam is None else math.radians(float(beam))),
+            )
+        )
+
+    def _directional(self, node: SceneNode) -> None:
+        given = node.get("direction")
+        matrix = self._place(node)
+        direction = self.matrix[:3, :3] @ np.asarray(given) if given is not None else matrix[:3, 2]
+        self.lights.append(
+            DirectionalLight(
+                name=self._name(node),
+                direction=_vector(_unit(direction)),
+                irradiance=_color(node.get("irradiance", 1.0)),
+            )
+        )
+
+    def _sunsky(self, node: SceneNode) -> None:
+        self._daylight(node, float(node.get("sky_scale", 1.0)), float(node.get("sun_scale", 1.0)))
+
+    def _sky(self, node: SceneNode) -> None:
+        self._daylight(node, float(node.get("scale", node.get("sky_scale", 1.0))), 0.0)
+
+    def _sun(self, node: SceneNode) -> None:
+        self._daylight(node, 0.0, float(node.get("scale", node.get("sun_scale", 1.0))))
+
+    def _daylight(self, node: SceneNode, sky_scale: float, sun_scale: float) -> None:
+        if node.get("sun_direction") is None:
+            expected = "sun_direction, rather than a place and a time"
+            self._refuse(node, "no sun_direction", expected, "give the direction of the sun")
+            return
+        place = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+        direction = self.matrix[:3, :3] @ place[:3, :3] @ np.asarray(node.get("sun_direction"))
+        albedo = node.get("albedo", 0.3)
+        self.lights.append(
+            SkyLight(
+                name=self._name(node),
+                sun_direction=_vector(_unit(direction)),
+                turbidity=float(node.get("turbidity", 3.0)),
+                ground_albedo=float(np.mean(albedo)),
+                sky_scale=sky_scale,
+                sun_scale=sun_scale,
+            )
+        )
+
+    def _intensity(self, value: object) -> tuple[float, float, float]:
+        factor = self.options.unit_scale**2
+        red, green, blue = _color(value)
+        return red * factor, green * factor, blue * factor
+
+
+def emitter_shape_light(
+    node: SceneNode, name: str, asset_from_shape: NDArray[np.float64], radiance: tuple[float, float, float]
+) -> Light | None:
+    """The light of an emitting rectangle, disk or sphere; None for other shapes, which stay emissive parts.
+
+    A rectangle or disk emits along its local +Z; where the transform mirrors, the edges trade places so that
+    edge_u x edge_v still points there.
+    """
+    linear, center = asset_from_shape[:3, :3], asset_from_shape[:3, 3]
+    if node.type in ("rectangle", "disk"):
+        edge_u, edge_v = 2 * linear[:, 0], 2 * linear[:, 1]
+        if abs(float(edge_u @ edge_v)) > 1e-3 * float(np.linalg.norm(edge_u) * np.linalg.norm(edge_v)):
+            return None  # sheared into a parallelogram
+        if (np.linalg.det(linear) < 0) != bool(node.get("flip_normals", False)):
+            edge_u, edge_v = edge_v, edge_u
+        return AreaLight(
+            name=name,
+            origin_m=_vector(center - 0.5 * (edge_u + edge_v)),
+            edge_u_m=_vector(edge_u),
+            edge_v_m=_vector(edge_v),
+            radiance=radiance,
+            shape="rectangle" if node.type == "rectangle" else "disk",
+        )
+    if node.type == "sphere":
+        scales = np.linalg.svd(linear, compute_uv=False)
+        if scales[0] > 1.001 * scales[2] or node.get("flip_normals"):
+            return None
+        middle = asset_from_shape @ np.append(np.asarray(node.get("center", (0.0, 0.0, 0.0))), 1.0)
+        return SphereLight(
+            name=name,
+            position_m=_vector(middle[:3]),
+            radius_m=quantized(float(scales[0]) * float(node.get("radius", 1.0))),
+            radiance=radiance,
+        )
+    return None
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vector / max(float(np.linalg.norm(vector)), 1e-30)
+
+
+def _vector(values: NDArray[np.float64]) -> Vector3:
+    x, y, z = (quantized(float(v)) for v in values)
+    return x, y, z
+
+
+def _matrix4(matrix: NDArray[np.float64]) -> Matrix4:
+    rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
+    return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
+
+
+def _color(value: object) -> tuple[float, float, float]:
+    if isinstance(value, tuple):
+        red, green, blue = (float(x) for x in value)
+        return red, green, blue
+    return (float(value),) * 3  # type: ignore[arg-type]

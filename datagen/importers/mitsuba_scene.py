@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: MIT
+"""Mitsuba 3 XML (versions 0.5 to 3.x) as a tree of plain nodes: variables, includes, aliases and references
+resolved, camelCase names of old files turned into today's, transforms as matrices.
+
+Nothing is interpreted here; what a plugin means is for the modules that use the tree. DOCTYPE and entities
+are refused, and so are includes that leave the scene's folder or include each other in a circle.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem, input_error
+
+PLUGIN_TAGS = (
+    "bsdf", "emitter", "shape", "texture", "sensor", "film", "sampler", "rfilter", "integrator", "medium",
+    "phase", "volume", "spectrum_plugin",
+)  # fmt: skip
+MAX_XML_BYTES = 256 << 20
+_MAX_INCLUDE_DEPTH = 16
+
+
+@dataclass
+class SceneNode:
+    """A plugin instance. ``values`` holds plain properties, ``children`` nested plugins by name.
+
+    Colours are float triples, transforms (4, 4) float64 arrays, points and vectors float triples.
+    ``where`` says which node it is, for messages (``bsdf "Glass"``).
+    """
+
+    tag: str
+    type: str
+    id: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    children: list[tuple[str, SceneNode]] = field(default_factory=list)
+    where: str = ""
+
+    def child(self, *names: str) -> SceneNode | None:
+        """The nested plugin of one of these names."""
+        return next((node for name, node in self.children if name in names), None)
+
+    def children_of(self, tag: str) -> list[SceneNode]:
+        """Nested plugins of a tag, in the order of the file."""
+        return [node for _, node in self.children if node.tag == tag]
+
+    def get(self, name: str, default: Any = None) -> Any:
+        return self.values.get(name, default)
+
+
+@dataclass(frozen=True)
+class MitsubaScene:
+    """A parsed scene: its file, version, top-level nodes in order, and every node with an id."""
+
+    path: Path
+    version: tuple[int, ...]
+    nodes: list[SceneNode]
+    by_id: dict[str, SceneNode]
+
+    def all_of(self, tag: str) -> list[SceneNode]:
+        return [node for node in self.nodes if node.tag == tag]
+
+
+def parse_scene(path: Path, defines: dict[str, str] | None = None) -> MitsubaScene:
+    """Parse a scene file. Raises :class:`InputError` with every problem that was found."""
+    return _Parser(path, dict(defines or {})).parse()
+
+
+def snake_case(name: str) -> str:
+    """``intIOR`` to ``int_ior``, ``toWorld`` to ``to_world``; names of today stay as they are."""
+    return re.sub(r"(?<=[a-z0-9])([A-Z]+)", lambda m: "_" + m.group(1), name).lower()
+
+
+class _Parser:
+    def __init__(self, path: Path, defines: dict[str, str]):
+        self.path = path
+        self.root_folder = path.parent.resolve()
+        self.variables = defines
+        self.given = frozenset(defines)
+        self.problems: list[Problem] = []
+        self.by_id: dict[str, SceneNode] = {}
+        self.references: list[tuple[SceneNode, int, str]] = []
+        self.counts: dict[str, int] = {}
+        self.version: tuple[int, ...] = (3, 0, 0)
+
+    def parse(self) -> MitsubaScene:
+        root = self.load(self.path)
+        text = root.get("version", "")
+        try:
+            self.version = tuple(int(part) for part in text.split("."))
+        except ValueError:
+            raise input_error(self.path, "scene version", repr(text), "numbers such as 3.0.0") from None
+        holder = SceneNode("scene", "scene", where="scene")
+        self.fill(holder, root, self.path, (self.path.resolve(),))
+        self.resolve_references()
+        if self.problems:
+            raise InputError(*self.problems)
+        return MitsubaScene(self.path, self.version, [node for _, node in holder.children], self.by_id)
+
+    def problem(self, field_: str, got: str, expected: str, remedy: str = "correct the scene file") -> None:
+        self.problems.append(Problem(self.path, field_, got, expected, remedy))
+
+    def load(self, path: Path) -> ElementTree.Element:
+        try:
+            if path.stat().st_size > MAX_XML_BYTES:
+                raise input_error(path, got="over 256 MB", expected="a scene description")
+            data = path.read_bytes()
+            text = data.decode("utf-8")
+        except OSError as error:
+            raise input_error(path, got=error.strerror or error, expected="a Mitsuba scene (XML)") from None
+        except UnicodeDecodeError:
+            raise input_error(path, got="not UTF-8", expected="a Mitsuba scene (XML in UTF-8)") from None
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can read other files or fill the memory
+            raise input_error(path, got="a DOCTYPE or ENTITY", expected="plain XML", remedy="remove it")
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise input_error(
+                path, got=str(error), expected="well-formed XML", remedy="correct the file"
+            ) from None
+        if root.tag != "scene":
+            raise input_error(path, "root element", f"<{root.tag}>", "<scene>", "this is no Mitsuba scene")
+        return root
+
+    # structure
+
+    def fill(
+        self, node: SceneNode, element: ElementTree.Element, file: Path, stack: tuple[Path, ...]
+    ) -> None:
+        for child in element:
+            tag, attributes = child.tag, {k: self.substitute(v, node) for k, v in child.attrib.items()}
+            name = snake_case(attributes.get("name", ""))
+            if tag == "default":
+                if attributes.get("name", "") not in self.given:
+                    self.variables.setdefault(attributes.get("name", ""), attributes.get("value", ""))
+            elif tag == "include":
+                self.include(node, attributes.get("filename", ""), stack)
+            elif tag == "alias":
+                self.alias(attributes)
+            elif tag == "ref":
+                node.children.append((name, SceneNode("ref", "ref")))
+                self.references.append((node, len(node.children) - 1, attributes.get("id", "")))
+            elif tag in PLUGIN_TAGS:
+                node.children.append((name, self.plugin(child, tag, attributes, file, stack)))
+            elif tag == "transform":
+                node.values[name] = self.transform(child, node)
+            elif tag == "path":
+                self.problem(f"{node.where}: <path>", "a search path", "file names relative to the scene")
+            else:
+                self.value(node, tag, name, attributes)
+
+    def plugin(
+        self,
+        element: ElementTree.Element,
+        tag: str,
+        attributes: dict[str, str],
+        file: Path,
+        stack: tuple[Path, ...],
+    ) -> SceneNode:
+        number = self.counts.get(tag, 0)
+        self.counts[tag] = number + 1
+        identity = attributes.get("id", "")
+        label = f'"{identity}"' if identity else f"number {number}"
+        node = SceneNode(
+            tag, attributes.get("type", ""), identity, where=f"{tag} {label} ({attributes.get('type')})"
+        )
+        self.fill(node, element, file, stack)
+        if identity:
+            if identity in self.by_id:
+                self.problem(node.where, "an id that is taken", "ids that occur once")
+            self.by_id[identity] = node
+        return node
+
+    def include(self, node: SceneNode, name: str, stack: tuple[Path, ...]) -> None:
+        target = (self.root_folder / name).resolve()
+        if not target.is_relative_to(self.root_folder):
+            self.problem("include", repr(name), "a file inside the scene's folder")
+        elif target in stack or len(stack) > _MAX_INCLUDE_DEPTH:
+            self.problem("include", repr(name), "includes that do not go round in a circle")
+        else:
+            self.fill(node, self.load(target), target, (*stack, target))
+
+    def alias(self, attributes: dict[str, str]) -> None:
+        source = self.by_id.get(attributes.get("id", ""))
+        if source is None:
+            self.problem("alias", repr(attributes.get("id", "")), "the id of an earlier node")
+        else:
+            self.by_id[attributes.get("as", "")] = source
+
+    def resolve_references(self) -> None:
+        for node, index, identity in self.references:
+            target = self.by_id.get(identity)
+            if target is None:
+                self.problem(f"{node.where}: ref", repr(identity), "the id of a node in the scene")
+            else:
+                node.children[index] = (node.children[index][0], target)
+        for node in {id(n): n for n in self.by_id.values()}.values():
+            self.refuse_cycles(node, ())
+
+    def refuse_cycles(self, node: SceneNode, above: tuple[int, ...]) -> None:
+        if id(node) in above:
+            raise input_error(self.path, node.where, "a reference to itself", "references without circles")
+        for _, child in node.children:
+            self.refuse_cycles(child, (*above, id(node)))
+
+    # values
+
+    def substitute(self, text: str, node: SceneNode) -> str:
+        def value(match: re.Match[str]) -> str:
+            name = match.group(1)
+            if name not in self.variables:
+                self.problem(
+                    f"{node.where}: ${name}", "undefined", "a <default> or a value given to the importer"
+                )
+                return ""
+            return self.variables[name]
+
+        return re.sub(r"\$([A-Za-z_][A-Za-z0-9_]*)", value, text) if "$" in text else text
+
+    def numbers(self, node: SceneNode, name: str, text: str, counts: tuple[int, ...]) -> list[float]:
+        try:
+            numbers = [float(part) for part in re.split(r"[\s,]+", text.strip()) if part]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
+            wanted = " or ".join(map(str, counts))
+            self.problem(f"{node.where}: {name}", repr(text[:60]), f"{wanted} finite numbers")
+            return [0.0] * counts[-1]
+        return numbers
+
+    def value(self, node: SceneNode, tag: str, name: str, attributes: dict[str, str]) -> None:
+        text = attributes.get("value", "")
+        if tag == "float":
+            node.values[name] = self.numbers(node, name, text, (1,))[0]
+        elif tag == "integer":
+            node.values[name] = int(self.numbers(node, name, text, (1,))[0])
+        elif tag == "boolean":
+            if text.lower() not in ("true", "false"):
+                self.problem(f"{node.where}: {name}", repr(text), "true or false")
+            node.values[name] = text.lower() == "true"
+        elif tag == "string":
+            node.values[name] = text
+        elif tag == "rgb":
+            node.values[name] = self.color(node, name, text)
+        elif tag == "spectrum":
+            if ":" in text or "filename" in attributes:
+                expected = "RGB or one number"
+                self.problem(f"{node.where}: {name}", "a spectrum", expected, "replace it by an <rgb>")
+            else:
+                node.values[name] = tuple(self.numbers(node, name, text, (1,)) * 3)
+        elif tag in ("point", "vector"):
+            node.values[name] = tuple(self.axes(node, name, attributes, 0.0))
+        else:
+            self.problem(f"{node.where}: <{tag}>", repr(name), "a tag of Mitsuba 3")
+
+    def color(self, node: SceneNode, name: str, text: str) -> tuple[float, ...]:
+        if text.startswith("#"):
+            digits = text[1:]
+            if len(digits) != 6 or re.fullmatch(r"[0-9a-fA-F]{6}", digits) is None:
+                self.problem(f"{node.where}: {name}", repr(text), "a colour such as #ff8000")
+                return (0.0, 0.0, 0.0)
+            from datagen.color import linear_from_srgb
+
+            encoded = np.array([int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)])
+            return tuple(float(x) for x in linear_from_srgb(encoded))
+        numbers = self.numbers(node, name, text, (1, 3))
+        return tuple(numbers * 3 if len(numbers) == 1 else numbers)
+
+    def axes(self, node: SceneNode, name: str, attributes: dict[str, str], default: float) -> list[float]:
+        if "value" in attributes:
+            numbers = self.numbers(node, name, attributes["value"], (1, 3))
+            return numbers * 3 if len(numbers) == 1 else numbers
+        return [self.numbers(node, name, attributes.get(a, str(default)), (1,))[0] for a in "xyz"]
+
+    def transform(self, element: ElementTree.Element, node: SceneNode) -> NDArray[np.float64]:
+        """Operations apply in the order of the file, each after those before it."""
+        matrix = np.eye(4)
+        for child in element:
+            attributes = {k: self.substitute(v, node) for k, v in child.attrib.items()}
+            step = np.eye(4)
+            if child.tag == "matrix":
+                numbers = self.numbers(node, "matrix", attributes.get("value", ""), (9, 16))
+                side = 3 if len(numbers) == 9 else 4
+                step[:side, :side] = np.reshape(numbers, (side, side))
+            elif child.tag == "translate":
+                step[:3, 3] = self.axes(node, "translate", attributes, 0.0)
+            elif child.tag == "scale":
+                step[:3, :3] = np.diag(self.axes(node, "scale", attributes, 1.0))
+            elif child.tag == "rotate":
+                angle = self.numbers(node, "rotate angle", attributes.get("angle", "0"), (1,))[0]
+                step[:3, :3] = _rotation(self.axes(node, "rotate", attributes, 0.0), math.radians(angle))
+            elif child.tag in ("lookat", "lookAt"):
+                vectors = [
+                    self.numbers(node, k, attributes.get(k, d), (3,))
+                    for k, d in (("origin", ""), ("target", ""), ("up", "0 0 1"))
+                ]
+                step = _look_at(*map(np.array, vectors))
+            else:
+                self.problem(
+                    f"{node.where}: <{child.tag}>",
+                    "in a transform",
+                    "matrix, translate, scale, rotate, lookat",
+                )
+            matrix = step @ matrix
+        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-20:
+            # flat transforms exist (a rectangle scaled to nothing); shapes report them with their name
+            node.values.setdefault("_singular_transform", True)
+        return matrix
+
+
+def _rotation(axis: list[float], angle_rad: float) -> NDArray[np.float64]:
+    length = np.linalg.norm(axis)
+    x, y, z = np.asarray(axis) / length if length > 0 else (0.0, 0.0, 1.0)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * cross @ cross
+
+
+def _look_at(origin: NDArray, target: NDArray, up: NDArray) -> NDArray[np.float64]:
+    """Mitsuba's: z towards the target, x = up x z (to the left), y up."""
+    forward = (target - origin) / max(float(np.linalg.norm(target - origin)), 1e-30)
+    left = np.cross(up, forward)
+    left /= max(float(np.linalg.norm(left)), 1e-30)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([left, np.cross(forward, left), forward], axis=1)
+    matrix[:3, 3] = origin
+    return matrix

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+"""Mitsuba shapes as meshes in their own frame, with texture coordinates whose v runs upwards.
+
+Mitsuba looks images up with v downwards. Its OBJ loader flips v unless told not to, its PLY loader does not,
+and its analytic shapes have v downwards: all of that is undone here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.importers.mitsuba_scene import SceneNode
+from datagen.importers.obj import read_obj
+from datagen.meshes import Mesh, compacted, flat_shaded, read_ply, vertex_normals
+
+SUPPORTED_SHAPES = ("obj", "ply", "rectangle", "disk", "cube", "sphere", "cylinder")
+FILE_SHAPES = ("obj", "ply")
+_ROUND_SEGMENTS = 64
+
+
+def shape_mesh(node: SceneNode, file: Path | None) -> Mesh:
+    """Mesh of a shape before its ``to_world``; ``file`` is the mesh file of ``obj`` and ``ply`` shapes.
+
+    Normals are always present: those of the file, smooth ones where it has none, flat ones where the shape
+    asks for ``face_normals``. Raises :class:`InputError` for an unreadable file.
+    """
+    if node.type in FILE_SHAPES:
+        if file is None:
+            raise input_error(node.where, got="no file", expected="a mesh file")
+        mesh = read_obj(file) if node.type == "obj" else read_ply(file)
+        is_v_up = bool(node.get("flip_tex_coords", node.type == "obj"))
+    else:
+        mesh, is_v_up = _ANALYTIC[node.type](node), False
+    uv = mesh.uv
+    if uv is not None and not is_v_up:
+        uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
+    mesh = Mesh(mesh.positions, mesh.faces, mesh.normals, uv)
+    if len(mesh.faces) == 0 or not np.isfinite(mesh.positions).all():
+        return mesh  # the check of the finished package reports it by name
+    if bool(node.get("face_normals", False)):
+        return compacted(flat_shaded(mesh))
+    if mesh.normals is None:
+        return Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
+    return mesh
+
+
+def local_transform(node: SceneNode) -> NDArray[np.float64]:
+    """``to_world`` of a shape, (4, 4)."""
+    return np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
+
+
+def transformed_uv(uv: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:
+    """UVs (v upwards) under a texture transform (3, 3) that is meant for v downwards."""
+    down = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1).astype(np.float64)
+    moved = down @ matrix[:2, :2].T + matrix[:2, 2]
+    return np.stack([moved[:, 0], 1 - moved[:, 1]], axis=1).astype(np.float32)
+
+
+def _f32(rows: object) -> NDArray[np.float32]:
+    return np.asarray(rows, dtype=np.float32)
+
+
+def _rectangle(_: SceneNode) -> Mesh:
+    positions = _f32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    normals = _f32([[0, 0, 1]] * 4)
+    return Mesh(positions, np.array([[0, 1, 2], [0, 2, 3]], np.int32), normals, (positions[:, :2] + 1) / 2)
+
+
+def _disk(_: SceneNode) -> Mesh:
+    """Mitsuba's UVs of a disk are (radius, angle / 2 pi)."""
+    angle = np.arange(_ROUND_SEGMENTS + 1) / _ROUND_SEGMENTS * 2 * math.pi
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    positions = _f32(np.concatenate([rim, np.zeros((_ROUND_SEGMENTS, 3))]))
+    turn = angle / (2 * math.pi)
+    middle = (turn[:-1] + turn[1:]) / 2
+    uv = _f32(np.concatenate([np.stack([turn * 0 + 1, turn], 1), np.stack([middle * 0, middle], 1)]))
+    k = np.arange(_ROUND_SEGMENTS)
+    faces = np.stack([k + _ROUND_SEGMENTS + 1, k, k + 1], axis=1).astype(np.int32)
+    return Mesh(positions, faces, _f32([[0, 0, 1]] * len(positions)), uv)
+
+
+def _cube(_: SceneNode) -> Mesh:
+    positions: list[NDArray] = []
+    normals: list[NDArray] = []
+    uvs: list[list[float]] = []
+    faces: list[list[int]] = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            normal = np.zeros(3)
+            normal[axis] = sign
+            side_u, side_v = np.roll(normal, 1), np.roll(normal, 2) * sign
+            start = len(positions)
+            for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+                positions.append(normal + u * side_u + v * side_v)
+                normals.append(normal)
+                uvs.append([(u + 1) / 2, (v + 1) / 2])
+            faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
+    return Mesh(_f32(positions), np.array(faces, np.int32), _f32(normals), _f32(uvs))
+
+
+def _grid(columns: int, rows: int) -> NDArray[np.int32]:
+    """Two triangles for each cell of a (rows + 1) x (columns + 1) grid of vertices."""
+    row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    a = (row * (columns + 1) + column).ravel()
+    b, c, d = a + 1, a + columns + 2, a + columns + 1
+    return np.concatenate([np.stack([a, d, c], 1), np.stack([a, c, b], 1)]).astype(np.int32)
+
+
+def _sphere(node: SceneNode) -> Mesh:
+    columns, rows = _ROUND_SEGMENTS, _ROUND_SEGMENTS // 2
+    theta, phi = np.meshgrid(
+        np.arange(rows + 1) / rows * math.pi, np.arange(columns + 1) / columns * 2 * math.pi, indexing="ij"
+    )
+    normal = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+    normal = normal.reshape(-1, 3)
+    uv = np.stack([phi.ravel() / (2 * math.pi), theta.ravel() / math.pi], axis=1)
+    center, radius = np.asarray(node.get("center", (0, 0, 0))), float(node.get("radius", 1.0))
+    mesh = Mesh(_f32(normal * radius + center), _grid(columns, rows), _f32(normal), _f32(uv))
+    keep = mesh.areas() > 1e-12 * radius * radius  # triangles at the poles have no area
+    return Mesh(mesh.positions, mesh.faces[keep], mesh.normals, mesh.uv)
+
+
+def _cylinder(node: SceneNode) -> Mesh:
+    start, end = np.asarray(node.get("p0", (0, 0, 0.0))), np.asarray(node.get("p1", (0, 0, 1.0)))
+    axis = (end - start) / np.linalg.norm(end - start)
+    helper = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    side = np.cross(helper, axis)
+    side /= np.linalg.norm(side)
+    other = np.cross(axis, side)
+    phi = np.arange(_ROUND_SEGMENTS + 1) / _ROUND_SEGMENTS * 2 * math.pi
+    normal = np.cos(phi)[:, None] * side + np.sin(phi)[:, None] * other
+    ring = normal * float(node.get("radius", 1.0))
+    u = phi / (2 * math.pi)
+    positions = np.concatenate([ring + end, ring + start])
+    uv = np.concatenate([np.stack([u, u * 0 + 1], 1), np.stack([u, u * 0], 1)])
+    normals = np.concatenate([normal, normal])
+    return Mesh(_f32(positions), _grid(_ROUND_SEGMENTS, 1), _f32(normals), _f32(uv))
+
+
+_ANALYTIC: dict[str, Callable[[SceneNode], Mesh]] = {
+    "rectangle": _rectangle,
+    "disk": _disk,
+    "cube": _cube,
+    "sphere": _sphere,
+    "cylinder": _cylinder,
+}

@@ -1,0 +1,464 @@
+# SPDX-License-Identifier: MIT
+"""A Mitsuba 3 scene (XML) as an environment package: one part a shape, metres, Z up.
+
+What is converted and how well is set out in docs/importing.md. Nothing is dropped or replaced silently: it is
+refused by name, or replaced because the options say so and then listed in the record of the import.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.asset_check import check_package
+from datagen.errors import InputError, input_error
+from datagen.formats.asset import (
+    AssetCamera,
+    EnvironmentAsset,
+    MaterialClass,
+    Part,
+    SlotMaterial,
+    Texture,
+)
+from datagen.formats.base import IDENTITY4, Matrix4, quantized
+from datagen.formats.package import FileSource, Package, write_package
+from datagen.images import encode_png
+from datagen.importers import annotate
+from datagen.importers.channels import ImageCache, ImageSource, TextureFiles
+from datagen.importers.classes import REPLACEABLE, guess_class
+from datagen.importers.common import (
+    Findings,
+    ImportedAsset,
+    ImportOptions,
+    asset_from_source,
+    provenance,
+    slug,
+    unique,
+)
+from datagen.importers.mitsuba_lights import LightConverter, camera_of, emitter_shape_light, guess_up
+from datagen.importers.mitsuba_materials import (
+    Draft,
+    MaterialConverter,
+    normal_from_height,
+    raise_problems,
+    scene_file,
+)
+from datagen.importers.mitsuba_scene import MitsubaScene, SceneNode, parse_scene
+from datagen.importers.mitsuba_shapes import (
+    FILE_SHAPES,
+    SUPPORTED_SHAPES,
+    local_transform,
+    shape_mesh,
+    transformed_uv,
+)
+from datagen.meshes import Mesh, encode_ply, inspect_mesh, without_degenerate
+
+_PANE_RATIO = 0.05  # a see-through part thinner than this share of its second extent is a pane
+
+
+_SlotKey = tuple[int, tuple[float, float, float] | None]  # BSDF, emission
+
+
+@dataclass
+class _Shape:
+    """One shape on its way to a part. ``mesh`` is in the shape's own frame, v upwards."""
+
+    node: SceneNode
+    label: str
+    mesh: Mesh
+    file: Path | None
+    source_from_shape: NDArray[np.float64]
+    draft: Draft
+    emission: tuple[float, float, float] | None
+    bsdf: int
+    slot: str = ""
+
+
+def import_mitsuba_scene(
+    path: Path, out_library: Path, options: ImportOptions | None = None
+) -> ImportedAsset:
+    """Convert a scene file to an environment package in ``out_library/environments/<id>``.
+
+    Raises :class:`InputError` with every problem: unknown plugins, missing files, see-through materials where
+    the policy is to refuse, an unknown licence.
+    """
+    return _SceneImporter(path, options or ImportOptions()).run(out_library)
+
+
+class _SceneImporter:
+    def __init__(self, path: Path, options: ImportOptions):
+        self.path = path / "scene.xml" if path.is_dir() else path
+        self.options = options
+        self.findings = Findings()
+        self.cache = ImageCache()
+        self.textures = TextureFiles(self.cache)
+        self.files: dict[str, FileSource] = self.textures.files
+        self.annotations = annotate.read_annotations(options.annotations)
+        self.scene: MitsubaScene = parse_scene(self.path, options.defines)
+        self.materials = MaterialConverter(self.path, options, self.findings, self.cache)
+        self.problems = self.materials.problems
+        up = guess_up(self.scene) if options.up == "auto" else options.up
+        self.asset_from_source = asset_from_source(up, options.unit_scale)
+        self.lights = LightConverter(self.path, self.asset_from_source, options, self.findings, self.textures)
+
+    def run(self, out_library: Path) -> ImportedAsset:
+        source, title = provenance(self.path, self.path.parent, self.options, self.findings)
+        shapes = self.collect_shapes()
+        for node in self.scene.all_of("emitter"):
+            self.lights.add(node)
+        self.problems += self.lights.problems
+        raise_problems(self.problems)
+        cameras = tuple(
+            camera_of(node, k, self.asset_from_source, self.findings)
+            for k, node in enumerate(self.scene.all_of("sensor"))
+        )
+        shapes = self.apply_dielectric_policy(shapes)
+        shapes = self.take_out_lights(shapes)
+        parts, placed = self.build_parts(shapes)
+        slots = self.build_materials(shapes, parts)
+        places = self.find_places(placed, parts, slots, cameras)
+        lights = tuple(self.lights.lights)
+        known = self.annotations
+        folder_name = self.path.parent.name if self.path.stem in ("scene", "scene_v3") else self.path.stem
+        asset = EnvironmentAsset(
+            id=self.options.asset_id or slug(folder_name),
+            title=self.options.title or title or folder_name,
+            provenance=source,
+            materials=slots,
+            parts=tuple(parts),
+            lights=lights,
+            cameras=cameras,
+            support_surfaces=_first(known.support_surfaces, places.support_surfaces),
+            camera_regions=_first(known.camera_regions, places.camera_regions),
+            light_slots=_first(known.light_slots, annotate.slots_of(lights) + places.light_slots),
+            openings=_first(known.openings, annotate.openings_of(lights)),
+        )
+        return finish(asset, self.files, out_library / "environments", self.options, self.findings)
+
+    # shapes
+
+    def collect_shapes(self) -> list[_Shape]:
+        shapes: list[_Shape] = []
+        for number, node in enumerate(self.scene.all_of("shape")):
+            label = node.id or f"shape_{number:04d}"
+            if node.type == "instance":
+                group = next((c for c in node.children_of("shape") if c.type == "shapegroup"), None)
+                if group is None:
+                    self.materials.problem(
+                        node.where, "no shapegroup", "a reference to one", "correct the scene"
+                    )
+                    continue
+                for k, nested in enumerate(group.children_of("shape")):
+                    self.collect(nested, f"{label}_{k}", local_transform(node), shapes)
+            elif node.type != "shapegroup":
+                self.collect(node, label, np.eye(4), shapes)
+        if not shapes and not self.problems:
+            self.materials.problem("shapes", "none", "at least one", "check the scene")
+        return shapes
+
+    def collect(self, node: SceneNode, label: str, outer: NDArray[np.float64], shapes: list[_Shape]) -> None:
+        if node.type not in SUPPORTED_SHAPES:
+            expected = f"one of {', '.join(SUPPORTED_SHAPES)}, instance"
+            self.materials.problem(node.where, f"type {node.type!r}", expected, "convert the shape to PLY")
+            return
+        file = None
+        if node.type in FILE_SHAPES:
+            name = str(node.get("filename", ""))
+            file = scene_file(self.path.parent, name)
+            if file is None:
+                expected = "a file inside the scene's folder"
+                self.materials.problem(f"{node.where}: filename", repr(name), expected, "copy it there")
+                return
+            if not file.is_file():
+                if self.options.missing == "replace":
+                    self.findings.approximate(f"{name}: missing mesh left out")
+                else:
+                    remedy = "restore it, or import with --missing replace"
+                    self.materials.problem(
+                        f"{node.where}: filename", f"{name!r} (no such file)", "the mesh", remedy
+                    )
+                return
+        transform = outer @ local_transform(node)
+        if abs(np.linalg.det(transform[:3, :3])) < 1e-15:
+            self.materials.problem(
+                f"{node.where}: to_world", "a singular matrix", "an invertible one", "correct it"
+            )
+            return
+        bsdfs = node.children_of("bsdf")
+        draft = self.materials.draft(bsdfs[0]) if bsdfs else Draft("default")
+        try:
+            mesh = shape_mesh(node, file)
+        except InputError as error:
+            self.problems.extend(error.problems)
+            return
+        if draft.uv_matrix is not None and mesh.uv is not None:
+            mesh = replace(mesh, uv=transformed_uv(mesh.uv, draft.uv_matrix))
+        emission = self.lights.emission_of(node)
+        bsdf = id(bsdfs[0]) if bsdfs else 0
+        shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
+
+    def apply_dielectric_policy(self, shapes: list[_Shape]) -> list[_Shape]:
+        """Refuse see-through materials, or take out panes and turn bodies into opal glass, as asked."""
+        kept: list[_Shape] = []
+        refused: dict[str, str] = {}
+        removed: dict[str, int] = {}
+        for shape in shapes:
+            name, kind = shape.draft.name, shape.draft.transparency
+            if not kind:
+                kept.append(shape)
+            elif kind == "null":
+                removed[f"{name}: null BSDF, surface left out"] = 1
+            elif self.options.dielectric == "refuse" and name not in self.options.dielectric_as:
+                refused[name] = shape.node.where
+            else:
+                default = "remove" if kind == "thin" or is_pane(shape.mesh) else "opaque"
+                if self.options.dielectric_as.get(name, default) == "remove":
+                    key = f"{name}: see-through, left out (light passes straight)"
+                    removed[key] = removed.get(key, 0) + 1
+                else:
+                    shape.draft = shape.draft.with_note("clear glass as opaque opal glass")
+                    kept.append(shape)
+        for sentence, count in removed.items():
+            self.findings.approximate(f"{sentence}; {count} shape{'s' if count > 1 else ''}")
+        if refused:
+            raise InputError(
+                *(
+                    input_error(
+                        self.path,
+                        f"material {name!r}",
+                        f"see-through, on {where}",
+                        "opaque materials: the project's BSDF does not transmit light",
+                        "import with --dielectric replace, or choose with --dielectric-as NAME=opaque|remove",
+                    ).problems[0]
+                    for name, where in refused.items()
+                )
+            )
+        return kept
+
+    def take_out_lights(self, shapes: list[_Shape]) -> list[_Shape]:
+        """Emitting rectangles, disks and spheres become lights of the package; other emitters stay parts."""
+        kept = []
+        for shape in shapes:
+            light = None
+            if shape.emission is not None:
+                transform = self.asset_from_source @ shape.source_from_shape
+                light = emitter_shape_light(shape.node, shape.label, transform, shape.emission)
+            if light is None:
+                kept.append(shape)
+            else:
+                self.lights.lights.append(light)
+        return kept
+
+    # parts and materials
+
+    def build_parts(self, shapes: list[_Shape]) -> tuple[list[Part], list[Mesh]]:
+        """Parts with their mesh files, and every part's mesh in the asset's frame.
+
+        A mesh that several shapes share is stored once, in its own frame; others are stored in place.
+        """
+        parts: list[Part] = []
+        placed: list[Mesh] = []
+        taken: set[str] = set()
+        slots: dict[str, _SlotKey] = {}
+        keys = [self.mesh_key(shape) for shape in shapes]
+        stored: dict[Any, str] = {}
+        kept: list[_Shape] = []
+        for shape, key in zip(shapes, keys, strict=True):
+            matrix = self.asset_from_source @ shape.source_from_shape
+            in_place = shape.mesh.transformed(matrix)
+            if inspect_mesh(in_place).is_unusable:
+                self.findings.approximate(f"{shape.label}: mesh without a usable surface left out")
+                continue
+            name = unique(slug(shape.label), taken)
+            taken.add(name)
+            is_shared = keys.count(key) > 1
+            if key not in stored or not is_shared:
+                stored[key] = f"meshes/{name}.ply"
+                mesh = without_degenerate(shape.mesh if is_shared else in_place)
+                self.files[stored[key]] = encode_ply(mesh)
+            shape.slot = self.slot_name(shape, slots)
+            parts.append(
+                Part(
+                    name=name,
+                    mesh=stored[key],
+                    material=shape.slot,
+                    asset_from_part=matrix4(matrix) if is_shared else IDENTITY4,
+                    uv_per_m=_rounded(in_place.uv_per_m()),
+                )
+            )
+            placed.append(in_place)
+            kept.append(shape)
+        shapes[:] = kept
+        if not parts:
+            raise input_error(self.path, "shapes", "none with a surface", "at least one", "check the scene")
+        return parts, placed
+
+    def mesh_key(self, shape: _Shape) -> Any:
+        node = shape.node
+        matrix = shape.draft.uv_matrix
+        return (
+            str(shape.file) if shape.file else (node.type, str(sorted(node.values.items(), key=str))),
+            bool(node.get("face_normals", False)),
+            node.get("flip_tex_coords"),
+            None if matrix is None else matrix.tobytes(),
+        )
+
+    def slot_name(self, shape: _Shape, slots: dict[str, _SlotKey]) -> str:
+        """Slot of a shape: one per BSDF and emission."""
+        key = (shape.bsdf, shape.emission)
+        base = shape.draft.name + ("_emitter" if shape.emission else "")
+        for name, other in slots.items():
+            if other == key:
+                return name
+        name = unique(base, set(slots))
+        slots[name] = key
+        return name
+
+    def build_materials(self, shapes: list[_Shape], parts: list[Part]) -> dict[str, SlotMaterial]:
+        slots: dict[str, SlotMaterial] = {}
+        for shape, part in zip(shapes, parts, strict=True):
+            if shape.slot not in slots:
+                density = [p.uv_per_m for p in parts if p.material == part.material and p.uv_per_m]
+                slots[shape.slot] = self.material(shape, float(np.median(density)) if density else None)
+            for sentence in slots[shape.slot].approximations:
+                self.findings.approximate(sentence)
+        return slots
+
+    def material(self, shape: _Shape, uv_per_m: float | None) -> SlotMaterial:
+        draft = shape.draft
+        guessed: tuple[MaterialClass, ...] = (guess_class(draft.name, fallback=draft.fallback_class),)
+        classes = self.annotations.classes.get(shape.slot, guessed)
+        approximations = list(draft.approximations)
+        if shape.emission is not None:
+            return SlotMaterial(
+                classes=classes,
+                diffuse_albedo=(0.0, 0.0, 0.0),
+                specular_albedo=(0.0, 0.0, 0.0),
+                roughness=1.0,
+                emission=shape.emission,
+            )
+        normal = None
+        if draft.normal is not None:
+            normal = draft.normal.texture(self.textures.add_file(draft.normal.file))
+        elif draft.height is not None and not isinstance(draft.height, ImageSource):
+            normal = self.bump(draft, uv_per_m)
+        return SlotMaterial(
+            classes=classes,
+            diffuse_albedo=self.textures.color(draft.diffuse),
+            specular_albedo=self.textures.color(draft.specular),
+            roughness=self.textures.scalar(draft.roughness),
+            opacity=None if draft.opacity is None else self.textures.scalar(draft.opacity),
+            normal=normal,
+            approximations=tuple(approximations),
+            replaceable_by=self.annotations.replaceable_by.get(shape.slot, REPLACEABLE[classes[0]]),
+        )
+
+    def bump(self, draft: Draft, uv_per_m: float | None) -> Texture | None:
+        if uv_per_m is None:
+            self.findings.approximate(f"{draft.name}: bump map left out, the surface has no UVs")
+            return None
+        height = self.cache.values(draft.height, is_scalar=True) * self.options.unit_scale  # type: ignore[arg-type]
+        normal = normal_from_height(height, uv_per_m)
+        name = f"textures/{slug(draft.name)}_normal.png"
+        self.files[name] = encode_png(np.round((normal * 0.5 + 0.5) * 255).astype(np.uint8))
+        return Texture(texture=name, encoding="linear")
+
+    def find_places(
+        self,
+        placed: list[Mesh],
+        parts: list[Part],
+        slots: dict[str, SlotMaterial],
+        cameras: tuple[AssetCamera, ...],
+    ) -> annotate.RoomPlaces:
+        known = self.annotations
+        if None not in (known.support_surfaces, known.camera_regions, known.light_slots):
+            return annotate.RoomPlaces(None)
+        triangles = [mesh.triangles() for mesh in placed]
+        classes = np.repeat(np.arange(len(placed)), [len(t) for t in triangles])
+        upholstery = ("fabric", "leather")
+        seats = {k for k, p in enumerate(parts) if slots[p.material].classes[0] in upholstery}
+        seeds = np.array([[row[3] for row in c.asset_from_camera[:3]] for c in cameras]).reshape(-1, 3)
+        places = annotate.find_places(np.concatenate(triangles), classes, seats, seeds)
+        if places.floor_m is None:
+            self.findings.note(
+                "places: no enclosed space found; give support surfaces and camera regions in a file"
+            )
+        return places
+
+
+def is_pane(mesh: Mesh) -> bool:
+    """Whether every separate piece of a mesh is flat: thin against its second-largest extent."""
+    from datagen.meshes import welded
+
+    points, index = welded(mesh)
+    faces = index[mesh.faces]
+    labels = _pieces(faces, len(points))
+    for label in np.unique(labels):
+        piece = points[labels == label].astype(np.float64)
+        extent = (
+            np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(piece.T)), 0))
+            if len(piece) > 3
+            else np.array([0, 1, 1])
+        )
+        if extent[0] > _PANE_RATIO * max(extent[1], 1e-12):
+            return False
+    return True
+
+
+def _pieces(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int32]:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    rows = np.concatenate([faces[:, 0], faces[:, 1]])
+    columns = np.concatenate([faces[:, 1], faces[:, 2]])
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(num_vertices, num_vertices))
+    return connected_components(graph, directed=False)[1]
+
+
+def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
+    """Rows of a (4, 4) affine matrix for a file, with the last row exact."""
+    rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
+    return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else quantized(value, 6)
+
+
+def _first(given: Any, derived: Any) -> Any:
+    return derived if given is None else given
+
+
+def finish(
+    asset: Any, files: dict[str, FileSource], folder: Path, options: ImportOptions, findings: Findings
+) -> ImportedAsset:
+    """Write and check a package; warnings of the check join the notes."""
+    used = set(files)
+    warnings: list[str] = []
+
+    def validate(package: Package) -> None:
+        report = check_package(package)
+        report.raise_errors()
+        for problem in report.warnings:
+            warnings.append(f"{problem.field}: {problem.got}")
+
+    path = folder / (f"{asset.id}.zip" if options.as_zip else asset.id)
+    package = write_package(
+        path, asset, {n: files[n] for n in used}, overwrite=options.overwrite, validate=validate
+    )
+    for sentence in warnings:
+        findings.note(sentence)
+    with package:
+        return ImportedAsset(
+            asset_id=asset.id,
+            kind=asset.kind,
+            path=path,
+            sha256=package.sha256,
+            license=asset.provenance.license,
+            approximations=findings.approximations,
+            notes=findings.notes,
+        )

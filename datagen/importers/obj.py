@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+"""Wavefront OBJ files as one mesh: positions, texture coordinates, normals; polygons become fans.
+
+Groups, materials and lines are passed over, as Mitsuba's loader does. v of a texture coordinate runs upwards.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.meshes import Mesh
+
+
+def read_obj(path: Path) -> Mesh:
+    """An OBJ file; vertices are the distinct (position, uv, normal) triples. Raises :class:`InputError`."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise input_error(path, got=error.strerror or error, expected="a readable OBJ file") from None
+    positions: list[bytes] = []
+    uvs: list[bytes] = []
+    normals: list[bytes] = []
+    faces: list[list[bytes]] = []
+    for line in data.replace(b"\\\n", b" ").splitlines():
+        head = line[:2]
+        if head == b"v " or head == b"v\t":
+            positions.append(line)
+        elif head == b"f " or head == b"f\t":
+            faces.append(line.split()[1:])
+        elif head == b"vt":
+            uvs.append(line)
+        elif head == b"vn":
+            normals.append(line)
+    try:
+        tables = (_table(positions, 3), _table(uvs, 2), _table(normals, 3))
+        corners = _corners(faces, tuple(len(t) for t in tables))
+    except (ValueError, IndexError) as error:
+        raise input_error(
+            path, got=str(error)[:200], expected="an intact OBJ file", remedy="export it again"
+        ) from None
+    return _assemble(tables, corners)
+
+
+def _table(lines: list[bytes], width: int) -> NDArray[np.float64]:
+    """Numbers after the keyword, the first ``width`` of each line, (K, width)."""
+    if not lines:
+        return np.zeros((0, width))
+    tokens = b" ".join(lines).split()
+    per_line = len(lines[0].split())
+    if len(tokens) == per_line * len(lines):
+        table = np.array(tokens).reshape(len(lines), per_line)[:, 1 : width + 1]
+    else:  # rows of different lengths, such as colours on some vertices
+        table = np.array([line.split()[1 : width + 1] for line in lines])
+    return table.astype(np.float64)
+
+
+def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.int64]:
+    """(M, 3 corners, 3) zero-based indices of position, uv and normal; -1 where a corner names none."""
+    triangles: list[bytes] = []
+    for face in faces:
+        if len(face) < 3:
+            raise ValueError(f"a face with {len(face)} corners")
+        for k in range(1, len(face) - 1):
+            triangles += (face[0], face[k], face[k + 1])
+    if not triangles:
+        return np.zeros((0, 3, 3), np.int64)
+    slashes = triangles[0].count(b"/")
+    joined = b" ".join(triangles)
+    if slashes == 2 and b"//" not in joined and joined.count(b"/") == 2 * len(triangles):
+        indices = np.array(joined.replace(b"/", b" ").split()).astype(np.int64).reshape(-1, 3)
+    else:
+        indices = np.zeros((len(triangles), 3), np.int64)
+        for row, corner in enumerate(triangles):
+            for column, number in enumerate(corner.split(b"/")[:3]):
+                indices[row, column] = int(number) if number else 0
+    for column, count in enumerate(counts):
+        values = indices[:, column]
+        values[values < 0] += count + 1  # negative indices count from the end
+        if (values > count).any() or (values < 0).any() or (column == 0 and (values < 1).any()):
+            raise ValueError(f"a face refers to entry {int(values.max())} of {count}")
+    return (indices - 1).reshape(-1, 3, 3)
+
+
+def _assemble(tables: tuple[NDArray, NDArray, NDArray], corners: NDArray[np.int64]) -> Mesh:
+    flat = corners.reshape(-1, 3)
+    if len(flat) == 0:
+        return Mesh(tables[0].astype(np.float32), np.zeros((0, 3), np.int32))
+    keys, inverse = np.unique(flat, axis=0, return_inverse=True)
+    position, uv, normal = (
+        table[keys[:, k]].astype(np.float32) if len(table) and (keys[:, k] >= 0).all() else None
+        for k, table in enumerate(tables)
+    )
+    if position is None:
+        raise ValueError("faces without positions")
+    return Mesh(position, inverse.reshape(-1, 3).astype(np.int32), normal, uv)
