@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""Where a camera may be: regions of the environment, or what its own cameras can see, less what is solid."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from datagen.assembly.geometry import Floats, RayScene
+from datagen.assembly.random import Draws
+from datagen.assembly.things import fibonacci_sphere
+from datagen.errors import input_error
+from datagen.formats.asset import EnvironmentAsset
+
+NUM_FEELERS = 96  # rays that feel around a camera: a gap of 15 degrees between two of them
+_REACH_M = 6.0  # free space without regions extends this far from the environment's own cameras
+_MAX_BACK_SHARE = 0.35
+_MAX_OPEN_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Free space of an environment with its things. ``rays`` is the whole scene."""
+
+    environment: EnvironmentAsset
+    rays: RayScene
+    height_m: tuple[float, float]
+
+    def check(self) -> None:
+        """Raise :class:`InputError` if the environment says nothing of where cameras may be."""
+        where = f"environment {self.environment.id}"
+        if not self.environment.camera_regions and not self.environment.cameras:
+            raise input_error(
+                where,
+                "camera_regions",
+                "none, and no cameras",
+                "a camera region or a camera",
+                "add one to its asset.json",
+            )
+        if self.environment.camera_regions and not self._regions:
+            spans = [f"{r.minimum_m[2]:g} to {r.maximum_m[2]:g} m" for r in self.environment.camera_regions]
+            raise input_error(
+                where,
+                "camera_regions",
+                ", ".join(spans),
+                f"a region that is higher than cameras.height_m[0] = {self.height_m[0]:g}",
+                "lower cameras.height_m or raise the region",
+            )
+
+    @cached_property
+    def _regions(self) -> list[tuple[Floats, Floats, float]]:
+        """(low, high, weight) of the part of each region that lies in the range of heights."""
+        found = []
+        for region in self.environment.camera_regions:
+            low, high = np.array(region.minimum_m), np.array(region.maximum_m)
+            top = min(high[2], low[2] + self.height_m[1])
+            low[2] += self.height_m[0]
+            if low[2] <= top:
+                high[2] = top
+                found.append((low, high, float((high[0] - low[0]) * (high[1] - low[1]))))
+        return found
+
+    def draw(self, draws: Draws) -> Floats | None:
+        """A position (3,) that may be free; None where the draw fell into nothing."""
+        if self._regions:
+            low, high, _ = draws.weighted(self._regions, [w for _, _, w in self._regions])
+            return low + draws.units(3) * (high - low)
+        camera = draws.choice(self.environment.cameras)
+        start = np.array(camera.asset_from_camera)[:3, 3]
+        angle, tilt = draws.uniform(-math.pi, math.pi), draws.uniform(-0.25, 0.25)
+        direction = np.array(
+            [math.cos(angle) * math.cos(tilt), math.sin(angle) * math.cos(tilt), math.sin(tilt)]
+        )
+        reach = min(float(self.rays.cast(start, direction[None]).distance_m[0]), _REACH_M)
+        position = start + 0.9 * draws.unit() * reach * direction
+        height = draws.uniform(*self.height_m)
+        ends = self.rays.cast(position, np.array([[0, 0, -1.0], [0, 0, 1.0]])).distance_m
+        if not np.isfinite(ends[0]):
+            return None
+        lift = min(height - ends[0], 0.9 * ends[1])
+        return position + np.array([0.0, 0.0, lift])
+
+    @cached_property
+    def trusts_winding(self) -> bool:
+        """Whether fronts of triangles face free space, as seen from the room's own cameras or supports."""
+        starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
+        for s in self.environment.support_surfaces:
+            middle = np.array(s.origin_m) + 0.5 * (np.array(s.edge_u_m) + np.array(s.edge_v_m))
+            starts.append(middle + np.array([0.0, 0.0, min(0.5 * s.clearance_m, 0.3)]))
+        if not starts:
+            return False
+        directions = np.tile(fibonacci_sphere(64), (len(starts), 1))
+        hits = self.rays.cast(np.repeat(starts, 64, axis=0), directions)
+        return bool(self.rays.sees_back(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
+
+    def fault(self, position: Floats, clearance_m: float) -> str:
+        """Why a position is not free ('' if it is): ``too_close``, ``inside_solid`` or ``outside``."""
+        directions = fibonacci_sphere(NUM_FEELERS)
+        hits = self.rays.cast(position, directions)
+        backs = int(self.rays.sees_back(hits, directions).sum())
+        if self.trusts_winding and backs > _MAX_BACK_SHARE * NUM_FEELERS:
+            return "inside_solid"
+        if float(hits.distance_m.min()) < clearance_m:
+            return "too_close"
+        if (~hits.hit_mask).sum() > _MAX_OPEN_SHARE * NUM_FEELERS:
+            return "outside"
+        return ""
+
+    def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
+        """Up to ``count`` free positions (P, 3), after at most eight times as many draws."""
+        found: list[Floats] = []
+        for _ in range(8 * count):
+            if len(found) == count:
+                break
+            position = self.draw(draws)
+            fault = "no_floor" if position is None else self.fault(position, clearance_m)
+            if position is None or fault:
+                rejections[f"probe.{fault}"] += 1
+                continue
+            found.append(position)
+        return np.array(found).reshape(-1, 3)

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: MIT
+"""Meshes of assets for assembly: triangles in float64, rays through Embree, exact collision through FCL.
+
+Letters: N vertices, M triangles, R rays. Positions are metres. Embree traces in float32; distances are then
+computed from the triangle's plane in float64, so that what is decided from them does not hang on rounding.
+Neither library depends on a Mitsuba variant: a plan made on a GPU machine equals one made on a CPU.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.errors import input_error
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
+from datagen.formats.package import Package
+from datagen.meshes import Mesh, decode_ply, inspect_mesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+_MIN_COSINE = (
+    1e-3  # flatter hits take Embree's own distance: the plane equation would divide by almost nothing
+)
+_MAX_CACHED_TRIANGLES = 6_000_000  # about 1 GB with search trees
+
+
+@dataclass(frozen=True)
+class Hits:
+    """First hits of R rays: ``distance_m`` (R,), inf where nothing was hit; ``face`` (R,), -1 there."""
+
+    distance_m: Floats
+    face: Ints
+
+    @property
+    def hit_mask(self) -> NDArray[np.bool_]:
+        """True where something was hit, (R,)."""
+        return self.face >= 0
+
+
+class RayScene:
+    """Triangles to shoot rays at. ``normals`` (M, 3) are geometric, by the winding."""
+
+    def __init__(self, vertices: Floats, faces: NDArray):
+        self.faces = np.ascontiguousarray(faces, dtype=np.int32)
+        self.corners = np.asarray(vertices, dtype=np.float64)[self.faces]
+        cross = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
+        length = np.linalg.norm(cross, axis=1, keepdims=True)
+        self.areas = 0.5 * length[:, 0]
+        self.normals = cross / np.maximum(length, 1e-300)  # a degenerate triangle has the normal zero
+        self._vertices = np.ascontiguousarray(vertices, dtype=np.float32)
+
+    @cached_property
+    def _embree(self) -> Any:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+
+        scene = rtcore_scene.EmbreeScene()
+        TriangleMesh(scene, self._vertices, self.faces)
+        return scene
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike = np.inf) -> Hits:
+        """First hits along unit ``directions`` (R, 3) from ``origins`` (R, 3) or (3,)."""
+        directions = np.ascontiguousarray(directions, dtype=np.float64).reshape(-1, 3)
+        origins = np.broadcast_to(np.asarray(origins, dtype=np.float64), directions.shape)
+        count = len(directions)
+        if count == 0 or len(self.faces) == 0:
+            return Hits(np.full(count, np.inf), np.full(count, -1, dtype=np.int64))
+        limits = np.broadcast_to(np.asarray(max_distance_m, dtype=np.float32), (count,))
+        found = self._embree.run(
+            np.ascontiguousarray(origins, dtype=np.float32),
+            directions.astype(np.float32),
+            dists=np.ascontiguousarray(np.minimum(limits, np.float32(1e30))),
+            output=1,
+        )
+        face = found["primID"].astype(np.int64)
+        distance = np.full(count, np.inf)
+        hit = face >= 0
+        index = face[hit]
+        normal = self.normals[index]
+        cosine = np.einsum("ij,ij->i", normal, directions[hit])
+        height = np.einsum("ij,ij->i", normal, self.corners[index, 0] - origins[hit])
+        flat = np.abs(cosine) < _MIN_COSINE
+        plane = height / np.where(flat, 1.0, cosine)
+        distance[hit] = np.where(flat, found["tfar"][hit].astype(np.float64), np.maximum(plane, 0.0))
+        return Hits(distance, face)
+
+    def occluded(self, origins: ArrayLike, directions: ArrayLike, max_distance_m: ArrayLike) -> NDArray:
+        """Whether anything lies within the distance along unit directions, (R,) bool."""
+        directions = np.ascontiguousarray(directions, dtype=np.float32).reshape(-1, 3)
+        count = len(directions)
+        if count == 0 or len(self.faces) == 0:
+            return np.zeros(count, dtype=bool)
+        origins = np.ascontiguousarray(np.broadcast_to(np.asarray(origins), directions.shape), np.float32)
+        limits = np.broadcast_to(np.asarray(max_distance_m, dtype=np.float64), (count,))
+        limits = np.ascontiguousarray(np.minimum(limits, 1e30), dtype=np.float32)
+        return self._embree.run(origins, directions, dists=limits, query="OCCLUDED") != -1
+
+    def sees_back(self, hits: Hits, directions: Floats) -> NDArray:
+        """Whether the hit triangle turns its back to the ray, (R,) bool; False for misses."""
+        cosine = np.einsum("ij,ij->i", self.normals[np.maximum(hits.face, 0)], directions)
+        return hits.hit_mask & (cosine > 0)
+
+
+@dataclass(frozen=True)
+class AssetGeometry:
+    """All parts of an asset as one triangle soup in the asset's frame.
+
+    ``part_of_face`` (M,) indexes ``asset.parts``; ``opaque_part`` says per part whether light stops there
+    (constant opacity of at least one half, or a textured one).
+    """
+
+    asset: ObjectAsset | EnvironmentAsset
+    vertices: Floats
+    faces: NDArray[np.int32]
+    part_of_face: NDArray[np.int32]
+    opaque_part: NDArray[np.bool_]
+
+    @cached_property
+    def minimum_m(self) -> Floats:
+        """Least coordinates of any used vertex, (3,)."""
+        return self.vertices[self.faces.ravel()].min(axis=0)
+
+    @cached_property
+    def maximum_m(self) -> Floats:
+        """Largest coordinates of any used vertex, (3,)."""
+        return self.vertices[self.faces.ravel()].max(axis=0)
+
+    @cached_property
+    def center_of_mass_m(self) -> Floats:
+        """Centroid of the surface, as if made of sheet of even weight; single sheets have no volume."""
+        corners = self.vertices[self.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.linalg.norm(cross, axis=1)
+        return (corners.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum()
+
+    @cached_property
+    def opaque_faces(self) -> Ints:
+        """Indices of the triangles that stop light."""
+        return np.flatnonzero(self.opaque_part[self.part_of_face])
+
+    @cached_property
+    def rays(self) -> RayScene:
+        """All triangles, opaque or not, for questions of touch."""
+        return RayScene(self.vertices, self.faces)
+
+
+def load_geometry(package: Package) -> AssetGeometry:
+    """Read every mesh of an object or environment. Raises :class:`InputError` for unusable meshes."""
+    asset = package.asset
+    if not isinstance(asset, ObjectAsset | EnvironmentAsset):
+        raise TypeError(f"{asset.id} is a {asset.kind}; expected an object or environment")
+    meshes: dict[str, Mesh] = {}
+    vertices, faces, parts, start = [], [], [], 0
+    for index, part in enumerate(asset.parts):
+        if part.mesh not in meshes:
+            meshes[part.mesh] = _sound_mesh(package, part.mesh)
+        mesh = meshes[part.mesh]
+        matrix = np.asarray(part.asset_from_part, dtype=np.float64)
+        moved = mesh.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        turned = mesh.faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else mesh.faces
+        vertices.append(moved)
+        faces.append(turned + start)
+        parts.append(np.full(len(turned), index, dtype=np.int32))
+        start += len(moved)
+    opaque = np.array([_stops_light(asset, part.material) for part in asset.parts])
+    return AssetGeometry(
+        asset, np.concatenate(vertices), np.concatenate(faces).astype(np.int32), np.concatenate(parts), opaque
+    )
+
+
+def _sound_mesh(package: Package, name: str) -> Mesh:
+    where = f"{package.path}/{name}"
+    mesh = decode_ply(package.read_bytes(name), where)
+    is_finite = bool(np.isfinite(mesh.positions).all())
+    bounded = len(mesh.faces) == 0 or bool(
+        (mesh.faces >= 0).all() and (mesh.faces < len(mesh.positions)).all()
+    )
+    if len(mesh.faces) == 0 or not is_finite or not bounded or not (mesh.areas() > 0).any():
+        raise input_error(
+            where,
+            got=str(inspect_mesh(mesh)),
+            expected="a mesh with finite triangles",
+            remedy="re-export the asset",
+        )
+    return mesh
+
+
+def _stops_light(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
+    opacity = asset.materials[material].opacity
+    return opacity is None or isinstance(opacity, Texture) or opacity >= 0.5
+
+
+class GeometryCache:
+    """Geometry by package hash, least recently used ones dropped; one a process."""
+
+    def __init__(self, max_triangles: int = _MAX_CACHED_TRIANGLES):
+        self._max_triangles = max_triangles
+        self._entries: OrderedDict[str, AssetGeometry] = OrderedDict()
+
+    def get(self, package: Package) -> AssetGeometry:
+        """The package's geometry, read if needed."""
+        key = package.sha256
+        if key in self._entries:
+            self._entries.move_to_end(key)
+            return self._entries[key]
+        geometry = load_geometry(package)
+        self._entries[key] = geometry
+        while (
+            len(self._entries) > 1 and sum(len(g.faces) for g in self._entries.values()) > self._max_triangles
+        ):
+            self._entries.popitem(last=False)
+        return geometry
+
+
+class CollisionModel:
+    """A triangle soup that FCL tests exactly, triangle against triangle, after a rigid motion."""
+
+    def __init__(self, vertices: Floats, faces: NDArray):
+        import fcl
+
+        used, compact = np.unique(np.asarray(faces).ravel(), return_inverse=True)
+        points = np.asarray(vertices, dtype=np.float64)[used]
+        triangles = compact.reshape(-1, 3).astype(np.int64)
+        self._model = fcl.BVHModel()
+        self._model.beginModel(len(points), len(triangles))
+        self._model.addSubModel(points, triangles)
+        self._model.endModel()
+        self._fcl = fcl
+
+    def at(self, rotation: Floats | None = None, translation: Floats | None = None) -> Any:
+        """An FCL collision object of this model, placed."""
+        rotation = np.eye(3) if rotation is None else rotation
+        translation = np.zeros(3) if translation is None else translation
+        return self._fcl.CollisionObject(self._model, self._fcl.Transform(rotation, translation))
+
+
+def intersects(one: Any, other: Any) -> bool:
+    """Whether the surfaces of two placed FCL objects meet."""
+    import fcl
+
+    return fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
+
+
+def distance_m(one: Any, other: Any) -> float:
+    """Least distance between the surfaces of two placed FCL objects; 0 or less where they meet."""
+    import fcl
+
+    if intersects(one, other):
+        return 0.0
+    return float(fcl.distance(one, other, fcl.DistanceRequest(), fcl.DistanceResult()))
+
+
+def world_points(world_from_asset: ArrayLike, points: Floats) -> Floats:
+    """Points (N, 3) under an affine (4, 4) transform."""
+    matrix = np.asarray(world_from_asset, dtype=np.float64)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+class WorldScene:
+    """Environment and placed objects as one set of opaque triangles.
+
+    ``item_of_face`` (M,): 0 is the environment, k the k-th object. ``instance_of_face`` (M,): one number a
+    part of the environment, then one an object. ``num_environment_parts`` tells both ranges apart.
+    """
+
+    def __init__(self, environment: AssetGeometry, objects: list[tuple[AssetGeometry, NDArray]]):
+        placed: list[tuple[AssetGeometry, NDArray]] = [(environment, np.eye(4)), *objects]
+        vertices, faces, items, parts, start = [], [], [], [], 0
+        for item, (geometry, matrix) in enumerate(placed):
+            opaque = geometry.opaque_faces
+            vertices.append(world_points(matrix, geometry.vertices))
+            faces.append(geometry.faces[opaque] + start)
+            items.append(np.full(len(opaque), item, dtype=np.int32))
+            parts.append(geometry.part_of_face[opaque])
+            start += len(geometry.vertices)
+        self.geometries = [geometry for geometry, _ in placed]
+        self.rays = RayScene(np.concatenate(vertices), np.concatenate(faces))
+        self.item_of_face = np.concatenate(items)
+        self.part_of_face = np.concatenate(parts)
+        self.num_environment_parts = len(environment.asset.parts)
+        self.num_instances = self.num_environment_parts + len(objects)
+        self.instance_of_face = np.where(
+            self.item_of_face == 0, self.part_of_face, self.num_environment_parts + self.item_of_face - 1
+        )

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: MIT
+"""How bright the lights are: a probe of the finished room sets the intensity of every group.
+
+The probe says what each group adds to the mean irradiance at the places where cameras may be; the groups'
+shares are drawn log-uniformly and all are scaled so that their sum is the irradiance drawn from the recipe.
+A light that adds nothing is dropped and counted: no configuration is dark or burnt by construction.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.assembly.daylight import environment_radiance, sky_radiance, sun_of
+from datagen.assembly.geometry import Floats
+from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe
+from datagen.assembly.lights import PlannedGroup, RoomToLight, plan_lights, plan_panels
+from datagen.assembly.random import Draws
+from datagen.errors import input_error
+from datagen.formats.base import quantized
+from datagen.formats.lights import (
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SkyLight,
+    SpotLight,
+)
+from datagen.formats.recipe import LightRecipe
+from datagen.library import Library
+
+SHARE_RANGE = (0.25, 1.0)  # of a group in the sum, before normalisation
+_NEGLIGIBLE = 1e-9  # of the strongest group's irradiance at unit intensity: no light arrives
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """Lights at their final intensities, emission by placed asset, and the probe to look again."""
+
+    lights: tuple[Light, ...]
+    emission: tuple[dict[str, tuple[float, float, float]], ...]
+    probe: LightProbe
+    gains: tuple[float, ...]
+    mean_irradiance: float
+
+    def luminance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
+        """Luminance (R,) seen along rays."""
+        radiance = self.probe.radiance(origins, directions, draws)
+        return np.einsum("rgc,g,c->r", radiance, np.array(self.gains), LUMINANCE)
+
+
+def light_room(
+    room: RoomToLight,
+    recipe: LightRecipe,
+    library: Library,
+    key: tuple[int | str, ...],
+    rejections: Counter[str],
+) -> Lighting:
+    """Choose lights and set their intensities (see the module's head). Raises :class:`InputError`."""
+    groups = plan_lights(room, recipe, library, key, rejections)
+    probe, arriving = _probe(room, groups, library, key)
+    useful = arriving > _NEGLIGIBLE * max(float(arriving.max(initial=0.0)), 1e-12)
+    if not useful.any():
+        rejections["light.no_effect"] += len(groups)
+        groups = plan_panels(room, recipe, 2, Draws(*key, "panel"), rejections)
+        probe, arriving = _probe(room, groups, library, key)
+        useful = arriving > 0
+    if not useful.any():
+        counts = ", ".join(
+            f"{k} {v}" for k, v in sorted(rejections.items()) if k.startswith(("light.", "probe."))
+        )
+        raise input_error(
+            f"environment {room.environment.id}",
+            "lights",
+            f"no light reaches the places where cameras may be ({counts or 'no light at all'})",
+            "at least one light that does",
+            "add light slots, openings or lights to its asset.json, or mend its camera regions",
+        )
+    rejections["light.no_effect"] += int((~useful).sum())
+    draws = Draws(*key, "intensity")
+    target = draws.log_uniform(*recipe.mean_irradiance)
+    shares = [draws.log_uniform(*SHARE_RANGE) for _ in groups]
+    total = sum(share for share, is_useful in zip(shares, useful, strict=True) if is_useful)
+    gains = [
+        quantized(target * share / total / float(e), 4) if is_useful else 0.0
+        for share, e, is_useful in zip(shares, arriving, useful, strict=True)
+    ]
+    lights = [
+        scaled(light, g) for group, g in zip(groups, gains, strict=True) if g > 0 for light in group.lights
+    ]
+    emission = _emission(room, groups, gains)
+    return Lighting(_named(lights), emission, probe, tuple(gains), float(np.dot(gains, arriving)))
+
+
+def _named(lights: list[Light]) -> tuple[Light, ...]:
+    """The lights, with numbers added to names that occur more than once."""
+    seen: Counter[str] = Counter()
+    named = []
+    for light in lights:
+        seen[light.name] += 1
+        name = light.name if seen[light.name] == 1 else f"{light.name}-{seen[light.name]}"
+        named.append(light.model_copy(update={"name": name}))
+    return tuple(named)
+
+
+def _emission(
+    room: RoomToLight, groups: list[PlannedGroup], gains: list[float]
+) -> tuple[dict[str, tuple[float, float, float]], ...]:
+    """Radiance of every emissive slot by placed asset; those of no group are switched off."""
+    gain_of = {slot: gain for group, gain in zip(groups, gains, strict=True) for slot in group.slots}
+    emission = []
+    for item, asset in enumerate(room.assets):
+        found = {}
+        for slot in sorted(asset.materials):
+            own = asset.materials[slot].emission
+            if own is not None:
+                gain = gain_of.get((item, slot), 0.0)
+                red, green, blue = (quantized(gain * c, 6) for c in own)
+                found[slot] = (red, green, blue)
+        emission.append(found)
+    return tuple(emission)
+
+
+def scaled(light: Light, gain: float) -> Light:
+    """The light with all its power multiplied by ``gain``."""
+
+    def times(color: tuple[float, float, float]) -> tuple[float, float, float]:
+        red, green, blue = (quantized(gain * c, 6) for c in color)
+        return (red, green, blue)
+
+    if isinstance(light, PointLight | SpotLight):
+        return light.model_copy(update={"intensity": times(light.intensity)})
+    if isinstance(light, DirectionalLight):
+        return light.model_copy(update={"irradiance": times(light.irradiance)})
+    if isinstance(light, SkyLight):
+        changes = {
+            "sky_scale": quantized(gain * light.sky_scale, 6),
+            "sun_scale": quantized(gain * light.sun_scale, 6),
+        }
+        return light.model_copy(update=changes)
+    if isinstance(light, EnvironmentLight):
+        return light.model_copy(update={"scale": quantized(gain * light.scale, 6)})
+    return light.model_copy(update={"radiance": times(light.radiance)})
+
+
+def _probe(
+    room: RoomToLight, groups: list[PlannedGroup], library: Library, key: tuple[int | str, ...]
+) -> tuple[LightProbe, Floats]:
+    """The probe of a room and the mean luminous irradiance (G,) of each group at the eyes."""
+    probe = LightProbe(
+        room.scene,
+        _albedo_of_faces(room),
+        [_probe_group(room, group, library) for group in groups],
+        room.environment.openings,
+    )
+    if not groups or not len(room.eyes):
+        return probe, np.zeros(len(groups))
+    irradiance = probe.irradiance(room.eyes, Draws(*key, "probe"))
+    return probe, (irradiance @ LUMINANCE).mean(axis=0)
+
+
+def _probe_group(room: RoomToLight, group: PlannedGroup, library: Library) -> LightGroup:
+    sky, suns, lights = None, [], []
+    for light in group.lights:
+        if isinstance(light, SkyLight):
+            sky = sky_radiance(light)
+            suns.append(sun_of(light))
+        elif isinstance(light, EnvironmentLight):
+            sky = environment_radiance(light, library)
+        else:
+            lights.append(light)
+    return LightGroup(tuple(lights), _emitters(room, group), sky, tuple(suns))
+
+
+def _emitters(room: RoomToLight, group: PlannedGroup) -> Emitters | None:
+    faces, radiance = [], []
+    for item, slot in group.slots:
+        asset = room.assets[item]
+        parts = [k for k, part in enumerate(asset.parts) if part.material == slot]
+        found = np.flatnonzero((room.scene.item_of_face == item) & np.isin(room.scene.part_of_face, parts))
+        faces.append(found)
+        radiance.append(np.repeat([asset.materials[slot].emission], len(found), axis=0))
+    if not faces or not sum(len(f) for f in faces):
+        return None
+    return Emitters(np.concatenate(faces), np.concatenate(radiance).astype(np.float64))
+
+
+def _albedo_of_faces(room: RoomToLight) -> Floats:
+    """Reflected share of the light (M, 3): D (1 - S) + S of what each triangle wears."""
+    tables = []
+    for asset, worn in zip(room.assets, room.worn, strict=True):
+        rows = []
+        for part in asset.parts:
+            diffuse = np.array(worn[part.material].diffuse_albedo)
+            specular = np.array(worn[part.material].specular_albedo)
+            rows.append(np.minimum(diffuse * (1 - specular) + specular, 0.95))
+        tables.append(np.array(rows))
+    starts = np.cumsum([0] + [len(t) for t in tables[:-1]])
+    return np.concatenate(tables)[starts[room.scene.item_of_face] + room.scene.part_of_face]

@@ -1,0 +1,351 @@
+# SPDX-License-Identifier: MIT
+"""Which lights are on and where they hang.
+
+Lights come in groups that are dimmed together: what the assets brought, each area light, each point light,
+daylight through the openings. Here they get places and colours; ``light_levels`` sets how bright they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from datagen.assembly.daylight import (
+    draw_sun_direction,
+    environment_image,
+    rotation_about_up,
+)
+from datagen.assembly.geometry import Floats, RayScene, WorldScene
+from datagen.assembly.light_probe import LUMINANCE, is_from_outside
+from datagen.assembly.materials import MeanMaterial
+from datagen.assembly.random import Draws
+from datagen.assembly.things import fibonacci_sphere
+from datagen.formats.asset import EnvironmentAsset, LightSlot, ObjectAsset
+from datagen.formats.base import quantized
+from datagen.formats.configuration import PlacedAsset
+from datagen.formats.lights import (
+    AreaLight,
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SkyLight,
+    SphereLight,
+    SpotLight,
+)
+from datagen.formats.recipe import LightRecipe
+from datagen.library import Library
+
+_DIRECT_SUN_PROBABILITY = 0.6
+_PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
+_PANEL_SIDE_M = (0.3, 1.0)
+_MIN_LIGHT_CLEARANCE_M = 0.05
+_PANEL_TRIES = 60
+
+
+@dataclass(frozen=True)
+class PlannedGroup:
+    """Lights dimmed together; ``slots`` names emissive slots as (item, slot), item 0 the environment."""
+
+    name: str
+    lights: tuple[Light, ...] = ()
+    slots: tuple[tuple[int, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class RoomToLight:
+    """What lighting needs to know: the scene, who is placed, what they wear, where eyes may be (P, 3)."""
+
+    environment: EnvironmentAsset
+    scene: WorldScene
+    placed: tuple[PlacedAsset, ...]
+    assets: tuple[EnvironmentAsset | ObjectAsset, ...]
+    worn: tuple[dict[str, MeanMaterial], ...]
+    eyes: Floats
+    has_solid_backs: bool
+
+
+def color_of_temperature(kelvin: float) -> tuple[float, float, float]:
+    """Linear Rec.709 colour of a black body of luminance 1 (Kim et al. 2002's fit, 1667 to 25000 K)."""
+    t = min(max(kelvin, 1667.0), 25000.0)
+    if t < 4000:
+        x = -0.2661239e9 / t**3 - 0.2343589e6 / t**2 + 0.8776956e3 / t + 0.179910
+    else:
+        x = -3.0258469e9 / t**3 + 2.1070379e6 / t**2 + 0.2226347e3 / t + 0.240390
+    if t < 2222:
+        y = -1.1063814 * x**3 - 1.34811020 * x**2 + 2.18555832 * x - 0.20219683
+    elif t < 4000:
+        y = -0.9549476 * x**3 - 1.37418593 * x**2 + 2.09137015 * x - 0.16748867
+    else:
+        y = 3.0817580 * x**3 - 5.87338670 * x**2 + 3.75112997 * x - 0.37001483
+    xyz = np.array([x / y, 1.0, (1 - x - y) / y])
+    rgb_from_xyz = np.array(
+        [
+            [3.2404542, -1.5371385, -0.4985314],
+            [-0.9692660, 1.8760108, 0.0415560],
+            [0.0556434, -0.2040259, 1.0572252],
+        ]
+    )
+    rgb = np.maximum(rgb_from_xyz @ xyz, 0.0)
+    rgb /= float(rgb @ LUMINANCE)
+    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
+
+
+def plan_lights(
+    room: RoomToLight,
+    recipe: LightRecipe,
+    library: Library,
+    key: tuple[int | str, ...],
+    rejections: Counter[str],
+) -> list[PlannedGroup]:
+    """The groups of a configuration at nominal intensity; ``key`` seeds the draws."""
+    draws = Draws(*key, "lights")
+    wants = {
+        "native": draws.chance(recipe.native_probability),
+        "area": draws.chance(recipe.area_probability),
+        "point": draws.chance(recipe.point_probability),
+        "daylight": draws.chance(recipe.daylight_probability),
+    }
+    makers: dict[str, Any] = {
+        "native": lambda: _native(room),
+        "area": lambda: _area(room, recipe, Draws(*key, "area"), rejections),
+        "point": lambda: _point(room, recipe, Draws(*key, "point"), rejections),
+        "daylight": lambda: _daylight(room, recipe, library, Draws(*key, "daylight"), rejections),
+    }
+    groups: list[PlannedGroup] = []
+    for kind in wants:
+        if wants[kind]:
+            groups += makers[kind]()
+    for kind in ("native", "daylight", "area", "point"):  # at least one is on, if the recipe allows any
+        if not groups and not wants[kind] and getattr(recipe, f"{kind}_probability") > 0:
+            groups += makers[kind]()
+    if not groups:
+        groups = plan_panels(room, recipe, 1, Draws(*key, "panel"), rejections)
+    if sum(any(is_from_outside(light) for light in g.lights) for g in groups) > 1:
+        groups = [g for g in groups if g.name != "daylight"]  # a scene has one sky: the one that came with it
+    return groups
+
+
+def _native(room: RoomToLight) -> list[PlannedGroup]:
+    lights: list[Light] = []
+    slots: list[tuple[int, str]] = []
+    for item, (asset, placed) in enumerate(zip(room.assets, room.placed, strict=True)):
+        for light in asset.lights:
+            moved = moved_light(light, placed.world_from_asset, placed.asset)
+            lights.append(moved.model_copy(update={"name": f"{placed.name}.{light.name}"}))
+        slots += [
+            (item, slot) for slot in sorted(asset.materials) if any(asset.materials[slot].emission or ())
+        ]
+    return [PlannedGroup("native", tuple(lights), tuple(slots))] if lights or slots else []
+
+
+def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
+    """A light of an asset in the world; intensities stay, sizes and places follow the transform."""
+    matrix = np.array(world_from_asset, dtype=np.float64)
+    linear = matrix[:3, :3]
+    scale = float(np.cbrt(abs(np.linalg.det(linear))))
+
+    def point(p: Any) -> tuple[float, ...]:
+        return tuple((linear @ np.array(p) + matrix[:3, 3]).tolist())
+
+    def vector(v: Any, unit: bool = False) -> tuple[float, ...]:
+        moved = linear @ np.array(v)
+        return tuple((moved / np.linalg.norm(moved) if unit else moved).tolist())
+
+    if isinstance(light, PointLight):
+        return light.model_copy(update={"position_m": point(light.position_m)})
+    if isinstance(light, SpotLight):
+        changes = {"position_m": point(light.position_m), "direction": vector(light.direction, True)}
+        return light.model_copy(update=changes)
+    if isinstance(light, SphereLight):
+        return light.model_copy(
+            update={"position_m": point(light.position_m), "radius_m": light.radius_m * scale}
+        )
+    if isinstance(light, DirectionalLight):
+        return light.model_copy(update={"direction": vector(light.direction, True)})
+    if isinstance(light, AreaLight):
+        return light.model_copy(
+            update={
+                "origin_m": point(light.origin_m),
+                "edge_u_m": vector(light.edge_u_m),
+                "edge_v_m": vector(light.edge_v_m),
+            }
+        )
+    if isinstance(light, SkyLight):
+        return light.model_copy(update={"sun_direction": vector(light.sun_direction, True)})
+    rotation = np.eye(4)
+    rotation[:3, :3] = linear / scale
+    world = rotation @ np.array(light.world_from_environment)
+    rows = tuple(tuple(row) for row in world.tolist())
+    changes_env: dict[str, Any] = {"world_from_environment": rows}
+    if light.image is not None and light.asset is None:
+        changes_env["asset"] = asset_id
+    return light.model_copy(update=changes_env)
+
+
+def _lamp_color(recipe: LightRecipe, draws: Draws) -> tuple[float, float, float]:
+    red, green, blue = color_of_temperature(draws.log_uniform(*recipe.color_temperature_k))
+    return (quantized(red, 6), quantized(green, 6), quantized(blue, 6))
+
+
+def _area(
+    room: RoomToLight, recipe: LightRecipe, draws: Draws, rejections: Counter[str]
+) -> list[PlannedGroup]:
+    count = max(1, draws.integer(*recipe.count_area))
+    slots = draws.shuffled([s for s in room.environment.light_slots if s.kind == "area"])
+    groups: list[PlannedGroup] = []
+    for slot in slots:
+        if len(groups) == count:
+            break
+        light = _light_in_slot(slot, _lamp_color(recipe, draws), draws)
+        if is_blocked(light, room.scene.rays):
+            rejections["light.blocked"] += 1
+        else:
+            groups.append(PlannedGroup(f"area-{slot.name}", (light,)))
+    if not slots:
+        groups = plan_panels(room, recipe, count, draws, rejections)
+    return groups
+
+
+def _light_in_slot(slot: LightSlot, color: tuple[float, float, float], draws: Draws) -> AreaLight:
+    """A lamp somewhere in a slot, at least half as long and wide, 2 mm in front of it."""
+    u, v = np.array(slot.edge_u_m), np.array(slot.edge_v_m)
+    share_u, share_v = draws.uniform(0.5, 1.0), draws.uniform(0.5, 1.0)
+    normal = np.cross(u, v)
+    origin = np.array(slot.origin_m) + 2e-3 * normal / np.linalg.norm(normal)
+    origin = origin + draws.unit() * (1 - share_u) * u + draws.unit() * (1 - share_v) * v
+    return AreaLight(
+        name=f"area-{slot.name}",
+        origin_m=_vector(origin),
+        edge_u_m=_vector(share_u * u),
+        edge_v_m=_vector(share_v * v),
+        radiance=color,
+    )
+
+
+def _vector(value: Floats) -> tuple[float, float, float]:
+    x, y, z = np.round(value, 6).tolist()
+    return (x, y, z)
+
+
+def is_blocked(light: AreaLight, rays: RayScene) -> bool:
+    """Whether geometry cuts an area light or stands right in front of more than a quarter of it."""
+    origin, u, v = (np.array(a) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
+    normal = np.cross(u, v)
+    normal /= np.linalg.norm(normal)
+    steps = (np.arange(4) + 0.5) / 4
+    s, t = (a.ravel() for a in np.meshgrid(steps, steps))
+    lifted = origin + 1e-3 * normal
+    in_front = lifted + s[:, None] * u + t[:, None] * v
+    near = rays.occluded(in_front, np.repeat(normal[None], 16, axis=0), 3 * _MIN_LIGHT_CLEARANCE_M)
+    if near.mean() > 0.25:
+        return True
+    starts = np.concatenate([lifted + steps[:, None] * v, lifted + steps[:, None] * u])
+    spans = np.concatenate([np.repeat(u[None], 4, axis=0), np.repeat(v[None], 4, axis=0)])
+    lengths = np.linalg.norm(spans, axis=1)
+    return bool(rays.occluded(starts, spans / lengths[:, None], lengths).any())
+
+
+def plan_panels(
+    room: RoomToLight, recipe: LightRecipe, count: int, draws: Draws, rejections: Counter[str]
+) -> list[PlannedGroup]:
+    """Panels under the ceiling above places where cameras may be, for rooms without light slots."""
+    groups: list[PlannedGroup] = []
+    for _ in range(_PANEL_TRIES if len(room.eyes) else 0):
+        if len(groups) == count:
+            break
+        eye = room.eyes[draws.integer(0, len(room.eyes) - 1)]
+        width, depth = draws.uniform(*_PANEL_SIDE_M), draws.uniform(*_PANEL_SIDE_M)
+        up = np.array([0.0, 0.0, 1.0])
+        above = float(room.scene.rays.cast(eye, up[None]).distance_m[0])
+        if not 0.2 < above < 20.0:
+            rejections["light.no_ceiling"] += 1
+            continue
+        middle = eye + (above - _PANEL_DROP_M) * up
+        corner = middle - [0.5 * width, -0.5 * depth, 0.0]
+        light = AreaLight(
+            name=f"panel-{len(groups)}",
+            origin_m=_vector(corner),
+            edge_u_m=(quantized(width, 5), 0.0, 0.0),
+            edge_v_m=(0.0, -quantized(depth, 5), 0.0),
+            radiance=_lamp_color(recipe, draws),
+        )
+        if is_blocked(light, room.scene.rays) or any(_near(light, g.lights[0]) for g in groups):
+            rejections["light.blocked"] += 1
+            continue
+        groups.append(PlannedGroup(light.name, (light,)))
+    return groups
+
+
+def _near(one: AreaLight, other: Light) -> bool:
+    assert isinstance(other, AreaLight)
+    middles = [
+        np.array(a.origin_m) + 0.5 * (np.array(a.edge_u_m) + np.array(a.edge_v_m)) for a in (one, other)
+    ]
+    return float(np.linalg.norm(middles[0] - middles[1])) < 1.2 * _PANEL_SIDE_M[1]
+
+
+def _point(
+    room: RoomToLight, recipe: LightRecipe, draws: Draws, rejections: Counter[str]
+) -> list[PlannedGroup]:
+    count = max(1, draws.integer(*recipe.count_point))
+    groups: list[PlannedGroup] = []
+    for slot in draws.shuffled([s for s in room.environment.light_slots if s.kind == "point"]):
+        if len(groups) == count:
+            break
+        color = _lamp_color(recipe, draws)
+        fault = _point_fault(np.array(slot.origin_m), room)
+        if fault:
+            rejections[f"light.{fault}"] += 1
+            continue
+        light = PointLight(name=f"point-{slot.name}", position_m=slot.origin_m, intensity=color)
+        groups.append(PlannedGroup(light.name, (light,)))
+    return groups
+
+
+def _point_fault(position: Floats, room: RoomToLight) -> str:
+    directions = fibonacci_sphere(48)
+    hits = room.scene.rays.cast(position, directions)
+    if room.has_solid_backs and room.scene.rays.sees_back(hits, directions).mean() > 0.5:
+        return "inside_solid"
+    return "blocked" if float(hits.distance_m.min()) < _MIN_LIGHT_CLEARANCE_M else ""
+
+
+def _daylight(
+    room: RoomToLight, recipe: LightRecipe, library: Library, draws: Draws, rejections: Counter[str]
+) -> list[PlannedGroup]:
+    """A sky with its sun, or an environment image, for rooms that have openings."""
+    openings = room.environment.openings
+    images = sorted(recipe.environment_images)
+    wants_image, pick, turn = draws.chance(0.5), draws.unit(), draws.uniform(-math.pi, math.pi)
+    enters, turbidity = draws.chance(_DIRECT_SUN_PROBABILITY), draws.uniform(2.0, 6.0)
+    ground, sun_scale = draws.uniform(0.1, 0.5), draws.log_uniform(0.1, 1.0)
+    if not openings:
+        rejections["light.no_opening"] += 1
+        return []
+    if images and wants_image:
+        asset = images[int(pick * len(images))]
+        rows = tuple(tuple(round(x, 9) for x in row) for row in rotation_about_up(turn).tolist())
+        light: Light = EnvironmentLight(
+            name="daylight",
+            image=environment_image(library, asset),
+            asset=asset,
+            world_from_environment=rows,  # type: ignore[arg-type]
+        )
+        return [PlannedGroup("daylight", (light,))]
+    direction, reaches = draw_sun_direction(room.scene.rays, openings, room.eyes, enters, draws)
+    if enters and not reaches:
+        rejections["light.sun_kept_out"] += 1
+    sky = SkyLight(
+        name="daylight",
+        sun_direction=_vector(direction),
+        turbidity=quantized(turbidity, 4),
+        ground_albedo=quantized(ground, 4),
+        sun_scale=quantized(sun_scale, 4),
+    )
+    return [PlannedGroup("daylight", (sky,))]

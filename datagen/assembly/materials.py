@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""Which material each slot wears, by class, and how it is varied.
+
+A slot names the classes that suit its geometry (``replaceable_by``); only materials whose main class is
+among them are put there, and only where the mesh has the UVs that a texture needs. Variation stays inside
+what the class is known for: :data:`CLASS_RANGES`.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.assembly.random import Draws
+from datagen.formats.asset import (
+    EnvironmentAsset,
+    Material,
+    MaterialAsset,
+    MaterialClass,
+    ObjectAsset,
+    Texture,
+)
+from datagen.formats.base import quantized
+from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
+from datagen.formats.package import Package
+from datagen.formats.recipe import MaterialRecipe
+from datagen.images import read_image, texture_values
+from datagen.library import Library
+
+_MEAN_STRIDE_PX = 512  # a mean colour needs no more texels than this a side
+
+
+@dataclass(frozen=True)
+class ClassRange:
+    """How far materials of a class are varied, and where their means must stay.
+
+    ``hue_turns`` is the largest shift, ``saturation`` and ``value`` the largest factor (its inverse the
+    least), ``roughness_step`` the largest offset; ``value_limits`` bound the mean of the brightest channel
+    of D, ``roughness_limits`` the mean of R. A material that lies outside is never pushed further out.
+    """
+
+    hue_turns: float
+    saturation: float
+    value: float
+    roughness_step: float
+    value_limits: tuple[float, float]
+    roughness_limits: tuple[float, float]
+
+
+CLASS_RANGES: dict[MaterialClass, ClassRange] = {
+    "wood": ClassRange(0.02, 1.25, 1.5, 0.15, (0.04, 0.75), (0.2, 0.9)),
+    "metal": ClassRange(0.015, 1.15, 1.0, 0.2, (0.0, 1.0), (0.08, 0.7)),
+    "plastic": ClassRange(0.5, 1.4, 1.6, 0.2, (0.02, 0.85), (0.1, 0.7)),
+    "rubber": ClassRange(0.1, 1.3, 1.5, 0.1, (0.015, 0.4), (0.5, 0.95)),
+    "leather": ClassRange(0.03, 1.3, 1.6, 0.15, (0.02, 0.6), (0.3, 0.75)),
+    "fabric": ClassRange(0.5, 1.4, 1.5, 0.1, (0.02, 0.85), (0.6, 1.0)),
+    "ceramic": ClassRange(0.2, 1.4, 1.3, 0.15, (0.05, 0.88), (0.05, 0.6)),
+    "stone": ClassRange(0.02, 1.3, 1.4, 0.2, (0.03, 0.85), (0.1, 0.95)),
+    "paper": ClassRange(0.05, 1.4, 1.3, 0.08, (0.15, 0.9), (0.6, 1.0)),
+    "glazed": ClassRange(0.3, 1.4, 1.4, 0.08, (0.03, 0.88), (0.03, 0.3)),
+    "painted": ClassRange(0.5, 1.5, 1.4, 0.2, (0.04, 0.88), (0.2, 0.95)),
+    "plaster": ClassRange(0.02, 1.3, 1.2, 0.08, (0.3, 0.9), (0.7, 1.0)),
+    "glass": ClassRange(0.02, 1.1, 1.0, 0.02, (0.0, 1.0), (0.0, 0.3)),
+    "organic": ClassRange(0.02, 1.2, 1.3, 0.1, (0.02, 0.7), (0.3, 1.0)),
+    "other": ClassRange(0.03, 1.2, 1.2, 0.1, (0.02, 0.85), (0.05, 1.0)),
+}
+"""Albedos: charcoal to fresh white paint is 0.04 to 0.88 in photometric tables; roughness by the finish that
+the class allows (a glaze is never matt, plaster never glossy). Hue may turn freely only where a dye decides
+it (plastic, paint, fabric); wood, stone, leather and metal keep theirs. See docs/assembly.md."""
+
+
+@dataclass(frozen=True)
+class MeanMaterial:
+    """Surface averages of a material: D and S (3,), linear; R; emitted radiance (3,)."""
+
+    diffuse_albedo: tuple[float, float, float]
+    specular_albedo: tuple[float, float, float]
+    roughness: float
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class MeanMaterials:
+    """Averages of materials; each texture of each package is read once a process."""
+
+    def __init__(self) -> None:
+        self._means: dict[tuple[str, str, bool], tuple[float, float, float]] = {}
+
+    def mean(self, package: Package, material: Material) -> MeanMaterial:
+        """Averages of a material of a package, before any adjustment."""
+        return MeanMaterial(
+            self._color(package, material.diffuse_albedo),
+            self._color(package, material.specular_albedo),
+            self._channel(package, material.roughness, True)[0],
+            material.emission or (0.0, 0.0, 0.0),
+        )
+
+    def _color(
+        self, package: Package, value: tuple[float, float, float] | Texture
+    ) -> tuple[float, float, float]:
+        return self._channel(package, value, False) if isinstance(value, Texture) else value
+
+    def _channel(
+        self, package: Package, value: float | Texture, is_scalar: bool
+    ) -> tuple[float, float, float]:
+        if not isinstance(value, Texture):
+            return (value, value, value)
+        key = (package.sha256, value.model_dump_json(), is_scalar)
+        if key not in self._means:
+            pixels = read_image(package.local_file(value.texture))
+            step = max(1, max(pixels.shape[:2]) // _MEAN_STRIDE_PX)
+            texels = texture_values(value, pixels[::step, ::step], is_scalar).astype(np.float64)
+            mean = np.broadcast_to(texels.reshape(-1, 1 if is_scalar else 3).mean(axis=0), (3,))
+            self._means[key] = (float(mean[0]), float(mean[1]), float(mean[2]))
+        return self._means[key]
+
+
+def adjusted(mean: MeanMaterial, adjustment: ColorAdjustment) -> MeanMaterial:
+    """The averages after an adjustment (see :class:`ColorAdjustment`); exact for constants."""
+
+    def turned(color: tuple[float, float, float], value_scale: float) -> tuple[float, float, float]:
+        hue, saturation, value = colorsys.rgb_to_hsv(*color)
+        saturation = min(1.0, saturation * adjustment.saturation_scale)
+        return colorsys.hsv_to_rgb(
+            (hue + adjustment.hue_shift) % 1.0, saturation, min(1.0, value * value_scale)
+        )
+
+    return MeanMaterial(
+        turned(mean.diffuse_albedo, adjustment.value_scale),
+        turned(mean.specular_albedo, 1.0),
+        min(1.0, max(0.0, mean.roughness + adjustment.roughness_offset)),
+        mean.emission,
+    )
+
+
+def draw_adjustment(
+    mean: MeanMaterial, main_class: MaterialClass, strength: float, draws: Draws
+) -> ColorAdjustment:
+    """A variation within the class's :data:`CLASS_RANGES`, scaled by ``strength`` in [0, 1]."""
+    limits = CLASS_RANGES[main_class]
+    hue = draws.uniform(-1, 1) * limits.hue_turns * strength
+    saturation = math.exp(draws.uniform(-1, 1) * math.log(limits.saturation) * strength)
+    value = math.exp(draws.uniform(-1, 1) * math.log(limits.value) * strength)
+    step = draws.uniform(-1, 1) * limits.roughness_step * strength
+    brightest = max(mean.diffuse_albedo)
+    if brightest > 0:
+        target = _held(brightest * value, brightest, *limits.value_limits)
+        value = target / brightest
+    rough = _held(mean.roughness + step, mean.roughness, *limits.roughness_limits)
+    return ColorAdjustment(
+        hue_shift=quantized(hue, 4),
+        saturation_scale=quantized(saturation, 4),
+        value_scale=quantized(value, 4),
+        roughness_offset=quantized(round(rough - mean.roughness, 6), 4),
+    )
+
+
+def _held(moved: float, start: float, low: float, high: float) -> float:
+    """``moved`` inside [low, high], widened to hold ``start``."""
+    return min(max(moved, min(low, start)), max(high, start))
+
+
+def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
+    """Whether a material may go on a slot: right class, opaque, not luminous, tileable where textured."""
+    own = material.material
+    if own.classes[0] not in asset.materials[slot].replaceable_by:
+        return False
+    if own.emission is not None or own.opacity is not None:
+        return False
+    if not own.textures():
+        return True
+    has_uv = all(part.uv_per_m is not None for part in asset.parts if part.material == slot)
+    return own.tile_size_m is not None and has_uv
+
+
+def assign_materials(
+    package: Package,
+    palette: list[Package],
+    recipe: MaterialRecipe,
+    means: MeanMaterials,
+    draws: Draws,
+) -> dict[str, MaterialAssignment]:
+    """Assignments for the slots of one placed asset; slots that keep their material unchanged are absent.
+
+    ``palette`` holds the material packages on offer, in a fixed order. A class is drawn first, then one of
+    its materials, so that a class with many materials does not crowd out the others.
+    """
+    asset = package.asset
+    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    assignments = {}
+    for slot in sorted(asset.materials):
+        own = asset.materials[slot]
+        replaces, varies = draws.chance(recipe.replace_probability), draws.chance(recipe.vary_probability)
+        pick = draws.units(2)
+        if own.emission is not None:
+            continue
+        chosen: Package | None = None
+        fitting = [p for p in palette if isinstance(p.asset, MaterialAsset) and suits(p.asset, slot, asset)]
+        if replaces and fitting:
+            classes = sorted({p.asset.material.classes[0] for p in fitting})  # type: ignore[union-attr]
+            main = classes[int(pick[0] * len(classes))]
+            of_class = [p for p in fitting if p.asset.material.classes[0] == main]  # type: ignore[union-attr]
+            chosen = of_class[int(pick[1] * len(of_class))]
+        material = own if chosen is None else chosen.asset.material  # type: ignore[union-attr]
+        adjustment = ColorAdjustment()
+        if varies:
+            mean = means.mean(chosen or package, material)
+            strength = recipe.variation_strength
+            adjustment = draw_adjustment(mean, material.classes[0], strength, draws)
+        if chosen is not None or adjustment != ColorAdjustment():
+            assignments[slot] = MaterialAssignment(
+                asset=None if chosen is None else chosen.id, adjustment=adjustment
+            )
+    return assignments
+
+
+def worn_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:
+    """Averages of what every slot of a placed asset wears, adjustments and emission included."""
+    package = library.package(placed.asset)
+    asset = package.asset
+    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    worn = {}
+    for slot in sorted(asset.materials):
+        assignment = placed.materials.get(slot, MaterialAssignment())
+        source, material = package, asset.materials[slot]
+        mean = means.mean(source, material)
+        if assignment.asset is not None:
+            source = library.package(assignment.asset)
+            assert isinstance(source.asset, MaterialAsset)
+            replaced = means.mean(source, source.asset.material)
+            mean = MeanMaterial(
+                replaced.diffuse_albedo, replaced.specular_albedo, replaced.roughness, mean.emission
+            )
+        emission = placed.emission.get(slot, mean.emission)
+        changed = adjusted(mean, assignment.adjustment)
+        worn[slot] = MeanMaterial(
+            changed.diffuse_albedo, changed.specular_albedo, changed.roughness, emission
+        )
+    return worn

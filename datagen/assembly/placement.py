@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: MIT
+"""Things on surfaces: at rest, clear of each other and of the room, checked on the meshes themselves.
+
+A candidate is a thing, a surface, a scale, a yaw and a place. It is dropped: points of its underside are cast
+down onto the room's real triangles and the thing comes to rest on the highest of them, so it neither hovers
+nor sinks even where the declared rectangle is a little off. It must stand stably (its centre of mass above
+the hull of its contacts), must not cut into the room or another thing (triangle against triangle, FCL) and
+must not sit inside one of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.assembly.geometry import Floats, RayScene, distance_m, world_points
+from datagen.assembly.random import Draws
+from datagen.assembly.things import (
+    PlacedThing,
+    Room,
+    Thing,
+    convex_hull_2d,
+    margin_inside,
+    pose,
+    rotation_z,
+)
+from datagen.errors import input_error
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
+from datagen.formats.recipe import ObjectRecipe
+
+CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground bear load
+MAX_PENETRATION_M = 5e-4  # coplanar contact counts as a cut in any exact test: it is made this far above
+SURFACE_TOLERANCE_M = 0.02  # how far a declared support may lie off the real surface (a rug, a cloth)
+MIN_CONTACT_MARGIN_M = 2e-3  # a centre of mass nearer to the contact hull's rim would topple
+_MIN_UP = 0.98  # contact normals flatter than 11 degrees
+_WALL_HEIGHT_M = 0.9  # taller floor things tend to stand with their back to a wall
+_WALL_PROBABILITY = 0.65
+_AXES = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """A support surface as numbers: corner, unit edges, lengths."""
+
+    origin: Floats
+    u: Floats
+    v: Floats
+    length_u: float
+    length_v: float
+
+    @classmethod
+    def of(cls, surface: SupportSurface) -> _Frame:
+        u, v = np.array(surface.edge_u_m), np.array(surface.edge_v_m)
+        lu, lv = float(np.linalg.norm(u)), float(np.linalg.norm(v))
+        return cls(np.array(surface.origin_m), u / lu, v / lv, lu, lv)
+
+
+def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurface]:
+    """Surfaces of a kind that the object stands on and that it could fit at its least scale."""
+    low = np.array(asset.minimum_m) * asset.scale_range[0]
+    high = np.array(asset.maximum_m) * asset.scale_range[0]
+    size = np.sort((high - low)[:2])
+    fitting = []
+    for surface in room.support_surfaces:
+        edges = sorted(float(np.linalg.norm(e)) for e in (surface.edge_u_m, surface.edge_v_m))
+        # turned by 45 degrees a thin thing is at most its own diagonal long, so only clear misfits go here
+        fits = size[0] <= edges[0] + 1e-9 and size[1] <= math.hypot(*edges)
+        if surface.kind in asset.supports and high[2] - low[2] <= surface.clearance_m and fits:
+            fitting.append(surface)
+    return fitting
+
+
+class Placer:
+    """Places things one after the other in one room and counts what it rejects."""
+
+    def __init__(self, room: Room, recipe: ObjectRecipe, rejections: Counter[str]):
+        self.room = room
+        self.recipe = recipe
+        self.rejections = rejections
+        self.placed: list[PlacedThing] = []
+
+    def place(self, thing: Thing, draws: Draws) -> PlacedThing | None:
+        """Try up to ``max_attempts`` candidates of a thing; None if none stands."""
+        surfaces = surfaces_for(thing.asset, self.room.asset)
+        if not surfaces:
+            self.rejections["placement.no_surface"] += 1
+            return None
+        weights = [math.sqrt(np.linalg.norm(np.cross(s.edge_u_m, s.edge_v_m))) for s in surfaces]
+        for _ in range(self.recipe.max_attempts):
+            surface = draws.weighted(surfaces, weights)
+            outcome = self._try(thing, surface, draws)
+            if isinstance(outcome, PlacedThing):
+                self.placed.append(outcome)
+                return outcome
+            self.rejections[f"placement.{outcome}"] += 1
+        self.rejections["placement.gave_up"] += 1
+        return None
+
+    def _try(self, thing: Thing, surface: SupportSurface, draws: Draws) -> PlacedThing | str:
+        frame = _Frame.of(surface)
+        scale = draws.uniform(*thing.asset.scale_range)
+        height = float(thing.geometry.maximum_m[2] - thing.geometry.minimum_m[2]) * scale
+        if height > surface.clearance_m:
+            return "too_tall"
+        drawn = self._draw_pose(thing, surface, frame, scale, draws)
+        if drawn is None:
+            return "too_large"
+        yaw, xy = drawn
+        position = np.array([xy[0], xy[1], frame.origin[2] - scale * float(thing.geometry.minimum_m[2])])
+        rest = self._drop(thing, scale, yaw, position)
+        if isinstance(rest, str):
+            return rest
+        position[2] += rest
+        position = np.round(position, 7)
+        return self._checked(thing, surface, scale, yaw, position)
+
+    def _draw_pose(
+        self, thing: Thing, surface: SupportSurface, frame: _Frame, scale: float, draws: Draws
+    ) -> tuple[float, Floats] | None:
+        """Yaw and place (2,) so that the footprint lies inside the rectangle; None if it is too large."""
+        height = float(thing.geometry.maximum_m[2]) * scale
+        likes_wall = surface.kind == "floor" and height > _WALL_HEIGHT_M
+        at_wall = draws.chance(_WALL_PROBABILITY) and likes_wall
+        side, gap, jitter = draws.integer(0, 3), draws.uniform(0.01, 0.08), draws.uniform(-0.03, 0.03)
+        yaw, s, t = draws.uniform(*thing.asset.yaw_range_rad), draws.unit(), draws.unit()
+        if at_wall:
+            outward = (frame.u, -frame.u, frame.v, -frame.v)[side]
+            turned = math.atan2(outward[1], outward[0]) - 0.5 * math.pi + jitter  # its back (+Y) to the wall
+            turned = math.remainder(turned, 2 * math.pi)
+            low, high = thing.asset.yaw_range_rad
+            inside = [turned + k * 2 * math.pi for k in (-1, 0, 1) if low <= turned + k * 2 * math.pi <= high]
+            at_wall, yaw = bool(inside), inside[0] if inside else yaw
+        yaw = float(np.round(yaw, 7))
+        hull = thing.footprint * scale @ rotation_z(yaw)[:2, :2].T
+        along_u, along_v = hull @ frame.u[:2], hull @ frame.v[:2]
+        room_u = frame.length_u - (along_u.max() - along_u.min())
+        room_v = frame.length_v - (along_v.max() - along_v.min())
+        if room_u < 0 or room_v < 0:
+            return None
+        du, dv = s * room_u, t * room_v
+        if at_wall:
+            du = (max(room_u - gap, 0.0), min(gap, room_u), du, du)[side]
+            dv = (dv, dv, max(room_v - gap, 0.0), min(gap, room_v))[side]
+        corner = frame.origin[:2]
+        return yaw, corner + frame.u[:2] * (du - along_u.min()) + frame.v[:2] * (dv - along_v.min())
+
+    def _drop(self, thing: Thing, scale: float, yaw: float, position: Floats) -> float | str:
+        """How much to raise (lower) the thing so that it rests on what is really below it, or why not."""
+        points = world_points(pose(scale, yaw, position), thing.underside)
+        start = points + np.array([0.0, 0.0, SURFACE_TOLERANCE_M])
+        down = np.broadcast_to([0.0, 0.0, -1.0], points.shape)
+        hits = self.room.rays.cast(start, down, 4 * SURFACE_TOLERANCE_M + 0.1)
+        if not hits.hit_mask.any():
+            return "no_support"
+        offset = SURFACE_TOLERANCE_M - hits.distance_m  # the ground's height relative to the point
+        rest = float(offset.max())
+        if rest < -SURFACE_TOLERANCE_M or rest > 0.999 * SURFACE_TOLERANCE_M:
+            return "off_surface"
+        contact = offset >= rest - CONTACT_TOLERANCE_M
+        normals = self.room.rays.normals[hits.face[contact]]
+        if (np.abs(normals[:, 2]) < _MIN_UP).any():
+            return "sloped"
+        hull = convex_hull_2d(points[contact][:, :2])
+        center = world_points(pose(scale, yaw, position), thing.geometry.center_of_mass_m[None])[0, :2]
+        if margin_inside(hull, center) < MIN_CONTACT_MARGIN_M:
+            return "unstable"
+        return rest
+
+    def _checked(
+        self, thing: Thing, surface: SupportSurface, scale: float, yaw: float, position: Floats
+    ) -> PlacedThing | str:
+        """The placed thing, or the reason why it collides."""
+        vertices = world_points(pose(scale, yaw, position), thing.geometry.vertices)
+        used = vertices[np.unique(thing.geometry.faces)]
+        bounds = np.stack([used.min(axis=0), used.max(axis=0)])
+        placed = PlacedThing(thing, surface, scale, yaw, position, bounds)
+        lifted = thing.collision_at(scale).at(
+            rotation_z(yaw), position + np.array([0.0, 0.0, MAX_PENETRATION_M])
+        )
+        if self.room.cuts(lifted, bounds, surface):
+            return "hits_environment"
+        for other in self.placed:
+            fault = self._fault_between(placed, other)
+            if fault:
+                return fault
+        if self.room.trusts_winding and _is_inside_solid(used, self.room.rays):
+            return "inside_solid"
+        return placed
+
+    def _fault_between(self, one: PlacedThing, other: PlacedThing) -> str:
+        gap = self.recipe.min_gap_m
+        if (one.bounds_m[0] > other.bounds_m[1] + gap).any() or (
+            other.bounds_m[0] > one.bounds_m[1] + gap
+        ).any():
+            return ""
+        between = distance_m(one.body, other.body)
+        if between <= 0:
+            return "hits_object"
+        if between < gap:
+            return "too_close_to_object"
+        if is_enclosed(one, other) or is_enclosed(other, one):
+            return "inside_object"
+        return ""
+
+
+def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
+    """Whether, from the centre of ``inner``'s box, ``outer`` is seen along all six axes: a ball in a box."""
+    if (inner.bounds_m[0] < outer.bounds_m[0]).any() or (inner.bounds_m[1] > outer.bounds_m[1]).any():
+        return False
+    center = inner.bounds_m.mean(axis=0)
+    return bool(outer.rays.cast(np.repeat(center[None], 6, axis=0), _AXES).hit_mask.all())
+
+
+def _is_inside_solid(points: Floats, rays: RayScene) -> bool:
+    """Whether most of the points see only backs of triangles: they lie inside a wall or a cushion."""
+    chosen = points[:: max(1, len(points) // 16)][:16]
+    origins = np.repeat(chosen, 6, axis=0)
+    directions = np.tile(_AXES, (len(chosen), 1))
+    hits = rays.cast(origins, directions)
+    backs = rays.sees_back(hits, directions).reshape(-1, 6).sum(axis=1)
+    return bool((backs >= 4).sum() > 0.5 * len(chosen))
+
+
+def place_things(
+    room: Room,
+    things: list[Thing],
+    recipe: ObjectRecipe,
+    key: tuple[int | str, ...],
+    rejections: Counter[str],
+) -> list[PlacedThing]:
+    """Choose things by category weight and place them, large ones first.
+
+    ``key`` seeds the draws. Raises :class:`InputError` when fewer than ``count[0]`` can be placed.
+    """
+    draws = Draws(*key, "objects")
+    target = draws.integer(*recipe.count)
+    if target == 0:
+        return []
+    fitting = [t for t in things if surfaces_for(t.asset, room.asset)]
+    by_category: dict[str, list[Thing]] = {}
+    for thing in sorted(fitting, key=lambda t: t.asset.id):
+        by_category.setdefault(thing.asset.category, []).append(thing)
+    categories = sorted(by_category)
+    weights = [recipe.category_weights.get(c, 1.0) for c in categories]
+    if not any(w > 0 for w in weights):
+        if recipe.count[0] == 0:
+            return []
+        _raise_nothing_fits(room, things)
+    placer = Placer(room, recipe, rejections)
+    chosen = [draws.choice(by_category[draws.weighted(categories, weights)]) for _ in range(target)]
+    order = sorted(range(target), key=lambda k: (-_bulk(chosen[k].asset), k))
+    for k in order:
+        placer.place(chosen[k], Draws(*key, "place", k))
+    extra = 0
+    while len(placer.placed) < target and extra < target:  # what found no room is replaced by something else
+        other = draws.choice(by_category[draws.weighted(categories, weights)])
+        placer.place(other, Draws(*key, "replace", extra))
+        extra += 1
+    if len(placer.placed) < recipe.count[0]:
+        counts = ", ".join(f"{k} {v}" for k, v in sorted(rejections.items()) if k.startswith("placement."))
+        raise input_error(
+            f"environment {room.asset.id}",
+            "objects",
+            f"{len(placer.placed)} placed ({counts})",
+            f"at least {recipe.count[0]} (objects.count)",
+            "lower objects.count, raise objects.max_attempts, or add support surfaces or smaller objects",
+        )
+    return placer.placed
+
+
+def _bulk(asset: ObjectAsset) -> float:
+    size = np.array(asset.maximum_m) - np.array(asset.minimum_m)
+    return float(size[0] * size[1])
+
+
+def _raise_nothing_fits(room: Room, things: list[Thing]) -> None:
+    kinds = sorted({s.kind for s in room.asset.support_surfaces})
+    wanted = sorted({kind for t in things for kind in t.asset.supports})
+    raise input_error(
+        f"environment {room.asset.id}",
+        "support_surfaces",
+        f"kinds {', '.join(kinds) or 'none'}; the objects stand on {', '.join(wanted) or 'nothing'}",
+        "a surface on which some object of positive weight fits",
+        "add support surfaces, other objects, or set objects.count to [0, 0]",
+    )

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: MIT
+"""From (recipe, index, library) to a configuration: a pure function, whoever calls it and in what order.
+
+The steps are choose a room, place things, dress them, light them, look around; each is a module beside this
+one. Splits are by configuration; with ``splits.disjoint`` the library is partitioned too, so that no asset
+of the test or validation split is ever seen in training.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.assembly.free_space import FreeSpace
+from datagen.assembly.geometry import AssetGeometry, GeometryCache, WorldScene
+from datagen.assembly.light_levels import light_room
+from datagen.assembly.lights import RoomToLight
+from datagen.assembly.materials import MeanMaterials, assign_materials, worn_materials
+from datagen.assembly.placement import place_things
+from datagen.assembly.random import Draws, digest
+from datagen.assembly.splits import Pools, pools_of_split, split_of
+from datagen.assembly.things import PlacedThing, Room, Thing
+from datagen.assembly.views import ViewFinder
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.lights import EnvironmentLight
+from datagen.formats.package import Package
+from datagen.formats.recipe import Recipe
+from datagen.library import Library
+
+NUM_EYES = 384  # places where the light is probed
+
+__all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of"]
+
+
+@dataclass
+class _ProcessCaches:
+    """What configurations of one process share: a function of package contents alone."""
+
+    geometry: GeometryCache
+    rooms: dict[str, Room]
+    things: dict[str, Thing]
+    means: MeanMaterials
+
+    def room(self, package: Package) -> Room:
+        """The room of an environment package; only the last few are kept."""
+        if package.sha256 not in self.rooms:
+            if len(self.rooms) >= 2:
+                self.rooms.pop(next(iter(self.rooms)))
+            self.rooms[package.sha256] = Room(self.geometry.get(package))
+        return self.rooms[package.sha256]
+
+    def thing(self, package: Package) -> Thing:
+        """The thing of an object package."""
+        if package.sha256 not in self.things:
+            if len(self.things) >= 200:
+                self.things.clear()
+            assert isinstance(package.asset, ObjectAsset)
+            self.things[package.sha256] = Thing(package.asset, self.geometry.get(package))
+        return self.things[package.sha256]
+
+
+_caches: _ProcessCaches | None = None
+
+
+def _process_caches() -> _ProcessCaches:
+    global _caches
+    if _caches is None:
+        _caches = _ProcessCaches(GeometryCache(), {}, {}, MeanMaterials())
+    return _caches
+
+
+def configuration_id(recipe: Recipe, index: int) -> str:
+    """Id of the recipe's configuration of that index."""
+    return f"{recipe.name}-{index:05d}"
+
+
+def check_recipe(recipe: Recipe, library: Library) -> None:
+    """Look for what would make some configuration fail before any is begun.
+
+    Raises :class:`InputError` for filters and weights that name nothing in the library, for splits that get
+    no configuration or no asset of their own, and for a library without rooms.
+    """
+    from datagen.assembly.splits import recipe_problems
+    from datagen.errors import InputError
+
+    problems = recipe_problems(recipe, library)
+    if problems:
+        raise InputError(*problems)
+
+
+def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
+    """The recipe's configuration number ``index``: equal arguments give equal ``canonical_json`` bytes.
+
+    Raises :class:`InputError` where the library cannot give what the recipe asks, with what was tried.
+    """
+    if not 0 <= index < recipe.configurations:
+        raise IndexError(f"configuration {index} of {recipe.configurations}")
+    caches = _process_caches()
+    split = split_of(recipe, index)
+    pools = pools_of_split(recipe, library, split)
+    key: tuple[int | str, ...] = (recipe.seed, index)
+    rejections: Counter[str] = Counter()
+
+    environment = Draws(*key, "environment").choice(pools.environments)
+    room = caches.room(environment)
+    things = [caches.thing(package) for package in pools.objects]
+    placed_things = place_things(room, things, recipe.objects, key, rejections)
+    placed, packages = _dress(recipe, key, environment, placed_things, pools, library, caches)
+
+    geometries = [caches.geometry.get(package) for package in packages]
+    scene = _world(geometries, placed)
+    space = FreeSpace(room.asset, scene.rays, recipe.cameras.height_m)
+    space.check()
+    eyes = space.points(NUM_EYES, 0.1, Draws(*key, "eyes"), rejections)
+    worn = tuple(worn_materials(p, library, caches.means) for p in placed)
+    assets = tuple(g.asset for g in geometries)
+    to_light = RoomToLight(room.asset, scene, tuple(placed), assets, worn, eyes, space.trusts_winding)
+    lighting = light_room(to_light, recipe.lights, library, key, rejections)
+    placed = [p.model_copy(update={"emission": e}) for p, e in zip(placed, lighting.emission, strict=True)]
+
+    finder = ViewFinder(scene, space, lighting, recipe.cameras, recipe.resolution, key, rejections)
+    cameras = finder.find(recipe.views)
+    return Configuration(
+        id=configuration_id(recipe, index),
+        index=index,
+        seed=int.from_bytes(digest(*key, "renderer")[:8], "little") >> 1,
+        split=split,
+        environment=placed[0],
+        objects=tuple(placed[1:]),
+        lights=lighting.lights,
+        cameras=tuple(ViewCamera.from_camera(f"view-{k:03d}", camera) for k, camera in enumerate(cameras)),
+        assets=_hashes(placed, lighting.lights, library),
+        rejections={name: rejections[name] for name in sorted(rejections) if rejections[name]},
+    )
+
+
+def assemble_all(
+    recipe: Recipe, library: Library, indices: Iterable[int] | None = None
+) -> Iterator[Configuration]:
+    """Configurations one after the other, all or those of ``indices``, after :func:`check_recipe`."""
+    check_recipe(recipe, library)
+    for index in range(recipe.configurations) if indices is None else indices:
+        yield assemble(recipe, index, library)
+
+
+def _dress(
+    recipe: Recipe,
+    key: tuple[int | str, ...],
+    environment: Package,
+    things: list[PlacedThing],
+    pools: Pools,
+    library: Library,
+    caches: _ProcessCaches,
+) -> tuple[list[PlacedAsset], list[Package]]:
+    """Room and things as placed assets with materials, room first, and their packages."""
+    packages = [environment] + [library.package(t.thing.asset.id) for t in things]
+    placed = []
+    for item, package in enumerate(packages):
+        materials = assign_materials(
+            package, pools.materials, recipe.materials, caches.means, Draws(*key, "materials", item)
+        )
+        if item == 0:
+            placed.append(PlacedAsset(name="room", asset=package.id, materials=materials))
+            continue
+        thing = things[item - 1]
+        rows = tuple(tuple(round(float(x), 9) for x in row) for row in thing.world_from_asset)
+        placed.append(
+            PlacedAsset(
+                name=f"thing-{item - 1:02d}-{package.id}",
+                asset=package.id,
+                world_from_asset=rows,  # type: ignore[arg-type]
+                materials=materials,
+                support=thing.support.name,
+            )
+        )
+    return placed, packages
+
+
+def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldScene:
+    objects = [
+        (geometry, np.array(p.world_from_asset))
+        for geometry, p in zip(geometries[1:], placed[1:], strict=True)
+    ]
+    assert isinstance(geometries[0].asset, EnvironmentAsset)
+    return WorldScene(geometries[0], objects)
+
+
+def _hashes(placed: list[PlacedAsset], lights: tuple, library: Library) -> dict[str, str]:
+    used = {p.asset for p in placed}
+    used |= {a.asset for p in placed for a in p.materials.values() if a.asset is not None}
+    used |= {light.asset for light in lights if isinstance(light, EnvironmentLight) and light.asset}
+    return {asset_id: library.package(asset_id).sha256 for asset_id in sorted(used)}

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: MIT
+"""Random numbers that depend on their key alone: not on order, workers, hash seeds or NumPy's version.
+
+Every draw of a configuration comes from a :class:`Draws` keyed by (recipe seed, configuration, purpose,
+index). Only NumPy's raw Philox stream is used, whose bits NumPy guarantees for ever; ``Generator``'s
+distributions may change between its releases, so the few that are needed are written out here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+ItemT = TypeVar("ItemT")
+
+
+def digest(*key: int | str) -> bytes:
+    """SHA-256 of a key; the parts are typed and length-prefixed, so ("a", "bc") and ("ab", "c") differ."""
+    text = "".join(f"{type(part).__name__}:{len(str(part))}:{part};" for part in key)
+    return hashlib.sha256(text.encode()).digest()
+
+
+class Draws:
+    """A stream of draws for one key."""
+
+    def __init__(self, *key: int | str):
+        self._bits = np.random.Philox(key=int.from_bytes(digest(*key)[:16], "little"))
+
+    def units(self, *shape: int) -> NDArray[np.float64]:
+        """Uniform in [0, 1), of the given shape."""
+        count = math.prod(shape)
+        raw = np.atleast_1d(self._bits.random_raw(count)) if count else np.zeros(0, np.uint64)
+        return ((raw >> np.uint64(11)).astype(np.float64) * 2.0**-53).reshape(shape)
+
+    def unit(self) -> float:
+        """One uniform number in [0, 1)."""
+        return float(self.units(1)[0])
+
+    def uniform(self, low: float, high: float) -> float:
+        """Uniform in [low, high]."""
+        return low + (high - low) * self.unit()
+
+    def log_uniform(self, low: float, high: float) -> float:
+        """Uniform in the logarithm, in [low, high]; both positive."""
+        return math.exp(self.uniform(math.log(low), math.log(high)))
+
+    def normal(self) -> float:
+        """Standard normal (Box-Muller)."""
+        u, v = self.units(2).tolist()
+        return math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
+
+    def integer(self, low: int, high: int) -> int:
+        """Uniform integer in [low, high], both included."""
+        return min(low + int(self.unit() * (high - low + 1)), high)
+
+    def chance(self, probability: float) -> bool:
+        """True with the given probability."""
+        return self.unit() < probability
+
+    def choice(self, items: Sequence[ItemT]) -> ItemT:
+        """One of the items, uniformly."""
+        return items[self.integer(0, len(items) - 1)]
+
+    def weighted(self, items: Sequence[ItemT], weights: Sequence[float]) -> ItemT:
+        """One of the items with probability proportional to its weight; some weight must be positive."""
+        cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
+        if not cumulative[-1] > 0:
+            raise ValueError("expected a positive weight")
+        index = int(np.searchsorted(cumulative, self.unit() * cumulative[-1], side="right"))
+        last = int(np.flatnonzero(np.asarray(weights) > 0)[-1])
+        return items[min(index, last)]
+
+    def shuffled(self, items: Sequence[ItemT]) -> list[ItemT]:
+        """The items in random order."""
+        return [items[i] for i in np.argsort(self.units(len(items)), kind="stable").tolist()]
+
+    def sphere(self, count: int) -> NDArray[np.float64]:
+        """Directions uniform on the unit sphere, (count, 3)."""
+        u = self.units(count, 2)
+        z = 1.0 - 2.0 * u[:, 0]
+        radius = np.sqrt(np.maximum(0.0, 1.0 - z * z))
+        angle = 2.0 * np.pi * u[:, 1]
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: MIT
+"""Splits: which configurations are for training, validation and test, and which assets each may use.
+
+Configurations are dealt out evenly along their index (so that any prefix of a dataset has about the right
+shares) by exact arithmetic. With ``splits.disjoint`` each pool of assets (environments, objects of one
+category, materials of one main class) is dealt out in the order of a hash of its ids; assets that share a
+file by content always go together, so that a texture cannot leak under another name.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from fractions import Fraction
+from weakref import WeakKeyDictionary
+
+from datagen.assembly.random import digest
+from datagen.errors import InputError, Problem
+from datagen.formats.asset import MaterialAsset, ObjectAsset
+from datagen.formats.base import canonical_json, sha256_hex
+from datagen.formats.configuration import Split
+from datagen.formats.package import Package
+from datagen.formats.recipe import AssetFilter, Recipe
+from datagen.library import Library
+
+SPLITS: tuple[Split, ...] = ("train", "validation", "test")
+
+
+@dataclass(frozen=True)
+class Pools:
+    """The packages that a split may draw from, each list in the order of ids."""
+
+    environments: list[Package]
+    objects: list[Package]
+    materials: list[Package]
+
+
+def _shares(recipe: Recipe) -> dict[Split, Fraction]:
+    raw = {split: Fraction(getattr(recipe.splits, split)).limit_denominator(10**6) for split in SPLITS}
+    total = sum(raw.values())
+    return {split: share / total for split, share in raw.items()}
+
+
+def _before(share: Fraction, count: int) -> int:
+    """How many of the first ``count`` are dealt to a share: the nearest integer."""
+    return (2 * share.numerator * count + share.denominator) // (2 * share.denominator)
+
+
+def split_of(recipe: Recipe, index: int) -> Split:
+    """Split of a configuration, in constant time."""
+    shares = _shares(recipe)
+    tests = _before(shares["test"], index)
+    if _before(shares["test"], index + 1) > tests:
+        return "test"
+    if shares["test"] == 1:
+        return "test"
+    rank = index - tests  # among those that are not for test
+    share = shares["validation"] / (1 - shares["test"])
+    return "validation" if _before(share, rank + 1) > _before(share, rank) else "train"
+
+
+def split_counts(recipe: Recipe) -> dict[Split, int]:
+    """How many configurations each split gets."""
+    shares = _shares(recipe)
+    tests = _before(shares["test"], recipe.configurations)
+    rest = recipe.configurations - tests
+    share = shares["validation"] / (1 - shares["test"]) if shares["test"] < 1 else Fraction(0)
+    validation = _before(share, rest)
+    return {"train": rest - validation, "validation": validation, "test": tests}
+
+
+_POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDictionary()
+
+
+def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
+    """What a split may use. Raises :class:`InputError` as :func:`recipe_problems` lists."""
+    per_recipe = _POOLS.setdefault(library, {})
+    key = sha256_hex(canonical_json(recipe))
+    if key not in per_recipe:
+        problems = recipe_problems(recipe, library)
+        if problems:
+            raise InputError(*problems)
+        per_recipe.clear()
+        per_recipe[key] = _all_pools(recipe, library)
+    return per_recipe[key][split]
+
+
+def _filtered(packages: list[Package], wanted: AssetFilter) -> list[Package]:
+    included = None if wanted.include is None else set(wanted.include)
+    return [p for p in packages if p.id not in wanted.exclude and (included is None or p.id in included)]
+
+
+def _everything(recipe: Recipe, library: Library) -> Pools:
+    return Pools(
+        _filtered(library.select("environment"), recipe.environments),
+        _filtered(library.select("object"), recipe.objects),
+        _filtered(library.select("material"), recipe.materials),
+    )
+
+
+def _all_pools(recipe: Recipe, library: Library) -> dict[Split, Pools]:
+    everything = _everything(recipe, library)
+    if not recipe.splits.disjoint:
+        return dict.fromkeys(SPLITS, everything)
+    home = partition(recipe, everything)
+
+    def of(packages: list[Package], split: Split) -> list[Package]:
+        return [p for p in packages if home[p.id] == split]
+
+    return {
+        split: Pools(
+            of(everything.environments, split), of(everything.objects, split), of(everything.materials, split)
+        )
+        for split in SPLITS
+    }
+
+
+def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
+    """The split that each asset belongs to.
+
+    Each pool is dealt out so that every split in use gets at least one asset if there are enough, training
+    first. Families (assets that share a file's content) are dealt as one, with their first member's pool.
+    """
+    shares = _shares(recipe)
+    used = [split for split in SPLITS if shares[split] > 0]
+    family_of = _families([*pools.environments, *pools.objects, *pools.materials])
+    home: dict[str, Split] = {}
+    for pool in _dealing_order(pools):
+        ids = sorted({family_of[p.id] for p in pool}, key=lambda i: digest(recipe.seed, "partition", i))
+        open_ids = [i for i in ids if i not in home]
+        dealt = {split: sum(home.get(i) == split for i in ids) for split in used}
+        for family in open_ids:
+            # the split that lacks most; one that has none yet comes first, training before all
+            lack = [(dealt[s] == 0, float(shares[s] * len(ids)) - dealt[s], -k) for k, s in enumerate(used)]
+            best = used[max(range(len(used)), key=lambda k: lack[k])]
+            home[family] = best
+            dealt[best] += 1
+    return {p.id: home[family_of[p.id]] for p in (*pools.environments, *pools.objects, *pools.materials)}
+
+
+def _dealing_order(pools: Pools) -> list[list[Package]]:
+    """Environments, then objects by category, then materials by main class."""
+    groups: dict[tuple[int, str], list[Package]] = {}
+    for package in pools.environments:
+        groups.setdefault((0, ""), []).append(package)
+    for package in pools.objects:
+        assert isinstance(package.asset, ObjectAsset)
+        groups.setdefault((1, package.asset.category), []).append(package)
+    for package in pools.materials:
+        assert isinstance(package.asset, MaterialAsset)
+        groups.setdefault((2, package.asset.material.classes[0]), []).append(package)
+    return [groups[key] for key in sorted(groups)]
+
+
+def _families(packages: list[Package]) -> dict[str, str]:
+    """The least id among the assets that share a texture or mesh with an asset, directly or in a chain."""
+    parent = {p.id: p.id for p in packages}
+
+    def root(asset_id: str) -> str:
+        while parent[asset_id] != asset_id:
+            asset_id = parent[asset_id]
+        return asset_id
+
+    owner: dict[str, str] = {}
+    for package in packages:
+        for name in package.names():
+            content = sha256_hex(package.read_bytes(name))
+            one, other = root(owner.setdefault(content, package.id)), root(package.id)
+            parent[max(one, other)] = min(one, other)
+    return {asset_id: root(asset_id) for asset_id in parent}
+
+
+def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
+    """Everything in which a recipe and a library do not go together."""
+    where = f"recipe {recipe.name}"
+    problems = _name_problems(recipe, library, where)
+    pools = _everything(recipe, library)
+    if not pools.environments:
+        got = "no usable environment" + (
+            " (evaluation_only ones do not count)"
+            if library.select("environment", for_training=False)
+            else ""
+        )
+        problems.append(
+            Problem(
+                where,
+                "environments",
+                got,
+                "at least one environment in the library",
+                "add one with --library",
+            )
+        )
+    if not pools.objects and recipe.objects.count[0] > 0:
+        problems.append(
+            Problem(
+                where,
+                "objects",
+                "no usable object",
+                f"some, for count {list(recipe.objects.count)}",
+                "add objects to the library or set objects.count to [0, 0]",
+            )
+        )
+    counts = split_counts(recipe)
+    for split in SPLITS:
+        share = getattr(recipe.splits, split)
+        if share > 0 and counts[split] == 0:
+            problems.append(
+                Problem(
+                    where,
+                    f"splits.{split}",
+                    f"{share:g}, none of {recipe.configurations} configurations",
+                    "at least one configuration",
+                    "raise configurations or the share, or set it to 0",
+                )
+            )
+    if recipe.splits.disjoint and not problems:
+        problems += _disjoint_problems(recipe, pools, where)
+    return problems
+
+
+def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem]:
+    home = partition(recipe, pools)
+    problems = []
+    for split in SPLITS:
+        if getattr(recipe.splits, split) <= 0:
+            continue
+        lacking = [] if any(home[p.id] == split for p in pools.environments) else ["environment"]
+        if recipe.objects.count[0] > 0 and not any(home[p.id] == split for p in pools.objects):
+            lacking.append("object")
+        for kind in lacking:
+            problems.append(
+                Problem(
+                    where,
+                    "splits.disjoint",
+                    f"no {kind} for the {split} split",
+                    f"an {kind} of its own for every split, sharing no file with another split's",
+                    f"add {kind}s to the library, or set splits.disjoint to false or splits.{split} to 0",
+                )
+            )
+    return problems
+
+
+def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem]:
+    problems = []
+
+    def check(field: str, name: str, known: list[str], what: str) -> None:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 3)
+            remedy = (
+                f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known[:12]) or 'none'}"
+            )
+            problems.append(Problem(where, field, repr(name), what, remedy))
+
+    for field, kind in (("environments", "environment"), ("objects", "object"), ("materials", "material")):
+        wanted: AssetFilter = getattr(recipe, field)
+        known = [p.id for p in library.select(kind, for_training=False)]  # type: ignore[arg-type]
+        usable = {p.id for p in library.select(kind)}  # type: ignore[arg-type]
+        for name in wanted.include or ():
+            check(f"{field}.include", name, known, f"an {kind} of the library")
+            if name in known and name not in usable:
+                problems.append(
+                    Problem(
+                        where,
+                        f"{field}.include",
+                        repr(name),
+                        "an asset that may be used for training",
+                        "it is marked evaluation_only: leave it out",
+                    )
+                )
+        for name in wanted.exclude:
+            check(f"{field}.exclude", name, known, f"an {kind} of the library")
+    categories = library.categories(for_training=False)
+    for name in recipe.objects.category_weights:
+        check("objects.category_weights", name, categories, "a category of the library")
+    for name in recipe.lights.environment_images:
+        check("lights.environment_images", name, [p.id for p in library], "an asset of the library")
+    return problems

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: MIT
+"""Things and rooms as placement sees them: footprints, undersides, poses, and what is solid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.assembly.geometry import (
+    AssetGeometry,
+    CollisionModel,
+    Floats,
+    Ints,
+    RayScene,
+    intersects,
+    world_points,
+)
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
+
+_MAX_UNDERSIDE_POINTS = 600
+
+
+def convex_hull_2d(points: Floats) -> Floats:
+    """Corners of the convex hull of (N, 2) points, counter-clockwise; fewer than 3 where it is degenerate."""
+    unique = np.unique(np.round(points, 9), axis=0)
+    if len(unique) < 3:
+        return unique
+    chains = []
+    for run in (unique, unique[::-1]):
+        chain: list[Floats] = []
+        for point in run:
+            while len(chain) > 1 and _cross(chain[-1] - chain[-2], point - chain[-2]) <= 0:
+                chain.pop()
+            chain.append(point)
+        chains += chain[:-1]
+    return np.array(chains)
+
+
+def _cross(a: Floats, b: Floats) -> float:
+    return float(a[0] * b[1] - a[1] * b[0])
+
+
+def margin_inside(hull: Floats, point: Floats) -> float:
+    """Distance of a point to the rim of a convex polygon (K, 2), negative outside; -inf for K < 3."""
+    if len(hull) < 3:
+        return -math.inf
+    edges = np.roll(hull, -1, axis=0) - hull
+    lengths = np.maximum(np.linalg.norm(edges, axis=1), 1e-300)
+    to_point = point - hull
+    return float(((edges[:, 0] * to_point[:, 1] - edges[:, 1] * to_point[:, 0]) / lengths).min())
+
+
+@dataclass(frozen=True)
+class Thing:
+    """An object asset ready to be placed: what placement needs from its mesh, at scale 1 in its own frame."""
+
+    asset: ObjectAsset
+    geometry: AssetGeometry
+
+    @cached_property
+    def footprint(self) -> Floats:
+        """Convex hull of the mesh seen from above, (K, 2)."""
+        used = self.geometry.vertices[np.unique(self.geometry.faces)]
+        return convex_hull_2d(used[:, :2])
+
+    @cached_property
+    def underside(self) -> Floats:
+        """Points that could touch the ground, (P, 3): low vertices and a lattice on low downward faces."""
+        geometry = self.geometry
+        low = geometry.minimum_m[2]
+        band = low + max(0.003, 0.03 * float(geometry.maximum_m[2] - low))
+        used = geometry.vertices[np.unique(geometry.faces)]
+        rays = geometry.rays
+        flat = (rays.corners[:, :, 2] <= band).all(axis=1) & (rays.normals[:, 2] < -0.3)
+        points = np.concatenate([used[used[:, 2] <= band], _lattice(rays.corners[flat])])
+        points = np.unique(np.round(points, 7), axis=0)
+        if len(points) <= _MAX_UNDERSIDE_POINTS:
+            return points
+        lowest = points[points[:, 2] <= low + 5e-4]
+        rim = convex_hull_2d(lowest[:, :2] if len(lowest) >= 3 else points[:, :2])
+        on_rim = (np.abs(points[:, None, :2] - rim[None]) < 1e-6).all(axis=2).any(axis=1)
+        stride = np.zeros(len(points), dtype=bool)
+        stride[:: -(-len(points) // _MAX_UNDERSIDE_POINTS)] = True
+        return points[on_rim | stride]
+
+    @cached_property
+    def _models(self) -> dict[float, CollisionModel]:
+        return {}
+
+    def collision_at(self, scale: float) -> CollisionModel:
+        """The collision model at a scale (FCL moves models rigidly, it does not scale them)."""
+        if scale not in self._models:
+            self._models.clear()  # most assets have one scale; others draw a new one for every candidate
+            self._models[scale] = CollisionModel(self.geometry.vertices * scale, self.geometry.faces)
+        return self._models[scale]
+
+
+def _lattice(corners: Floats) -> Floats:
+    """Interior points of triangles (M, 3, 3): centroids and, for large ones, a 4-point refinement."""
+    if len(corners) == 0:
+        return np.zeros((0, 3))
+    weights = np.array(
+        [[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [0, 1, 1], [1, 0, 1], [1, 1, 0]], np.float64
+    )
+    weights /= weights.sum(axis=1, keepdims=True)
+    return np.einsum("kc,mcx->mkx", weights, corners).reshape(-1, 3)
+
+
+def pose(scale: float, yaw_rad: float, position_m: Floats) -> NDArray[np.float64]:
+    """``world_from_asset`` (4, 4) of a uniformly scaled, upright thing."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation_z(yaw_rad)
+    matrix[:3, 3] = position_m
+    return matrix
+
+
+def rotation_z(angle_rad: float) -> NDArray[np.float64]:
+    """Rotation about +Z, (3, 3)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class PlacedThing:
+    """A thing at rest. ``bounds_m`` (2, 3) is its box in the world."""
+
+    thing: Thing
+    support: SupportSurface
+    scale: float
+    yaw_rad: float
+    position_m: Floats
+    bounds_m: Floats
+
+    @property
+    def world_from_asset(self) -> NDArray[np.float64]:
+        """Scale, yaw and position as one matrix, (4, 4)."""
+        return pose(self.scale, self.yaw_rad, self.position_m)
+
+    @cached_property
+    def body(self) -> Any:
+        """FCL object at its place."""
+        return self.thing.collision_at(self.scale).at(rotation_z(self.yaw_rad), self.position_m)
+
+    @cached_property
+    def rays(self) -> RayScene:
+        """Its triangles in the world."""
+        geometry = self.thing.geometry
+        return RayScene(world_points(self.world_from_asset, geometry.vertices), geometry.faces)
+
+
+class Room:
+    """An environment as ground to stand on and obstacle to keep clear of."""
+
+    def __init__(self, geometry: AssetGeometry):
+        assert isinstance(geometry.asset, EnvironmentAsset)
+        self.asset: EnvironmentAsset = geometry.asset
+        self.geometry = geometry
+        self.rays = geometry.rays
+        corners = self.rays.corners
+        self._face_bounds = corners.min(axis=1), corners.max(axis=1)
+        self._near_surface: dict[str, Ints] = {}
+
+    @cached_property
+    def trusts_winding(self) -> bool:
+        """Whether triangles turn their fronts to free space, seen from the room's own support surfaces.
+
+        Scenes from the wild are often wound at random; then a back face proves nothing.
+        """
+        shown, backs = 0, 0
+        for surface in self.asset.support_surfaces:
+            start = np.array(surface.origin_m) + 0.5 * (
+                np.array(surface.edge_u_m) + np.array(surface.edge_v_m)
+            )
+            start[2] += min(0.5 * surface.clearance_m, 0.3)
+            directions = fibonacci_sphere(64)
+            hits = self.rays.cast(start, directions)
+            shown += int(hits.hit_mask.sum())
+            backs += int(self.rays.sees_back(hits, directions).sum())
+        return shown > 0 and backs < 0.1 * shown
+
+    def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
+        """Triangles whose boxes meet a box (2, 3) that lies in the column above a surface."""
+        low, high = self._face_bounds
+        if surface.name not in self._near_surface:
+            u, v, o = (np.array(x) for x in (surface.edge_u_m, surface.edge_v_m, surface.origin_m))
+            rim = np.array([o, o + u, o + v, o + u + v])
+            bottom, top = rim.min(axis=0) - 0.1, rim.max(axis=0) + 0.1
+            top[2] += surface.clearance_m
+            self._near_surface[surface.name] = np.flatnonzero(((low <= top) & (high >= bottom)).all(axis=1))
+        near = self._near_surface[surface.name]
+        return near[((low[near] <= bounds_m[1]) & (high[near] >= bounds_m[0])).all(axis=1)]
+
+    def cuts(self, body: Any, bounds_m: Floats, surface: SupportSurface) -> bool:
+        """Whether a placed FCL body meets the room's surfaces."""
+        near = self.triangles_in(bounds_m, surface)
+        if len(near) == 0:
+            return False
+        return intersects(CollisionModel(self.geometry.vertices, self.geometry.faces[near]).at(), body)
+
+
+def fibonacci_sphere(count: int) -> Floats:
+    """``count`` directions spread evenly over the sphere, (count, 3); always the same."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    angle = math.pi * (1 + math.sqrt(5)) * k
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)

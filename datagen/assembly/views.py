@@ -1,0 +1,350 @@
+# SPDX-License-Identifier: MIT
+"""Cameras: where a person with a camera would stand, looking at what is in the room.
+
+Candidates are drawn in free space, aimed at things, and looked through at low resolution on the real
+triangles. What is too close, shows too little, is too dark or shares too little with the other views is
+thrown away and counted. The views are then chosen one by one among the rest: each must share enough with
+those chosen before, and among those that do, the one that differs most in place and direction wins.
+Letters: C candidates, H x W pixels of the low-resolution image, P points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.assembly.free_space import FreeSpace
+from datagen.assembly.geometry import Floats, WorldScene
+from datagen.assembly.light_levels import Lighting
+from datagen.assembly.random import Draws
+from datagen.cameras import Camera, look_at
+from datagen.errors import input_error
+from datagen.formats.base import quantized
+from datagen.formats.recipe import CameraRecipe
+
+PREVIEW_WIDTH_PX = 64
+MAX_NEAR_PIXELS = 0.02  # share of the image that may be nearer than min_distance_m
+MAX_OPEN_PIXELS = 0.4  # share of the image that may show nothing at all
+MIN_THING_PIXELS = 0.03  # share of the image that things (not walls and floor) must fill
+_MIN_INSTANCE_PIXELS = 0.0015  # an instance that covers less is not "seen"
+_BATCH = 16
+_LUMINANCE_GRID = (18, 10)
+_LUMINANCE_SAMPLES = 4
+_MAX_PITCH_RAD = math.radians(38.0)
+_ROLL_RAD = math.radians(1.2)  # a hand is not a tripod
+_SHELL_SPAN = 0.7  # a part this long compared with the room is wall, floor or ceiling
+_OVERLAP_POINTS = 400
+_DEPTH_SLACK = 1.02
+_NUM_COMPARED = 12  # eligible candidates among which the most different one is taken
+_MIN_NOVELTY = 0.04
+
+
+@dataclass
+class Candidate:
+    """A camera that passed the single-view checks, and what it sees at low resolution.
+
+    ``distance_m`` (H, W) along the ray, inf where nothing is hit; ``points`` (P, 3) of seen surface.
+    """
+
+    camera: Camera
+    preview: Camera
+    distance_m: Floats
+    points: Floats
+    luminance: float = 0.0
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What cameras aim at: centres of placed things, and points on the furniture of the room."""
+
+    scene: WorldScene
+    thing_centers: Floats
+    furniture_faces: list[NDArray[np.int64]]
+    thing_instances: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, scene: WorldScene) -> Subject:
+        """Find the things of a scene; shells (walls, floor, ceiling) are told by their size."""
+        corners = scene.rays.corners
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        inside = scene.item_of_face == 0
+        room_low, room_high = low[inside].min(axis=0), high[inside].max(axis=0)
+        size = np.maximum(room_high - room_low, 1e-6)
+        is_thing = np.zeros(scene.num_instances, dtype=bool)
+        furniture, centers = [], []
+        for instance in np.unique(scene.instance_of_face).tolist():
+            faces = np.flatnonzero(scene.instance_of_face == instance)
+            lowest, highest = low[faces].min(axis=0), high[faces].max(axis=0)
+            if instance >= scene.num_environment_parts:
+                is_thing[instance] = True
+                centers.append(0.5 * (lowest + highest))
+            elif float(((highest - lowest) / size)[:2].max()) < _SHELL_SPAN:
+                is_thing[instance] = True
+                furniture.append(faces)
+        return cls(scene, np.array(centers).reshape(-1, 3), furniture, is_thing)
+
+    def draw(self, draws: Draws) -> Floats:
+        """A point (3,) to look at."""
+        pick, u = draws.unit(), draws.units(3)
+        if len(self.thing_centers) and (pick < 0.65 or not self.furniture_faces):
+            return self.thing_centers[int(u[0] * len(self.thing_centers))]
+        faces = np.arange(len(self.scene.rays.faces))
+        if self.furniture_faces:
+            faces = self.furniture_faces[int(u[0] * len(self.furniture_faces))]
+        area = np.cumsum(self.scene.rays.areas[faces])
+        chosen = min(int(np.searchsorted(area, u[1] * area[-1], side="right")), len(faces) - 1)
+        return self.scene.rays.corners[faces[chosen]].mean(axis=0)
+
+
+@dataclass
+class ViewFinder:
+    """Finds the cameras of one configuration; ``key`` seeds every draw."""
+
+    scene: WorldScene
+    space: FreeSpace
+    lighting: Lighting
+    recipe: CameraRecipe
+    resolution: tuple[int, int]
+    key: tuple[int | str, ...]
+    rejections: Counter[str]
+    num_drawn: int = field(default=0, init=False)
+
+    def find(self, count: int) -> list[Camera]:
+        """``count`` cameras. Raises :class:`InputError` with all counts where there are too few."""
+        self.space.check()
+        subject = Subject.of(self.scene)
+        limit = count * self.recipe.max_attempts
+        pool: list[Candidate] = []
+        wanted = count + max(8, count // 2)
+        while True:
+            fresh = self._extend(subject, wanted - len(pool), limit)
+            pool = self._lit(pool + fresh)
+            chosen, num_lonely = choose_views(
+                pool, count, self.recipe.min_overlap, Draws(*self.key, "choose")
+            )
+            if len(chosen) == count:
+                return [pool[k].camera for k in chosen]
+            if self.num_drawn >= limit:
+                self.rejections["camera.too_little_overlap"] += num_lonely
+                self.rejections["camera.too_similar"] += len(pool) - len(chosen) - num_lonely
+                self._raise_shortfall(len(chosen), count)
+            wanted = len(pool) + max(8, 2 * (count - len(chosen)))
+
+    def _raise_shortfall(self, found: int, count: int) -> None:
+        reasons = {k: v for k, v in sorted(self.rejections.items()) if k.startswith("camera.") and v}
+        worst = max(reasons, key=lambda k: (reasons[k], k), default="")
+        advice = {
+            "camera.inside_solid": "the camera region lies inside geometry: mend its camera_regions",
+            "camera.outside": "the camera region lies outside the room: mend its camera_regions",
+            "camera.no_floor": "its cameras stand over nothing: give it camera_regions",
+            "camera.too_close": "lower cameras.min_distance_m or enlarge the camera region",
+            "camera.too_near": "lower cameras.min_distance_m, raise max_near_share or place fewer objects",
+            "camera.faces_outside": "keep the camera region away from open sides",
+            "camera.too_little_content": "lower cameras.min_content, widen fov_x_deg or place more objects",
+            "camera.too_dark": "lower cameras.min_luminance or add lights",
+            "camera.too_little_overlap": "lower cameras.min_overlap or widen cameras.fov_x_deg",
+            "camera.too_similar": "ask for fewer views or enlarge the camera region",
+        }.get(worst, "raise cameras.max_attempts")
+        listed = ", ".join(f"{k.removeprefix('camera.')} {v}" for k, v in reasons.items())
+        raise input_error(
+            f"environment {self.space.environment.id}",
+            "views",
+            f"{found} of {self.num_drawn} candidates ({listed})",
+            f"{count} cameras",
+            f"{advice}; or raise cameras.max_attempts (now {self.recipe.max_attempts})",
+        )
+
+    def _extend(self, subject: Subject, wanted: int, limit: int) -> list[Candidate]:
+        """Draw candidates in batches until ``wanted`` pass or the limit is reached."""
+        fresh: list[Candidate] = []
+        while len(fresh) < wanted and self.num_drawn < limit:
+            size = min(_BATCH, limit - self.num_drawn)
+            for number in range(self.num_drawn, self.num_drawn + size):
+                outcome = self._look(subject, Draws(*self.key, "camera", number))
+                if isinstance(outcome, Candidate):
+                    fresh.append(outcome)
+                else:
+                    self.rejections[f"camera.{outcome}"] += 1
+            self.num_drawn += size
+        self._measure(fresh)
+        return fresh
+
+    def _look(self, subject: Subject, draws: Draws) -> Candidate | str:
+        """One candidate, or why not."""
+        position = self.space.draw(draws)
+        if position is None:
+            return "no_floor"
+        position = np.round(position, 6)
+        fault = self.space.fault(position, 0.5 * self.recipe.min_distance_m)
+        if fault:
+            return fault
+        camera = self._aim(position, subject.draw(draws), draws)
+        preview = preview_of(camera)
+        directions = preview.ray_directions().reshape(-1, 3)
+        hits = self.scene.rays.cast(position, directions)
+        near = self.recipe.min_distance_m
+        if (hits.distance_m < near).mean() > MAX_NEAR_PIXELS:
+            return "too_close"
+        if (hits.distance_m < 2 * near).mean() > self.recipe.max_near_share:
+            return "too_near"
+        if (~hits.hit_mask).mean() > MAX_OPEN_PIXELS:
+            return "faces_outside"
+        if not self._shows_enough(hits.face[hits.hit_mask], len(directions), subject):
+            return "too_little_content"
+        seen = np.flatnonzero(hits.hit_mask)
+        seen = seen[:: max(1, len(seen) // _OVERLAP_POINTS)]
+        points = position + hits.distance_m[seen, None] * directions[seen]
+        shape = (preview.height_px, preview.width_px)
+        return Candidate(camera, preview, hits.distance_m.reshape(shape), points)
+
+    def _shows_enough(self, faces: NDArray[np.int64], num_pixels: int, subject: Subject) -> bool:
+        pixels = np.bincount(self.scene.instance_of_face[faces], minlength=self.scene.num_instances)
+        num_seen = int((pixels >= max(2.0, _MIN_INSTANCE_PIXELS * num_pixels)).sum())
+        if num_seen < self.recipe.min_content:
+            return False
+        if not subject.thing_instances.any():
+            return True
+        return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
+
+    def _aim(self, position: Floats, target: Floats, draws: Draws) -> Camera:
+        """A camera at ``position`` with the target somewhere in the middle of its image, held level."""
+        width, height = self.resolution
+        fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
+        focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
+        offset = target - position
+        azimuth = math.atan2(offset[1], offset[0]) + draws.uniform(-0.28, 0.28) * fov
+        pitch = math.atan2(offset[2], math.hypot(offset[0], offset[1]))
+        pitch += draws.uniform(-0.22, 0.22) * fov * height / width
+        pitch = min(max(pitch, -_MAX_PITCH_RAD), _MAX_PITCH_RAD)
+        roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD
+        forward = np.array(
+            [math.cos(azimuth) * math.cos(pitch), math.sin(azimuth) * math.cos(pitch), math.sin(pitch)]
+        )
+        pose = look_at(position, position + forward)
+        c, s = math.cos(roll), math.sin(roll)
+        pose[:3, :3] = pose[:3, :3] @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        pose = np.round(pose, 9)
+        return Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
+
+    def _measure(self, candidates: list[Candidate]) -> None:
+        """Mean luminance of each candidate's view."""
+        if not candidates:
+            return
+        columns, rows = _LUMINANCE_GRID
+        directions = np.stack([c.camera.scaled(columns, rows).ray_directions() for c in candidates])
+        directions = np.repeat(directions.reshape(-1, 3), _LUMINANCE_SAMPLES, axis=0)
+        origins = np.repeat(
+            [c.camera.position_m for c in candidates], columns * rows * _LUMINANCE_SAMPLES, axis=0
+        )
+        draws = Draws(*self.key, "luminance", self.num_drawn)
+        luminance = self.lighting.luminance(origins, directions, draws).reshape(len(candidates), -1)
+        for candidate, value in zip(candidates, luminance.mean(axis=1).tolist(), strict=True):
+            candidate.luminance = value
+
+    def _lit(self, pool: list[Candidate]) -> list[Candidate]:
+        """The candidates that are not too dark compared with the median one."""
+        if not pool:
+            return pool
+        threshold = self.recipe.min_luminance * float(np.median([c.luminance for c in pool]))
+        kept = [c for c in pool if c.luminance >= threshold]
+        self.rejections["camera.too_dark"] += len(pool) - len(kept)
+        return kept
+
+
+def preview_of(camera: Camera) -> Camera:
+    """The camera at the resolution of the checks."""
+    width = min(PREVIEW_WIDTH_PX, camera.width_px)
+    return camera.scaled(width, max(8, round(width * camera.height_px / camera.width_px)))
+
+
+def overlap_matrix(pool: list[Candidate], known: Floats | None = None) -> Floats:
+    """Share of the points of view i that view j sees too, (C, C); the diagonal is 0.
+
+    A point counts as seen if it lies inside the image and not behind what the low-resolution image shows
+    in the pixels around it. ``known`` (K, K) is kept for the first K views.
+    """
+    count = len(pool)
+    start = 0 if known is None else len(known)
+    overlap = np.zeros((count, count))
+    if known is not None:
+        overlap[:start, :start] = known
+    for j, target in enumerate(pool):
+        sources = [i for i in range(count) if i != j and (i >= start or j >= start)]
+        if not sources:
+            continue
+        points = np.concatenate([pool[i].points for i in sources])
+        seen = _sees(target, points)
+        sizes = [len(pool[i].points) for i in sources]
+        ends = np.cumsum(sizes)
+        for i, end, size in zip(sources, ends.tolist(), sizes, strict=True):
+            overlap[i, j] = float(seen[end - size : end].mean()) if size else 0.0
+    return overlap
+
+
+def _sees(view: Candidate, points: Floats) -> NDArray[np.bool_]:
+    pixels, depth = view.preview.project(points)
+    height, width = view.distance_m.shape
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor(pixels[:, 0] - 0.5), np.floor(pixels[:, 1] - 0.5)
+        inside = (
+            (pixels[:, 0] >= 0) & (pixels[:, 0] <= width) & (pixels[:, 1] >= 0) & (pixels[:, 1] <= height)
+        )
+    inside &= depth > 0
+    seen = np.zeros(len(points), dtype=bool)
+    index = np.flatnonzero(inside)
+    c = np.clip(column[index], 0, width - 1).astype(np.int64)
+    r = np.clip(row[index], 0, height - 1).astype(np.int64)
+    c1, r1 = np.minimum(c + 1, width - 1), np.minimum(r + 1, height - 1)
+    image = view.distance_m
+    farthest = np.maximum.reduce([image[r, c], image[r, c1], image[r1, c], image[r1, c1]])
+    distance = np.linalg.norm(points[index] - view.camera.position_m, axis=1)
+    seen[index] = distance <= _DEPTH_SLACK * farthest
+    return seen
+
+
+def choose_views(
+    pool: list[Candidate], count: int, min_overlap: float, draws: Draws
+) -> tuple[list[int], int]:
+    """Indices of up to ``count`` views, and how many of the pool overlap too little with the chosen ones.
+
+    Every chosen view shares at least ``min_overlap`` of its points with one chosen before it (the first with
+    the second). Views that nearly repeat a chosen one are passed over.
+    """
+    if count == 1:
+        return ([0] if pool else []), 0
+    if len(pool) < 2:
+        return [], len(pool)
+    overlap = overlap_matrix(pool)
+    novelty = _difference_matrix(pool)
+    both = np.minimum(overlap, overlap.T)
+    pairs = [k for k in range(len(pool)) if both[k].max() >= min_overlap]
+    if not pairs:
+        return [], len(pool)
+    first = draws.choice(pairs)
+    partners = np.flatnonzero(both[first] >= min_overlap).tolist()
+    chosen = [first, max(partners, key=lambda k: (novelty[first, k], -k))]
+    while len(chosen) < count:
+        rest = [k for k in range(len(pool)) if k not in chosen and novelty[k, chosen].min() >= _MIN_NOVELTY]
+        eligible = [k for k in rest if overlap[k, chosen].max() >= min_overlap]
+        if not eligible:
+            lonely = [
+                k for k in range(len(pool)) if overlap[k, chosen].max() < min_overlap and k not in chosen
+            ]
+            return chosen, len(lonely)
+        compared = draws.shuffled(eligible)[:_NUM_COMPARED]
+        chosen.append(max(compared, key=lambda k: (float(novelty[k, chosen].min()), -k)))
+    return chosen, 0
+
+
+def _difference_matrix(pool: list[Candidate]) -> Floats:
+    """How different two views are, (C, C): metres over the pool's extent plus the angle over half a turn."""
+    positions = np.array([c.camera.position_m for c in pool])
+    forwards = np.array([c.camera.forward for c in pool])
+    extent = max(float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0))), 1e-6)
+    apart = np.linalg.norm(positions[:, None] - positions[None], axis=2) / extent
+    angle = np.arccos(np.clip(forwards @ forwards.T, -1.0, 1.0)) / math.pi
+    return apart + angle
