@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .bake.execute import BakeSession
 from .bake.plan import MaterialPlan, force_bake, plan_material
-from .bake.textures import UNIT_WINDOW, BakedMaterial, MaterialBaker, Window
+from .bake.textures import UNIT_WINDOW, BakedMaterial, MaterialBaker, padded_window
 from .bake.unwrap import bake_layout
 from .gather.cameras import gather_camera
 from .gather.instances import Gathered, Instance, gather_instances
@@ -337,7 +337,8 @@ class _Assembly:
         self._things: dict[int, bpy.types.Object] = {}
         self._files: dict[tuple[Any, ...], tuple[str, Submesh]] = {}
         self._names: set[str] = set()
-        self._windows: dict[str, Window] = {}
+        self._boxes: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._seen_boxes: set[tuple[str, int, int]] = set()
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def run(self) -> Generator[Progress, None, None]:
@@ -353,26 +354,28 @@ class _Assembly:
             self.contents.num_triangles += len(mesh.triangles)
 
     def _find_windows(self) -> None:
-        """The UV box that each material is read in, over all meshes that use it."""
+        """The box of texture coordinates in which each material is read, over all meshes that use it."""
         for instance in self.contents.gathered.instances:
             mesh = self.contents.gathered.meshes[instance.mesh_key]
             for slot in np.unique(mesh.triangle_slots):
                 name = instance.materials[min(int(slot), len(instance.materials) - 1)]
                 assert name is not None
-                plan = self.job.plan(name)
-                if plan.frame is None:
+                frame = self.job.plan(name).frame
+                seen = (name, instance.mesh_key, int(slot))
+                if frame is None or seen in self._seen_boxes:
                     continue
-                uv = mesh.uv_layers[plan.frame.layer or mesh.active_uv]
-                used = uv[mesh.triangles[mesh.triangle_slots == slot].ravel()]
-                points = plan.frame.apply(used)
-                low, high = points.min(axis=0), points.max(axis=0)
-                u0, v0, u1, v1 = self._windows.get(name, UNIT_WINDOW)
-                box = (min(u0, low[0]), min(v0, low[1]), max(u1, high[0]), max(v1, high[1]))
-                slack = max(
-                    abs(a - b) for a, b in zip(box, self._windows.get(name, UNIT_WINDOW), strict=True)
-                )
-                if slack > _UV_SLACK:
-                    self._windows[name] = tuple(float(v) for v in box)  # type: ignore[assignment]
+                self._seen_boxes.add(seen)
+                uv = mesh.uv_layers[frame.layer or mesh.active_uv]
+                points = frame.apply(uv[mesh.triangles[mesh.triangle_slots == slot].ravel()])
+                low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
+                if name in self._boxes:
+                    low = np.minimum(low, self._boxes[name][0])
+                    high = np.maximum(high, self._boxes[name][1])
+                self._boxes[name] = (low, high)
+
+    def _exceeds_unit(self, name: str) -> bool:
+        low, high = self._boxes[name]
+        return bool((low < -_UV_SLACK).any() or (high > 1 + _UV_SLACK).any())
 
     def _part(
         self, instance: Instance, slot: int, is_split: bool, fraction: float
@@ -380,12 +383,10 @@ class _Assembly:
         name = instance.materials[min(slot, len(instance.materials) - 1)]
         assert name is not None
         mesh = self.contents.gathered.meshes[instance.mesh_key]
-        is_new, (slot_name, baked) = False, self._lookup(instance, slot, name)
+        slot_name, baked = self._lookup(instance, slot, name)
         if baked is None:
             yield Progress(fraction, f"baking {name} for {instance.name}")
-            is_new, (slot_name, baked) = True, self._bake(instance, slot, name)
-        del is_new
-        assert baked is not None
+            slot_name, baked = self._bake(instance, slot, name)
         metres_from_part = np.diag([self.job.metres] * 3 + [1.0]) @ instance.matrix
         key = (instance.mesh_key, slot, instance.is_mirrored, id(baked) if _has_textures(baked) else 0)
         if key not in self._files:
@@ -434,7 +435,7 @@ class _Assembly:
 
     def _effective_plan(self, name: str) -> MaterialPlan:
         plan = self.job.plan(name)
-        if name in self._windows and any(image.needs_unit_uv for image in plan.images.values()):
+        if any(image.needs_unit_uv for image in plan.images.values()) and self._exceeds_unit(name):
             return force_bake(plan, on_mesh=False)
         return plan
 
@@ -462,8 +463,8 @@ class _Assembly:
             baked = job.baker.on_mesh(material, plan, thing, slot, self._layout(instance, slot), info)
         else:
             window = UNIT_WINDOW
-            if plan.varying and not plan.is_periodic:
-                window = self._windows.get(name, UNIT_WINDOW)
+            if plan.varying and plan.frame is not None and not plan.is_periodic:
+                window = padded_window(*self._boxes[name])
             baked = job.baker.on_plane(material, plan, window, info)
         number = 1
         if plan.needs_mesh or plan.is_per_instance:
@@ -480,7 +481,7 @@ class _Assembly:
             job.settings.texture_bits,
         )
         entry["replaceable_by"] = list(replaceable_by(material, job.problems))
-        if material.get("sm_tile_size_m") is not None and baked.uv is None:
+        if material.get("sm_tile_size_m") is not None and baked.uv is None and baked.window == UNIT_WINDOW:
             entry["tile_size_m"] = float(material["sm_tile_size_m"])
         self.materials[slot_name] = entry
         self._baked[self._key(instance, slot, name)] = (slot_name, baked)
@@ -511,9 +512,9 @@ class _Assembly:
         result: dict[str, Any] = {"materials": self.materials}
         tagged = self.contents.target.tagged
         if self.contents.target.kind == "object":
+            offset[2] = -self._low[2]
             if not tagged.get("sm_keep_origin"):
                 offset[:2] = -(self._low[:2] + self._high[:2]) / 2
-                offset[2] = -self._low[2]
             result["minimum_m"], result["maximum_m"] = self._low + offset, self._high + offset
         move = np.eye(4)
         move[:3, 3] = offset

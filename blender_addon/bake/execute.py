@@ -102,7 +102,7 @@ class BakeSession:
         single_user: set[tuple[str, ...]] = set()
         if object_info is not None:
             self._fix_object_info(tree, (), object_info, single_user)
-        builder = _Builder(self, tree, single_user)
+        builder = _Builder(self, tree, single_user, object_info or {})
         outputs = {name: builder.build(expression) for name, expression in expressions.items()}
         emission = tree.nodes.new("ShaderNodeEmission")
         target = tree.nodes.new("ShaderNodeTexImage")
@@ -251,9 +251,16 @@ UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 class _Builder:
     """Turns expressions into nodes of a working tree."""
 
-    def __init__(self, session: BakeSession, tree: bpy.types.NodeTree, single_user: set[tuple[str, ...]]):
+    def __init__(
+        self,
+        session: BakeSession,
+        tree: bpy.types.NodeTree,
+        single_user: set[tuple[str, ...]],
+        object_info: dict[str, tuple[float, ...]],
+    ):
         self.session, self.tree, self.single_user = session, tree, single_user
-        self._built: dict[Expression, bpy.types.NodeSocket] = {}
+        self.object_info = object_info
+        self._built: dict[Expression, bpy.types.NodeSocket | Constant] = {}
 
     def build(self, expression: Expression) -> bpy.types.NodeSocket | Constant:
         """The top-level socket that carries an expression; constants stay constants."""
@@ -266,7 +273,7 @@ class _Builder:
                 self._built[expression] = self._operation(expression)
         return self._built[expression]
 
-    def _expose(self, value: SocketValue) -> bpy.types.NodeSocket:
+    def _expose(self, value: SocketValue) -> bpy.types.NodeSocket | Constant:
         tree, groups = self.tree, []
         for depth, name in enumerate(value.path):
             node = tree.nodes[name]
@@ -274,6 +281,8 @@ class _Builder:
             groups.append(node)
             tree = node.node_tree
         socket = next(o for o in tree.nodes[value.node].outputs if o.identifier == value.socket)
+        if tree.nodes[value.node].type == "OBJECT_INFO" and self.object_info:
+            return Constant(self.object_info[socket.name])
         for group in reversed(groups):
             inner = group.node_tree
             outputs = [node for node in inner.nodes if node.bl_idname == "NodeGroupOutput"]

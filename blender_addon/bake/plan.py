@@ -134,10 +134,12 @@ def _classify(plan: MaterialPlan, tree: bpy.types.NodeTree, problems: ProblemLis
         return
     plan.dependencies = walk.of(*varying.values())
     read_frames = plan.dependencies.frames
-    if len(read_frames) == 1 and None not in read_frames:
+    if plan.dependencies.needs_mesh or not plan.dependencies.uv_layers:
+        plan.frame = None  # laid out anew, or without texture
+    elif len(read_frames) == 1 and None not in read_frames:
         (plan.frame,) = read_frames  # type: ignore[assignment]
     else:
-        layer = next(iter(plan.dependencies.uv_layers), "")
+        (layer,) = plan.dependencies.uv_layers
         plan.frame = UvFrame(layer, IDENTITY)
     if not plan.dependencies.needs_mesh and not plan.dependencies.is_per_instance and plan.is_periodic:
         plan.images = {name: image for name, image in plain.items() if image.frame == plan.frame}

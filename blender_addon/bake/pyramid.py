@@ -34,20 +34,20 @@ def halve(image: Image, weight: Image, axis: int) -> tuple[Image, Image]:
     return (a * p + b * q) / np.maximum(total, 1e-12), total / 2
 
 
-def _axis_weights(size: int, target: int, is_periodic: bool) -> tuple[NDArray, NDArray, NDArray]:
+def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArray, NDArray]:
     centre = (np.arange(target) + 0.5) * size / target - 0.5
     low = np.floor(centre).astype(int)
     fraction = (centre - low).astype(np.float32)
-    if is_periodic:
+    if repeats:
         return low % size, (low + 1) % size, fraction
     return np.clip(low, 0, size - 1), np.clip(low + 1, 0, size - 1), fraction
 
 
-def interpolate(image: Image, height: int, width: int, is_periodic: bool) -> Image:
-    """Bilinear lookup at the texel centres of a finer grid."""
-    low, high, t = _axis_weights(image.shape[0], height, is_periodic)
+def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> Image:
+    """Bilinear lookup at the texel centres of a finer grid; at the borders as renderers do, which repeat."""
+    low, high, t = _axis_weights(image.shape[0], height, repeats)
     rows = image[low] * (1 - t)[:, None, None] + image[high] * t[:, None, None]
-    low, high, t = _axis_weights(image.shape[1], width, is_periodic)
+    low, high, t = _axis_weights(image.shape[1], width, repeats)
     return rows[:, low] * (1 - t)[None, :, None] + rows[:, high] * t[None, :, None]
 
 
@@ -71,12 +71,15 @@ def fill(image: Image, mask: Mask) -> Image:
     return filled.astype(np.float32)
 
 
-def smallest_level(image: Image, mask: Mask, tolerance: float, is_periodic: bool, least: int = 1) -> Level:
+def smallest_level(
+    image: Image, mask: Mask, tolerance: float, least: int = 1, counted: Mask | None = None
+) -> Level:
     """The coarsest level within ``tolerance`` of ``image``; each axis is halved on its own.
 
     A channel that varies along one axis only keeps a single row or column. Returns the image itself (error 0)
-    where no level is good enough.
+    where no level is good enough. ``counted`` restricts the texels over which the error is taken.
     """
+    counted = mask if counted is None else counted
     best = Level(fill(image, mask), 0.0)
     weight = mask.astype(np.float32)[..., None]
     if not mask.any():
@@ -90,7 +93,7 @@ def smallest_level(image: Image, mask: Mask, tolerance: float, is_periodic: bool
                 continue
             smaller, smaller_weight = halve(current, weight, axis)
             filled = fill(smaller, smaller_weight[..., 0] > 0)
-            error = level_error(filled, image, mask, is_periodic)
+            error = level_error(filled, image, counted)
             if error > tolerance:
                 axes.remove(axis)
                 continue
@@ -98,7 +101,7 @@ def smallest_level(image: Image, mask: Mask, tolerance: float, is_periodic: bool
     return best
 
 
-def level_error(level: Image, image: Image, mask: Mask, is_periodic: bool) -> float:
+def level_error(level: Image, image: Image, mask: Mask) -> float:
     """Mean absolute difference over covered texels, of the worst component."""
-    difference = np.abs(interpolate(level, image.shape[0], image.shape[1], is_periodic) - image)
+    difference = np.abs(interpolate(level, image.shape[0], image.shape[1]) - image)
     return float(difference[mask].mean(axis=0).max())

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import bpy
@@ -19,6 +20,7 @@ from .pyramid import fill, halve, level_error, smallest_level
 
 _FIRST_PX = 256
 _ODD_PX = 181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
+BORDER = 1 / 32  # of the texture's side, around what a window or a layout holds
 _FLAT = 1e-4  # a texture that varies by less is a constant
 
 Window = tuple[float, float, float, float]
@@ -32,6 +34,22 @@ class BakedTexture:
 
     pixels: Array
     error: float
+
+
+def padded_window(low: NDArray, high: NDArray) -> Window:
+    """A window around a box of texture coordinates that leaves half a texel of a 16-texel texture on each side,
+    so that the lookup, which repeats, never meets the opposite border."""
+    size = np.maximum(high - low, 1e-3)
+    middle = (low + high) / 2
+    half = size / 2 / (1 - 2 * BORDER)
+    return (*(float(v) for v in middle - half), *(float(v) for v in middle + half))  # type: ignore[return-value]
+
+
+def padded_mask(size: int) -> NDArray[np.bool_]:
+    """The texels inside the border that :func:`padded_window` adds."""
+    centre = (np.arange(size) + 0.5) / size
+    inside = (centre > BORDER) & (centre < 1 - BORDER)
+    return inside[:, None] & inside[None, :]
 
 
 Channel = tuple[float, ...] | BakedTexture | PlainImage
@@ -92,13 +110,13 @@ class MaterialBaker:
         thing = self.session.plane(
             working.material, {name: uv for name in names}, size_m, frame.layer or "UVMap"
         )
-        is_periodic = plan.is_periodic and window == UNIT_WINDOW
+        covered = None if window == UNIT_WINDOW else padded_mask
         for name in pending:
             if name in plan.constants:
                 pixels, _ = self.session.bake(thing, working, name, 4)
                 result.channels[name] = _constant(name, tuple(pixels.reshape(-1, 3).mean(axis=0).tolist()))
             else:
-                result.channels[name] = self._grow(thing, working, name, plan.name, is_periodic)
+                result.channels[name] = self._grow(thing, working, name, plan.name, covered)
         self._release(thing, working)
         return self._finish(result, plan)
 
@@ -127,7 +145,7 @@ class MaterialBaker:
             if isinstance(source, Constant):
                 result.channels[name] = _constant(name, source.value)
             else:
-                result.channels[name] = self._grow(thing, working, name, plan.name, False, idle)
+                result.channels[name] = self._grow(thing, working, name, plan.name)
         self._release(None, working)
         return self._finish(result, plan)
 
@@ -153,18 +171,21 @@ class MaterialBaker:
         working: WorkingMaterial,
         name: str,
         material: str,
-        is_periodic: bool,
-        idle: bpy.types.Material | None = None,
+        covered: Callable[[int], NDArray[np.bool_]] | None = None,
     ) -> Channel:
-        """Bake at rising sizes until a level of half the size or less represents the bake."""
+        """Bake at rising sizes until a level of half the size or less represents the bake.
+
+        ``covered`` gives, for a size, the texels that count where the bake itself hits more.
+        """
         limit, tolerance = self.settings.max_texture_px, self.settings.tolerance
         size = min(_FIRST_PX, limit)
         while True:
             pixels, mask = self.session.bake(thing, working, name, size)
             pixels = _tidy(name, pixels)
+            counted = mask & covered(size) if covered is not None else mask
             if not mask.any():
                 return _constant(name, (0.0,) * 3)
-            level = smallest_level(pixels, mask, tolerance, is_periodic)
+            level = smallest_level(pixels, mask, tolerance, counted=counted)
             is_small = level.image.size < pixels.size
             if is_small and (size == limit or self._is_trusted(thing, working, name, pixels, mask)):
                 break
@@ -176,7 +197,7 @@ class MaterialBaker:
         if np.ptp(level.image.reshape(-1, level.image.shape[2]), axis=0).max() < _FLAT:
             return _constant(name, tuple(float(v) for v in level.image.mean(axis=(0, 1))))
         if level.image.size == pixels.size and size == limit:
-            error = _last_change(pixels, mask, is_periodic)
+            error = _last_change(pixels, mask, counted)
             self.problems.add(
                 APPROXIMATION,
                 f"{name} is cut at {size} px: it still changed by {error:.4f} on average at the last doubling",
@@ -247,10 +268,10 @@ def _constant(name: str, value: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(min(1.0, max(0.0, float(v))) for v in value)
 
 
-def _last_change(pixels: Array, mask: NDArray[np.bool_], is_periodic: bool) -> float:
+def _last_change(pixels: Array, mask: NDArray[np.bool_], counted: NDArray[np.bool_]) -> float:
     smaller, weight = halve(pixels, mask.astype(np.float32)[..., None], 0)
     smaller, weight = halve(smaller, weight, 1)
-    return level_error(fill(smaller, weight[..., 0] > 0), pixels, mask, is_periodic)
+    return level_error(fill(smaller, weight[..., 0] > 0), pixels, counted)
 
 
 __all__ = ["UNIT_SQUARE", "BakedMaterial", "BakedTexture", "MaterialBaker"]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..gather.mesh import MeshArrays, is_unit_unwrap
 from .execute import BAKE_UV, BakeSession
+from .textures import BORDER
 
 _ISLAND_MARGIN = 0.004  # of the unit square: two texels at 512
 _LARGEST_CHECKED = 200_000  # triangles; above, testing the mesh's own layout costs more than a new one
@@ -19,21 +20,22 @@ _LARGEST_CHECKED = 200_000  # triangles; above, testing the mesh's own layout co
 def bake_layout(
     session: BakeSession, thing: bpy.types.Object, arrays: MeshArrays, slot: int
 ) -> NDArray[np.float32]:
-    """UVs (C, 2) under which the slot's faces can be baked; also written to the layer ``BAKE_UV``.
+    """UVs (C, 2) under which the slot's faces can be baked; the mesh gets a layer ``BAKE_UV`` for them.
 
-    The mesh's own UVs serve if they are a valid unwrap; otherwise Smart UV Project makes new ones.
+    A border of the unit square stays free, since texture lookups repeat. The mesh's own UVs serve if they are a valid unwrap; otherwise Smart UV Project makes new ones.
     """
     mesh = thing.data
-    layer = mesh.uv_layers.get(BAKE_UV) or mesh.uv_layers.new(name=BAKE_UV)
+    if BAKE_UV not in mesh.uv_layers:
+        mesh.uv_layers.new(name=BAKE_UV)
     own = arrays.uv_layers.get(arrays.active_uv)
     num_triangles = int((arrays.triangle_slots == slot).sum())
     if own is not None and num_triangles <= _LARGEST_CHECKED and is_unit_unwrap(arrays, own, slot):
-        layer.uv.foreach_set("vector", own.ravel())
-        return own
-    _smart_project(session, thing, arrays, slot)
-    values = np.empty((len(mesh.loops), 2), np.float32)
-    mesh.uv_layers[BAKE_UV].uv.foreach_get("vector", values.ravel())
-    return values
+        values = own
+    else:
+        _smart_project(session, thing, arrays, slot)
+        values = np.empty((len(mesh.loops), 2), np.float32)
+        mesh.uv_layers[BAKE_UV].uv.foreach_get("vector", values.ravel())
+    return (BORDER + values * (1 - 2 * BORDER)).astype(np.float32)
 
 
 def _smart_project(session: BakeSession, thing: bpy.types.Object, arrays: MeshArrays, slot: int) -> None:
@@ -48,9 +50,10 @@ def _smart_project(session: BakeSession, thing: bpy.types.Object, arrays: MeshAr
         _select_edges_and_vertices(mesh, chosen)
         bpy.ops.object.mode_set(mode="EDIT")
         try:
-            bpy.ops.uv.smart_project(
-                angle_limit=math.radians(66), island_margin=_ISLAND_MARGIN, correct_aspect=False
-            )
+            with bpy.context.temp_override(edit_object=thing):
+                bpy.ops.uv.smart_project(
+                    angle_limit=math.radians(66), island_margin=_ISLAND_MARGIN, correct_aspect=False
+                )
         finally:
             bpy.ops.object.mode_set(mode="OBJECT")
 

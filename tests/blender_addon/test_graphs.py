@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every node graph of :mod:`tests.blender_addon.graphs` against its closed form, on the exported surface."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.asset_check import check_package
+from datagen.formats.asset import ObjectAsset, SlotMaterial, Texture
+from datagen.formats.package import Package, open_package
+from datagen.images import read_image, texture_values
+from datagen.meshes import Mesh, decode_ply
+from tests.blender_addon.graphs import CASES, Case, lookup
+from tests.conftest import REPOSITORY
+
+pytestmark = [
+    pytest.mark.bpy,
+    pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="needs bpy (the extra 'blender')"),
+]
+SCALARS = ("roughness", "opacity")
+TOLERANCE = 1 / 255
+SAMPLES_PER_TRIANGLE = 40
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with all graphs exported by one process."""
+    folder = tmp_path_factory.mktemp("graphs")
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.blender_addon.graphs", str(folder)],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+    return folder
+
+
+def _samples(mesh: Mesh, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random points (N, 3) on the mesh and their uv (N, 2)."""
+    generator = np.random.default_rng(seed)
+    faces = mesh.faces
+    weights = generator.dirichlet((1, 1, 1), (len(faces), SAMPLES_PER_TRIANGLE))
+    points = np.einsum("tsk,tkc->tsc", weights, mesh.positions[faces].astype(float)).reshape(-1, 3)
+    if mesh.uv is None:
+        return points, np.zeros((len(points), 2))
+    return points, np.einsum("tsk,tkc->tsc", weights, mesh.uv[faces].astype(float)).reshape(-1, 2)
+
+
+def _channel(package: Package, material: SlotMaterial, name: str, uv: np.ndarray) -> np.ndarray:
+    value = getattr(material, name)
+    is_scalar = name in SCALARS
+    if isinstance(value, Texture):
+        pixels = texture_values(value, read_image(package.path / value.texture), is_scalar).astype(float)
+        sampled = lookup(pixels[..., None] if is_scalar else pixels, uv)
+        return sampled[:, 0] if is_scalar else sampled
+    if value is None:
+        assert name == "opacity"
+        value = 1.0
+    return np.broadcast_to(value, (len(uv),) if is_scalar else (len(uv), 3))
+
+
+def _errors(package: Package, case: Case, name: str, seed: int) -> np.ndarray:
+    """Absolute error at points spread over every part; NaN in the closed form leaves a point out."""
+    asset = package.asset
+    assert isinstance(asset, ObjectAsset)
+    errors = []
+    for index, part in enumerate(asset.parts):
+        mesh = decode_ply((package.path / part.mesh).read_bytes(), part.mesh)
+        points, uv = _samples(mesh, seed + index)
+        matrix = np.array(part.asset_from_part)
+        points = points @ matrix[:3, :3].T + matrix[:3, 3]
+        got = _channel(package, asset.materials[part.material], name, uv)
+        wanted = case.expected[name]
+        wanted = wanted(points) if callable(wanted) else np.broadcast_to(wanted, got.shape)
+        difference = np.abs(got - wanted)
+        errors.append(difference[np.isfinite(wanted)])
+    return np.concatenate(errors)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_channels_match_closed_form(exported: Path, case: Case) -> None:
+    package = open_package(exported / "packages" / case.name)
+    report = check_package(package)
+    assert report.is_usable, report.errors
+    for name in case.expected:
+        errors = _errors(package, case, name, seed=7)
+        assert errors.mean() < TOLERANCE, f"{name}: mean error {errors.mean() * 255:.2f}/255"
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.kinds], ids=lambda case: case.name)
+def test_constants_and_images_stay_what_they_are(exported: Path, case: Case) -> None:
+    package = open_package(exported / "packages" / case.name)
+    assert isinstance(package.asset, ObjectAsset)
+    (material,) = package.asset.materials.values()
+    for name, kind in case.kinds.items():
+        value = getattr(material, name)
+        if kind == "constant":
+            assert not isinstance(value, Texture)
+        else:
+            assert isinstance(value, Texture)
+            stored = (package.path / value.texture).read_bytes()
+            originals = [path.read_bytes() for path in (exported / "images").iterdir()]
+            assert stored in originals, "the image was resampled or encoded again"
+
+
+def test_there_are_forty_graphs() -> None:
+    assert len(CASES) >= 40
+
+
+def test_wrong_closed_form_is_detected(exported: Path) -> None:
+    """The twin: 5 % more contrast in the expectation must not pass."""
+    case = next(c for c in CASES if c.name == "uv_as_colour")
+    wrong = Case(
+        case.name, case.build, {"diffuse_albedo": lambda p: case.expected["diffuse_albedo"](p) * 1.05}
+    )
+    errors = _errors(open_package(exported / "packages" / case.name), wrong, "diffuse_albedo", seed=7)
+    assert errors.mean() > TOLERANCE
