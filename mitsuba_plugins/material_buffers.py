@@ -56,36 +56,53 @@ CHANNELS = {
 
 
 class PixelFilter:
-    """Draws sub-pixel offsets in proportion to a film's reconstruction filter."""
+    """Draws sub-pixel offsets along one axis in proportion to a film's reconstruction filter.
 
-    TABLE_SIZE = 1024
+    Films ignore samples beyond their border unless told to take them (``sample_border``), so the filter of
+    a pixel at the border is cut off there: variates are squeezed into the part that remains.
+    """
 
-    def __init__(self, reconstruction_filter: Any):
+    TABLE_SIZE = 4096
+
+    def __init__(self, film: Any):
+        reconstruction_filter = film.rfilter()
         self.is_box = bool(reconstruction_filter.is_box_filter())
+        self.is_cut_off = not (self.is_box or bool(film.sample_border()))
         self.has_negative_lobes = False
-        self.mean_sign = 1.0
         if self.is_box:
             return
-        radius = float(reconstruction_filter.radius())
-        edges = np.linspace(-radius, radius, 8 * self.TABLE_SIZE + 1)
-        centres = 0.5 * (edges[1:] + edges[:-1])
-        weight = np.asarray(reconstruction_filter.eval(mi.Float(centres.astype(np.float32))), np.float64)
-        cumulative = np.concatenate([[0.0], np.cumsum(np.abs(weight))])
-        quantiles = np.interp(np.linspace(0.0, 1.0, self.TABLE_SIZE + 1), cumulative / cumulative[-1], edges)
-        self._inverse = mi.Float(quantiles.astype(np.float32))
-        self.has_negative_lobes = bool((weight < 0.0).any())
-        self.mean_sign = float(weight.sum() / np.abs(weight).sum())
         self._filter = reconstruction_filter
+        self._radius = float(reconstruction_filter.radius())
+        edges = np.linspace(-self._radius, self._radius, self.TABLE_SIZE + 1)
+        centres = (0.5 * (edges[1:] + edges[:-1])).astype(np.float32)
+        weight = np.asarray(reconstruction_filter.eval(mi.Float(centres)), np.float64)
+        self.has_negative_lobes = bool((weight < 0.0).any())
+        distribution = np.concatenate([[0.0], np.cumsum(np.abs(weight))]) / np.abs(weight).sum()
+        quantiles = np.interp(np.linspace(0.0, 1.0, self.TABLE_SIZE + 1), distribution, edges)
+        self._distribution = mi.Float(distribution.astype(np.float32))
+        self._quantiles = mi.Float(quantiles.astype(np.float32))
+
+    def _look_up(self, table: Array, position: Array) -> Array:
+        """Linear interpolation at a position in [0, TABLE_SIZE], clamped to it."""
+        position = dr.clip(position, 0.0, float(self.TABLE_SIZE))
+        cell = dr.minimum(mi.UInt32(position), self.TABLE_SIZE - 1)
+        low, high = dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
+        return dr.lerp(low, high, position - mi.Float(cell))
+
+    def variates_inside(self, pixel: Array, size: int) -> tuple[Any, Any]:
+        """Range of variates whose offsets stay within [0, size] for a pixel of that column or row."""
+        if not self.is_cut_off:
+            return mi.Float(0.0), mi.Float(1.0)
+        scale = self.TABLE_SIZE / (2.0 * self._radius)
+        first = self._look_up(self._distribution, (self._radius - (pixel + 0.5)) * scale)
+        last = self._look_up(self._distribution, (self._radius + size - (pixel + 0.5)) * scale)
+        return first, last
 
     def sample(self, u: Array) -> tuple[Any, Any]:
-        """(offset from the pixel's centre [px], weight +-1) for a uniform variate; one axis of the two."""
+        """(offset from the pixel's centre [px], weight +-1) for a variate in [0, 1]."""
         if self.is_box:
             return u - 0.5, mi.Float(1.0)
-        position = u * self.TABLE_SIZE
-        cell = dr.minimum(mi.UInt32(position), self.TABLE_SIZE - 1)
-        low = dr.gather(mi.Float, self._inverse, cell)
-        high = dr.gather(mi.Float, self._inverse, cell + 1)
-        offset = dr.lerp(low, high, position - mi.Float(cell))
+        offset = self._look_up(self._quantiles, u * self.TABLE_SIZE)
         if not self.has_negative_lobes:
             return offset, mi.Float(1.0)
         return offset, dr.select(self._filter.eval(offset) < 0.0, mi.Float(-1.0), mi.Float(1.0))
@@ -200,8 +217,8 @@ def _trace(view: _View, ray: Any) -> _RayResult:
     return _RayResult(*seen)
 
 
-def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, PixelFilter]:
-    """Filter-weighted sums over a pixel's samples, and the solid point of the ray through its centre.
+def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[_RayResult, Any]:
+    """(filter-weighted sums over a pixel's samples with the solid point of its centre, sum of the weights).
 
     One symbolic loop, so that the scene's intersection code is traced once: sample 0 is the centre.
     """
@@ -210,17 +227,19 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
     key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
     shift_x, shift_y = mi.sample_tea_32(pixel, key)
     lens_x, lens_y = mi.sample_tea_32(pixel, key ^ 0x9E3779B9)
-    pixel_filter = PixelFilter(view.sensor.film().rfilter())
+    pixel_filter = PixelFilter(view.sensor.film())
+    first_x, last_x = pixel_filter.variates_inside(x, view.width)
+    first_y, last_y = pixel_filter.variates_inside(y, view.height)
     num_samples = dr.opaque(mi.UInt32, spp)
 
     def cond(i: Any, *_: Any) -> Any:
         return i <= num_samples
 
-    def body(i: Any, *seen: Any) -> tuple[Any, ...]:
+    def body(i: Any, total_weight: Any, *seen: Any) -> tuple[Any, ...]:
         *sums, point, shape_index = seen
         is_centre = i == 0
-        offset_x, sign_x = pixel_filter.sample(_lattice_point(i, shift_x, 0))
-        offset_y, sign_y = pixel_filter.sample(_lattice_point(i, shift_y, 1))
+        offset_x, sign_x = pixel_filter.sample(dr.lerp(first_x, last_x, _lattice_point(i, shift_x, 0)))
+        offset_y, sign_y = pixel_filter.sample(dr.lerp(first_y, last_y, _lattice_point(i, shift_y, 1)))
         lens = mi.Point2f(_lattice_point(i, lens_x, 1), _lattice_point(i, lens_y, 2))
         ray = view.ray(
             x + 0.5 + dr.select(is_centre, 0.0, offset_x),
@@ -233,21 +252,22 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
         sums = [total + weight * value for total, value in zip(sums, hit.state[:5], strict=True)]
         point = dr.select(is_centre, hit.point, point)
         shape_index = dr.select(is_centre, hit.shape_index, shape_index)
-        return (i + 1, *sums, point, shape_index)
+        return (i + 1, total_weight + weight, *sums, point, shape_index)
 
     num_pixels = dr.width(x)
-    state = (dr.zeros(mi.UInt32, num_pixels), *_nothing_seen(num_pixels).state)
-    _, *seen = dr.while_loop(state, cond, body, label="sub-pixel samples")
-    return _RayResult(*seen), pixel_filter
+    zero = dr.zeros(mi.Float, num_pixels)
+    state = (dr.zeros(mi.UInt32, num_pixels), zero, *_nothing_seen(num_pixels).state)
+    _, total_weight, *seen = dr.while_loop(state, cond, body, label="sub-pixel samples")
+    return _RayResult(*seen), total_weight
 
 
 def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
     """Flat Dr.Jit arrays by buffer name; not yet evaluated."""
     index = dr.arange(mi.UInt32, view.width * view.height)
     row = index // view.width
-    sums, pixel_filter = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
+    sums, weight = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
     # A filter with negative lobes can leave a pixel with hardly any, or with negative, coverage.
-    share = sums.coverage / (spp * pixel_filter.mean_sign**2)
+    share = dr.select(weight > 0.0, sums.coverage / dr.select(weight > 0.0, weight, 1.0), 0.0)
     is_covered = share > MIN_COVERAGE
     scale = dr.select(is_covered, 1.0 / dr.select(is_covered, sums.coverage, 1.0), 0.0)
     length = dr.norm(sums.normal)

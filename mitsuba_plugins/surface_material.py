@@ -21,7 +21,7 @@ import numpy as np
 
 from datagen.errors import InputError, Problem
 from mitsuba_plugins.cook_torrance import CookTorrance
-from mitsuba_plugins.texture_checks import exposed
+from mitsuba_plugins.texture_checks import exposed, needs_uv
 
 Array = Any
 IdTable = Mapping[str, tuple[int, int]]
@@ -181,6 +181,7 @@ class SceneMaterials:
         self._evaluators: list[Evaluator] = [_nothing]
         self.has_transparency = False
         self._index_of_bsdf: dict[int, int] = {}
+        self._needs_uv: dict[int, bool] = {}
         # Python wrappers of C++ objects are made anew on each access: they are kept, so that id() is theirs.
         self._bsdfs: list[Any] = []
         shapes: Sequence[Any] = scene.shapes()
@@ -195,7 +196,7 @@ class SceneMaterials:
             if shape.is_emitter():
                 is_emitter[index] = True
                 continue
-            evaluator_index[index] = self._evaluator_index(shape, problems)
+            evaluator_index[index] = self._evaluator_index(shape, name, problems)
             if name in self.ids:
                 instance_ids[index], material_ids[index] = self._checked_ids(name, problems)
             elif evaluator_index[index]:
@@ -231,34 +232,38 @@ class SceneMaterials:
                 return 0, 0
         return instance, material
 
-    def _evaluator_index(self, shape: Any, problems: list[Problem]) -> int:
+    def _evaluator_index(self, shape: Any, name: str, problems: list[Problem]) -> int:
+        """Index of the shape's material among the evaluators; 0 where there is a problem."""
+        if shape.class_name() == "Instance":
+            got, expected, remedy = "an instance", "a shape with a material of its own", "expand instances"
+            problems.append(Problem("scene", f"shape {name}", got, expected, remedy))
+            return 0
         bsdf = shape.bsdf()
         key = id(bsdf)
-        if key in self._index_of_bsdf:
-            return self._index_of_bsdf[key]
-        self._bsdfs.append(bsdf)
+        if key not in self._index_of_bsdf:
+            self._bsdfs.append(bsdf)
+            self._needs_uv[key] = needs_uv(bsdf)
+            self._index_of_bsdf[key] = self._add_evaluator(bsdf, name, problems)
+        if self._needs_uv[key] and shape.is_mesh() and not shape.has_vertex_texcoords():
+            got, expected = "a mesh without UVs", "UVs, which its material's textures need"
+            problems.append(Problem("scene", f"shape {name}", got, expected, "unwrap the mesh"))
+        return self._index_of_bsdf[key]
+
+    def _add_evaluator(self, bsdf: Any, name: str, problems: list[Problem]) -> int:
         if bsdf.class_name() == "Null":
             self._evaluators.append(_invisible)
             self.has_transparency = True
-        else:
-            try:
-                evaluator, is_transparent = build_evaluator(bsdf)
-            except UnsupportedBsdf as unsupported:
-                problems.append(
-                    Problem(
-                        "scene",
-                        f"BSDF of shape {shape.id()}",
-                        str(unsupported),
-                        "cook_torrance, alone or in mask, normalmap or twosided",
-                        "convert the material to cook_torrance first",
-                    )
-                )
-                self._index_of_bsdf[key] = 0
-                return 0
-            self._evaluators.append(evaluator)
-            self.has_transparency |= is_transparent
-        self._index_of_bsdf[key] = len(self._evaluators) - 1
-        return self._index_of_bsdf[key]
+            return len(self._evaluators) - 1
+        try:
+            evaluator, is_transparent = build_evaluator(bsdf)
+        except UnsupportedBsdf as unsupported:
+            expected = "cook_torrance, alone or in mask, normalmap or twosided"
+            remedy = "convert the material to cook_torrance first"
+            problems.append(Problem("scene", f"BSDF of shape {name}", str(unsupported), expected, remedy))
+            return 0
+        self._evaluators.append(evaluator)
+        self.has_transparency |= is_transparent
+        return len(self._evaluators) - 1
 
     # ---- inside kernels ----------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from datagen.errors import InputError, Problem
 
 TOLERANCE = 1e-4
 """Values this far outside [0, 1] are rounding (half floats, resampling) and are clamped, not refused."""
-# Texture plugins whose lookup depends on the UV coordinates of the surface.
+# Texture plugins whose lookup depends on the UV coordinates of the surface (beginnings of class names).
 UV_TEXTURES = ("BitmapTexture", "Checkerboard")
 
 
@@ -44,6 +44,13 @@ def exposed(obj: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     collector = _Collector(obj)
     obj.traverse(collector)
     return collector.objects, collector.values
+
+
+def needs_uv(obj: Any) -> bool:
+    """Whether a BSDF or texture looks anything up by UV, itself or through what it contains."""
+    if obj.class_name().startswith(UV_TEXTURES):
+        return True
+    return any(needs_uv(child) for child in exposed(obj)[0].values())
 
 
 def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
