@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: MIT
+"""Checkpoints: weights as safetensors, everything about them as JSON beside and inside the file.
+
+``NAME.safetensors`` holds the tensors ``network.*`` (both tracks) and, once trained, ``confidence.*``; its
+header and ``NAME.json`` hold the same :class:`CheckpointCard`. Nothing is pickled. Reading builds the
+networks from the card on the meta device, compares every name and shape with the file, and only then takes
+memory.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from pydantic import Field
+from torch import nn
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.base import StrictModel, canonical_json, parse_model, sha256_file, write_bytes_atomically
+from model.bilateral_solver import SolverConfig
+from model.confidence import ConfidenceNets
+from model.networks import MaterialNetwork, NetworkConfig
+
+_CARD_KEY = "card"
+_REMEDY = "train or fetch the checkpoint again"
+
+
+class DataRecord(StrictModel):
+    """A dataset that a checkpoint learnt from: its name and the SHA-256 of its index, which names every
+    shard."""
+
+    name: str
+    index_sha256: str
+    num_views: int = Field(ge=0)
+
+
+class CheckpointCard(StrictModel):
+    """What a checkpoint is and where it comes from.
+
+    ``loss`` names the terms and the perceptual distance that trained it; ``phase`` and ``step`` where it was
+    taken; ``metrics`` its validation figures by name; ``training`` the resolved training configuration.
+    """
+
+    format: Literal["scene-materials/checkpoint"] = "scene-materials/checkpoint"
+    version: Literal[1] = 1
+    network: NetworkConfig
+    solver: SolverConfig = SolverConfig()
+    has_confidence: bool = False
+    loss: str
+    phase: str
+    step: int = Field(ge=0)
+    metrics: dict[str, float] = {}
+    data: tuple[DataRecord, ...] = ()
+    training: dict[str, Any] = {}
+    versions: dict[str, str] = {}
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint as read: networks in eval mode; ``confidence`` is None where it was not trained."""
+
+    network: MaterialNetwork
+    confidence: ConfidenceNets | None
+    card: CheckpointCard
+
+
+def software_versions() -> dict[str, str]:
+    """Versions that decide numbers."""
+    import platform
+    from importlib.metadata import version
+
+    names = ("scene-materials", "numpy", "safetensors")
+    return {"python": platform.python_version(), "torch": torch.__version__, **{n: version(n) for n in names}}
+
+
+def save_checkpoint(
+    path: Path, card: CheckpointCard, network: MaterialNetwork, confidence: ConfidenceNets | None = None
+) -> None:
+    """Write ``path`` (.safetensors) and its JSON beside; both appear whole or not at all."""
+    from safetensors.torch import save
+
+    card = card.model_copy(update={"has_confidence": confidence is not None})
+    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+    if confidence is not None:
+        tensors |= {f"confidence.{name}": value for name, value in confidence.state_dict().items()}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    text = canonical_json(card)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(path, save(tensors, {_CARD_KEY: text.decode()}))
+    write_bytes_atomically(path.with_suffix(".json"), text)
+
+
+def read_card(path: Path) -> CheckpointCard:
+    """The card of a checkpoint, from its file's header."""
+    return _open(path)[0]
+
+
+def _open(path: Path) -> tuple[CheckpointCard, dict[str, tuple[int, ...]]]:
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise input_error(path, "", "no such file", "a checkpoint (.safetensors)", "check the path")
+    try:
+        with safe_open(path, "pt") as file:
+            text = (file.metadata() or {}).get(_CARD_KEY)
+            shapes = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise input_error(path, "", f"unreadable: {error}", "a safetensors file", _REMEDY) from None
+    if text is None:
+        raise input_error(path, "header", "no card", "a checkpoint of this project", _REMEDY)
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise input_error(path, "card", str(error), "valid JSON", _REMEDY) from None
+    return parse_model(CheckpointCard, data, path), shapes
+
+
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoint:
+    """Networks of a checkpoint on ``device``, ready for inference.
+
+    Raises :class:`InputError` where the file is damaged, is not a checkpoint, is of another version, has
+    tensors other than its configuration asks for, or holds NaN or Inf.
+    """
+    from safetensors.torch import load_file
+
+    card, shapes = _open(path)
+    with torch.device("meta"):
+        modules: dict[str, nn.Module] = {"network": MaterialNetwork(card.network)}
+        if card.has_confidence:
+            modules["confidence"] = ConfidenceNets()
+    expected = {
+        f"{prefix}.{name}": tuple(value.shape)
+        for prefix, module in modules.items()
+        for name, value in module.state_dict().items()
+    }
+    problems = [
+        Problem(
+            path, name, str(shapes.get(name, "missing")), str(expected.get(name, "no such tensor")), _REMEDY
+        )
+        for name in sorted(expected.keys() | shapes.keys())
+        if expected.get(name) != shapes.get(name)
+    ]
+    if problems:
+        raise InputError(*problems[:20])
+    tensors = load_file(path, device=str(device))
+    for name, value in tensors.items():
+        if value.dtype != torch.float32 or not bool(torch.isfinite(value).all()):
+            raise input_error(path, name, f"{value.dtype}, NaN or Inf", "finite float32 values", _REMEDY)
+    for prefix, module in modules.items():
+        # cloned: tensors mapped from the file are not aligned as convolutions want them
+        own = {n.removeprefix(f"{prefix}."): v.clone() for n, v in tensors.items() if n.startswith(prefix)}
+        module.load_state_dict(own, assign=True)
+        module.eval().requires_grad_(False)
+    network, confidence = modules["network"], modules.get("confidence")
+    assert isinstance(network, MaterialNetwork)
+    assert confidence is None or isinstance(confidence, ConfidenceNets)
+    return Checkpoint(network, confidence, card)
+
+
+def checkpoint_sha256(path: Path) -> str:
+    """Hash of the weights' file, which identifies a checkpoint."""
+    return sha256_file(path)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""The confidence networks and the filter that they steer (method 6; network of Li et al. 2020).
+
+One network looks at the image and a predicted map and says how far each pixel's prediction may be trusted;
+the bilateral solver then smooths the map, guided by the predicted diffuse albedo, from sure pixels to
+unsure ones. Specular albedo and roughness are filtered, diffuse albedo is not. Images are (B, C, H, W).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from model.bilateral_solver import SolverConfig, bilateral_solve, build_grid
+
+FILTERED_MAPS = {"specular_albedo": 3, "roughness": 1}
+_WIDTH = 16
+
+
+class _Block(nn.Sequential):
+    """Replicate-padded convolution, GroupNorm of 2 groups, ReLU."""
+
+    def __init__(self, num_in: int, size: int, stride: int):
+        super().__init__(
+            nn.Conv2d(num_in, _WIDTH, size, stride=stride, padding=1, padding_mode="replicate", bias=True),
+            nn.GroupNorm(2, _WIDTH),
+            nn.ReLU(),
+        )
+
+
+class ConfidenceNet(nn.Module):
+    """Confidence (B, 1, H, W) in [0, 1], its maximum 1 in each image, of a map with ``map_channels``
+    channels.
+
+    Two halvings, a 3x3, back up with the first halving concatenated, a 3x3, up, and a last 3x3 to one
+    channel.
+    """
+
+    def __init__(self, map_channels: int):
+        super().__init__()
+        self.down1 = _Block(3 + map_channels, 4, 2)
+        self.down2 = _Block(_WIDTH, 4, 2)
+        self.middle = _Block(_WIDTH, 3, 1)
+        self.up1 = _Block(2 * _WIDTH, 3, 1)
+        self.last = nn.Conv2d(_WIDTH, 1, 3, padding=1, padding_mode="replicate")
+
+    def forward(self, image: Tensor, predicted: Tensor) -> Tensor:
+        """``image`` (B, 3, H, W), encoded to [-1, 1]; ``predicted`` (B, C, H, W) in [0, 1]. Both are
+        detached."""
+        height, width = image.shape[-2:]
+        x = torch.cat([image, 2.0 * predicted - 1.0], dim=1).detach()
+        bottom, right = -height % 4, -width % 4
+        if bottom or right:
+            x = F.pad(x, (0, right, 0, bottom), mode="replicate")
+        first = self.down1(x)
+        x = self.middle(self.down2(first))
+        x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+        x = self.up1(torch.cat([x, first], dim=1))
+        x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+        confidence = 0.5 * (torch.tanh(self.last(x)[:, :, :height, :width]) + 1.0)
+        # an image where nothing is trusted at all stays near 0 instead of dividing by 0
+        return confidence / confidence.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)
+
+
+class ConfidenceNets(nn.Module):
+    """One :class:`ConfidenceNet` for each filtered map."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.nets = nn.ModuleDict({name: ConfidenceNet(c) for name, c in FILTERED_MAPS.items()})
+
+    def forward(self, image: Tensor, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Confidence (B, 1, H, W) of each filtered map; arguments as :class:`ConfidenceNet`'s."""
+        return {name: self.nets[name](image, maps[name]) for name in FILTERED_MAPS}
+
+
+def filter_maps(
+    maps: Mapping[str, Tensor],
+    confidences: Mapping[str, Tensor],
+    config: SolverConfig | None = None,
+) -> dict[str, Tensor]:
+    """Maps with specular albedo and roughness filtered, guided by ``maps["diffuse_albedo"]``.
+
+    Both share one grid and one solve. Gradients flow to the confidences and to the filtered maps.
+    """
+    grid = build_grid(maps["diffuse_albedo"], config)
+    target = torch.cat([maps[name] for name in FILTERED_MAPS], dim=1)
+    confidence = torch.cat(
+        [confidences[name].expand(-1, channels, -1, -1) for name, channels in FILTERED_MAPS.items()], dim=1
+    )
+    filtered = bilateral_solve(target, confidence, grid, config).clamp(0.0, 1.0)
+    parts = filtered.split(list(FILTERED_MAPS.values()), dim=1)
+    return {**maps, **dict(zip(FILTERED_MAPS, parts, strict=True))}

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: MIT
+"""Training of the confidence networks: the filtered maps against the truth, everything else frozen (method
+6)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from model.bilateral_solver import SolverConfig
+from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
+from model.training.losses import LossTerms
+
+
+def confidence_loss(
+    nets: ConfidenceNets,
+    image: Tensor,
+    predicted: Mapping[str, Tensor],
+    truth: Mapping[str, Tensor],
+    mask: Tensor,
+    solver: SolverConfig,
+) -> LossTerms:
+    """Mean squared error of the filtered maps over pixels with a surface; gradients reach the nets only.
+
+    ``image`` (B, 3, H, W) encoded to [-1, 1]; ``predicted`` all three maps of the frozen tracks; ``mask``
+    (B, 1, H, W) bool. The parts also hold the error before filtering, so that the gain is seen.
+    """
+    frozen = {name: value.detach().float() for name, value in predicted.items()}
+    with torch.autocast(image.device.type, enabled=False):
+        filtered = filter_maps(frozen, nets(image.float(), frozen), solver)
+    weight = mask.to(image.dtype)
+    count = weight.sum().clamp_min(1.0)
+    parts: dict[str, Tensor] = {}
+    for name, channels in FILTERED_MAPS.items():
+        for label, maps in (("filtered", filtered), ("raw", frozen)):
+            error = (maps[name] - truth[name]).square() * weight
+            parts[f"{name}_{label}_mse"] = error.sum() / (count * channels)
+    total = torch.stack([parts[f"{name}_filtered_mse"] for name in FILTERED_MAPS]).sum()
+    return LossTerms(total, parts)

@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: MIT
+"""One torch thread: tests use tiny tensors, and several test processes may share the cores."""
+
+import torch
+
+torch.set_num_threads(1)

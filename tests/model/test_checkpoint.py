@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: MIT
+"""Checkpoints: round trip, the card, and refusal of what is damaged, foreign or hostile."""
+
+from __future__ import annotations
+
+import json
+import pickle
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from datagen.errors import InputError
+from model.checkpoint import CheckpointCard, load_checkpoint, read_card, save_checkpoint, software_versions
+from model.confidence import ConfidenceNets
+from model.networks import MaterialNetwork, NetworkConfig
+
+TINY = NetworkConfig(base_channels=2, global_channels=4)
+
+
+@pytest.fixture
+def card() -> CheckpointCard:
+    return CheckpointCard(
+        network=TINY,
+        loss="l1+gradient-ssim-3",
+        phase="joint",
+        step=12,
+        metrics={"roughness_mse": 0.25},
+        training={"seed": 3},
+        versions=software_versions(),
+    )
+
+
+@pytest.mark.parametrize("with_confidence", [False, True])
+def test_round_trip(tmp_path, card, with_confidence):
+    network = MaterialNetwork(TINY).eval()
+    confidence = ConfidenceNets() if with_confidence else None
+    path = tmp_path / "best.safetensors"
+    save_checkpoint(path, card, network, confidence)
+    loaded = load_checkpoint(path)
+    x = torch.rand(1, 9, 32, 32)
+    assert torch.equal(loaded.network.tracks["diffuse"](x), network.tracks["diffuse"](x))
+    assert not loaded.network.training
+    assert (loaded.confidence is not None) == with_confidence == loaded.card.has_confidence
+    if with_confidence:
+        image, maps = (
+            torch.rand(1, 3, 8, 8),
+            {"specular_albedo": torch.rand(1, 3, 8, 8), "roughness": torch.rand(1, 1, 8, 8)},
+        )
+        for name, value in loaded.confidence(image, maps).items():
+            assert torch.equal(value, confidence(image, maps)[name])
+    assert loaded.card.metrics == {"roughness_mse": 0.25}
+    assert read_card(path) == loaded.card
+    assert json.loads(path.with_suffix(".json").read_text())["loss"] == "l1+gradient-ssim-3"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["best.json", "best.safetensors"]
+
+
+def test_equal_content_has_equal_bytes(tmp_path, card):
+    network = MaterialNetwork(TINY)
+    for name in ("a", "b"):
+        save_checkpoint(tmp_path / f"{name}.safetensors", card, network)
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+
+
+def _rewrite(path, change_tensors=None, change_card=None):
+    tensors = load_file(path)
+    text = json.loads(path.with_suffix(".json").read_text())
+    if change_tensors:
+        change_tensors(tensors)
+    if change_card:
+        change_card(text)
+    save_file(tensors, path, {"card": json.dumps(text)})
+
+
+@pytest.mark.parametrize(
+    ("tensors", "card_change", "message"),
+    [
+        (lambda t: t.pop("network.tracks.diffuse.enc1.weight"), None, "enc1.weight = missing"),
+        (lambda t: t.update(extra=torch.zeros(2)), None, "extra"),
+        (lambda t: t.update({"network.tracks.diffuse.enc1.weight": torch.zeros(1)}), None, "enc1.weight"),
+        (lambda t: t["network.tracks.diffuse.enc1.weight"].fill_(float("nan")), None, "NaN"),
+        (None, lambda c: c.update(version=2), "version"),
+        (None, lambda c: c["network"].update(base_channels=4), "expected"),
+        (None, lambda c: c["network"].update(base_channels=10**9), "base_channels"),
+        (None, lambda c: c.update(unknown=1), "unknown"),
+        (None, lambda c: c.update(has_confidence=True), "confidence"),
+    ],
+)
+def test_what_does_not_fit_is_refused(tmp_path, card, tensors, card_change, message):
+    path = tmp_path / "c.safetensors"
+    save_checkpoint(path, card, MaterialNetwork(TINY))
+    _rewrite(path, tensors, card_change)
+    with pytest.raises(InputError, match=message):
+        load_checkpoint(path)
+
+
+def test_damaged_and_foreign_files_are_refused(tmp_path, card):
+    path = tmp_path / "c.safetensors"
+    save_checkpoint(path, card, MaterialNetwork(TINY))
+    data = path.read_bytes()
+    for content in (b"", data[:100], data[: len(data) // 2], b"\xff" * 64, pickle.dumps({"a": 1})):
+        path.write_bytes(content)
+        with pytest.raises(InputError):
+            load_checkpoint(path)
+    save_file({"x": torch.zeros(1)}, path)
+    with pytest.raises(InputError, match="no card"):
+        load_checkpoint(path)
+    with pytest.raises(InputError, match="no such file"):
+        load_checkpoint(tmp_path / "absent.safetensors")
