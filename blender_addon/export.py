@@ -271,7 +271,7 @@ class _Job:
         contents.extra["cameras"] = [
             {**vars(camera), "asset_from_camera": camera.asset_from_camera} for camera in cameras if camera
         ]
-        light = gather_world(scene, self.session, self.problems)
+        light = gather_world(scene, self.session, self.problems, min(self.settings.max_texture_px, 2048))
         if light is not None:
             entry, image = light
             if image is not None:

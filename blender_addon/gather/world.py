@@ -16,17 +16,17 @@ from ..bake.expression import BLACK, Constant, Expression, add, complement, is_c
 from ..bake.graph import Graph, Stack, source_of, value_of
 from ..problems import ERROR, ProblemList
 
-_LONG_SIDE_PX = 2048
 # The format's image has +Y of its frame in the middle column, Blender's panorama +X of the world: Rz(-90 deg).
 WORLD_FROM_ENVIRONMENT = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], float)
 
 
 def gather_world(
-    scene: bpy.types.Scene, session: BakeSession, problems: ProblemList
+    scene: bpy.types.Scene, session: BakeSession, problems: ProblemList, size_px: int = 2048
 ) -> tuple[dict[str, Any], NDArray[np.float32] | None] | None:
     """The environment light and, if it is no constant, its image (H, W, 3), row 0 at the top.
 
-    None where the world is black or missing. Any graph of Background shaders is rendered as a panorama.
+    None where the world is black or missing. An equirectangular image, at most turned about Z, keeps its
+    pixels; any other graph is rendered as a panorama ``size_px`` wide.
     """
     world = scene.world
     if world is None:
@@ -46,14 +46,16 @@ def gather_world(
             return None
         values = [max(0.0, v) for v in widen(radiance).value]  # type: ignore[union-attr]
         return {"type": "environment", "name": name, "radiance": values}, None
-    image = _panorama(world, session)
-    entry = {
-        "type": "environment",
-        "name": name,
-        "scale": 1.0,
-        "world_from_environment": WORLD_FROM_ENVIRONMENT,
-    }
-    return entry, image
+    entry: dict[str, Any] = {"type": "environment", "name": name}
+    direct = _plain_panorama(world)
+    if direct is not None:
+        image, angle, strength = direct
+        c, s = np.cos(angle), np.sin(angle)
+        turn = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        matrix = turn @ WORLD_FROM_ENVIRONMENT
+        return {**entry, "scale": strength, "world_from_environment": matrix}, image
+    matrix = WORLD_FROM_ENVIRONMENT
+    return {**entry, "scale": 1.0, "world_from_environment": matrix}, _panorama(world, session, size_px)
 
 
 def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None:
@@ -76,8 +78,57 @@ def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None
     return None
 
 
-def _panorama(world: bpy.types.World, session: BakeSession) -> NDArray[np.float32]:
-    """Render the world alone through an equirectangular camera."""
+def _plain_panorama(world: bpy.types.World) -> tuple[NDArray[np.float32], float, float] | None:
+    """Pixels, angle about Z and strength of a world that is one equirectangular image; else None."""
+    output = Graph(world.node_tree).output_node()
+    shader = source_of((), output.inputs["Surface"])
+    if shader.node is None or shader.node.type != "BACKGROUND":
+        return None
+    strength = value_of(shader.stack, shader.node.inputs["Strength"])
+    texture = source_of(shader.stack, shader.node.inputs["Color"])
+    node = texture.node
+    if not isinstance(strength, Constant) or node is None or node.type != "TEX_ENVIRONMENT":
+        return None
+    image = node.image
+    if image is None or node.projection != "EQUIRECTANGULAR" or image.source != "FILE" or not image.is_float:
+        return None
+    if image.colorspace_settings.name not in ("Linear Rec.709", "Non-Color", "Raw"):
+        return None
+    angle = _turn_about_z(texture.stack, node.inputs["Vector"])
+    if angle is None:
+        return None
+    pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(image.size[1], image.size[0], image.channels)[::-1, :, :3].copy()
+    return pixels, angle, max(0.0, strength.value[0])
+
+
+def _turn_about_z(stack: Stack, socket: bpy.types.NodeSocket) -> float | None:
+    """The angle by which the image is turned in the world, None where the coordinates are anything else."""
+    source = source_of(stack, socket)
+    if source.node is None:
+        return 0.0
+    if source.node.type == "TEX_COORD":
+        return 0.0 if source.socket is not None and source.socket.name == "Generated" else None
+    if source.node.type != "MAPPING" or source.node.vector_type != "POINT":
+        return None
+    values = []
+    for name in ("Location", "Rotation", "Scale"):
+        value = value_of(source.stack, source.node.inputs[name])
+        if not isinstance(value, Constant):
+            return None
+        values.append(value.value)
+    location, rotation, scale = values
+    if any(location) or rotation[0] or rotation[1] or any(v != 1 for v in scale):
+        return None
+    before = _turn_about_z(source.stack, source.node.inputs["Vector"])
+    if before is None or not source_of(source.stack, source.node.inputs["Vector"]).is_linked:
+        return None
+    return before - rotation[2]  # turning the coordinates one way turns the picture the other
+
+
+def _panorama(world: bpy.types.World, session: BakeSession, size_px: int) -> NDArray[np.float32]:
+    """Render the world alone through an equirectangular camera, one sample at each pixel's centre."""
     scene = session.scene
     camera = session.own(bpy.data.cameras, bpy.data.cameras.new(".sm_panorama"))
     camera.type = "PANO"
@@ -88,10 +139,10 @@ def _panorama(world: bpy.types.World, session: BakeSession) -> NDArray[np.float3
     scene.collection.objects.link(thing)
     scene.camera, scene.world = thing, world
     render = scene.render
-    render.resolution_x, render.resolution_y = _LONG_SIDE_PX, _LONG_SIDE_PX // 2
+    render.resolution_x, render.resolution_y = size_px, size_px // 2
     render.resolution_percentage = 100
-    scene.cycles.samples = 4
-    scene.cycles.pixel_filter_type = "BOX"
+    scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
+    scene.cycles.filter_width = 0.01
     render.image_settings.file_format = "OPEN_EXR"
     render.image_settings.color_depth = "32"
     render.image_settings.color_mode = "RGB"
@@ -99,9 +150,14 @@ def _panorama(world: bpy.types.World, session: BakeSession) -> NDArray[np.float3
     hidden = [(other, other.hide_render) for other in scene.collection.objects if other != thing]
     for other, _ in hidden:
         other.hide_render = True
+    had_result = "Render Result" in bpy.data.images
     with tempfile.TemporaryDirectory() as folder:
         render.filepath = str(Path(folder) / "world.exr")
-        bpy.ops.render.render(write_still=True, scene=scene.name)
+        try:
+            bpy.ops.render.render(write_still=True, scene=scene.name)
+        finally:
+            if not had_result and "Render Result" in bpy.data.images:
+                bpy.data.images.remove(bpy.data.images["Render Result"])
         image = session.own(bpy.data.images, bpy.data.images.load(render.filepath))
         image.colorspace_settings.name = "Non-Color"
         pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
@@ -109,5 +165,4 @@ def _panorama(world: bpy.types.World, session: BakeSession) -> NDArray[np.float3
         pixels = pixels.reshape(image.size[1], image.size[0], image.channels)[::-1, :, :3].copy()
         session.discard(image)
     scene.world, scene.camera = None, None
-    scene.cycles.samples = 1
     return pixels

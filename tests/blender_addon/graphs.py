@@ -120,7 +120,6 @@ class Stage:
         """A byte image with the given stored values (H, W, 3 or 4), row 0 at the top."""
         height, width, channels = pixels.shape
         image = self.bpy.data.images.new(name or self.name, width, height, alpha=channels == 4)
-        image.colorspace_settings.name = space
         full = np.ones((height, width, 4), np.float32)
         full[..., :channels] = pixels[::-1]
         image.pixels.foreach_set(full.ravel())

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,30 +14,11 @@ from datagen.formats.package import Package, open_package
 from datagen.images import read_image, texture_values
 from datagen.meshes import Mesh, decode_ply
 from tests.blender_addon.graphs import CASES, Case, lookup
-from tests.conftest import REPOSITORY
 
-pytestmark = [
-    pytest.mark.bpy,
-    pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="needs bpy (the extra 'blender')"),
-]
+pytestmark = pytest.mark.bpy
 SCALARS = ("roughness", "opacity")
 TOLERANCE = 1 / 255
 SAMPLES_PER_TRIANGLE = 40
-
-
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with all graphs exported by one process."""
-    folder = tmp_path_factory.mktemp("graphs")
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.blender_addon.graphs", str(folder)],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr[-4000:]
-    return folder
 
 
 def _samples(mesh: Mesh, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -86,8 +64,8 @@ def _errors(package: Package, case: Case, name: str, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_channels_match_closed_form(exported: Path, case: Case) -> None:
-    package = open_package(exported / "packages" / case.name)
+def test_channels_match_closed_form(graphs_folder: Path, case: Case) -> None:
+    package = open_package(graphs_folder / "packages" / case.name)
     report = check_package(package)
     assert report.is_usable, report.errors
     for name in case.expected:
@@ -96,8 +74,8 @@ def test_channels_match_closed_form(exported: Path, case: Case) -> None:
 
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.kinds], ids=lambda case: case.name)
-def test_constants_and_images_stay_what_they_are(exported: Path, case: Case) -> None:
-    package = open_package(exported / "packages" / case.name)
+def test_constants_and_images_stay_what_they_are(graphs_folder: Path, case: Case) -> None:
+    package = open_package(graphs_folder / "packages" / case.name)
     assert isinstance(package.asset, ObjectAsset)
     (material,) = package.asset.materials.values()
     for name, kind in case.kinds.items():
@@ -107,7 +85,7 @@ def test_constants_and_images_stay_what_they_are(exported: Path, case: Case) -> 
         else:
             assert isinstance(value, Texture)
             stored = (package.path / value.texture).read_bytes()
-            originals = [path.read_bytes() for path in (exported / "images").iterdir()]
+            originals = [path.read_bytes() for path in (graphs_folder / "images").iterdir()]
             assert stored in originals, "the image was resampled or encoded again"
 
 
@@ -115,11 +93,11 @@ def test_there_are_forty_graphs() -> None:
     assert len(CASES) >= 40
 
 
-def test_wrong_closed_form_is_detected(exported: Path) -> None:
+def test_wrong_closed_form_is_detected(graphs_folder: Path) -> None:
     """The twin: 5 % more contrast in the expectation must not pass."""
     case = next(c for c in CASES if c.name == "uv_as_colour")
     wrong = Case(
         case.name, case.build, {"diffuse_albedo": lambda p: case.expected["diffuse_albedo"](p) * 1.05}
     )
-    errors = _errors(open_package(exported / "packages" / case.name), wrong, "diffuse_albedo", seed=7)
+    errors = _errors(open_package(graphs_folder / "packages" / case.name), wrong, "diffuse_albedo", seed=7)
     assert errors.mean() > TOLERANCE

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The user's file is the same after an export, however the export ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.bpy
+
+
+@pytest.fixture(scope="module")
+def outcome(graphs_folder: Path, run_module: Callable[..., Any]) -> dict[str, Any]:
+    return run_module("tests.blender_addon.untouched", str(graphs_folder))
+
+
+def test_comparison_itself_is_stable_and_sees_changes(outcome: dict[str, Any]) -> None:
+    assert outcome["num_blocks"] > 30
+    assert outcome["nothing"] == []
+    assert any("changed" in line for line in outcome["twin"])
+    assert any("location" in line for line in outcome["twin"])
+
+
+@pytest.mark.parametrize("ending", ["success", "environment", "check", "refused", "disk full"])
+def test_file_is_unchanged(outcome: dict[str, Any], ending: str) -> None:
+    assert outcome[ending] == []
+
+
+def test_file_is_unchanged_after_cancelling_anywhere(outcome: dict[str, Any]) -> None:
+    cancelled = {name: lines for name, lines in outcome.items() if name.startswith("cancelled")}
+    assert len(cancelled) >= 5
+    assert not any(cancelled.values()), cancelled
+
+
+def test_no_partial_package_is_left(outcome: dict[str, Any]) -> None:
+    assert outcome["partial files"] == []
