@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Faults put in on purpose: kills at random and at chosen moments, a full disk, damaged files, a clock set back.
-After each, one more run completes the set with the same bytes."""
+"""Faults put in on purpose: kills at random and at chosen moments, a full disk, damaged files, another clock.
+
+After each, one more run completes the set with the same bytes.
+"""
 
 from __future__ import annotations
 
