@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -80,12 +80,15 @@ def find_places(
     ``classes`` (M,) is an index a triangle, those in ``seat_classes`` are upholstery; ``seeds`` (K, 3) are
     points known to be inside (cameras), and may be empty.
     """
-    points, owner = _surface_points(triangles)
-    grid = RoomGrid.build(points, seeds)
+    points, owner, spacing = _surface_points(triangles)
+    grid = RoomGrid.build(points, seeds, max(_MIN_CELL_M, 1.4 * spacing))
     if grid is None:
         return RoomPlaces(None)
+    near = [h for h in _levels(triangles, grid) if abs(h - grid.floor_m) < 0.15]
+    if near:  # the largest horizontal surface there, rather than skirtings and carpets
+        grid = replace(grid, floor_m=near[0])
     soft = np.isin(classes, list(seat_classes))[owner] if seat_classes else np.zeros(len(owner), bool)
-    surfaces = tuple(_support_surfaces(triangles, points, soft, grid))
+    surfaces = tuple(without_stairs(list(_support_surfaces(triangles, points, soft, grid, 1.25 * spacing))))
     regions = tuple(grid.camera_regions())
     return RoomPlaces(grid.floor_m, surfaces, regions, tuple(grid.ceiling_slots(regions)))
 
@@ -129,24 +132,36 @@ def _vector(values: NDArray | list[float]) -> Vector3:
     return x, y, z
 
 
-def _surface_points(triangles: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Points spread over the triangles at most ``_SQUARE_M`` apart (P, 3), and their triangles (P,)."""
-    edges = triangles - np.roll(triangles, 1, axis=1)
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+def _surface_points(
+    triangles: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
+    """Points spread over the triangles (P, 3), their triangles (P,), and the distance that none exceeds.
+
+    The distance is ``0.8 * _SQUARE_M``, more where that would give too many points.
+    """
+    lengths = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)  # edge k: corner k to k + 1
+    turn = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(triangles, turn[:, :, None], axis=1).transpose(1, 0, 2)
+    base = lengths.max(axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    height = 2 * area / np.maximum(base, 1e-30)
     spacing = 0.8 * _SQUARE_M
-    while True:
-        steps = np.maximum(1, np.exp2(np.ceil(np.log2(np.maximum(longest / spacing, 1e-9))))).astype(np.int64)
-        if ((steps + 1) * (steps + 2) // 2).sum() <= _MAX_POINTS or spacing > 1e3:
-            break
-        spacing *= 1.3
-    parts, owners = [], []
-    for count in np.unique(steps):
-        index = np.flatnonzero(steps == count)
-        i, j = np.nonzero(np.add.outer(np.arange(count + 1), np.arange(count + 1)) <= count)
-        weights = np.stack([count - i - j, i, j], axis=1) / count
-        parts.append(np.einsum("pk,mkd->mpd", weights, triangles[index]).reshape(-1, 3).astype(np.float32))
-        owners.append(np.repeat(index, len(weights)))
-    return np.concatenate(parts), np.concatenate(owners)
+    while (area / spacing**2 + base / spacing + 1).sum() > _MAX_POINTS:
+        spacing *= 1.1
+    num_rows = np.maximum(1, np.ceil(height / spacing)).astype(np.int64)  # rows run along the longest edge
+    row_owner = np.repeat(np.arange(len(triangles)), num_rows)
+    row_v = (_counted(num_rows) + 0.5) / num_rows[row_owner]
+    num_columns = np.maximum(1, np.ceil(base[row_owner] * (1 - row_v) / spacing)).astype(np.int64)
+    row = np.repeat(np.arange(len(row_owner)), num_columns)
+    owner, v = row_owner[row], row_v[row][:, None]
+    u = ((_counted(num_columns) + 0.5) / num_columns[row])[:, None] * (1 - v)
+    points = a[owner] * (1 - u - v) + b[owner] * u + c[owner] * v
+    return points.astype(np.float32), owner, spacing
+
+
+def _counted(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """0 .. counts[0] - 1, 0 .. counts[1] - 1, ... in one array."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 @dataclass(frozen=True)
@@ -160,13 +175,18 @@ class RoomGrid:
     floor_m: float
 
     @classmethod
-    def build(cls, points: NDArray[np.float32], seeds: NDArray[np.float64]) -> RoomGrid | None:
-        """The grid of the room that holds most seeds (or is largest); None if no space is enclosed."""
+    def build(
+        cls, points: NDArray[np.float32], seeds: NDArray[np.float64], min_cell_m: float
+    ) -> RoomGrid | None:
+        """The grid of the room that holds most seeds (or is largest); None if no space is enclosed.
+
+        ``min_cell_m`` must exceed the distance between points, else walls have holes.
+        """
         from scipy import ndimage
 
         lower, upper = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
         extent = np.maximum(upper - lower, 1e-3)
-        cell = max(_MIN_CELL_M, float(np.cbrt(np.prod(extent) / _MAX_GRID_CELLS)))
+        cell = max(min_cell_m, float(np.cbrt(np.prod(extent) / _MAX_GRID_CELLS)))
         origin = lower - 1.5 * cell
         shape = tuple(int(n) for n in np.ceil(extent / cell) + 3)
         occupied = np.zeros(shape, dtype=bool)
@@ -176,17 +196,19 @@ class RoomGrid:
         for axis in range(3):
             walls += np.logical_or.accumulate(occupied, axis=axis)
             walls += np.flip(np.logical_or.accumulate(np.flip(occupied, axis), axis=axis), axis)
-        labels, count = ndimage.label(~occupied & (walls >= 5))  # five of six sides: one may be open
-        if count == 0:
+        inside = ((seeds - origin) / cell).astype(np.int64) if len(seeds) else np.zeros((0, 3), np.int64)
+        inside = inside[((inside >= 0) & (inside < shape)).all(axis=1)]
+        for num_sides in (5, 4):  # of six; film sets lack a wall, or a wall and the ceiling
+            labels, count = ndimage.label(~occupied & (walls >= num_sides))
+            hits = labels[tuple(inside.T)]
+            hits = hits[hits > 0]
+            if len(hits) or (count and not len(inside)):
+                break
+        else:
             return None
         sizes = np.bincount(labels.ravel())
         sizes[0] = 0
-        inside = ((seeds - origin) / cell).astype(np.int64) if len(seeds) else np.zeros((0, 3), np.int64)
-        valid = ((inside >= 0) & (inside < shape)).all(axis=1)
-        hits = labels[tuple(inside[valid].T)]
-        hits = hits[hits > 0]
-        chosen = int(np.bincount(hits).argmax()) if len(hits) else int(sizes.argmax())
-        interior = labels == chosen
+        interior = labels == (int(np.bincount(hits).argmax()) if len(hits) else int(sizes.argmax()))
         lowest = np.where(interior.any(axis=2), interior.argmax(axis=2), -1)
         levels = np.bincount(lowest[lowest >= 0])
         floor_cell = int(levels.argmax())
@@ -254,49 +276,96 @@ class RoomGrid:
 
 
 def _support_surfaces(
-    triangles: NDArray[np.float64], points: NDArray[np.float32], soft: NDArray[np.bool_], grid: RoomGrid
+    triangles: NDArray[np.float64],
+    points: NDArray[np.float32],
+    soft: NDArray[np.bool_],
+    grid: RoomGrid,
+    square_m: float,
 ) -> Iterator[SupportSurface]:
     """Axis-aligned rectangles on horizontal triangles with free space above, largest first at each level."""
     from scipy import ndimage
 
-    found = 0
+    found: list[tuple[float, NDArray, NDArray]] = []  # height, origin, size
     for height in _levels(triangles, grid):
         above = height - grid.floor_m
         if 0.04 < above < 0.3:
             continue  # steps and skirtings
         on_level = np.abs(points[:, 2] - height) < _LEVEL_M
         surface = points[on_level]
-        inside = grid.is_interior(surface + np.float32([0, 0, 1.3 * grid.cell_m]))
+        inside = grid.is_interior(surface + np.array([0, 0, 1.3 * grid.cell_m], dtype=np.float32))
         if not inside.any():
             continue
         surface, cushions = surface[inside], soft[on_level][inside]
-        corner = surface[:, :2].min(axis=0) - _SQUARE_M
-        shape = tuple(int(n) for n in np.ceil((surface[:, :2].max(axis=0) - corner) / _SQUARE_M) + 2)
-        covered = _raster(surface, corner, shape)
+        corner = surface[:, :2].min(axis=0) - square_m
+        shape = tuple(int(n) for n in np.ceil((surface[:, :2].max(axis=0) - corner) / square_m) + 2)
+        covered = _raster(surface, corner, shape, square_m)
         covered = ndimage.binary_closing(covered, structure=np.ones((3, 3)))
         over = points[(points[:, 2] > height + _LEVEL_M) & (points[:, 2] < height + 2.5)]
         near = over[over[:, 2] < height + _STANDING_ROOM_M]
-        free = covered & ~ndimage.binary_dilation(_raster(near, corner, shape))
+        free = covered & ~ndimage.binary_dilation(_raster(near, corner, shape, square_m))
         is_floor = abs(above) <= 0.04
-        minimum = max(3, round((0.5 if is_floor else _MIN_SIDE_M) / _SQUARE_M))
+        minimum = max(3, round((0.5 if is_floor else _MIN_SIDE_M) / square_m))
         for x0, x1, y0, y1 in _rectangles(free, 6 if is_floor else 2, minimum):
-            origin = corner + np.array([x0, y0]) * _SQUARE_M
-            size = np.array([x1 - x0, y1 - y0]) * _SQUARE_M
+            origin = corner + np.array([x0, y0]) * square_m
+            size = np.array([x1 - x0, y1 - y0]) * square_m
+            if any(_is_same(height, origin, size, *other) for other in found):
+                continue
             within = ((over[:, :2] >= origin) & (over[:, :2] <= origin + size)).all(axis=1)
             clearance = float(over[within][:, 2].min() - height) if within.any() else 2.5
-            is_soft = 2 * int(cushions.sum()) > len(cushions)
+            is_soft = np.count_nonzero(cushions) * 2 > len(cushions)
             kind = _kind_of(above, is_soft)
             yield SupportSurface(
-                name=f"{kind}_{found}",
+                name=f"{kind}_{len(found)}",
                 kind=kind,
                 origin_m=_vector([*origin, height]),
                 edge_u_m=_vector([size[0], 0.0, 0.0]),
                 edge_v_m=_vector([0.0, size[1], 0.0]),
                 clearance_m=quantized(clearance, 4),
             )
-            found += 1
-            if found >= _MAX_SURFACES:
+            found.append((height, origin, size))
+            if len(found) >= _MAX_SURFACES:
                 return
+
+
+def _is_same(
+    height: float,
+    origin: NDArray,
+    size: NDArray,
+    other_height: float,
+    other_origin: NDArray,
+    other_size: NDArray,
+) -> bool:
+    """Whether two rectangles are layers of one surface (a floor and its tiles) and cover each other."""
+    common = np.minimum(origin + size, other_origin + other_size) - np.maximum(origin, other_origin)
+    return abs(height - other_height) < 0.05 and bool((common > 0.1).all())
+
+
+def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
+    """The surfaces less treads: those with a neighbour one step above and one step below beside them.
+
+    Shelves have such neighbours too, but over and under them.
+    """
+
+    def is_step(low: SupportSurface, high: SupportSurface) -> bool:
+        if not 0.1 < high.origin_m[2] - low.origin_m[2] < 0.36:
+            return False
+        gaps, overlaps = [], []
+        for axis, edge in ((0, "edge_u_m"), (1, "edge_v_m")):
+            a0, b0 = low.origin_m[axis], high.origin_m[axis]
+            a1, b1 = a0 + getattr(low, edge)[axis], b0 + getattr(high, edge)[axis]
+            gaps.append(max(a0, b0) - min(a1, b1))
+            overlaps.append(max(0.0, min(a1, b1) - max(a0, b0)) / min(a1 - a0, b1 - b0))
+        return max(gaps) < 0.15 and overlaps[0] * overlaps[1] < 0.4
+
+    kept = []
+    for surface in surfaces:
+        if surface.kind != "floor":
+            above = any(is_step(surface, other) for other in surfaces)
+            below = any(is_step(other, surface) for other in surfaces)
+            if above and below:
+                continue
+        kept.append(surface)
+    return kept
 
 
 def _kind_of(above_floor_m: float, is_soft: bool) -> SupportKind:
@@ -328,9 +397,11 @@ def _levels(triangles: NDArray[np.float64], grid: RoomGrid) -> list[float]:
     return [float(mean[k]) for k in big[np.argsort(-total[big])][:_MAX_SURFACES]]
 
 
-def _raster(points: NDArray[np.float32], corner: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _raster(
+    points: NDArray[np.float32], corner: NDArray, shape: tuple[int, ...], square_m: float
+) -> NDArray[np.bool_]:
     mask = np.zeros(shape, dtype=bool)
-    index = ((points[:, :2] - corner) / _SQUARE_M).astype(np.int64)
+    index = ((points[:, :2] - corner) / square_m).astype(np.int64)
     valid = ((index >= 0) & (index < shape)).all(axis=1)
     mask[index[valid, 0], index[valid, 1]] = True
     return mask
