@@ -153,7 +153,10 @@ def _dealing_order(pools: Pools) -> list[list[Package]]:
 
 
 def _families(packages: list[Package]) -> dict[str, str]:
-    """The least id among the assets that share a texture or mesh with an asset, directly or in a chain."""
+    """The least id among the assets that share an image or their largest mesh with one, or in a chain.
+
+    Small meshes (a quad, a box) may be equal by chance and tie nothing.
+    """
     parent = {p.id: p.id for p in packages}
 
     def root(asset_id: str) -> str:
@@ -163,11 +166,20 @@ def _families(packages: list[Package]) -> dict[str, str]:
 
     owner: dict[str, str] = {}
     for package in packages:
-        for name in package.names():
+        for name in _telling_files(package):
             content = sha256_hex(package.read_bytes(name))
             one, other = root(owner.setdefault(content, package.id)), root(package.id)
             parent[max(one, other)] = min(one, other)
     return {asset_id: root(asset_id) for asset_id in parent}
+
+
+def _telling_files(package: Package) -> list[str]:
+    """Files by which an asset is recognised: its images and its largest mesh."""
+    names = package.names()
+    meshes = [name for name in names if name.lower().endswith(".ply")]
+    sizes = {name: len(package.read_bytes(name)) for name in meshes}
+    largest = [max(meshes, key=lambda name: (sizes[name], name))] if meshes else []
+    return [name for name in names if name not in sizes] + largest
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
@@ -256,7 +268,7 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem
         known = [p.id for p in library.select(kind, for_training=False)]  # type: ignore[arg-type]
         usable = {p.id for p in library.select(kind)}  # type: ignore[arg-type]
         for name in wanted.include or ():
-            check(f"{field}.include", name, known, f"an {kind} of the library")
+            check(f"{field}.include", name, known, f"one of the library's {kind}s")
             if name in known and name not in usable:
                 problems.append(
                     Problem(
@@ -268,7 +280,7 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem
                     )
                 )
         for name in wanted.exclude:
-            check(f"{field}.exclude", name, known, f"an {kind} of the library")
+            check(f"{field}.exclude", name, known, f"one of the library's {kind}s")
     categories = library.categories(for_training=False)
     for name in recipe.objects.category_weights:
         check("objects.category_weights", name, categories, "a category of the library")
