@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: MIT
+"""What can be wrong with a view, as pure functions on its buffers (name to (H, W, C) array).
+
+Each function returns the faults that it finds and never raises on bad pixels. The limits are meant to pass
+every sound dataset and to catch what would poison training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.buffers import BUFFERS
+from datagen.cameras import Camera
+from datagen.color import luminance
+from datagen.inspection.findings import Fault, Severity
+
+RANGE_TOLERANCE = 2e-3  # half floats near 1 are 5e-4 apart, and averages round
+UNIT_TOLERANCE = 5e-3  # three half components, each rounded by up to 2.5e-4, after one renormalisation
+MAX_SHARE_OF_BAD_NORMALS = 1e-3  # opposite sides of a thin sheet may cancel within a pixel
+FIREFLY_FACTOR, FIREFLY_MAX_SIZE = 20.0, 4
+MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES = 4, 2e-4
+BLACK_LUMINANCE, BLACK_EXPOSED, BURNT_EXPOSED = 1e-5, 0.01, 4.0
+MAX_SHARE_CLIPPED = 0.01
+_HALF_MAX = 65504.0
+MIN_ROUGHNESS_PIXELS, MIN_ROUGHNESS_RANGE = 500, 2e-3
+SOLID_COVERAGE = 0.999  # of pixels whose averages belong to one surface
+
+
+View = Mapping[str, NDArray]
+
+
+def _first(mask: NDArray) -> str:
+    row, column = np.argwhere(mask)[0][:2]
+    return f"first at row {row}, column {column}"
+
+
+def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: str) -> list[Fault]:
+    """Buffers that are missing or not of the camera's size."""
+    faults = [Fault("buffer", where, f"no {name}", "this buffer") for name in expected if name not in view]
+    for name, array in view.items():
+        shape = (camera.height_px, camera.width_px, BUFFERS[name].num_channels)
+        if array.shape != shape:
+            faults.append(Fault("buffer", where, f"{name} of shape {array.shape}", f"{shape}"))
+    return faults
+
+
+def check_finite(view: View, where: str) -> list[Fault]:
+    """NaN and Inf in any buffer."""
+    faults = []
+    for name, array in view.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            bad = ~np.isfinite(array).all(axis=-1)
+            got = f"{int(bad.sum())} pixels of {name} are NaN or Inf, {_first(bad)}"
+            faults.append(Fault("finite", where, got, "finite values"))
+    return faults
+
+
+def check_range(view: View, where: str) -> list[Fault]:
+    """Values outside the range that the registry gives; NaN is another check's."""
+    faults = []
+    for name, array in view.items():
+        buffer = BUFFERS[name]
+        if array.dtype.kind != "f":
+            continue
+        with np.errstate(invalid="ignore"):
+            bad = (array < buffer.minimum - RANGE_TOLERANCE) | (array > buffer.maximum + RANGE_TOLERANCE)
+        bad &= np.isfinite(array)
+        if bad.any():
+            low, high = float(array[bad].min()), float(array[bad].max())
+            pixels = bad.any(axis=-1)
+            got = f"{int(pixels.sum())} pixels of {name} hold {low:.4g} to {high:.4g}, {_first(pixels)}"
+            faults.append(Fault("range", where, got, f"[{buffer.minimum:g}, {buffer.maximum:g}]"))
+    return faults
+
+
+def check_normals(view: View, where: str) -> list[Fault]:
+    """Normals on surfaces that are not of unit length."""
+    surface = view["surface_mask"][..., 0] > 0
+    normal = view["normal_world"].astype(np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):
+        bad = surface & (np.abs(np.linalg.norm(normal, axis=-1) - 1) > UNIT_TOLERANCE)
+    if not bad.any():
+        return []
+    severity: Severity = "error" if bad.sum() > MAX_SHARE_OF_BAD_NORMALS * surface.sum() else "warning"
+    lengths = np.linalg.norm(normal[bad], axis=-1)
+    got = f"{int(bad.sum())} pixels with normals of length {lengths.min():.3g} to {lengths.max():.3g}"
+    return [Fault("normal", where, f"{got}, {_first(bad)}", "length 1", severity)]
+
+
+def firefly_mask(view: View) -> NDArray[np.bool_]:
+    """Isolated bright pixels (H, W): over 20 times the median of their 5x5 neighbourhood, itself at least the
+    frame's median, in spots of at most 4 pixels, away from what is not reflecting surface.
+    """
+    import cv2
+
+    light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
+    surroundings = cv2.medianBlur(np.ascontiguousarray(light), 5)
+    is_bright = light > FIREFLY_FACTOR * np.maximum(surroundings, max(float(np.median(light)), 1e-6))
+    crowd = cv2.boxFilter(is_bright.astype(np.float32), -1, (5, 5), normalize=False)
+    if "surface_mask" in view:  # lamps and windows are bright by right, and so are the pixels beside them
+        other = (np.nan_to_num(view["surface_mask"][..., 0]) < SOLID_COVERAGE).astype(np.uint8)
+        is_bright &= cv2.dilate(other, np.ones((5, 5), np.uint8)) == 0
+    return is_bright & (crowd <= FIREFLY_MAX_SIZE + 0.5)
+
+
+def check_fireflies(view: View, where: str) -> list[Fault]:
+    """Fireflies; few are a warning, since a small highlight can look like one."""
+    mask = firefly_mask(view)
+    count = int(mask.sum())
+    if count == 0:
+        return []
+    limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
+    peak = float(luminance(view["beauty"][mask].astype(np.float32)).max())
+    got = f"{count} fireflies of luminance up to {peak:.4g}, {_first(mask)}"
+    return [Fault("firefly", where, got, f"at most {limit:.0f}", "error" if count > limit else "warning")]
+
+
+def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
+    """Black, flat and burnt frames; ``exposure`` is the median of the configuration's views."""
+    light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
+    bright, middle = np.percentile(light, [95, 50])
+    expected = "a picture of something"
+    if bright < BLACK_LUMINANCE or bright * exposure < BLACK_EXPOSED:
+        got = f"black: 95 % of the luminance is below {bright:.3g}, {bright * exposure:.3g} when exposed"
+        return [Fault("exposure", where, got, expected)]
+    if light.std() < 1e-4 * bright:
+        return [Fault("exposure", where, f"flat: luminance is {middle:.4g} everywhere", expected)]
+    clipped = float((view["beauty"].max(axis=-1) >= _HALF_MAX).mean())
+    if clipped > MAX_SHARE_CLIPPED:
+        got = f"burnt: {clipped:.1%} of the pixels are at the largest half float"
+        return [Fault("exposure", where, got, f"at most {MAX_SHARE_CLIPPED:.0%}")]
+    if middle * exposure > BURNT_EXPOSED:
+        got = f"burnt: half of the frame is over {middle * exposure:.3g} when exposed like the other views"
+        return [Fault("exposure", where, got, f"at most {BURNT_EXPOSED:g}")]
+    return []
+
+
+def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> list[Fault]:
+    """Order of the statistics, counts of 0 on surfaces, counts over ``most_views``, background that differs.
+
+    ``has_own``: a view's own pixel is a candidate, so that no surface may have the count 0.
+    """
+    low, middle, high = (view[f"color_{n}"].astype(np.float32) for n in ("min", "median", "max"))
+    count = view["observation_count"][..., 0]
+    faults = []
+
+    def add(bad: NDArray, what: str, expected: str) -> None:
+        if bad.any():
+            faults.append(
+                Fault("statistics", where, f"{int(bad.sum())} pixels {what}, {_first(bad)}", expected)
+            )
+
+    with np.errstate(invalid="ignore"):
+        add(((low > middle) | (middle > high)).any(axis=-1), "out of order", "min <= median <= max")
+        is_surface = (view["depth_z_m"][..., 0] > 0) & (view["surface_mask"][..., 0] >= 0.5)
+        if has_own:
+            add(is_surface & ~(count > 0), "of surface with count 0", "at least the view itself")
+        is_empty = view["depth_z_m"][..., 0] == 0
+        add(is_empty & (count > 0), "of background with a count", "count 0")
+        add(count > most_views, f"with a count over {most_views}", f"at most {most_views}")
+        own = view["beauty"].astype(np.float32)
+        differs = (np.abs(low - own) + np.abs(high - own)).max(axis=-1) > 1e-3 * np.abs(own).max(axis=-1)
+        add((count == 0) & differs, "without observations differ from their own colour", "their own colour")
+    return faults
+
+
+def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
+    """Material id to (pixels, least, largest roughness) over pixels that one surface covers whole."""
+    ids = view["material_id"][..., 0]
+    rough = view["roughness"][..., 0].astype(np.float32)
+    is_solid = (view["surface_mask"][..., 0] >= SOLID_COVERAGE) & np.isfinite(rough) & (ids > 0)
+    ranges = {}
+    for material in np.unique(ids[is_solid]):
+        values = rough[is_solid & (ids == material)]
+        ranges[int(material)] = (len(values), float(values.min()), float(values.max()))
+    return ranges
+
+
+def merge_ranges(
+    first: dict[int, tuple[int, float, float]], second: dict[int, tuple[int, float, float]]
+) -> dict[int, tuple[int, float, float]]:
+    """The same over both."""
+    merged = dict(first)
+    for material, (count, low, high) in second.items():
+        old = merged.get(material, (0, np.inf, -np.inf))
+        merged[material] = (old[0] + count, min(old[1], low), max(old[2], high))
+    return merged
+
+
+def check_roughness(
+    ranges: Mapping[int, tuple[int, float, float]],
+    names: Mapping[str, str],
+    textured: Mapping[str, float],
+    where: str,
+) -> list[Fault]:
+    """Materials of constant roughness that should vary.
+
+    ``names`` maps ids (as text) to material names, ``textured`` names to the range of their texture's values.
+    Materials that few pixels show, or whose texture hardly varies, are left alone.
+    """
+    faults = []
+    for material, (count, low, high) in sorted(ranges.items()):
+        name = names.get(str(material), "").partition("#")[0]
+        expected = textured.get(name, 0.0)
+        is_shown = count >= MIN_ROUGHNESS_PIXELS and expected > 10 * MIN_ROUGHNESS_RANGE
+        if is_shown and high - low < MIN_ROUGHNESS_RANGE:
+            got = f"roughness of {name} is {low:.4g} on all of {count} pixels"
+            faults.append(Fault("roughness", where, got, f"values that vary by {expected:.2g}"))
+    return faults

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+"""Do depth and cameras of different views agree? Points of one view are looked up in others.
+
+A point p of view a, with normal n, is projected into view b, where the pixel's own depth gives a point q.
+Either q is p's surface, or q lies in front (b's view is blocked, which is allowed), or q lies behind, so that
+b looks through a surface that a saw. For matched points the residual is the distance of q from p's tangent
+plane, |n . (q - p)| / z: on flat surfaces it vanishes wherever in b's pixel p falls, so that it measures
+errors of depth and pose and not the size of pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.inspection.findings import Fault
+
+POINTS_A_VIEW = 3000
+MAX_PARTNERS = 8
+MIN_POINTS = 150
+MATCH_DISTANCE = 0.05  # relative depth within which q may be p's surface
+MIN_COSINE = 0.2  # at grazing angles a pixel spans too much depth to compare
+MAX_SEEN_THROUGH = 0.06  # silhouettes, where half a pixel decides, account for a few percent
+_RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.5  # normals from maps tilt the plane within the pixel
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What a view gives to the comparison: depth and ``is_surface`` (H, W), world ``normal`` (H, W, 3)."""
+
+    name: str
+    camera: Camera
+    depth_z_m: NDArray
+    normal: NDArray
+    is_surface: NDArray
+
+    @classmethod
+    def from_buffers(cls, name: str, camera: Camera, view: dict[str, NDArray]) -> Geometry:
+        """From a view's buffers by name; pixels that are not finite do not take part."""
+        depth = view["depth_z_m"][..., 0]
+        normal = view["normal_world"]
+        is_surface = (view["surface_mask"][..., 0] >= 0.5) & (depth > 0)
+        is_surface &= np.isfinite(depth) & np.isfinite(normal).all(axis=-1)
+        return cls(name, camera, np.nan_to_num(depth), normal, is_surface)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a view sees another's points; the share and the residual are NaN if too few compare."""
+
+    num_points: int
+    seen_through: float
+    median_residual: float
+
+
+def sample_points(view: Geometry, seed: int) -> tuple[NDArray, NDArray]:
+    """World points and unit normals, (N, 3) each, of up to 3000 surface pixels."""
+    rng = np.random.default_rng([seed, 0x7265])
+    rows, columns = np.nonzero(view.is_surface)
+    if len(rows) > POINTS_A_VIEW:
+        chosen = rng.choice(len(rows), POINTS_A_VIEW, replace=False)
+        rows, columns = rows[chosen], columns[chosen]
+    pixels = np.stack([columns, rows], axis=-1) + 0.5
+    points = view.camera.unproject(pixels, view.depth_z_m[rows, columns])
+    normals = view.normal[rows, columns].astype(np.float64)
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return points, normals / np.where(lengths > 0, lengths, 1)
+
+
+def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
+    """Look up points (N, 3) with normals (N, 3) in view ``other``."""
+    camera = other.camera
+    offset = points - camera.position_m
+    distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
+    pixels, z = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < [camera.width_px, camera.height_px]).all(-1)
+    inside &= -np.einsum("nc,nc->n", normals, offset) / distance > MIN_COSINE
+    points, normals, z, pixels = points[inside], normals[inside], z[inside], pixels[inside]
+    columns, rows = pixels.astype(np.int64).T
+    seen = other.depth_z_m[rows, columns].astype(np.float64)
+    is_blocked = (seen > 0) & (seen < z * (1 - MATCH_DISTANCE))
+    is_through = (seen <= 0) | (seen > z * (1 + MATCH_DISTANCE))
+    is_match = ~is_blocked & ~is_through
+    num_points = int((~is_blocked).sum())
+    if num_points < MIN_POINTS or is_match.sum() < MIN_POINTS // 3:
+        through = float(is_through.sum() / num_points) if num_points >= MIN_POINTS else np.nan
+        return Agreement(num_points, through, np.nan)
+    centres = np.stack([columns, rows], axis=-1) + 0.5
+    found = camera.unproject(centres[is_match], seen[is_match])
+    gap = np.abs(np.einsum("nc,nc->n", normals[is_match], found - points[is_match])) / z[is_match]
+    return Agreement(num_points, float(is_through.sum() / num_points), float(np.median(gap)))
+
+
+def partners_of(index: int, count: int) -> list[int]:
+    """Up to 8 other views, evenly spread."""
+    others = [i for i in range(count) if i != index]
+    if len(others) <= MAX_PARTNERS:
+        return others
+    return [
+        others[(index + round(k * len(others) / MAX_PARTNERS)) % len(others)] for k in range(MAX_PARTNERS)
+    ]
+
+
+def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Fault], int]:
+    """Faults of views that most of their partners disagree with, and the number of views that were compared.
+
+    The view with the worst median over its pairs is blamed and its pairs are struck out, until the rest
+    agree: so one bad view does not discredit the good ones that were compared with it.
+    """
+    samples = [sample_points(view, index) for index, view in enumerate(views)]
+    pairs = [
+        (a, b, compare(*samples[a], views[b])) for a in range(len(views)) for b in partners_of(a, len(views))
+    ]
+    pairs = [pair for pair in pairs if not np.isnan(pair[2].seen_through)]
+    num_compared = len({index for a, b, _ in pairs for index in (a, b)})
+    faults = []
+    while pairs:
+        excess = {index: _excess(pairs, index, views[index]) for a, b, _ in pairs for index in (a, b)}
+        worst = max(excess, key=lambda index: excess[index][0])
+        ratio, got, expected = excess[worst]
+        if ratio <= 1:
+            break
+        faults.append(Fault("reprojection", f"{where}/{views[worst].name}", got, expected))
+        pairs = [pair for pair in pairs if worst not in pair[:2]]
+    return faults, num_compared
+
+
+def _excess(
+    pairs: Sequence[tuple[int, int, Agreement]], index: int, view: Geometry
+) -> tuple[float, str, str]:
+    """By how much a view's worse median over its pairs passes its limit, and the words for it."""
+    mine = [agreement for a, b, agreement in pairs if index in (a, b)]
+    through = float(np.median([agreement.seen_through for agreement in mine]))
+    gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]
+    gap = float(np.median(gaps)) if gaps else 0.0
+    limit = _RESIDUAL_FLOOR + _RESIDUAL_PIXELS / min(view.camera.fx_px, view.camera.fy_px)
+    by_through = (
+        through / MAX_SEEN_THROUGH,
+        f"other views look through {through:.0%} of its surfaces, or it through theirs",
+        f"at most {MAX_SEEN_THROUGH:.0%}",
+    )
+    by_gap = (
+        gap / limit,
+        f"surfaces lie {gap:.2%} of their depth from where other views have them",
+        f"at most {limit:.2%}",
+    )
+    return max(by_through, by_gap)

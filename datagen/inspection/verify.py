@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: MIT
+"""Reads a dataset and reports what is wrong with its content, shard by shard: ``datagen verify``.
+
+Nothing that is found ends the reading: a damaged member is a fault of its own, and the rest is still looked
+at. The checks themselves are in ``checks``, ``reprojection`` and ``shard_check``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from datagen.errors import InputError, input_error
+from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
+from datagen.formats.base import read_json
+from datagen.formats.configuration import Configuration
+from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
+from datagen.inspection.findings import CHECKS, Fault, Report, Severity
+from datagen.inspection.shard_check import ShardJob, verify_shard
+
+if TYPE_CHECKING:
+    from datagen.formats.package import Package
+    from datagen.library import Library
+
+_MAX_LISTED = 40
+
+
+def verify_dataset(
+    path: Path,
+    library: Library | None = None,
+    workers: int = 1,
+    progress: Callable[[int, int], object] | None = None,
+) -> Report:
+    """Verify a dataset folder, or a single shard (``.tar``).
+
+    ``library`` tells which materials have roughness textures; without it that check is skipped, with a note.
+    ``progress(done, total)`` counts shards. Raises :class:`InputError` only where ``path`` is neither.
+    """
+    report = Report(str(path))
+    if path.is_file() and path.suffix == ".tar":
+        jobs = [ShardJob(path, path.name)]
+    elif path.is_dir():
+        jobs = _jobs_of_folder(path, report)
+    else:
+        raise input_error(path, "", "neither a folder nor a .tar file", "a dataset", "check the path")
+    if library is None:
+        report.notes.append("roughness was not checked: no library at hand says what has textures")
+    else:
+        jobs = [replace(job, textured=_textured_materials(job, library, report)) for job in jobs]
+    for done, found in enumerate(_run(jobs, workers)):
+        report.merge(found)
+        if progress is not None:
+            progress(done + 1, len(jobs))
+    return report
+
+
+def _run(jobs: list[ShardJob], workers: int) -> Iterable[Report]:
+    if workers <= 1 or len(jobs) <= 1:
+        yield from map(verify_shard, jobs)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(verify_shard, jobs)
+
+
+def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
+    """Shards of the index; without one, every tar in the folder."""
+    report.applied["index"] += 1
+    on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
+    try:
+        index = read_json(DatasetIndex, folder / INDEX_FILE)
+    except InputError as error:
+        for p in error.problems:
+            report.faults.append(Fault("index", str(p.where), f"{p.field} {p.got}".strip(), p.expected))
+        return [ShardJob(path, str(path.relative_to(folder))) for path in on_disk]
+    where = str(folder / INDEX_FILE)
+
+    def add(got: str, expected: str, severity: Severity = "error") -> None:
+        report.faults.append(Fault("index", where, got, expected, severity))
+
+    if not index.is_complete:
+        names = ", ".join(index.missing[:5]) + (" ..." if len(index.missing) > 5 else "")
+        add(f"{len(index.missing)} configurations are missing: {names}", "a complete dataset", "warning")
+    listed = {folder / record.file for record in index.shards}
+    for stray in sorted(set(on_disk) - listed):
+        add(f"{stray.relative_to(folder)} is not listed", "only shards that the index knows", "warning")
+    sums = {
+        "num_configurations": len(index.shards),
+        "num_views": sum(record.num_views for record in index.shards),
+        "num_bytes": sum(record.num_bytes for record in index.shards),
+    }
+    for name, value in sums.items():
+        if getattr(index, name) != value:
+            add(f"{name} = {getattr(index, name)}", f"{value}, the sum over its shards")
+    if index.recipe.splits.disjoint:
+        report.applied["split"] += 1
+        report.faults += _check_split(index, where)
+    jobs = []
+    for record in index.shards:
+        if Path(record.file).is_absolute() or ".." in Path(record.file).parts:
+            add(f"shard {record.file!r}", "a path inside the dataset")
+            continue
+        jobs.append(ShardJob(folder / record.file, record.file, record, index.buffers))
+    return jobs
+
+
+def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
+    used: dict[str, set[str]] = {}
+    for record in index.shards:
+        used.setdefault(record.split, set()).update(record.assets)
+    shared = sorted(used.get("test", set()) & used.get("train", set()))
+    expected = "splits without a common asset, as the recipe asks"
+    got = "is in training and in the test split"
+    return [Fault("split", where, f"{asset} {got}", expected) for asset in shared]
+
+
+# ---------------------------------------------------------------------- which materials should vary
+
+
+def expected_roughness(configuration: Configuration, library: Library) -> dict[str, float]:
+    """Material name, as in the views' records, to the range of roughness that its texture gives it.
+
+    Materials of constant roughness are left out. The range is that between the 1st and 99th percentile, after
+    the configuration's own offset. Raises :class:`InputError` where the library lacks an asset or an image.
+    """
+    ranges: dict[str, float] = {}
+    for placed in (configuration.environment, *configuration.objects):
+        package = library.package(placed.asset)
+        if not isinstance(package.asset, ObjectAsset | EnvironmentAsset):
+            continue
+        for slot, own in package.asset.materials.items():
+            assignment = placed.materials.get(slot)
+            material: Material = own
+            source, name = package, f"{package.id}/{slot}"
+            if assignment is not None and assignment.asset is not None:
+                source = library.package(assignment.asset)
+                if not isinstance(source.asset, MaterialAsset):
+                    continue
+                material, name = source.asset.material, source.id
+            offset = assignment.adjustment.roughness_offset if assignment is not None else 0.0
+            if isinstance(material.roughness, Texture):
+                found = _texture_range(source, material, offset)
+                ranges[name] = min(found, ranges.get(name, np.inf))
+    return ranges
+
+
+def _texture_range(package: Package, material: Material, offset: float) -> float:
+    from datagen.images import read_image, texture_values
+
+    texture = material.roughness
+    assert isinstance(texture, Texture)
+    values = texture_values(texture, read_image(package.local_file(texture.texture)), is_scalar=True)
+    low, high = np.percentile(np.clip(values + offset, 0, 1), [1, 99])
+    return float(high - low)
+
+
+def _textured_materials(job: ShardJob, library: Library, report: Report) -> dict[str, float]:
+    try:
+        configuration = ShardReader(job.path).configuration()
+    except InputError:
+        return {}  # a fault of its own, reported where the shard is read
+    for asset_id, digest in configuration.assets.items():
+        if asset_id in library and library.package(asset_id).sha256 != digest:
+            report.notes.append(f"roughness of {job.file} was not checked: {asset_id} has changed since")
+            return {}
+    try:
+        return expected_roughness(configuration, library)
+    except InputError as error:
+        report.notes.append(f"roughness of {job.file} was not checked: {error}")
+        return {}
+
+
+# ---------------------------------------------------------------------- the command
+
+
+def verify_command(
+    path: Path,
+    library_paths: Sequence[Path] | None = None,
+    workers: int = 1,
+    as_json: bool = False,
+    strict: bool = False,
+) -> int:
+    """Verify, print a table (or JSON) and return the exit code.
+
+    Without ``library_paths`` the library that the dataset folder was made from is used, if it is still there.
+    """
+    from datagen.library import Library
+
+    if library_paths is None:
+        library_paths = _library_of(path)
+    if not library_paths:
+        report = _verify_with_progress(path, None, workers, as_json)
+    else:
+        with Library(library_paths) as library:
+            report = _verify_with_progress(path, library, workers, as_json)
+    if as_json:
+        print(report.to_json())
+    else:
+        print_report(report)
+    return report.exit_code(strict)
+
+
+def _library_of(path: Path) -> list[Path] | None:
+    from datagen.farm.folder import DatasetFolder
+
+    try:
+        paths = [Path(p) for p in DatasetFolder(path).read_record().library_paths]
+    except InputError:
+        return None
+    return paths if all(p.exists() for p in paths) else None
+
+
+def _verify_with_progress(path: Path, library: Library | None, workers: int, is_quiet: bool) -> Report:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("verify"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=is_quiet) as bar:
+        task = bar.add_task("verify", total=None)
+
+        def advance(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        return verify_dataset(path, library, workers, advance)
+
+
+def print_report(report: Report) -> None:
+    """The report as a table of checks and a list of what was found."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console()
+    table = Table("check", "asserts", "looked at", "errors", "warnings", title=escape(report.path))
+    for check, asserts in CHECKS.items():
+        mine = [fault for fault in report.faults if fault.check == check]
+        errors = sum(fault.severity == "error" for fault in mine)
+        warnings = len(mine) - errors
+        style = "red" if errors else "yellow" if warnings else None
+        applied = str(report.applied[check]) if report.applied[check] else "-"
+        table.add_row(check, asserts, applied, str(errors or ""), str(warnings or ""), style=style)
+    console.print(table)
+    for fault in report.faults[:_MAX_LISTED]:
+        console.print(str(fault), style="red" if fault.severity == "error" else "yellow", markup=False)
+    if len(report.faults) > _MAX_LISTED:
+        console.print(f"... and {len(report.faults) - _MAX_LISTED} more; --json lists all")
+    for note in report.notes:
+        console.print(f"note: {note}", markup=False)
+    verdict = f"{report.num_errors} errors, {len(report.faults) - report.num_errors} warnings"
+    console.print(f"{report.num_shards} shards, {report.num_views} views: {verdict}")
