@@ -334,6 +334,25 @@ def unit(
 
 
 @app.command()
+def verify(
+    path: Annotated[Path, typer.Argument(help="Dataset folder, or one shard.")],
+    library: LibraryOption = None,
+    workers: WorkersOption = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Let warnings fail as well.")] = False,
+) -> None:
+    """Look for semantic faults in a dataset; exit code 1 if there are any.
+
+    Example: datagen verify smoke --workers 2
+    """
+    from datagen.inspection.verify import verify_command
+    from datagen.library import resolve_library_paths
+
+    paths = resolve_library_paths(library, Path.cwd()) if library else None
+    raise typer.Exit(verify_command(path, paths, workers, as_json, strict))
+
+
+@app.command()
 def sheet(folder: FolderArgument) -> None:
     """Write a contact sheet for each finished configuration.
 
