@@ -34,7 +34,7 @@ LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 NUM_BOUNCES = 5
 _OFFSET_M = 1e-4  # rays start this far off a surface: float32 positions in a room are good to 1e-6
 _MAX_LIGHTS_A_STEP = 6  # of a larger group one light stands for all
-_MAX_TAIL = 4.0  # a geometric series of albedos near 1 must not blow up a noisy estimate
+_MAX_TAIL_ALBEDO = 0.9  # a geometric series of albedos near 1 must not blow up a noisy estimate
 
 EnvironmentMap = Callable[[Floats], Floats]
 """Radiance (R, 3) from unit directions (R, 3)."""
@@ -93,12 +93,12 @@ class LightProbe:
         total = np.zeros((count, len(self.groups), 3))
         weight = np.ones((count, 3))
         index = np.arange(count)
-        for bounce in range(NUM_BOUNCES):
+        for bounce in range(NUM_BOUNCES + 1):
             hits = self.rays.cast(origins, directions)
-            missed = ~hits.hit_mask
-            if bounce > 0 or missed.any():
-                self._add_escaped(total, index[missed], weight[missed], origins[missed], directions[missed])
-            keep = hits.hit_mask
+            keep, missed = hits.hit_mask, ~hits.hit_mask
+            self._add_escaped(total, index[missed], weight[missed], origins[missed], directions[missed])
+            if bounce == NUM_BOUNCES:
+                break  # the last segment is for light that is met outside
             index, weight, face = index[keep], weight[keep], hits.face[keep]
             if len(index) == 0:
                 break
@@ -109,12 +109,11 @@ class LightProbe:
             points = points + _OFFSET_M * normals
             albedo = self.albedo[face]
             weight = weight * albedo
-            tail = 1.0
             if bounce == NUM_BOUNCES - 1:  # later bounces as a geometric series of the mean albedo
-                tail = min(1.0 / (1.0 - min(float(albedo.mean()), 0.95)), _MAX_TAIL)
+                weight = weight / (1.0 - min(float(albedo.mean()), _MAX_TAIL_ALBEDO))
             for k, group in enumerate(self.groups):
                 arriving = self._direct(points, normals, group, draws)
-                total[index, k] += tail * weight * arriving / math.pi
+                total[index, k] += weight * arriving / math.pi
             origins, directions = points, _cosine_directions(normals, draws)
         return total
 

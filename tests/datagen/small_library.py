@@ -231,6 +231,23 @@ def write_room(
     return asset
 
 
+def write_package_of(
+    root: Path, name: str, shapes: dict[str, trimesh.Trimesh], **fields: Any
+) -> EnvironmentAsset:
+    """An environment package of any shapes, one grey part each."""
+    meshes = {part: with_uv(shape) for part, shape in shapes.items()}
+    asset = EnvironmentAsset(
+        id=name,
+        title=name,
+        provenance=CC0,
+        materials={part: SlotMaterial(classes=("plaster",)) for part in shapes},
+        parts=tuple(Part(name=p, mesh=f"{p}.ply", material=p) for p in shapes),
+        **fields,
+    )
+    write_package(root / name, asset, {f"{p}.ply": encode_ply(m) for p, m in meshes.items()})
+    return asset
+
+
 def chair() -> trimesh.Trimesh:
     """Seat, back and four legs; its back at +Y."""
     legs = [box([x, y, 0], [x + 0.04, y + 0.04, 0.45]) for x in (-0.2, 0.16) for y in (-0.2, 0.16)]

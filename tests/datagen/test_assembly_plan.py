@@ -71,7 +71,8 @@ def test_other_processes_give_the_same_bytes(
 ) -> None:
     code = (
         "import sys; from datagen.assembly.plan import assemble; from datagen.library import Library\n"
-        "from datagen.formats.recipe import Recipe; from datagen.formats.base import canonical_json, sha256_hex\n"
+        "from datagen.formats.base import canonical_json, sha256_hex\n"
+        "from datagen.formats.recipe import Recipe\n"
         "r = Recipe.model_validate_json(sys.argv[2]); l = Library([sys.argv[1]])\n"
         "print(*[sha256_hex(canonical_json(assemble(r, i, l))) for i in (5, 0, 2)])"
     )
