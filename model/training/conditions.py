@@ -9,6 +9,7 @@ image of the batch on the CPU, so that the same seed gives the same conditions o
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -54,6 +55,33 @@ class AreaCondition:
     lights: SphericalGaussians
 
 
+class SampleDraws:
+    """Random numbers of a batch in which each image has its own stream.
+
+    What an image is shown under then depends on its own seed alone, not on the batch, the rank or the order
+    in which it came: two processes with half a batch each draw what one process draws for the whole.
+    """
+
+    def __init__(self, generators: Sequence[torch.Generator]):
+        self._generators = list(generators)
+
+    @classmethod
+    def for_samples(cls, seed: int, sample_ids: Iterable[int]) -> SampleDraws:
+        """Streams of the images with these ids in a run with this seed."""
+        return cls([generator_for(seed, _CONDITION_PURPOSE, int(i)) for i in sample_ids])
+
+    def uniform(self, *shape: int) -> Tensor:
+        """(B, *shape) in [0, 1), float32 on the CPU."""
+        return torch.stack([torch.rand(shape, generator=g) for g in self._generators])
+
+    def normal(self, *shape: int) -> Tensor:
+        """(B, *shape) of the standard normal distribution, float32 on the CPU."""
+        return torch.stack([torch.randn(shape, generator=g) for g in self._generators])
+
+
+_CONDITION_PURPOSE = 0xC0
+
+
 def generator_for(*key: int) -> torch.Generator:
     """A CPU generator seeded by a tuple such as (seed, purpose, step, rank); distinct keys, distinct
     streams."""
@@ -83,15 +111,14 @@ def scene_scale(geometry: Geometry) -> Tensor:
     return torch.where(spread2 > 1e-12, torch.sqrt(1.5 * spread2.clamp_min(1e-12)), torch.ones_like(spread2))
 
 
-def sample_views(geometry: Geometry, generator: torch.Generator) -> Tensor:
+def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
     """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
 
     The draw is a point of a disc in a frame that turns with each pixel's original view direction and keeps
     the camera's x axis, so the new views vary smoothly over the image as those of one camera would.
     """
     original = normalize(-geometry.position)
-    num = original.shape[0]
-    uv = torch.rand(num, 2, generator=generator).to(original)
+    uv = draws.uniform(2).to(original)
     radius2 = VIEW_DISC_RADIUS2 * uv[:, 0].reshape(-1, 1, 1, 1)
     phi = 2.0 * math.pi * uv[:, 1].reshape(-1, 1, 1, 1)
     radius = torch.sqrt(radius2)
@@ -103,10 +130,10 @@ def sample_views(geometry: Geometry, generator: torch.Generator) -> Tensor:
     return normalize(view + original * torch.sqrt(1.0 - radius2))
 
 
-def _anchor_pixels(geometry: Geometry, generator: torch.Generator) -> Tensor:
+def _anchor_pixels(geometry: Geometry, draws: SampleDraws) -> Tensor:
     """Flat index (B,) of a random surface pixel of each image; pixel 0 where an image has none."""
     weights = geometry.mask.flatten(1).to("cpu", torch.float32)
-    u = torch.rand(weights.shape[0], 1, generator=generator)
+    u = draws.uniform(1)
     cumulative = weights.cumsum(dim=1)
     target = u * cumulative[:, -1:]
     index = torch.searchsorted(cumulative, target, right=True).clamp_max(weights.shape[1] - 1)
@@ -120,35 +147,34 @@ def _pick(image: Tensor, index: Tensor) -> Tensor:
     return picked.unsqueeze(-1)
 
 
-def sample_point_condition(geometry: Geometry, generator: torch.Generator) -> PointCondition:
+def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondition:
     """A view, and a point light in the mirror direction of that view at a random anchor pixel.
 
     The light stands at exp N(0.5, 0.75) scene scales from the anchor. Its intensity makes a white Lambertian
     surface at the anchor that faces it reflect radiance 1, so that exposure does not depend on the distance.
     """
-    view_dir = sample_views(geometry, generator)
-    anchor = _anchor_pixels(geometry, generator)
+    view_dir = sample_views(geometry, draws)
+    anchor = _anchor_pixels(geometry, draws)
     point, normal, view = (_pick(m, anchor) for m in (geometry.position, geometry.normal, view_dir))
     cos_o = dot(normal, view)
     mirror = normalize(2.0 * cos_o * normal - view)
     # a view below the anchor's horizon would put the light behind the surface: use the normal instead
     direction = torch.where(cos_o > 0, mirror, normal)
-    log_distance = LIGHT_DISTANCE_LOG_MEAN + LIGHT_DISTANCE_LOG_STD * torch.randn(
-        point.shape[0], generator=generator
-    ).to(point)
+    spread = draws.normal(1)[:, 0].to(point)
+    log_distance = LIGHT_DISTANCE_LOG_MEAN + LIGHT_DISTANCE_LOG_STD * spread
     distance = torch.exp(log_distance).reshape(-1, 1, 1, 1) * scene_scale(geometry)
     return PointCondition(view_dir, point + distance * direction, math.pi * distance * distance)
 
 
-def sample_area_condition(geometry: Geometry, generator: torch.Generator) -> AreaCondition:
+def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaCondition:
     """A view, and 5 spherical Gaussians uniform on the hemisphere that the camera looks away from.
 
     Surfaces that a camera sees face it, so light must come from its side (z <= 0). Sharpness is log-uniform
     in 2...200 and colours are uniform; the lobes' integrals are scaled to sum, averaged over channels, to pi.
     """
-    view_dir = sample_views(geometry, generator)
-    num, dtype, device = view_dir.shape[0], view_dir.dtype, view_dir.device
-    u = torch.rand(num, NUM_SG_LIGHTS, 6, generator=generator, dtype=torch.float64)
+    view_dir = sample_views(geometry, draws)
+    dtype, device = view_dir.dtype, view_dir.device
+    u = draws.uniform(NUM_SG_LIGHTS, 6).double()
     cos_theta = u[..., 0]
     sin_theta = torch.sqrt((1.0 - cos_theta**2).clamp_min(0.0))
     phi = 2.0 * math.pi * u[..., 1]

@@ -25,6 +25,7 @@ from model.training.conditions import (
     AreaCondition,
     Geometry,
     PointCondition,
+    SampleDraws,
     sample_area_condition,
     sample_point_condition,
 )
@@ -102,15 +103,20 @@ class MaterialLoss(nn.Module):
         predicted: Mapping[str, Tensor],
         truth: Mapping[str, Tensor],
         geometry: Geometry,
+        draws: SampleDraws,
         generator: torch.Generator,
     ) -> LossTerms:
-        """Terms of a batch; ``predicted`` may lack maps. All draws come from the CPU ``generator``."""
+        """Terms of a batch; ``predicted`` may lack maps.
+
+        ``draws`` gives each image its views and lights; the CPU ``generator`` the perceptual metric's
+        transforms.
+        """
         mask = geometry.mask
         shown = {n: torch.where(mask, predicted[n].float(), truth[n]) for n in MAP_NAMES if n in predicted}
         materials = {**truth, **shown}
         parts: dict[str, Tensor] = {}
         total = next(iter(shown.values())).new_zeros(())
-        images = self._render_all(materials, truth, geometry, generator)
+        images = self._render_all(materials, truth, geometry, draws)
         if images:
             l1 = [(encode_log(ours) - encode_log(theirs)).abs().mean() for ours, theirs in images]
             parts["render_l1"] = torch.stack(l1).mean()
@@ -140,13 +146,13 @@ class MaterialLoss(nn.Module):
         materials: Mapping[str, Tensor],
         truth: Mapping[str, Tensor],
         geometry: Geometry,
-        generator: torch.Generator,
+        draws: SampleDraws,
     ) -> list[tuple[Tensor, Tensor]]:
         conditions: list[Condition] = []
         for _ in range(self.config.num_point_lights):
-            conditions.append(sample_point_condition(geometry, generator))
+            conditions.append(sample_point_condition(geometry, draws))
         for _ in range(self.config.num_area_lights):
-            conditions.append(sample_area_condition(geometry, generator))
+            conditions.append(sample_area_condition(geometry, draws))
         pairs = []
         for condition in conditions:
             with torch.no_grad():

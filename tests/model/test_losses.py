@@ -6,9 +6,13 @@ from __future__ import annotations
 import pytest
 import torch
 
-from model.training.conditions import Geometry, generator_for
+from model.training.conditions import Geometry, SampleDraws, generator_for
 from model.training.losses import LossConfig, MaterialLoss, encode_log_unit
 from model.training.perceptual import GradientSsim
+
+
+def _draws(seed: int) -> SampleDraws:
+    return SampleDraws.for_samples(seed, range(2))
 
 
 @pytest.fixture
@@ -33,7 +37,7 @@ def scene() -> tuple[dict[str, torch.Tensor], Geometry]:
 
 def test_the_truth_has_zero_loss(scene):
     truth, geometry = scene
-    terms = MaterialLoss(LossConfig(), GradientSsim())(truth, truth, geometry, generator_for(1))
+    terms = MaterialLoss(LossConfig(), GradientSsim())(truth, truth, geometry, _draws(1), generator_for(1))
     assert float(terms.total) == pytest.approx(0.0, abs=1e-5)
     assert set(terms.parts) == {
         "render_l1",
@@ -51,20 +55,20 @@ def test_each_map_is_pulled_towards_the_truth(scene, name):
     wrong = (
         (truth[name] + 0.2 * torch.rand(truth[name].shape, generator=generator)).clamp(0, 1).requires_grad_()
     )
-    before = loss({**truth, name: wrong}, truth, geometry, generator_for(2)).total
+    before = loss({**truth, name: wrong}, truth, geometry, _draws(2), generator_for(2)).total
     before.backward()
     gradient = wrong.grad
     assert torch.isfinite(gradient).all()
     assert (gradient[~geometry.mask.expand_as(gradient)] == 0).all()
     stepped = (wrong - 0.02 * gradient.sign()).detach()
-    after = loss({**truth, name: stepped}, truth, geometry, generator_for(2)).total
+    after = loss({**truth, name: stepped}, truth, geometry, _draws(2), generator_for(2)).total
     assert after < before
 
 
 def test_a_phase_predicts_some_maps_and_borrows_the_rest(scene):
     truth, geometry = scene
     diffuse = {"diffuse_albedo": truth["diffuse_albedo"] * 0.5}
-    terms = MaterialLoss(LossConfig(), None)(diffuse, truth, geometry, generator_for(3))
+    terms = MaterialLoss(LossConfig(), None)(diffuse, truth, geometry, _draws(3), generator_for(3))
     assert set(terms.parts) == {"render_l1", "diffuse_albedo_l1"}
     expected = terms.parts["render_l1"] + 0.1 * terms.parts["diffuse_albedo_l1"]
     torch.testing.assert_close(terms.total, expected)
@@ -74,14 +78,16 @@ def test_pixels_without_surface_do_not_count(scene):
     truth, geometry = scene
     loss = MaterialLoss(LossConfig(), GradientSsim())
     spoilt = {n: torch.where(geometry.mask, m, torch.full_like(m, 0.9)) for n, m in truth.items()}
-    assert float(loss(spoilt, truth, geometry, generator_for(1)).total) == pytest.approx(0.0, abs=1e-5)
+    assert float(loss(spoilt, truth, geometry, _draws(1), generator_for(1)).total) == pytest.approx(
+        0.0, abs=1e-5
+    )
 
 
 def test_draws_come_from_the_generator(scene):
     truth, geometry = scene
     predicted = {n: m * 0.8 for n, m in truth.items()}
     loss = MaterialLoss(LossConfig(), GradientSsim())
-    totals = [loss(predicted, truth, geometry, generator_for(9, k)).total for k in (0, 0, 1)]
+    totals = [loss(predicted, truth, geometry, _draws(k), generator_for(9)).total for k in (0, 0, 1)]
     assert torch.equal(totals[0], totals[1])
     assert not torch.equal(totals[0], totals[2])
 
@@ -104,7 +110,7 @@ def test_fewer_re_renderings_may_enter_the_perceptual_term(scene, count, calls):
     truth, geometry = scene
     counter = Counter()
     loss = MaterialLoss(LossConfig(num_perceptual_renders=count), counter)
-    terms = loss({n: m * 0.7 for n, m in truth.items()}, truth, geometry, generator_for(1))
+    terms = loss({n: m * 0.7 for n, m in truth.items()}, truth, geometry, _draws(1), generator_for(1))
     assert counter.num_calls == calls
     assert ("render_perceptual" in terms.parts) == (count != 0)
 

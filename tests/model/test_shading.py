@@ -286,11 +286,24 @@ def _geometry(batch: int = 3, size: int = 24) -> conditions.Geometry:
     return conditions.Geometry(position * mask, normal.reshape(1, 3, 1, 1) * mask, mask)
 
 
+def _draws(batch: int, seed: int = 0) -> conditions.SampleDraws:
+    return conditions.SampleDraws.for_samples(seed, range(batch))
+
+
+def test_an_image_keeps_its_conditions_in_any_batch():
+    geometry = _geometry()
+    whole = conditions.sample_area_condition(geometry, _draws(3))
+    part = conditions.Geometry(*(t[1:2] for t in (geometry.position, geometry.normal, geometry.mask)))
+    alone = conditions.sample_area_condition(part, conditions.SampleDraws.for_samples(0, [1]))
+    assert torch.equal(alone.lights.axis, whole.lights.axis[1:2])
+    assert torch.equal(alone.view_dir, whole.view_dir[1:2])
+
+
 def test_conditions_are_reproducible_and_distinct():
     geometry = _geometry()
-    first = conditions.sample_point_condition(geometry, conditions.generator_for(7, 1, 0))
-    again = conditions.sample_point_condition(geometry, conditions.generator_for(7, 1, 0))
-    other = conditions.sample_point_condition(geometry, conditions.generator_for(7, 1, 1))
+    first = conditions.sample_point_condition(geometry, _draws(3, 0))
+    again = conditions.sample_point_condition(geometry, _draws(3, 0))
+    other = conditions.sample_point_condition(geometry, _draws(3, 1))
     assert torch.equal(first.light_position, again.light_position)
     assert not torch.equal(first.light_position, other.light_position)
     assert not torch.allclose(first.light_position[0], first.light_position[1])
@@ -299,7 +312,7 @@ def test_conditions_are_reproducible_and_distinct():
 def test_views_stay_on_the_disc_and_are_cosine_weighted():
     """E[cos] under a disc of r^2 <= 0.9 is (1 - 0.1^1.5)/0.9/1.5; a bias of 5 % is detected."""
     geometry = _geometry(batch=4000, size=2)
-    view = conditions.sample_views(geometry, conditions.generator_for(1))
+    view = conditions.sample_views(geometry, _draws(4000))
     original = shading.normalize(-geometry.position)
     cosine = shading.dot(view, original)[:-1].flatten(1)[:, 0].double()
     assert cosine.min() >= math.sqrt(0.1) - 1e-3
@@ -311,7 +324,7 @@ def test_views_stay_on_the_disc_and_are_cosine_weighted():
 
 def test_point_light_stands_in_the_mirror_direction_of_one_pixel():
     geometry = _geometry()
-    condition = conditions.sample_point_condition(geometry, conditions.generator_for(3))
+    condition = conditions.sample_point_condition(geometry, _draws(3))
     light_dir = shading.normalize(condition.light_position - geometry.position)
     half = shading.normalize(light_dir + condition.view_dir)
     best = (shading.dot(half, geometry.normal) * geometry.mask).flatten(1).max(dim=1).values
@@ -321,7 +334,7 @@ def test_point_light_stands_in_the_mirror_direction_of_one_pixel():
 
 
 def test_area_lights_have_unit_mean_energy_and_the_stated_range():
-    condition = conditions.sample_area_condition(_geometry(), conditions.generator_for(9))
+    condition = conditions.sample_area_condition(_geometry(), _draws(3))
     lights = condition.lights
     assert ((lights.sharpness >= 2.0) & (lights.sharpness <= 200.0)).all()
     assert (lights.axis[..., 2] <= 0).all()
@@ -333,8 +346,8 @@ def test_an_empty_crop_is_shaded_black_without_nan():
     geometry = conditions.Geometry(
         torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 8), torch.zeros(1, 1, 8, 8, dtype=torch.bool)
     )
-    point = conditions.sample_point_condition(geometry, conditions.generator_for(1))
-    area = conditions.sample_area_condition(geometry, conditions.generator_for(1))
+    point = conditions.sample_point_condition(geometry, _draws(1))
+    area = conditions.sample_area_condition(geometry, _draws(1))
     d, s, r = torch.rand(1, 3, 8, 8), torch.rand(1, 3, 8, 8), torch.rand(1, 1, 8, 8)
     lit = shading.shade_point_light(
         d, s, r, geometry.normal, point.view_dir, geometry.position, point.light_position, point.intensity

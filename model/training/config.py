@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: MIT
+"""What a training run is: the resolved configuration, its presets, and how flags override files.
+
+Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved beside the
+output before work starts.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import Field, model_validator
+
+from datagen.errors import input_error
+from datagen.formats.base import StrictModel, parse_model
+from model.bilateral_solver import SolverConfig
+from model.networks import NetworkConfig, TrackName
+from model.training.losses import LossConfig
+
+PRESETS = ("paper", "small", "smoke")
+PhaseName = Literal["diffuse", "specular", "joint", "confidence"]
+PHASE_TRACKS: dict[PhaseName, tuple[TrackName, ...]] = {
+    "diffuse": ("diffuse",),
+    "specular": ("specular",),
+    "joint": ("diffuse", "specular"),
+    "confidence": (),
+}
+
+
+class PhaseConfig(StrictModel):
+    """One stage of the schedule: ``epochs`` passes over the data, or exactly ``steps`` optimiser steps."""
+
+    name: PhaseName
+    epochs: int | None = Field(default=None, ge=1)
+    steps: int | None = Field(default=None, ge=1)
+    learning_rate: float | None = Field(default=None, gt=0)
+    """None takes the run's."""
+
+    @model_validator(mode="after")
+    def _one_length(self) -> PhaseConfig:
+        if (self.epochs is None) == (self.steps is None):
+            raise ValueError("expected either epochs or steps")
+        return self
+
+
+class PerceptualConfig(StrictModel):
+    """Which perceptual distance: ``elpips`` needs VGG16's weights, ``gradient_ssim`` needs none."""
+
+    kind: Literal["elpips", "gradient_ssim"] = "elpips"
+    vgg: Path | None = None
+    """File of VGG16's weights; None looks in the weights folder and in torch hub's cache."""
+    heads: Path | None = None
+    """File of E-LPIPS' 14 heads; None looks in the weights folder, then takes the lpips package's five."""
+
+
+class DataConfig(StrictModel):
+    """How shards become batches."""
+
+    crop_px: int = Field(default=256, ge=16)
+    crops_per_view: int = Field(default=7, ge=1)
+    flips: bool = True
+    exposure_jitter_stops: float = Field(default=0.5, ge=0, le=4)
+    """Each crop's exposure is multiplied by 2^u, u uniform within plus and minus this."""
+    block_views: int = Field(default=32, ge=1)
+    """Crops are shuffled within blocks of so many views, each of which is decoded once a loader process."""
+    workers: int = Field(default=1, ge=0)
+    """Loader processes a rank; 0 decodes in the training process."""
+    on_bad_view: Literal["refuse", "skip"] = "refuse"
+    """``skip`` leaves bad views out of the loss and counts them."""
+
+
+class ValidationConfig(StrictModel):
+    """What is measured after each epoch, on whole views."""
+
+    num_views: int = Field(default=40, ge=0)
+    """At most so many views of the validation split, evenly spread; 0 turns validation off."""
+    num_panels: int = Field(default=4, ge=0)
+    """Views shown as image panels."""
+    every_steps: int | None = Field(default=None, ge=1)
+    """Also validate after so many steps, where an epoch is long."""
+
+
+class TrainingConfig(StrictModel):
+    """Everything that decides a run, but the data's place and the device."""
+
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    network: NetworkConfig = NetworkConfig()
+    loss: LossConfig = LossConfig()
+    perceptual: PerceptualConfig = PerceptualConfig()
+    solver: SolverConfig = SolverConfig()
+    data: DataConfig = DataConfig()
+    phases: tuple[PhaseConfig, ...] = Field(min_length=1)
+    batch_size: int = Field(default=8, ge=1)
+    """Crops a rank and micro-batch; an optimiser step sees batch_size x accumulation x ranks."""
+    accumulation: int = Field(default=1, ge=1)
+    learning_rate: float = Field(default=2e-5, gt=0)
+    adam_betas: tuple[float, float] = (0.5, 0.999)
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of the networks' activations; losses and weights stay float32."""
+    channels_last: bool = False
+    compile: bool = False
+    validation: ValidationConfig = ValidationConfig()
+    checkpoint_every_steps: int = Field(default=500, ge=1)
+    log_every_steps: int = Field(default=10, ge=1)
+
+    @model_validator(mode="after")
+    def _phases_once(self) -> TrainingConfig:
+        names = [phase.name for phase in self.phases]
+        if len(set(names)) != len(names):
+            raise ValueError("expected each phase at most once")
+        return self
+
+
+def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = _merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _read_mapping(path: Path) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise input_error(path, "", str(error), "a readable YAML file") from None
+    if not isinstance(data, dict):
+        raise input_error(path, "", type(data).__name__, "keys and values")
+    return data
+
+
+def resolve_config(
+    preset: str | None = None, file: Path | None = None, overrides: dict[str, Any] | None = None
+) -> TrainingConfig:
+    """The configuration of a preset (default ``paper``), over it a YAML file, over it nested
+    ``overrides``."""
+    preset = preset or "paper"
+    if preset not in PRESETS:
+        raise input_error("--preset", "", preset, f"one of {', '.join(PRESETS)}")
+    data = _read_mapping(Path(__file__).parent / "presets" / f"{preset}.yaml")
+    where: str | Path = f"preset {preset}"
+    if file is not None:
+        data, where = _merge(data, _read_mapping(file)), file
+    if overrides:
+        data, where = _merge(data, overrides), f"{where} with the given options"
+    return parse_model(TrainingConfig, data, where)
+
+
+def parse_overrides(items: list[str]) -> dict[str, Any]:
+    """``["batch_size=4", "data.workers=2"]`` to nested keys; values are YAML."""
+    result: dict[str, Any] = {}
+    for item in items:
+        key, separator, text = item.partition("=")
+        if not separator or not all(key.split(".")):
+            raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise input_error("--set", key, str(error), "a YAML value") from None
+        nested: dict[str, Any] = {key.split(".")[-1]: value}
+        for part in reversed(key.split(".")[:-1]):
+            nested = {part: nested}
+        result = _merge(result, nested)
+    return result

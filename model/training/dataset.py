@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: MIT
+"""Shards to batches: which crop comes when, decoding, checking, cropping and augmenting.
+
+The order is a pure function of the seed: an epoch shuffles all views, cuts them into blocks of
+``block_views``, and shuffles the crops of a block among themselves, so that a view's crops fall close
+together and a loader process that keeps the last block decodes each view once. A global batch is the next
+slice of that order; each rank takes its own part of the slice. Any number of ranks and loader processes
+therefore sees every crop of the order exactly once, and training resumes at any batch.
+
+A sample is a dictionary of float32 tensors (C, S, S): ``beauty`` and the statistics (linear),
+``normal_camera``, ``depth_z_m``, ``position`` (camera space, metres), the true maps, ``mask`` (bool), and
+scalars.
+"""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.base import parse_model
+from datagen.formats.exr import decode_view
+from datagen.formats.shard import CONFIGURATION_MEMBER
+from datagen.formats.view import ViewRecord
+from model.networks import COLOR_STATISTICS, NetworkConfig
+from model.training.conditions import generator_for
+from model.training.config import DataConfig
+
+TRUTH_BUFFERS = ("diffuse_albedo", "specular_albedo", "roughness")
+_GEOMETRY_BUFFERS = ("normal_world", "depth_z_m", "surface_mask")
+_REMEDY = "make the shard again, or train with data.on_bad_view: skip"
+_ORDER_PURPOSE, _CROP_PURPOSE = 0x0D, 0xC4
+_RANGE_SLACK = 1e-3  # half floats round 1 - eps up
+
+
+def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
+    """Buffers that training reads from a view."""
+    statistics = COLOR_STATISTICS if network.uses_statistics else ()
+    return ("beauty", *statistics, *TRUTH_BUFFERS, *_GEOMETRY_BUFFERS)
+
+
+@dataclass(frozen=True)
+class ViewPlace:
+    """Where a view's two members lie in a tar: offsets and sizes in bytes."""
+
+    shard: Path
+    name: str
+    exr: tuple[int, int]
+    record: tuple[int, int]
+
+
+def index_shard(path: Path) -> list[ViewPlace]:
+    """The views of a shard, from the tar's headers alone. ``InputError`` where the tar is damaged."""
+    members: dict[str, dict[str, tuple[int, int]]] = {}
+    try:
+        with tarfile.open(path, mode="r:") as tar:
+            for info in tar:
+                if info.name == CONFIGURATION_MEMBER or not info.isreg():
+                    continue
+                stem, _, suffix = info.name.rpartition(".")
+                members.setdefault(stem, {})[suffix] = (info.offset_data, info.size)
+    except (tarfile.TarError, EOFError, OSError, ValueError) as error:
+        raise input_error(path, "", str(error), "an intact shard (.tar)", "make the shard again") from None
+    size = path.stat().st_size
+    places, problems = [], []
+    for stem, parts in members.items():
+        if set(parts) != {"exr", "json"}:
+            problems.append(Problem(path, stem, ", ".join(sorted(parts)), "one .exr and one .json", _REMEDY))
+        elif max(offset + length for offset, length in parts.values()) > size:
+            problems.append(Problem(path, stem, "cut off", "a whole member", "make the shard again"))
+        else:
+            places.append(ViewPlace(path, stem, parts["exr"], parts["json"]))
+    if not members:
+        problems.append(Problem(path, "", "no views", "at least one", "make the shard again"))
+    if problems:
+        raise InputError(*problems)
+    return places
+
+
+def read_member(place: ViewPlace, part: tuple[int, int]) -> bytes:
+    """The bytes of one member (offset, size) of a view."""
+    with place.shard.open("rb") as file:
+        file.seek(part[0])
+        data = file.read(part[1])
+    if len(data) != part[1]:
+        raise input_error(place.shard, place.name, "cut off", "a whole member", _REMEDY)
+    return data
+
+
+@dataclass(frozen=True)
+class DecodedView:
+    """A checked view: buffers (H, W, C) as stored, its record, and its greatest depth."""
+
+    record: ViewRecord
+    buffers: dict[str, NDArray]
+    depth_max_m: float
+
+
+def load_view(
+    place: ViewPlace, names: Sequence[str], min_side_px: int = 1, size_px: tuple[int, int] | None = None
+) -> DecodedView:
+    """Decode and check one view. ``InputError`` names the shard, the view and everything wrong with it.
+
+    ``size_px`` (width, height) is the size that the training set has; None admits any.
+    """
+    where = f"{place.shard}:{place.name}"
+    try:
+        text = json.loads(read_member(place, place.record))
+    except (ValueError, RecursionError) as error:
+        raise input_error(where, "", str(error), "valid JSON", _REMEDY) from None
+    record = parse_model(ViewRecord, text, where)
+    try:
+        buffers = decode_view(read_member(place, place.exr), names, num_threads=1)
+    except InputError as error:
+        renamed = [Problem(where, p.field, p.got, p.expected, _REMEDY) for p in error.problems]
+        raise InputError(*renamed) from None
+    problems = _problems_of(where, record, buffers, min_side_px, size_px)
+    if problems:
+        raise InputError(*problems)
+    return DecodedView(record, buffers, float(buffers["depth_z_m"].max(initial=0.0)))
+
+
+def _problems_of(
+    where: str,
+    record: ViewRecord,
+    buffers: dict[str, NDArray],
+    min_side_px: int,
+    size_px: tuple[int, int] | None,
+) -> list[Problem]:
+    """Everything wrong with a decoded view: sizes, NaN, ranges, normals that are none."""
+    problems = []
+
+    def complain(field: str, got: str, expected: str) -> None:
+        problems.append(Problem(where, field, got, expected, _REMEDY))
+
+    camera = record.camera
+    height, width = buffers["beauty"].shape[:2]
+    if (height, width) != (camera.height_px, camera.width_px):
+        complain("size", f"{width} x {height}", f"{camera.width_px} x {camera.height_px} as its camera says")
+    if size_px is not None and (width, height) != size_px:
+        complain("size", f"{width} x {height}", f"{size_px[0]} x {size_px[1]} as the rest of the data")
+    if min(height, width) < min_side_px:
+        complain("size", f"{width} x {height}", f"at least the crop, {min_side_px} px a side")
+    if not record.exposure > 0:
+        complain("exposure", str(record.exposure), "a positive factor")
+    for name, values in buffers.items():
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            complain(name, f"{int((~np.isfinite(values)).sum())} values NaN or Inf", "finite values")
+        elif name in TRUTH_BUFFERS or name == "surface_mask":
+            low, high = float(values.min()), float(values.max())
+            if low < -_RANGE_SLACK or high > 1.0 + _RANGE_SLACK:
+                complain(name, f"{low:.4g} ... {high:.4g}", "values in [0, 1], linear, perceptual roughness")
+        elif name in ("beauty", *COLOR_STATISTICS, "depth_z_m") and values.min() < 0:
+            complain(name, f"{float(values.min()):.4g}", "values >= 0")
+    if not problems:
+        solid = buffers["surface_mask"][..., 0] > 0.99
+        length = np.linalg.norm(buffers["normal_world"].astype(np.float32), axis=-1)[solid]
+        if length.size and np.median(np.abs(length - 1.0)) > 0.05:
+            complain("normal_world", f"median length {np.median(length):.3g}", "unit vectors in world space")
+        lacks_depth = (buffers["depth_z_m"][..., 0][solid] <= 0).mean() if solid.any() else 0.0
+        if lacks_depth > 0.05:
+            complain(
+                "depth_z_m", f"0 on {100 * lacks_depth:.0f} % of the surface", "depth along the axis, metres"
+            )
+    return problems
+
+
+# --- order ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CropOrder:
+    """The order in which an epoch shows its crops: ids (view * crops_per_view + crop), a permutation."""
+
+    num_views: int
+    crops_per_view: int
+    block_views: int
+    seed: int
+
+    @property
+    def epoch_length(self) -> int:
+        """Crops an epoch."""
+        return self.num_views * self.crops_per_view
+
+    def epoch(self, epoch: int) -> NDArray[np.int64]:
+        """Crop ids of an epoch in order, (epoch_length,)."""
+        generator = generator_for(self.seed, _ORDER_PURPOSE, epoch)
+        views = torch.randperm(self.num_views, generator=generator).numpy()
+        parts = []
+        for start in range(0, self.num_views, self.block_views):
+            block = views[start : start + self.block_views]
+            ids = (block[:, None] * self.crops_per_view + np.arange(self.crops_per_view)).ravel()
+            parts.append(ids[torch.randperm(len(ids), generator=generator).numpy()])
+        return np.concatenate(parts)
+
+
+class BatchPlan(Sampler[list[int]]):
+    """Micro-batches of one rank, from optimiser step ``start`` to ``stop``: lists of epoch * length + crop
+    id.
+
+    A step takes ``batch_size * accumulation * num_ranks`` crops of the order; what is left at an epoch's
+    end and does not fill a step is left out (at most one step's crops).
+    """
+
+    def __init__(
+        self,
+        order: CropOrder,
+        batch_size: int,
+        accumulation: int = 1,
+        rank: int = 0,
+        num_ranks: int = 1,
+        start: int = 0,
+        stop: int | None = None,
+    ):
+        self.order = order
+        self.batch_size, self.accumulation = batch_size, accumulation
+        self.rank, self.num_ranks = rank, num_ranks
+        self.start, self.stop = start, stop
+        step = batch_size * accumulation * num_ranks
+        self.steps_per_epoch = order.epoch_length // step
+        if self.steps_per_epoch == 0:
+            raise input_error(
+                "training data",
+                "crops",
+                order.epoch_length,
+                f"at least {step}, one step's",
+                "use more views, more crops a view, or a smaller batch",
+            )
+
+    def __len__(self) -> int:
+        if self.stop is None:
+            raise TypeError("an endless plan has no length")
+        return (self.stop - self.start) * self.accumulation
+
+    def __iter__(self) -> Iterator[list[int]]:
+        length, size = self.order.epoch_length, self.batch_size
+        step_index, epoch, ids = self.start, -1, np.empty(0, np.int64)
+        while self.stop is None or step_index < self.stop:
+            if step_index // self.steps_per_epoch != epoch:
+                epoch = step_index // self.steps_per_epoch
+                ids = epoch * length + self.order.epoch(epoch)
+            begin = (step_index % self.steps_per_epoch) * size * self.accumulation * self.num_ranks
+            for micro in range(self.accumulation):
+                offset = begin + (micro * self.num_ranks + self.rank) * size
+                yield ids[offset : offset + size].tolist()
+            step_index += 1
+
+
+# --- crops ------------------------------------------------------------------------------------------------
+
+
+class CropDataset(Dataset[dict[str, Tensor]]):
+    """Crops by id (see :class:`CropOrder`). Keeps the last block of decoded views."""
+
+    def __init__(
+        self,
+        places: Sequence[ViewPlace],
+        config: DataConfig,
+        network: NetworkConfig,
+        seed: int,
+        size_px: tuple[int, int] | None = None,
+    ):
+        self.places = list(places)
+        self.size_px = size_px
+        self.config = config
+        self.names = buffer_names(network)
+        self.seed = seed
+        self._cache: OrderedDict[int, DecodedView | None] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self.places) * self.config.crops_per_view
+
+    def _view(self, index: int) -> DecodedView | None:
+        """A decoded view, or None for a bad one that is to be skipped."""
+        if index in self._cache:
+            self._cache.move_to_end(index)
+            return self._cache[index]
+        try:
+            view: DecodedView | None = load_view(
+                self.places[index], self.names, self.config.crop_px, self.size_px
+            )
+        except InputError:
+            if self.config.on_bad_view == "refuse":
+                raise
+            view = None
+        self._cache[index] = view
+        while len(self._cache) > self.config.block_views:
+            self._cache.popitem(last=False)
+        return view
+
+    def __getitem__(self, crop_id: int) -> dict[str, Tensor]:
+        view = self._view(crop_id % len(self) // self.config.crops_per_view)
+        size = self.config.crop_px
+        if view is None:
+            return _empty_sample(self.names, size, crop_id)
+        generator = generator_for(self.seed, _CROP_PURPOSE, crop_id)
+        height, width = view.buffers["beauty"].shape[:2]
+        top = int(torch.randint(0, height - size + 1, (1,), generator=generator))
+        left = int(torch.randint(0, width - size + 1, (1,), generator=generator))
+        flips = torch.randint(0, 2, (2,), generator=generator).bool().tolist()
+        stops = float(torch.rand(1, generator=generator)) * 2.0 - 1.0
+        sample = view_sample(view, crop_id, (top, left, size, size))
+        if self.config.flips:
+            sample = flip_sample(sample, horizontal=flips[0], vertical=flips[1])
+        sample["exposure"] = sample["exposure"] * 2.0 ** (stops * self.config.exposure_jitter_stops)
+        return sample
+
+
+def view_sample(
+    view: DecodedView, sample_id: int, window: tuple[int, int, int, int] | None = None
+) -> dict[str, Tensor]:
+    """Tensors of a view or of its ``window`` (top, left, height, width), normals and points in camera
+    space."""
+    camera = view.record.camera
+    top, left, height, width = window or (0, 0, camera.height_px, camera.width_px)
+    rows, columns = slice(top, top + height), slice(left, left + width)
+    cut = {name: values[rows, columns].astype(np.float32) for name, values in view.buffers.items()}
+    depth = cut["depth_z_m"]
+    x = (np.arange(left, left + width, dtype=np.float32) + 0.5 - camera.cx_px) / camera.fx_px
+    y = (np.arange(top, top + height, dtype=np.float32) + 0.5 - camera.cy_px) / camera.fy_px
+    ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones_like(depth[..., 0])], axis=-1)
+    world_from_camera = np.asarray(camera.world_from_camera, dtype=np.float32)[:3, :3]
+    normal = cut.pop("normal_world") @ world_from_camera  # n^T R is R^T n: camera from world
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    mask = (cut.pop("surface_mask") > 0.5) & (depth > 0) & (length > 0.5)
+    cut["normal_camera"] = np.where(mask, normal / np.maximum(length, 1e-6), 0.0)
+    cut["position"] = ray * depth
+    for name in TRUTH_BUFFERS:
+        cut[name] = np.clip(cut[name], 0.0, 1.0)
+    sample = {n: torch.from_numpy(np.ascontiguousarray(v.transpose(2, 0, 1))).float() for n, v in cut.items()}
+    sample["mask"] = torch.from_numpy(np.ascontiguousarray(mask.transpose(2, 0, 1)))
+    sample["exposure"] = torch.tensor(float(view.record.exposure))
+    sample["depth_max_m"] = torch.tensor(view.depth_max_m)
+    sample["sample_id"] = torch.tensor(sample_id, dtype=torch.int64)
+    sample["is_skipped"] = torch.tensor(False)
+    return sample
+
+
+def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) -> dict[str, Tensor]:
+    """The mirror image of the whole scene: pixels move, and x or y of normals and positions change sign."""
+    for axis, component, wanted in ((-1, 0, horizontal), (-2, 1, vertical)):
+        if wanted:
+            sample = {n: v.flip(axis) if v.dim() == 3 else v for n, v in sample.items()}
+            for name in ("normal_camera", "position"):
+                sample[name][component].neg_()
+    return sample
+
+
+def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, Tensor]:
+    """What stands in for a bad view: an empty mask, so that it adds nothing to any loss."""
+    renamed = [n for n in names if n not in ("normal_world", "surface_mask")] + ["normal_camera", "position"]
+    channels = {"roughness": 1, "depth_z_m": 1}
+    sample = {n: torch.zeros(channels.get(n, 3), size, size) for n in renamed}
+    sample["mask"] = torch.zeros(1, size, size, dtype=torch.bool)
+    sample["exposure"] = torch.tensor(1.0)
+    sample["depth_max_m"] = torch.tensor(0.0)
+    sample["sample_id"] = torch.tensor(sample_id, dtype=torch.int64)
+    sample["is_skipped"] = torch.tensor(True)
+    return sample
+
+
+def make_loader(
+    dataset: CropDataset, plan: BatchPlan, *, workers: int, pin_memory: bool = False
+) -> DataLoader[dict[str, Tensor]]:
+    """Batches of a plan, decoded ahead of training by ``workers`` processes (0: in this one)."""
+    return DataLoader(
+        dataset,
+        batch_sampler=plan,
+        num_workers=workers,
+        pin_memory=pin_memory,
+        prefetch_factor=4 if workers else None,
+        worker_init_fn=_one_thread,
+        generator=torch.Generator(),  # or the loader would draw from the training's own stream
+        multiprocessing_context="forkserver" if workers else None,
+    )
+
+
+def _one_thread(_: int) -> None:
+    torch.set_num_threads(1)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""Which views a run trains and validates on: dataset folders with their index, checked before work starts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.base import parse_model, sha256_file
+from datagen.formats.configuration import Split
+from datagen.formats.shard import INDEX_FILE
+from datagen.formats.shard import Dataset as DatasetFolder
+from datagen.formats.view import ViewRecord
+from model.checkpoint import DataRecord
+from model.networks import NetworkConfig
+from model.training.dataset import ViewPlace, buffer_names, index_shard, read_member
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """Views of both splits, their common size (width, height) in pixels, and the datasets' fingerprints."""
+
+    train: tuple[ViewPlace, ...]
+    validation: tuple[ViewPlace, ...]
+    size_px: tuple[int, int]
+    records: tuple[DataRecord, ...]
+
+
+def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> TrainingData:
+    """The views of dataset folders, by the splits in their indices.
+
+    Only tar headers and one JSON are read. ``InputError`` where an index lacks a buffer that the network
+    needs, a shard is missing or damaged, views are smaller than a crop, or nothing is left to train on.
+    """
+    needed = buffer_names(network)
+    places: dict[Split, list[ViewPlace]] = {"train": [], "validation": [], "test": []}
+    records, problems = [], []
+    for folder in folders:
+        dataset = DatasetFolder(Path(folder))
+        missing = [name for name in needed if name not in dataset.index.buffers]
+        if missing:
+            where = Path(folder) / INDEX_FILE
+            problems.append(Problem(where, "buffers", f"no {', '.join(missing)}", "all that training reads"))
+            continue
+        for shard in dataset.index.shards:
+            if shard.split == "test":
+                continue
+            try:
+                places[shard.split] += index_shard(dataset.folder / shard.file)
+            except InputError as error:
+                problems += error.problems
+        digest = sha256_file(Path(folder) / INDEX_FILE)
+        records.append(
+            DataRecord(name=dataset.index.recipe.name, index_sha256=digest, num_views=dataset.index.num_views)
+        )
+    if problems:
+        raise InputError(*problems)
+    if not places["train"]:
+        listed = ", ".join(str(f) for f in folders) or "no folder"
+        raise input_error(
+            "training data", listed, "no views of split train", "at least one shard of that split"
+        )
+    size = view_size(places["train"][0])
+    if min(size) < crop_px:
+        first = places["train"][0]
+        got = f"{size[0]} x {size[1]}"
+        remedy = "set data.crop_px to less"
+        raise input_error(f"{first.shard}:{first.name}", "size", got, f"at least {crop_px} px a side", remedy)
+    return TrainingData(tuple(places["train"]), tuple(places["validation"]), size, tuple(records))
+
+
+def view_size(place: ViewPlace) -> tuple[int, int]:
+    """Width and height of a view by its record."""
+    where = f"{place.shard}:{place.name}"
+    try:
+        text = json.loads(read_member(place, place.record))
+    except (ValueError, RecursionError) as error:
+        raise input_error(where, "", str(error), "valid JSON", "make the shard again") from None
+    camera = parse_model(ViewRecord, text, where).camera
+    return camera.width_px, camera.height_px
+
+
+def spread(places: Sequence[ViewPlace], count: int) -> list[ViewPlace]:
+    """At most ``count`` views, evenly spread over all."""
+    if count >= len(places):
+        return list(places)
+    return [places[k * len(places) // count] for k in range(count)]

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+"""Errors of predicted maps on whole views, and the simple predictions that a network must beat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from model.bilateral_solver import SolverConfig
+from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
+from model.networks import MaterialNetwork, TrackName, encode_color
+from model.training.dataset import TRUTH_BUFFERS, ViewPlace, load_view, view_sample
+
+Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
+"""From a batch of buffers to maps by name."""
+
+
+@dataclass
+class MapErrors:
+    """Sums of squared and absolute errors over surface pixels and channels, by map."""
+
+    squared: dict[str, float] = field(default_factory=dict)
+    absolute: dict[str, float] = field(default_factory=dict)
+    counts: dict[str, float] = field(default_factory=dict)
+
+    def add(self, predicted: Mapping[str, Tensor], batch: Mapping[str, Tensor]) -> None:
+        """Count a batch; maps that ``predicted`` lacks are left out."""
+        for name in TRUTH_BUFFERS:
+            if name not in predicted:
+                continue
+            error = ((predicted[name].float() - batch[name]) * batch["mask"]).double()
+            for sums, values in ((self.squared, error.square()), (self.absolute, error.abs())):
+                sums[name] = sums.get(name, 0.0) + float(values.sum())
+            pixels = float(batch["mask"].sum()) * batch[name].shape[1]
+            self.counts[name] = self.counts.get(name, 0.0) + pixels
+
+    def metrics(self) -> dict[str, float]:
+        """``<map>_mse`` and ``<map>_l1`` of every map counted."""
+        result = {}
+        for name, count in self.counts.items():
+            result[f"{name}_mse"] = self.squared[name] / max(count, 1.0)
+            result[f"{name}_l1"] = self.absolute[name] / max(count, 1.0)
+        return result
+
+
+def score_of(metrics: Mapping[str, float]) -> float:
+    """Mean of the maps' mean squared errors: what the best checkpoint minimises."""
+    values = [value for name, value in metrics.items() if name.endswith("_mse")]
+    return sum(values) / len(values)
+
+
+def whole_views(
+    places: Iterable[ViewPlace], names: Sequence[str], device: torch.device
+) -> Iterable[dict[str, Tensor]]:
+    """Batches of one whole view each."""
+    for index, place in enumerate(places):
+        sample = view_sample(load_view(place, names), index)
+        yield {name: value.unsqueeze(0).to(device) for name, value in sample.items()}
+
+
+@torch.no_grad()
+def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dict[str, float]:
+    """Metrics of a predictor over batches."""
+    errors = MapErrors()
+    for batch in batches:
+        errors.add(predict(batch), batch)
+    return errors.metrics()
+
+
+def network_predictor(
+    network: MaterialNetwork, tracks: tuple[TrackName, ...], precision: str = "float32"
+) -> Predictor:
+    """Prediction by the tracks as they are, in eval mode while it runs."""
+
+    def predict(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        was_training = network.training
+        network.eval()
+        device = batch["beauty"].device.type
+        with torch.autocast(device, torch.bfloat16, enabled=precision == "bfloat16"):
+            maps = network(batch, batch["exposure"], batch["depth_max_m"], tracks)
+        network.train(was_training)
+        return maps
+
+    return predict
+
+
+def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverConfig) -> Predictor:
+    """A predictor's maps after the bilateral solver; reports the filtered maps only."""
+
+    def filtered(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        maps = predict(batch)
+        image = encode_color(batch["beauty"], batch["exposure"].reshape(-1, 1, 1, 1))
+        result = filter_maps(maps, nets(image, maps), solver)
+        return {name: result[name] for name in FILTERED_MAPS}
+
+    return filtered
+
+
+def mean_maps(batches: Iterable[Mapping[str, Tensor]]) -> dict[str, Tensor]:
+    """Mean (C, 1, 1) of every true map over surface pixels."""
+    sums: dict[str, Tensor] = {}
+    count = 0.0
+    for batch in batches:
+        count += float(batch["mask"].sum())
+        for name in TRUTH_BUFFERS:
+            total = (batch[name] * batch["mask"]).double().sum(dim=(0, 2, 3))
+            sums[name] = sums.get(name, torch.zeros_like(total)) + total
+    return {name: (total / max(count, 1.0)).float().reshape(-1, 1, 1) for name, total in sums.items()}
+
+
+def constant_predictor(means: Mapping[str, Tensor]) -> Predictor:
+    """Baseline: the training set's mean everywhere."""
+    return lambda batch: {name: value.expand_as(batch[name]) for name, value in means.items()}
+
+
+def median_predictor(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Baseline: the exposed median image, clipped to [0, 1], as the diffuse albedo."""
+    exposed = batch["color_median"] * batch["exposure"].reshape(-1, 1, 1, 1)
+    return {"diffuse_albedo": exposed.clamp(0.0, 1.0)}

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: MIT
+"""A small dataset folder on disk, made without a renderer: smooth materials on a plane, in the project's
+shards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from datagen.buffers import VIEW_BUFFERS
+from datagen.cameras import Camera, look_at
+from datagen.formats.base import canonical_json, sha256_file, sha256_hex
+from datagen.formats.configuration import Configuration, PlacedAsset, Split, ViewCamera
+from datagen.formats.exr import encode_view
+from datagen.formats.recipe import Recipe
+from datagen.formats.shard import DatasetIndex, ShardRecord, write_shard
+from datagen.formats.view import RenderRecord, StatisticsRecord, ViewRecord
+
+Change = Callable[[dict[str, np.ndarray], dict[str, Any]], None]
+"""Spoils a view's buffers and its record (as a dictionary) in place."""
+
+
+def floor_buffers(camera: Camera, seed: int) -> dict[str, np.ndarray]:
+    """Every buffer of a view of the plane z = 0, whose materials are smooth functions of the pixel."""
+    rng = np.random.default_rng(seed)
+    height, width = camera.height_px, camera.width_px
+
+    def smooth(channels: int) -> np.ndarray:
+        planes = [cv2.resize(rng.random((5, 6)), (width, height)) for _ in range(channels)]
+        return np.stack(planes, axis=-1).astype(np.float32)
+
+    directions = camera.ray_directions()
+    hits = directions[..., 2] < -1e-3
+    distance = np.where(hits, -camera.position_m[2] / np.minimum(directions[..., 2], -1e-3), 0.0)
+    depth = distance * (directions @ camera.forward)
+    mask = hits[..., None].astype(np.float32)
+    diffuse, specular, roughness = 0.1 + 0.8 * smooth(3), 0.2 * smooth(3), 0.2 + 0.7 * smooth(1)
+    image = (0.8 * diffuse + 0.3 * specular * (1 - roughness)) * mask + 0.5 * (1 - mask)
+    buffers = {
+        "beauty": image,
+        "diffuse_albedo": diffuse * mask,
+        "specular_albedo": specular * mask,
+        "roughness": roughness * mask,
+        "normal_world": np.array([0.0, 0.0, 1.0]) * mask,
+        "depth_z_m": (depth * hits)[..., None],
+        "surface_mask": mask,
+        "instance_id": mask.astype(np.uint32),
+        "material_id": mask.astype(np.uint32),
+        "color_min": 0.9 * image,
+        "color_median": image,
+        "color_max": 1.1 * image,
+        "observation_count": 3 * mask,
+    }
+    assert set(buffers) == set(VIEW_BUFFERS)
+    return buffers
+
+
+def view_record(configuration: Configuration, index: int, exr: bytes) -> dict[str, Any]:
+    """The view's JSON as a dictionary."""
+    record = ViewRecord(
+        configuration=configuration.id,
+        name=configuration.cameras[index].name,
+        index=index,
+        split=configuration.split,
+        camera=configuration.cameras[index],
+        exposure=1.2,
+        buffers=tuple(sorted(VIEW_BUFFERS)),
+        instances={"1": "environment/floor"},
+        materials={"1": "floor"},
+        render=RenderRecord(
+            variant="llvm_ad_rgb",
+            seed=1,
+            path_samples=1,
+            auxiliary_samples=1,
+            max_depth=2,
+            russian_roulette_depth=2,
+            denoiser="none",
+        ),
+        statistics=StatisticsRecord(num_views=3, best_views=12, visibility="depth", include_self=True),
+        versions={},
+        exr_sha256=sha256_hex(exr),
+    )
+    return record.model_dump(mode="json")
+
+
+def make_shard(
+    folder: Path,
+    name: str,
+    num_views: int,
+    *,
+    split: Split = "train",
+    seed: int = 0,
+    width: int = 64,
+    height: int = 48,
+    change: Change | None = None,
+) -> Path:
+    """Write ``shards/<name>.tar`` and return its path; ``change`` spoils every view of it."""
+    cameras = []
+    for index in range(num_views):
+        pose = look_at([0.4 * index - 0.5, -1.5, 1.2], [0.0, 0.3, 0.0])
+        camera = Camera(width, height, 0.9 * width, 0.9 * width, width / 2, height / 2, pose)
+        cameras.append(ViewCamera.from_camera(f"view-{index:03d}", camera))
+    environment = PlacedAsset(name="environment", asset="room")
+    configuration = Configuration(
+        id=name,
+        index=0,
+        seed=5,
+        split=split,
+        environment=environment,
+        cameras=tuple(cameras),
+        assets={"room": "0" * 64},
+    )
+    members = []
+    scratch = folder / "scratch" / name
+    scratch.mkdir(parents=True)
+    for index, camera in enumerate(configuration.cameras):
+        buffers = floor_buffers(camera.camera(), seed * 1000 + index)
+        record = view_record(configuration, index, b"")
+        if change is not None:
+            change(buffers, record)
+        exr = encode_view(buffers)
+        record["exr_sha256"] = sha256_hex(exr)
+        for suffix, content in (("exr", exr), ("json", canonical_json(record))):
+            path = scratch / f"{camera.name}.{suffix}"
+            path.write_bytes(content)
+            members.append((f"{name}/{camera.name}.{suffix}", path))
+    shard = folder / "shards" / f"{name}.tar"
+    shard.parent.mkdir(exist_ok=True)
+    with shard.open("wb") as file:
+        write_shard(file, canonical_json(configuration), members)
+    return shard
+
+
+def make_dataset(
+    folder: Path, splits: dict[str, tuple[Split, int]], *, change: Change | None = None, **options: Any
+) -> Path:
+    """A dataset folder with one shard for each of ``splits`` (name to split and number of views)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    records = []
+    for seed, (name, (split, num_views)) in enumerate(splits.items()):
+        path = make_shard(folder, name, num_views, split=split, seed=seed, change=change, **options)
+        records.append(
+            ShardRecord(
+                file=f"shards/{path.name}",
+                sha256=sha256_file(path),
+                num_bytes=path.stat().st_size,
+                configuration=name,
+                split=split,
+                num_views=num_views,
+                seed=5,
+                assets=(),
+            )
+        )
+    counts: dict[Split, int] = {"train": 0, "validation": 0, "test": 0}
+    for record in records:
+        counts[record.split] += 1
+    index = DatasetIndex(
+        recipe=Recipe(name="tiny", configurations=len(records), views=max(r.num_views for r in records)),
+        versions={},
+        variant="llvm_ad_rgb",
+        num_configurations=len(records),
+        num_views=sum(r.num_views for r in records),
+        num_bytes=sum(r.num_bytes for r in records),
+        is_complete=True,
+        splits=counts,
+        buffers=tuple(sorted(VIEW_BUFFERS)),
+        assets={},
+        shards=tuple(records),
+    )
+    (folder / "index.json").write_bytes(canonical_json(index))
+    return folder
