@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,14 +27,15 @@ class ShardJob:
     """A shard to verify.
 
     ``file`` is how the report names it, ``record`` what the index says of it, ``buffers`` those that every
-    view must hold, ``textured`` material names to the range of values of their roughness texture.
+    view must hold, ``textured`` material names to the range of values of their roughness texture
+    (None: not known).
     """
 
     path: Path
     file: str
     record: ShardRecord | None = None
     buffers: tuple[str, ...] = ()
-    textured: dict[str, float] = field(default_factory=dict)
+    textured: dict[str, float] | None = None
 
 
 def verify_shard(job: ShardJob) -> Report:
@@ -189,7 +190,7 @@ class _ShardVerifier:
         exposure = float(np.median(exposures)) if exposures else 1.0
         for where, view in self.beauties.items():
             self.apply("exposure", checks.check_exposure(view, exposure, where))
-        if self.job.textured:
+        if self.job.textured is not None:
             found = checks.check_roughness(self.roughness, self.materials, self.job.textured, self.where)
             self.apply("roughness", found)
         faults, compared = check_reprojection(self.geometries, self.where)

@@ -159,20 +159,20 @@ def _texture_range(package: Package, material: Material, offset: float) -> float
     return float(high - low)
 
 
-def _textured_materials(job: ShardJob, library: Library, report: Report) -> dict[str, float]:
+def _textured_materials(job: ShardJob, library: Library, report: Report) -> dict[str, float] | None:
     try:
         configuration = ShardReader(job.path).configuration()
     except InputError:
-        return {}  # a fault of its own, reported where the shard is read
+        return None  # a fault of its own, reported where the shard is read
     for asset_id, digest in configuration.assets.items():
         if asset_id in library and library.package(asset_id).sha256 != digest:
             report.notes.append(f"roughness of {job.file} was not checked: {asset_id} has changed since")
-            return {}
+            return None
     try:
         return expected_roughness(configuration, library)
     except InputError as error:
         report.notes.append(f"roughness of {job.file} was not checked: {error}")
-        return {}
+        return None
 
 
 # ---------------------------------------------------------------------- the command
