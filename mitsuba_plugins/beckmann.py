@@ -138,7 +138,7 @@ def _sample_visible_slopes(cos: Array, sin: Array, sample: Array) -> tuple[Array
     inverse_sqrt_pi = 1.0 / math.sqrt(math.pi)
     total = u * (scale_erf * (1.0 + largest_slope) + scale_exp * inverse_sqrt_pi * dr.exp(-dr.square(cot)))
     x = largest_slope - (largest_slope + 1.0) * dr.erf(dr.sqrt(-dr.log(u)))
-    for _ in range(4):
+    for _ in range(3):
         x = dr.clip(x, -edge, dr.minimum(largest_slope, edge))
         slope = dr.erfinv(x)
         value = scale_erf * (1.0 + x) + scale_exp * inverse_sqrt_pi * dr.exp(-dr.square(slope)) - total

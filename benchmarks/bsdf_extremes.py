@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: MIT
+"""The BSDF at its extremes: the figures of docs/bsdf.md.
+
+    python -m benchmarks.bsdf_extremes errors       float32 against the float64 oracle, in eps
+    python -m benchmarks.bsdf_extremes energy       directional albedo, and what multiple bounces make of it
+    python -m benchmarks.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
+    python -m benchmarks.bsdf_extremes gradients    10^8 derivatives by D, S and R: NaN, Inf
+
+Each prints a Markdown table. Inputs of the last two: roughness in [0, 1] and NaN, -0.5, 1.5; albedos 0, 1 and
+between, and NaN, -1, 2 (so that D + S > 1 too); wi and wo at any angle down to 1e-6 rad above the horizon, on
+it, at the pole, and below.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tests.oracles import brdf as oracle
+
+BATCH = 4_000_000
+ROUGHNESS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
+ANGLES_DEG = (0, 30, 45, 60, 75, 85, 89)
+EPS = float(np.finfo(np.float32).eps)
+
+
+def _print_table(head: list[str], rows: list[list[Any]]) -> None:
+    print("| " + " | ".join(head) + " |")
+    print("|" + "---|" * len(head))
+    for row in rows:
+        print("| " + " | ".join(str(cell) for cell in row) + " |")
+
+
+# ---- errors ----
+
+
+def print_errors(num: int = 200_000) -> None:
+    """Median, 99.9 % and largest relative error in eps of value and density, where exp's argument is < 20."""
+    from tests.mitsuba_plugins import bsdf_probe as probe
+
+    rng = np.random.default_rng(0)
+    rows = []
+    for roughness in ROUGHNESS:
+        r = np.full(num, roughness, np.float32)
+        alpha = oracle.alpha_from_roughness(r)[:, None]
+        wi = oracle.direction(rng.choice(probe.ANGLES_RAD, num), rng.uniform(0, 2 * np.pi, num))
+        slope = rng.normal(size=(num, 2)) * alpha * rng.choice([0.1, 0.7, 1.4], num)[:, None]
+        h = np.stack([-slope[:, 0], -slope[:, 1], np.ones(num)], -1)
+        h /= np.linalg.norm(h, axis=1)[:, None]
+        wo = probe.unit_float32(2 * np.sum(wi * h, 1)[:, None] * h - wi)
+        wi = probe.unit_float32(wi)
+        d = rng.choice(np.float32([0.0, 0.04, 0.5, 0.8, 1.0]), (num, 3))
+        s = rng.choice(np.float32([0.0, 0.04, 0.5, 1.0]), (num, 3))
+        bsdf = probe.material(d, s, r, num)
+        value, pdf = (
+            probe.array(v)
+            for v in bsdf.eval_pdf(probe.mi.BSDFContext(), probe.interaction(wi), probe.vector(wo))
+        )
+        exponent = (np.tan(oracle.theta(wi + wo)) / alpha[:, 0]) ** 2
+        checked = (wi[:, 2] > 0) & (wo[:, 2] > 0) & (exponent < 20)
+        expected = oracle.eval_cos(wi, wo, d, s, r)
+        expected_pdf = oracle.pdf(wi, wo, d, s, r)
+        row: list[Any] = [roughness]
+        for got, right in ((value, expected), (pdf[:, None], expected_pdf[:, None])):
+            error = np.abs(got - right) / np.maximum(right, 1e-30) / EPS
+            error = np.where(right > 1e-30, error, 0.0).max(1)[checked]
+            row += [f"{v:.1f}" for v in (*np.quantile(error, [0.5, 0.999]), error.max())]
+            row.append(f"{(error / (1 + exponent[checked])).max():.1f}")
+        rows.append(row)
+    quantities = ["median", "99.9 %", "max", "max / (1 + x)"]
+    _print_table(["R", *(f"value {q}" for q in quantities), *(f"pdf {q}" for q in quantities)], rows)
+
+
+# ---- energy ----
+
+
+def _angle_transport(specular: float, roughness: float, num_bins: int, num_slopes: int) -> np.ndarray:
+    """K[o, i]: share of the energy that arrives in angle bin i and leaves by the specular lobe into bin o.
+
+    Bins have equal projected solid angle, so that the diffuse term adds the same number everywhere.
+    """
+    edges = np.sqrt(np.linspace(0, 1, num_bins + 1))
+    alpha = float(oracle.alpha_from_roughness(np.float64(roughness)))
+    h, weight = oracle.slopes_grid(alpha, num_slopes)
+    transport = np.zeros((num_bins, num_bins))
+    for i, cos in enumerate(np.sqrt((np.arange(num_bins) + 0.5) / num_bins)):
+        wi = np.array([np.sqrt(1 - cos**2), 0, cos])
+        cos_h = np.maximum(h @ wi, 0.0)
+        wo = 2 * cos_h[:, None] * h - wi
+        value = oracle.beckmann_d(h, alpha) * oracle.smith_g1(wi[None], alpha)[0] * cos_h / cos
+        value *= oracle.schlick(specular, 1.0 - cos_h) * oracle.smith_g1(wo, alpha)
+        seen = (cos_h > 0) & (wo[:, 2] > 0)
+        transport[:, i] = np.histogram(wo[seen, 2], edges, weights=(value * weight)[seen])[0]
+    return transport
+
+
+def print_energy() -> None:
+    """Directional albedo over angle, roughness and (D, S); mean albedo and growth per bounce."""
+    pairs = ((0.0, 0.04), (0.5, 0.04), (0.8, 0.04), (1.0, 0.04), (0.5, 0.5), (0.0, 1.0))
+    rows = []
+    for diffuse, specular in pairs:
+        for roughness in (0.0, 0.1, 0.3, 0.5, 0.7, 1.0):
+            row: list[Any] = [f"{diffuse}, {specular}", roughness]
+            for angle in ANGLES_DEG:
+                wi = oracle.direction(np.array(np.radians(angle)), np.array(0.0))
+                albedo = oracle.directional_albedo(wi, diffuse, specular, roughness)
+                row.append(f"**{albedo:.2f}**" if albedo > 1.0 else f"{albedo:.2f}")
+            rows.append(row)
+    _print_table(["D, S", "R", *(f"{a} deg" for a in ANGLES_DEG)], rows)
+    print()
+    rows = []
+    for roughness in (0.0, 0.1, 0.3, 0.5, 1.0):
+        specular_part = _angle_transport(0.04, roughness, 60, 300)
+        for diffuse in (0.5, 0.8, 0.9, 0.95, 1.0):
+            transport = specular_part + (1 - 0.04) * diffuse / len(specular_part)
+            radius = float(np.abs(np.linalg.eigvals(transport)).max())
+            energy = np.full(len(specular_part), 1.0 / len(specular_part))
+            sums = {}
+            total = 0.0
+            for bounce in range(1, 65):
+                energy = transport @ energy
+                total += energy.sum()
+                sums[bounce] = total
+            rows.append(
+                [
+                    roughness,
+                    diffuse,
+                    f"{transport.sum(0).mean():.3f}",
+                    f"{transport.sum(0).max():.2f}",
+                    f"{radius:.3f}",
+                    f"{sums[8]:.2f}",
+                    f"{sums[64]:.1f}",
+                ]
+            )
+    _print_table(
+        ["R", "D (S = 0.04)", "mean albedo", "largest", "growth per bounce", "sum of 8 bounces", "of 64"],
+        rows,
+    )
+
+
+# ---- 10^9 evaluations ----
+
+
+def _random_channel(rng: Any, wild: tuple[float, ...]) -> Any:
+    """Half of the lanes uniform in [0, 1], a quarter exactly 0 or 1, a quarter of the wild values."""
+    import drjit as dr
+    import mitsuba as mi
+
+    kind, u = rng.next_float32(), rng.next_float32()
+    ends = dr.select(u < 0.5, mi.Float(0.0), mi.Float(1.0))
+    table = mi.Float(list(wild))
+    outside = dr.gather(mi.Float, table, dr.minimum(mi.UInt32(u * len(wild)), len(wild) - 1))
+    return dr.select(kind < 0.5, u, dr.select(kind < 0.75, ends, outside))
+
+
+def _random_direction(rng: Any) -> Any:
+    """Angles uniform, log-uniform from the horizon down to 1e-6 rad on either side, or exactly special."""
+    import drjit as dr
+    import mitsuba as mi
+
+    kind, u = rng.next_float32(), rng.next_float32()
+    sin_phi, cos_phi = dr.sincos(2 * dr.pi * rng.next_float32())
+    near = dr.exp(dr.lerp(np.log(1e-6), 0.0, u)) * dr.select(kind < 0.7, mi.Float(1.0), mi.Float(-1.0))
+    elevation = dr.select(kind < 0.4, (u - 0.25) * (dr.pi / 1.5), near)
+    elevation = dr.select(kind > 0.95, dr.select(u < 0.5, mi.Float(0.0), mi.Float(dr.pi / 2)), elevation)
+    z, radius = dr.sincos(elevation)
+    radius = dr.select((kind > 0.95) & (u >= 0.5), 0.0, radius)
+    return mi.Vector3f(radius * cos_phi, radius * sin_phi, z)
+
+
+class _LaneTexture:
+    """Stands in for a texture: one value a lane, as it comes."""
+
+    def __init__(self, make: Callable[[], Any]):
+        self.value = make()
+
+    def eval(self, si: Any, active: Any = True) -> Any:
+        """The lane's colour."""
+        return self.value
+
+    def eval_1(self, si: Any, active: Any = True) -> Any:
+        """The lane's number."""
+        return self.value
+
+
+def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
+    """(bsdf with a material a lane, interaction, wo, number sample1, pair sample2)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    rng = mi.PCG32(num, initstate=seed)
+    bsdf = mi.load_dict({"type": "cook_torrance"})
+    wild_albedo, wild_roughness = (float("nan"), -1.0, 2.0), (float("nan"), -0.5, 1.5)
+
+    def color() -> Any:
+        return mi.Color3f(*(_random_channel(rng, wild_albedo) for _ in range(3)))
+
+    bsdf.diffuse_albedo, bsdf.specular_albedo = _LaneTexture(color), _LaneTexture(color)
+    bsdf.roughness = _LaneTexture(lambda: _random_channel(rng, wild_roughness))
+    si = dr.zeros(mi.SurfaceInteraction3f, num)
+    si.wi = _random_direction(rng)
+    wo = _random_direction(rng)
+    # A third of the light directions lie in the lobe: the mirror direction, jittered by 10^-4 ... 1.
+    size = dr.exp(dr.lerp(np.log(1e-4), 0.0, rng.next_float32()))
+    jitter = mi.Vector3f(*(size * (rng.next_float32() - 0.5) for _ in range(3)))
+    mirrored = dr.normalize(mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z) + jitter)
+    wo = dr.select(rng.next_float32() < 0.33, mirrored, wo)
+    sample1, sample2 = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
+    return bsdf, si, wo, sample1, sample2
+
+
+def _count(mask: Any) -> int:
+    import drjit as dr
+
+    return int(dr.count(mask)[0])
+
+
+def print_evaluations(total: float) -> bool:
+    """Counts over ``total`` cases; true where nothing is NaN, infinite or negative."""
+    import drjit as dr
+    import mitsuba as mi
+
+    names = ("value", "pdf", "weight", "pdf of the sample")
+    bad = {name: [0, 0, 0, 0.0] for name in names}
+    num_batches = int(np.ceil(total / BATCH))
+    start = time.perf_counter()
+    for batch in range(num_batches):
+        bsdf, si, wo, sample1, sample2 = _random_case(batch, BATCH)
+        value, pdf, bs, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, wo, sample1, sample2)
+        faults = {}
+        for name, got in zip(names, (value, pdf, weight, bs.pdf), strict=True):
+            planes = [got] if dr.depth_v(got) == 1 else list(got)
+            tests = (dr.isnan, dr.isinf, lambda plane: plane < 0.0)
+            counts = [sum(dr.select(test(p), mi.UInt32(1), 0) for p in planes) for test in tests]
+            largest = (
+                planes[0] if len(planes) == 1 else dr.maximum(dr.maximum(planes[0], planes[1]), planes[2])
+            )
+            faults[name] = (*counts, largest)
+        dr.eval(faults)  # one kernel for all, then sums of what it wrote
+        for name, (*counts, largest) in faults.items():
+            for i, count in enumerate(counts):
+                bad[name][i] += int(dr.sum(count)[0])
+            bad[name][3] = max(bad[name][3], float(dr.max(largest)[0]))
+        if sys.stderr.isatty():
+            print(f"\r{batch + 1}/{num_batches}", end="", file=sys.stderr)
+    seconds = time.perf_counter() - start
+    rows = [[name, *counts[:3], f"{counts[3]:.4g}"] for name, counts in bad.items()]
+    print(f"{num_batches * BATCH:.3g} cases in {seconds:.0f} s\n")
+    _print_table(["quantity", "NaN", "Inf", "negative", "largest"], rows)
+    return all(not any(counts[:3]) for counts in bad.values())
+
+
+def print_gradients(total: float) -> bool:
+    """Counts of derivatives of the value that are not finite; true where there are none."""
+    import drjit as dr
+    import mitsuba as mi
+
+    names = ("by D", "by S", "by R")
+    bad = {name: [0, 0.0] for name in names}
+    for batch in range(int(np.ceil(total / BATCH))):
+        bsdf, si, wo, _, _ = _random_case(batch, BATCH)
+        channels = (bsdf.diffuse_albedo.value, bsdf.specular_albedo.value, bsdf.roughness.value)
+        for channel in channels:
+            dr.enable_grad(channel)
+        dr.backward(dr.sum(bsdf.eval(mi.BSDFContext(), si, wo)))
+        for name, channel in zip(names, channels, strict=True):
+            gradient = dr.grad(channel)
+            for plane in [gradient] if dr.depth_v(gradient) == 1 else list(gradient):
+                bad[name][0] += _count(~dr.isfinite(plane))
+                bad[name][1] = max(bad[name][1], float(dr.max(dr.abs(plane))[0]))
+    print(f"{int(np.ceil(total / BATCH)) * BATCH:.3g} cases\n")
+    _print_table(["derivative", "not finite", "largest"], [[n, c, f"{m:.4g}"] for n, (c, m) in bad.items()])
+    return all(not counts[0] for counts in bad.values())
+
+
+def main() -> int:
+    """Command line; exit code 1 where a value that must not occur occurred."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("table", choices=("errors", "energy", "evaluations", "gradients"))
+    parser.add_argument("--total", type=float, help="number of cases (default 1e9, gradients 1e8)")
+    arguments = parser.parse_args()
+    from mitsuba_plugins import register, select_variant
+
+    if arguments.table == "energy":
+        print_energy()
+        return 0
+    select_variant()
+    register()
+    if arguments.table == "errors":
+        print_errors()
+        return 0
+    if arguments.table == "evaluations":
+        return 0 if print_evaluations(arguments.total or 1e9) else 1
+    return 0 if print_gradients(arguments.total or 1e8) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
