@@ -111,7 +111,10 @@ class FreeSpace:
         return ""
 
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
-        """Up to ``count`` free positions (P, 3), after at most eight times as many draws."""
+        """Up to ``count`` free positions (P, 3), after at most eight times as many draws.
+
+        Raises :class:`InputError` where not one is free.
+        """
         found: list[Floats] = []
         for _ in range(8 * count):
             if len(found) == count:
@@ -122,4 +125,17 @@ class FreeSpace:
                 rejections[f"probe.{fault}"] += 1
                 continue
             found.append(position)
+        if not found:
+            counts = ", ".join(
+                f"{k.removeprefix('probe.')} {v}"
+                for k, v in sorted(rejections.items())
+                if k.startswith("probe.")
+            )
+            raise input_error(
+                f"environment {self.environment.id}",
+                "camera_regions" if self._regions else "cameras",
+                f"no free place for a camera ({counts})",
+                "free space inside the room",
+                "mend its camera_regions: they lie inside geometry or outside the room",
+            )
         return np.array(found).reshape(-1, 3)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.assembly.free_space import FreeSpace
-from datagen.assembly.geometry import Floats, WorldScene
+from datagen.assembly.geometry import Floats, RayScene, WorldScene
 from datagen.assembly.light_levels import Lighting
 from datagen.assembly.random import Draws
 from datagen.cameras import Camera, look_at
@@ -38,7 +38,7 @@ _MAX_PITCH_RAD = math.radians(38.0)
 _ROLL_RAD = math.radians(1.2)  # a hand is not a tripod
 _SHELL_SPAN = 0.7  # a part this long compared with the room is wall, floor or ceiling
 _OVERLAP_POINTS = 400
-_DEPTH_SLACK = 1.02
+_DEPTH_SLACK = 2e-3  # of the distance: the point itself must not hide it
 _NUM_COMPARED = 12  # eligible candidates among which the most different one is taken
 _MIN_NOVELTY = 0.04
 
@@ -119,20 +119,25 @@ class ViewFinder:
         subject = Subject.of(self.scene)
         limit = count * self.recipe.max_attempts
         pool: list[Candidate] = []
+        overlap = np.zeros((0, 0))
         wanted = count + max(8, count // 2)
         while True:
-            fresh = self._extend(subject, wanted - len(pool), limit)
-            pool = self._lit(pool + fresh)
-            chosen, num_lonely = choose_views(
-                pool, count, self.recipe.min_overlap, Draws(*self.key, "choose")
-            )
+            pool += self._extend(subject, wanted, limit)
+            overlap = overlap_matrix(pool, self.scene.rays, overlap)
+            lit = self._lit(pool)
+            among = overlap[np.ix_(lit, lit)]
+            least = self.recipe.min_overlap
+            bright = [pool[k] for k in lit]
+            chosen, num_lonely = choose_views(bright, among, count, least, Draws(*self.key, "choose"))
+            if len(chosen) == count or self.num_drawn >= limit:
+                self.rejections["camera.too_dark"] += len(pool) - len(lit)
             if len(chosen) == count:
-                return [pool[k].camera for k in chosen]
+                return [bright[k].camera for k in chosen]
             if self.num_drawn >= limit:
                 self.rejections["camera.too_little_overlap"] += num_lonely
-                self.rejections["camera.too_similar"] += len(pool) - len(chosen) - num_lonely
+                self.rejections["camera.too_similar"] += len(lit) - len(chosen) - num_lonely
                 self._raise_shortfall(len(chosen), count)
-            wanted = len(pool) + max(8, 2 * (count - len(chosen)))
+            wanted = max(8, 2 * (count - len(chosen)))
 
     def _raise_shortfall(self, found: int, count: int) -> None:
         reasons = {k: v for k, v in sorted(self.rejections.items()) if k.startswith("camera.") and v}
@@ -245,14 +250,13 @@ class ViewFinder:
         for candidate, value in zip(candidates, luminance.mean(axis=1).tolist(), strict=True):
             candidate.luminance = value
 
-    def _lit(self, pool: list[Candidate]) -> list[Candidate]:
-        """The candidates that are not too dark compared with the median one."""
+    def _lit(self, pool: list[Candidate]) -> list[int]:
+        """Indices of the candidates that are not too dark compared with the median one."""
         if not pool:
-            return pool
-        threshold = self.recipe.min_luminance * float(np.median([c.luminance for c in pool]))
-        kept = [c for c in pool if c.luminance >= threshold]
-        self.rejections["camera.too_dark"] += len(pool) - len(kept)
-        return kept
+            return []
+        luminance = np.array([c.luminance for c in pool])
+        least = self.recipe.min_luminance * float(np.median(luminance))
+        return np.flatnonzero(luminance >= least).tolist()
 
 
 def preview_of(camera: Camera) -> Camera:
@@ -261,11 +265,10 @@ def preview_of(camera: Camera) -> Camera:
     return camera.scaled(width, max(8, round(width * camera.height_px / camera.width_px)))
 
 
-def overlap_matrix(pool: list[Candidate], known: Floats | None = None) -> Floats:
-    """Share of the points of view i that view j sees too, (C, C); the diagonal is 0.
+def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None = None) -> Floats:
+    """Share of the points of view i that view j sees too, by traced rays, (C, C); the diagonal is 0.
 
-    A point counts as seen if it lies inside the image and not behind what the low-resolution image shows
-    in the pixels around it. ``known`` (K, K) is kept for the first K views.
+    ``known`` (K, K) is kept for the first K views.
     """
     count = len(pool)
     start = 0 if known is None else len(known)
@@ -276,49 +279,39 @@ def overlap_matrix(pool: list[Candidate], known: Floats | None = None) -> Floats
         sources = [i for i in range(count) if i != j and (i >= start or j >= start)]
         if not sources:
             continue
-        points = np.concatenate([pool[i].points for i in sources])
-        seen = _sees(target, points)
+        seen = _sees(target.preview, np.concatenate([pool[i].points for i in sources]), rays)
         sizes = [len(pool[i].points) for i in sources]
-        ends = np.cumsum(sizes)
-        for i, end, size in zip(sources, ends.tolist(), sizes, strict=True):
+        for i, end, size in zip(sources, np.cumsum(sizes).tolist(), sizes, strict=True):
             overlap[i, j] = float(seen[end - size : end].mean()) if size else 0.0
     return overlap
 
 
-def _sees(view: Candidate, points: Floats) -> NDArray[np.bool_]:
-    pixels, depth = view.preview.project(points)
-    height, width = view.distance_m.shape
+def _sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
+    """Which points (P, 3) of surfaces lie inside the camera's image with nothing in front of them."""
+    pixels, depth = camera.project(points)
+    limits = [camera.width_px, camera.height_px]
     with np.errstate(invalid="ignore"):
-        column, row = np.floor(pixels[:, 0] - 0.5), np.floor(pixels[:, 1] - 0.5)
-        inside = (
-            (pixels[:, 0] >= 0) & (pixels[:, 0] <= width) & (pixels[:, 1] >= 0) & (pixels[:, 1] <= height)
-        )
-    inside &= depth > 0
-    seen = np.zeros(len(points), dtype=bool)
-    index = np.flatnonzero(inside)
-    c = np.clip(column[index], 0, width - 1).astype(np.int64)
-    r = np.clip(row[index], 0, height - 1).astype(np.int64)
-    c1, r1 = np.minimum(c + 1, width - 1), np.minimum(r + 1, height - 1)
-    image = view.distance_m
-    farthest = np.maximum.reduce([image[r, c], image[r, c1], image[r1, c], image[r1, c1]])
-    distance = np.linalg.norm(points[index] - view.camera.position_m, axis=1)
-    seen[index] = distance <= _DEPTH_SLACK * farthest
+        seen = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= limits).all(axis=1)
+    towards = points[seen] - camera.position_m
+    distance = np.linalg.norm(towards, axis=1)
+    reach = distance * (1 - _DEPTH_SLACK)
+    seen[seen] = ~rays.occluded(camera.position_m, towards / distance[:, None], reach)
     return seen
 
 
 def choose_views(
-    pool: list[Candidate], count: int, min_overlap: float, draws: Draws
+    pool: list[Candidate], overlap: Floats, count: int, min_overlap: float, draws: Draws
 ) -> tuple[list[int], int]:
     """Indices of up to ``count`` views, and how many of the pool overlap too little with the chosen ones.
 
-    Every chosen view shares at least ``min_overlap`` of its points with one chosen before it (the first with
-    the second). Views that nearly repeat a chosen one are passed over.
+    ``overlap`` is the pool's :func:`overlap_matrix`. Every chosen view shares at least ``min_overlap`` of its
+    points with one chosen before it (the first with the second). Views that nearly repeat a chosen one are
+    passed over.
     """
     if count == 1:
         return ([0] if pool else []), 0
     if len(pool) < 2:
         return [], len(pool)
-    overlap = overlap_matrix(pool)
     novelty = _difference_matrix(pool)
     both = np.minimum(overlap, overlap.T)
     pairs = [k for k in range(len(pool)) if both[k].max() >= min_overlap]
