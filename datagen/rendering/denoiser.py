@@ -32,13 +32,12 @@ class Denoiser(Protocol):
 def auxiliary_albedo(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32], mask: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Reflectance seen head-on, (1 - S) D + S, that guides the denoiser; 1 where there is no surface.
+    """Reflectance seen head-on, (1 - S) D + S, that guides the denoiser; 0 where there is no surface.
 
-    Emitters and background show their radiance unmodulated, which is what an albedo of 1 says. ``mask``
-    (H, W, 1) is the surface's share of the pixel.
+    The image that is denoised holds reflected light alone, so that both fade to 0 at a surface's edge.
+    ``mask`` (H, W, 1) is the surface's share of the pixel.
     """
-    reflectance = (1.0 - specular) * diffuse + specular
-    return (mask * reflectance + (1.0 - mask)).astype(np.float32)
+    return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
 
 @dataclass

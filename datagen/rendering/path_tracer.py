@@ -27,6 +27,8 @@ Array = Any
 
 MAX_LANES = 1 << 26
 """Light paths traced in one launch; a view with more takes several."""
+LATTICE = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the R2 sequence: 1/g and 1/g^2 with g^3 = g + 1."""
 MAX_CROSSINGS = 32
 """Transparent surfaces that one ray crosses before it counts as blocked."""
 
@@ -56,10 +58,13 @@ class PathTracer:
             table[index] = shape.id() in built.hidden_shapes
         return mi.Bool(table)
 
-    def render(self, sensor: Any, num_samples: int, seed: int) -> NDArray[np.float32]:
+    def render(
+        self, sensor: Any, num_samples: int, seed: int, *, with_seen_lights: bool = True
+    ) -> NDArray[np.float32]:
         """Mean radiance (H, W, 3) of ``num_samples`` paths a pixel, uniformly distributed over the pixel.
 
-        ``seed`` is taken modulo 2^32.
+        ``with_seen_lights`` False leaves out what lights and background send straight to the camera; that is
+        :meth:`render_seen_lights`, which has no noise worth denoising. ``seed`` is taken modulo 2^32.
         """
         width, height = (int(v) for v in sensor.film().crop_size())
         num_per_launch = max(1, min(num_samples, MAX_LANES // (width * height)))
@@ -68,12 +73,15 @@ class PathTracer:
         while done < num_samples:
             count = min(num_per_launch, num_samples - done)
             launch_seed = (seed + 0x9E3779B9 * done) & 0xFFFFFFFF
-            total += self._launch(sensor, width, height, count, launch_seed)
+            total += self._launch(sensor, (width, height), count, launch_seed, with_seen_lights)
             done += count
         return (total / num_samples).astype(np.float32)
 
-    def _launch(self, sensor: Any, width: int, height: int, count: int, seed: int) -> NDArray[np.float32]:
+    def _launch(
+        self, sensor: Any, size: tuple[int, int], count: int, seed: int, with_seen_lights: bool
+    ) -> NDArray[np.float32]:
         """Sum over ``count`` samples of each pixel, (H, W, 3)."""
+        width, height = size
         num_lanes = width * height * count
         with dr.suspend_grad():
             self._sampler.seed(seed, num_lanes)
@@ -84,14 +92,68 @@ class PathTracer:
                 (mi.Float(pixel - row * width) + offset.x) / width, (mi.Float(row) + offset.y) / height
             )
             ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
-            radiance = self.sample(self._sampler, ray)
+            radiance = self.sample(self._sampler, ray, with_seen_lights)
             dr.eval(radiance)
             sums = [dr.block_sum(channel, count) for channel in radiance]
             dr.eval(sums)
         return np.stack([np.array(s) for s in sums], axis=-1).reshape(height, width, 3)
 
+    def render_seen_lights(
+        self, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int
+    ) -> NDArray[np.float32]:
+        """What lights and background send straight to the camera, (P, 3), for flat pixel indices (P,).
+
+        ``num_samples`` points of a shifted lattice a pixel; no light transport, hence cheap.
+        """
+        width, height = (int(v) for v in sensor.film().crop_size())
+        with dr.suspend_grad():
+            radiance = self._seen_lights(
+                sensor, mi.UInt32(pixels), (width, height), dr.opaque(mi.UInt32, num_samples), seed
+            )
+            dr.eval(radiance)
+        return np.ascontiguousarray((np.array(radiance) / num_samples).T.astype(np.float32))
+
     @dr.syntax
-    def sample(self, sampler: Any, ray: Array) -> Array:
+    def _seen_lights(
+        self, sensor: Any, pixel: Array, size: tuple[int, int], num_samples: Array, seed: int
+    ) -> Array:
+        width, height = size
+        bits_x, bits_y = mi.sample_tea_32(pixel, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))
+        shift_x, shift_y = mi.Float(bits_x >> 8) * 2.0**-24, mi.Float(bits_y >> 8) * 2.0**-24
+        row: Any = pixel // width
+        left, top = mi.Float(pixel - row * width), mi.Float(row)
+        result = dr.zeros(mi.Color3f, dr.width(pixel))
+        i = dr.zeros(mi.UInt32, dr.width(pixel))
+        while i < num_samples:
+            x, y = shift_x + mi.Float(i) * LATTICE[0], shift_y + mi.Float(i) * LATTICE[1]
+            position = mi.Point2f((left + x - dr.floor(x)) / width, (top + y - dr.floor(y)) / height)
+            ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
+            result += self._light_ahead(ray)
+            i += 1
+        return result
+
+    @dr.syntax
+    def _light_ahead(self, ray: Array) -> Array:
+        """Radiance of the lights that a camera ray meets, through what is transparent."""
+        result, throughput = mi.Color3f(0.0), mi.Color3f(1.0)
+        num_crossed, active = mi.UInt32(0), mi.Bool(True)
+        while active:
+            si = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
+            is_seen = active & ~self._is_hidden(si, mi.UInt32(0))
+            result += throughput * si.emitter(self.scene).eval(si, is_seen)
+            active &= si.is_valid()
+            if dr.hint(self._has_transparency, mode="scalar"):
+                transmission = si.bsdf().eval_null_transmission(si, active & is_seen)
+                throughput *= dr.select(is_seen, transmission, 1.0)
+            else:
+                active &= ~is_seen
+            num_crossed += 1
+            active &= (dr.max(throughput) > 0.0) & (num_crossed < MAX_CROSSINGS)
+            ray = si.spawn_ray(ray.d)
+        return result
+
+    @dr.syntax
+    def sample(self, sampler: Any, ray: Array, with_seen_lights: bool = True) -> Array:
         """Radiance (Color3f) that arrives along camera rays, one path each."""
         scene, ctx = self.scene, mi.BSDFContext()
         ray = mi.Ray3f(ray)
@@ -106,10 +168,13 @@ class PathTracer:
             # ---- light that the ray met ---------------------------------------------------------------
             is_seen = active & ~self._is_hidden(si, depth)
             emitter = si.emitter(scene)
+            shows = is_seen
+            if dr.hint(not with_seen_lights, mode="scalar"):
+                shows = is_seen & (depth > 0)  # a new array: in place it would change is_seen too
             ds = mi.DirectionSample3f(scene, si, previous)
             emitter_pdf = scene.pdf_emitter_direction(previous, ds, is_seen & ~previous_is_delta)
             weight = dr.select(previous_is_delta, 1.0, _power_heuristic(previous_pdf, emitter_pdf))
-            result += throughput * emitter.eval(si, is_seen) * weight
+            result += throughput * emitter.eval(si, shows) * weight
 
             active_next = active & si.is_valid() & ((depth + 1 < self.max_depth) | ~is_seen)
             bsdf = si.bsdf()

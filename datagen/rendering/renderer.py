@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Views of a configuration: beauty and ground truth, each in a pass of its own, then the denoiser.
 
+The denoiser sees reflected light only. What lights and background send straight to the camera has no noise
+but at edges; it is traced as finely as the ground truth and added afterwards. A denoiser that is shown a lamp
+changes its radiance by tens of percent and smears it over its dark surroundings.
+
 The scene is built once; a view is another set of camera numbers for the same kernels. Both passes use a
 box filter on the same pixels. The path pass draws its samples from (configuration seed, view index) alone
 and adds them in a fixed order, so that a view's bytes do not depend on what was rendered before it or where.
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 HALF_MAX = 65504.0
+_FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
 
 
 class RenderError(RuntimeError):
@@ -131,7 +136,9 @@ class SceneRenderer:
         sensor = self._sensor(self.configuration.cameras[index].camera())
         seed = self.configuration.seed
         start = time.perf_counter()
-        noisy = self._tracer.render(sensor, self.recipe.path_samples, view_seed(seed, index, "path"))
+        noisy = self._tracer.render(
+            sensor, self.recipe.path_samples, view_seed(seed, index, "path"), with_seen_lights=False
+        )
         traced = time.perf_counter()
         buffers = render_material_buffers(
             self.built.scene,
@@ -141,8 +148,23 @@ class SceneRenderer:
             self._materials,
         )
         buffers.pop("position_world", None)
+        buffers["seen_lights"] = self._seen_lights(sensor, buffers["surface_mask"], index)
         seconds = {"path": traced - start, "buffers": time.perf_counter() - traced}
         return index, noisy, buffers, seconds
+
+    def _seen_lights(self, sensor: Any, mask: NDArray[np.float32], index: int) -> NDArray[np.float32]:
+        """Light that reaches the camera straight from lights and background, (H, W, 3).
+
+        It is traced only where something other than surface shows, and as finely as the other buffers.
+        """
+        image = np.zeros((mask.size, 3), np.float32)
+        pixels = np.flatnonzero(mask.ravel() < 1.0 - _FULL_COVERAGE_SLACK).astype(np.uint32)
+        if pixels.size:
+            seed = view_seed(self.configuration.seed, index, "lights")
+            image[pixels] = self._tracer.render_seen_lights(
+                sensor, pixels, self.recipe.auxiliary_samples, seed
+            )
+        return image.reshape(*mask.shape[:2], 3)
 
     def _finish(
         self,
@@ -153,18 +175,19 @@ class SceneRenderer:
     ) -> RenderedView:
         start = time.perf_counter()
         self._check_finite(index, {"beauty_noisy": noisy, **buffers})
-        beauty = noisy
+        seen_lights = buffers.pop("seen_lights")
+        beauty = noisy + seen_lights
         if self._denoiser is not None:
             albedo = auxiliary_albedo(
                 buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
             )
-            beauty = self._denoiser.denoise(noisy, albedo, buffers["normal_world"])
+            beauty = self._denoiser.denoise(noisy, albedo, buffers["normal_world"]) + seen_lights
             self._check_finite(index, {"beauty": beauty})
         clipped = int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1)))
         buffers["beauty"] = np.minimum(beauty, HALF_MAX)
         names = list(RENDERED_BUFFERS)
         if self.recipe.keep_noisy:
-            buffers["beauty_noisy"] = np.minimum(noisy, HALF_MAX)
+            buffers["beauty_noisy"] = np.minimum(noisy + seen_lights, HALF_MAX)
             names.append("beauty_noisy")
         record = RenderRecord(
             variant=self.variant,
