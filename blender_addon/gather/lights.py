@@ -2,8 +2,9 @@
 """Blender's lights in radiometric units, as dictionaries of the asset format.
 
 With P = energy * colour * 2^exposure (the light's own exposure): point of radius 0, I = P / 4 pi; sphere,
-L = P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi. Lengths become
-metres by ``m`` (metres per unit), under which radiance stays and intensity grows by m^2.
+L = P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi; without Normalize
+L = P / pi for spheres and areas. Lengths become metres by ``m`` (metres per unit), under which radiance stays
+and intensity grows by m^2. All are held against Cycles in the tests.
 """
 
 from __future__ import annotations
@@ -80,11 +81,17 @@ def _point(
     if radius <= 0:
         factor = metres**2 / (4 * math.pi)
         return {**base, "type": "point", "intensity": _triple(power * factor)}
-    if not getattr(thing.data, "normalize", True):
-        radiance = power / (4 * math.pi) / math.pi * math.pi  # per unit of area: see tests of normalize
-        return {**base, "type": "sphere", "radius_m": radius * metres, "radiance": _triple(radiance)}
     _note_visibility(thing, problems)
-    radiance = power / (4 * math.pi**2 * radius**2)
+    if getattr(thing.data, "use_soft_falloff", False):
+        problems.add(
+            APPROXIMATION,
+            "Soft Falloff turns the light into a disc that faces each point; the exported sphere is brighter by "
+            f"(radius / distance)^2, {(radius / 2) ** 2:.2%} at a distance of 2 units",
+            "turn Soft Falloff off to have the same sphere in both",
+            object=thing.name,
+        )
+    is_normalized = getattr(thing.data, "normalize", True)
+    radiance = power / (4 * math.pi**2 * radius**2) if is_normalized else power / math.pi
     return {**base, "type": "sphere", "radius_m": radius * metres, "radiance": _triple(radiance)}
 
 
@@ -179,7 +186,7 @@ def _area(
         problems.add(ERROR, "the area light has no area", "give it a size", object=thing.name)
         return None
     radiance = power / (math.pi * area) if getattr(data, "normalize", True) else power / math.pi
-    light = {
+    return {
         "type": "area",
         "name": thing.name,
         "origin_m": _triple(frame[:3, 3] - (edge_u + edge_v) / 2),
@@ -189,4 +196,3 @@ def _area(
         "shape": "disk" if is_disk else "rectangle",
         "is_visible": bool(thing.visible_camera),
     }
-    return light

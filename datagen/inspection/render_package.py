@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: MIT
+"""Renders an environment package as it is: its own materials, lights and cameras, nothing assembled.
+
+``python -m datagen.inspection.render_package PACKAGE OUT`` writes one linear EXR a camera. The Blender add-on's
+fidelity report calls it in a process of its own, since Blender and Mitsuba do not share one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from datagen.cameras import Camera
+from datagen.errors import input_error
+from datagen.formats.asset import AssetCamera, EnvironmentAsset
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.lights import EnvironmentLight, Light
+
+
+def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Configuration:
+    """The package alone as a configuration; cameras keep their order and are named ``view_000`` on."""
+    from datagen.formats.package import open_package
+
+    asset = open_package(package_path).asset
+    if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
+        raise input_error(
+            package_path,
+            "kind",
+            asset.kind,
+            "an environment with at least one camera",
+            "add a camera and export again",
+        )
+    return Configuration(
+        id=asset.id,
+        index=0,
+        seed=seed,
+        environment=PlacedAsset(name="environment", asset=asset.id),
+        lights=tuple(_located(light, asset.id) for light in asset.lights),
+        cameras=tuple(_view(index, camera) for index, camera in enumerate(asset.cameras)),
+        assets={asset.id: content_hash},
+    )
+
+
+def _located(light: Light, asset_id: str) -> Light:
+    """An image of the package's own light is looked up by the package's id."""
+    if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
+        return light.model_copy(update={"asset": asset_id})
+    return light
+
+
+def _view(index: int, camera: AssetCamera) -> ViewCamera:
+    import numpy as np
+
+    return ViewCamera.from_camera(
+        f"view_{index:03d}",
+        Camera(
+            camera.width_px,
+            camera.height_px,
+            camera.fx_px,
+            camera.fy_px,
+            camera.cx_px,
+            camera.cy_px,
+            np.array(camera.asset_from_camera, dtype=np.float64),
+        ),
+    )
+
+
+def render_package(
+    package_path: Path, out: Path, samples: int = 64, max_depth: int = 8, denoise: bool = False
+) -> list[Path]:
+    """Render every camera; returns the EXR files, named after the cameras' order."""
+    from datagen.formats.package import open_package
+    from datagen.formats.recipe import RenderRecipe
+    from datagen.library import Library
+    from datagen.rendering.renderer import SceneRenderer
+
+    library = Library([package_path])
+    package = open_package(package_path)
+    configuration = configuration_of(package_path, package.sha256)
+    recipe = RenderRecipe(path_samples=samples, auxiliary_samples=4, max_depth=max_depth, denoise=denoise)
+    renderer = SceneRenderer(configuration, library, recipe)
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for view in renderer.render_views(range(len(configuration.cameras))):
+        path = out / f"{configuration.cameras[view.index].name}.exr"
+        _write_rgb(path, view.buffers["beauty"])
+        written.append(path)
+    return written
+
+
+def _write_rgb(path: Path, pixels: object) -> None:
+    import numpy as np
+    import OpenEXR
+
+    rgb = np.ascontiguousarray(pixels, dtype=np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"RGB": rgb}) as file:
+        file.write(str(path))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("package", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--samples", type=int, default=64)
+    parser.add_argument("--max-depth", type=int, default=8)
+    parser.add_argument("--denoise", action="store_true")
+    arguments = parser.parse_args()
+    for path in render_package(
+        arguments.package, arguments.out, arguments.samples, arguments.max_depth, arguments.denoise
+    ):
+        print(path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lights: Cycles against Mitsuba on the exported package. Cameras: Blender's projection against ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datagen.asset_check import check_package
+from datagen.cameras import Camera
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.package import open_package
+from tests.blender_addon.lights_and_cameras import CAMERAS, LIGHTS
+
+pytestmark = pytest.mark.bpy
+TOLERANCE = {"world_image_turned": 0.02, "world_graph": 0.02}
+MITSUBA_SAMPLES = 128
+
+
+@pytest.fixture(scope="module")
+def cycles(tmp_path_factory: pytest.TempPathFactory, run_module: Callable[..., Any]) -> tuple[Path, Any]:
+    folder = tmp_path_factory.mktemp("lights")
+    return folder, run_module("tests.blender_addon.lights_and_cameras", str(folder))
+
+
+@pytest.fixture(scope="module")
+def rendered(cycles: tuple[Path, Any], run_module: Callable[..., Any]) -> Path:
+    folder, _ = cycles
+    run_module(
+        "tests.blender_addon.render_packages",
+        str(folder / "packages"),
+        str(folder / "mitsuba"),
+        str(MITSUBA_SAMPLES),
+        *LIGHTS,
+    )
+    return folder
+
+
+def _ratio(folder: Path, name: str) -> tuple[np.ndarray, float]:
+    """Ratio of mean radiance, Mitsuba over Cycles, per component; and the relative difference of the images."""
+    ours, theirs = np.load(folder / "mitsuba" / f"{name}.npy"), np.load(folder / "cycles" / f"{name}.npy")
+    lit = theirs.mean(axis=(0, 1)) > 0
+    ratio = ours.mean(axis=(0, 1))[lit] / theirs.mean(axis=(0, 1))[lit]
+    return ratio, float(np.abs(ours - theirs).mean() / theirs.mean())
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_light_matches_cycles(rendered: Path, name: str) -> None:
+    assert check_package(open_package(rendered / "packages" / name)).is_usable
+    ratio, difference = _ratio(rendered, name)
+    assert np.abs(ratio - 1).max() < TOLERANCE.get(name, 0.01), ratio
+    assert difference < 0.08, f"the images differ by {difference:.1%} where their means agree"
+
+
+def test_light_five_percent_off_is_detected(rendered: Path) -> None:
+    ratio, _ = _ratio(rendered, "area_square")
+    assert np.abs(ratio * 1.05 - 1).max() > 0.01
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_camera_projects_like_blender(cycles: tuple[Path, Any], name: str) -> None:
+    folder, projections = cycles
+    asset = open_package(folder / "packages" / f"camera_{name}").asset
+    assert isinstance(asset, EnvironmentAsset)
+    (entry,) = asset.cameras
+    camera = Camera(
+        entry.width_px,
+        entry.height_px,
+        entry.fx_px,
+        entry.fy_px,
+        entry.cx_px,
+        entry.cy_px,
+        np.array(entry.asset_from_camera),
+    )
+    points = np.array([sample["point"] for sample in projections[name]])
+    wanted = np.array([sample["pixel"] for sample in projections[name]])
+    got, depth = camera.project(points)
+    assert (depth > 0).all()
+    error = np.abs(got - wanted).max()
+    assert error < 0.1, f"{error:.3f} px"
+    moved = Camera(
+        *(getattr(camera, k) for k in ("width_px", "height_px")),
+        camera.fx_px * 1.05,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        camera.world_from_camera,
+    )
+    assert np.abs(moved.project(points)[0] - wanted).max() > 0.1
