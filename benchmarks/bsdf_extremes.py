@@ -2,6 +2,7 @@
 """The BSDF at its extremes: the figures of docs/bsdf.md.
 
     python -m benchmarks.bsdf_extremes errors       float32 against the float64 oracle, in eps
+    python -m benchmarks.bsdf_extremes density      three ways to compute D in float32, in eps
     python -m benchmarks.bsdf_extremes energy       directional albedo, and what multiple bounces make of it
     python -m benchmarks.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
     python -m benchmarks.bsdf_extremes gradients    10^8 derivatives by D, S and R: NaN, Inf
@@ -74,6 +75,38 @@ def print_errors(num: int = 200_000) -> None:
         rows.append(row)
     quantities = ["median", "99.9 %", "max", "max / (1 + x)"]
     _print_table(["R", *(f"value {q}" for q in quantities), *(f"pdf {q}" for q in quantities)], rows)
+
+
+def print_density(num: int = 200_000) -> None:
+    """Relative error of D in eps within the lobe, for three ways to compute it in float32."""
+    import drjit as dr
+
+    from mitsuba_plugins import beckmann
+    from tests.mitsuba_plugins import bsdf_probe as probe
+
+    def log_domain(h: Any, alpha: Any) -> Any:
+        tan2 = (dr.square(h.x) + dr.square(h.y)) / dr.square(h.z)
+        return dr.exp(-tan2 / dr.square(alpha) + 2.0 * dr.log(1.0 + tan2) - dr.log(dr.pi * dr.square(alpha)))
+
+    def from_cosine(h: Any, alpha: Any) -> Any:
+        cos2 = dr.square(dr.normalize(h).z)
+        return dr.exp((1.0 - 1.0 / cos2) / dr.square(alpha)) / (dr.pi * dr.square(alpha * cos2))
+
+    rng = np.random.default_rng(1)
+    forms = {"used": beckmann.beckmann_d, "log domain": log_domain, "from n.h": from_cosine}
+    rows = []
+    for alpha in (1e-3, 1e-2, 0.1, 0.3, 1.0):
+        slope = rng.normal(size=(num, 2)) * alpha * rng.choice([0.1, 0.7], num)[:, None]
+        h = probe.unit_float32(np.stack([-slope[:, 0], -slope[:, 1], np.ones(num)], -1) * 1.7)
+        alpha32 = np.float32(alpha)
+        expected = oracle.beckmann_d(h, np.float64(alpha32))
+        row: list[Any] = [alpha]
+        for form in forms.values():
+            got = probe.array(form(probe.vector(h), probe.mi.Float(alpha32)))
+            error = np.abs(got - expected) / expected / EPS
+            row.append(f"{np.median(error):.2g} / {np.quantile(error, 0.999):.2g}")
+        rows.append(row)
+    _print_table(["alpha", *(f"{name}: median / 99.9 %" for name in forms)], rows)
 
 
 # ---- energy ----
@@ -281,7 +314,7 @@ def print_gradients(total: float) -> bool:
 def main() -> int:
     """Command line; exit code 1 where a value that must not occur occurred."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("table", choices=("errors", "energy", "evaluations", "gradients"))
+    parser.add_argument("table", choices=("errors", "density", "energy", "evaluations", "gradients"))
     parser.add_argument("--total", type=float, help="number of cases (default 1e9, gradients 1e8)")
     arguments = parser.parse_args()
     from mitsuba_plugins import register, select_variant
@@ -293,6 +326,9 @@ def main() -> int:
     register()
     if arguments.table == "errors":
         print_errors()
+        return 0
+    if arguments.table == "density":
+        print_density()
         return 0
     if arguments.table == "evaluations":
         return 0 if print_evaluations(arguments.total or 1e9) else 1

@@ -227,3 +227,18 @@ def _diffuse_context() -> Any:
     ctx = mi.BSDFContext()
     ctx.type_mask = +mi.BSDFFlags.DiffuseReflection
     return ctx
+
+
+@pytest.mark.parametrize("radiance", [1e-6, 1e6])
+def test_renders_scale_with_radiance(radiance: float) -> None:
+    """The same samples under a millionth and a million times the light: the same picture, scaled."""
+    own = {"type": "cook_torrance", "diffuse_albedo": 0.5, "specular_albedo": 0.3, "roughness": 0.2}
+
+    def render(level: float) -> np.ndarray:
+        scene = _scene(own)
+        parameters = mi.traverse(scene)
+        parameters["sky.data"] = parameters["sky.data"] * level
+        parameters.update()
+        return np.array(mi.render(scene, spp=16, seed=1))
+
+    np.testing.assert_allclose(render(radiance) / radiance, render(1.0), rtol=1e-4, atol=1e-6)

@@ -81,10 +81,13 @@ def test_flat_surface_equals_its_parameters() -> None:
     assert np.all(buffers["instance_id"] == 5) and np.all(buffers["material_id"] == 6)
 
 
-def test_depth_is_along_the_axis_and_belongs_to_the_pixels_centre() -> None:
-    """A tilted plane from a tilted camera, against the intersection written out."""
-    to_world = T().look_at([1.0, -3.0, 2.5], [0.2, 0.3, 0.1], [0, 0, 1])
-    scene = _scene(floor=_plane(_cook_torrance(RED), T().scale(50)), sensor=_sensor(to_world=to_world))
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_depth_is_along_the_axis_and_belongs_to_the_pixels_centre(scale: float) -> None:
+    """A tilted camera above a plane, against the intersection written out; from millimetres to 10 km."""
+    eye, target = scale * np.array([1.0, -3.0, 2.5]), scale * np.array([0.2, 0.3, 0.1])
+    to_world = T().look_at(eye.tolist(), target.tolist(), [0, 0, 1])
+    sensor = _sensor(to_world=to_world, near_clip=1e-3 * scale, far_clip=1e3 * scale)
+    scene = _scene(floor=_plane(_cook_torrance(RED), T().scale(50 * scale)), sensor=sensor)
     buffers = render_material_buffers(scene, spp=2)
     world_from_camera = np.array(to_world.matrix)
     focal_px = 0.5 * WIDTH / np.tan(np.radians(53.13) / 2)
@@ -94,10 +97,10 @@ def test_depth_is_along_the_axis_and_belongs_to_the_pixels_centre() -> None:
     ray_world = ray @ world_from_camera[:3, :3].T
     origin = world_from_camera[:3, 3]
     depth = -origin[2] / ray_world[..., 2]  # ray has unit depth per unit of its parameter
-    hits = (depth > 0) & (np.abs(origin + depth[..., None] * ray_world) < 50).all(-1)
+    hits = (depth > 0) & (np.abs(origin + depth[..., None] * ray_world) < 50 * scale).all(-1)
     np.testing.assert_allclose(buffers["depth_z_m"][hits][:, 0], depth[hits], rtol=2e-5)
     expected = origin + depth[..., None] * ray_world
-    np.testing.assert_allclose(buffers["position_world"][hits], expected[hits], atol=1e-4)
+    np.testing.assert_allclose(buffers["position_world"][hits], expected[hits], atol=1e-4 * scale)
     assert np.all(buffers["depth_z_m"][~hits] == 0) and np.all(
         buffers["surface_mask"][~hits & (depth < 0)] < 1
     )

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""Time of the ground-truth pass against Mitsuba's built-in ``aov`` integrator, on a Mitsuba scene file.
+
+    python -m benchmarks.bench_material_buffers ../shared/data/scenes/staircase/scene.xml
+
+Each BSDF of the scene is replaced by a ``cook_torrance`` with the same diffuse reflectance, so that textures
+are looked up as they would be. Both passes run in turns on the same view; ``aov`` gives albedo, shading
+normal, depth and shape index, the ground-truth pass all its 17 channels. Writes JSON with medians and
+quartiles.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def _reflectance(bsdf: Any) -> Any:
+    """The diffuse reflectance texture within a tree of BSDFs, or None."""
+    import mitsuba as mi
+
+    from mitsuba_plugins.texture_checks import exposed
+
+    children, _ = exposed(bsdf)
+    for name in ("reflectance", "diffuse_reflectance"):
+        if name in children:
+            return children[name]
+    for child in children.values():
+        if isinstance(child, mi.BSDF):
+            return _reflectance(child)
+    return None
+
+
+def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, Any]:
+    """(scene with cook_torrance everywhere, its sensor at the given size with a box filter)."""
+    import mitsuba as mi
+
+    scene = mi.load_file(str(path), optimize=merged)
+    replacements: dict[int, Any] = {}
+    originals = []
+    for shape in scene.shapes():
+        if shape.is_emitter():
+            continue
+        bsdf = shape.bsdf()
+        originals.append(bsdf)
+        if id(bsdf) not in replacements:
+            texture = _reflectance(bsdf)
+            albedo = {"diffuse_albedo": texture} if texture is not None else {}
+            replacements[id(bsdf)] = mi.load_dict({"type": "cook_torrance", "roughness": 0.3, **albedo})
+        shape.set_bsdf(replacements[id(bsdf)])
+    to_world = np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4)
+    film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+    sensor = mi.load_dict(
+        {"type": "perspective", "fov": 50, "to_world": mi.ScalarTransform4f(to_world), "film": film}
+    )
+    return scene, sensor
+
+
+def _quartiles(values: list[float]) -> dict[str, float]:
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return {"median": float(middle), "q25": float(low), "q75": float(high)}
+
+
+def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
+    """Seconds of both passes at 8 and 64 samples, on separate and on merged shapes."""
+    from mitsuba_plugins import register, select_variant
+
+    variant = select_variant()
+    register()
+    import mitsuba as mi
+
+    from mitsuba_plugins.material_buffers import render_material_buffers
+    from mitsuba_plugins.surface_material import SceneMaterials
+
+    results = []
+    for merged in (False, True):
+        scene, sensor = load_scene(path, width, height, merged)
+        start = time.perf_counter()
+        materials = SceneMaterials(scene)
+        tables_s = time.perf_counter() - start
+        aov = mi.load_dict({"type": "aov", "aovs": "a:albedo,n:sh_normal,d:depth,i:shape_index"})
+        for spp in (8, 64):
+            seconds: dict[str, list[float]] = {"aov": [], "material_buffers": []}
+            for pair in range(num_pairs + 1):
+                for name in list(seconds)[:: 1 if pair % 2 else -1]:
+                    start = time.perf_counter()
+                    if name == "aov":
+                        np.array(mi.render(scene, sensor=sensor, integrator=aov, spp=spp, seed=pair))
+                    else:
+                        render_material_buffers(scene, sensor, spp, seed=pair, ids=materials)
+                    if pair > 0:  # the first pair compiles
+                        seconds[name].append(time.perf_counter() - start)
+            ratios = [o / a for o, a in zip(seconds["material_buffers"], seconds["aov"], strict=True)]
+            results.append(
+                {
+                    "spp": spp,
+                    "num_shapes": len(scene.shapes()),
+                    "merged": merged,
+                    "tables_s": tables_s,
+                    "aov_s": _quartiles(seconds["aov"]),
+                    "material_buffers_s": _quartiles(seconds["material_buffers"]),
+                    "ratio": _quartiles(ratios),
+                }
+            )
+    return {
+        "benchmark": "material_buffers",
+        "machine": {"processor": platform.machine(), "variant": variant, "python": platform.python_version()},
+        "settings": {"scene": path.name, "width": width, "height": height, "pairs": num_pairs},
+        "results": results,
+    }
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--width", type=int, default=640)
+    parser.add_argument("--height", type=int, default=384)
+    parser.add_argument("--pairs", type=int, default=9)
+    parser.add_argument("--out", type=Path, help="also write the JSON to this file")
+    arguments = parser.parse_args()
+    text = json.dumps(
+        run(arguments.scene, arguments.width, arguments.height, arguments.pairs), indent=2, sort_keys=True
+    )
+    print(text)
+    if arguments.out:
+        arguments.out.write_text(text + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
