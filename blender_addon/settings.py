@@ -19,7 +19,7 @@ class ExportSettings:
     ``only``: names of the objects, collections or materials to export (empty: all that are tagged).
     ``license``, ``author``, ``source``: provenance where the asset's own tags do not say. ``apply_box_uv``:
     meshes without UVs get box-projected ones at one unit a metre, so that other materials can be put on them.
-    ``report``: write the fidelity report. ``report_renderer``: Python executable that has mitsuba, or "".
+    ``report``: write the fidelity report. ``report_python``: Python executable that has this project, for it.
     """
 
     kind: str = "auto"
@@ -33,7 +33,7 @@ class ExportSettings:
     source: str = ""
     apply_box_uv: bool = True
     report: bool = False
-    report_renderer: str = ""
+    report_python: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:

@@ -9,7 +9,7 @@ import bpy
 
 from ..problems import APPROXIMATION, ERROR, NOTE, ProblemList
 from .expression import Expression, sockets
-from .frames import IDENTITY, UvFrame, image_frame
+from .frames import UvFrame, image_frame
 from .graph import Stack, input_of, node_at, path_of, source_of
 
 _GENERATED_BY_DEFAULT = {
@@ -34,13 +34,13 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 
 @dataclass
 class Dependencies:
-    """``uv_layers`` read ("" is the layer that renders); ``frames`` in which image textures read them;
-    ``is_periodic``: repeats with every UV unit of the frame; ``mesh``: needs the mesh itself; ``world``: needs
-    the instance's place; ``object_info``: needs Object Info values; ``has_texture``: may vary at all."""
+    """``uv_layers`` read ("" is the layer that renders); ``frames`` in which image textures read them, None for
+    any other use of UVs; ``repeats``: no image ends at its border; ``mesh``: needs the mesh itself; ``world``:
+    needs the instance's place; ``object_info``: needs Object Info values."""
 
     uv_layers: set[str] = field(default_factory=set)
     frames: set[UvFrame | None] = field(default_factory=set)
-    is_periodic: bool = True
+    repeats: bool = True
     mesh: bool = False
     world: bool = False
     object_info: bool = False
@@ -48,6 +48,11 @@ class Dependencies:
     @property
     def is_constant(self) -> bool:
         return not (self.uv_layers or self.mesh or self.world or self.object_info)
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether everything repeats with each unit of the one frame that images are read in."""
+        return self.repeats and None not in self.frames
 
     @property
     def needs_mesh(self) -> bool:
@@ -62,7 +67,7 @@ class Dependencies:
         """Add what ``other`` depends on."""
         self.uv_layers |= other.uv_layers
         self.frames |= other.frames
-        self.is_periodic &= other.is_periodic
+        self.repeats &= other.repeats
         self.mesh |= other.mesh
         self.world |= other.world
         self.object_info |= other.object_info
@@ -153,17 +158,6 @@ class DependencyWalk:
                 self._visit(source.stack, source.node, source.socket)
             elif socket.name == "Vector" and node.type in _GENERATED_BY_DEFAULT:
                 self._result.mesh = True
-        if self._is_procedural(node):
-            self._result.is_periodic = False
-
-    @staticmethod
-    def _is_procedural(node: bpy.types.Node) -> bool:
-        """Whether the node turns coordinates into something that need not repeat with them."""
-        return node.type in _GENERATED_BY_DEFAULT or (
-            node.type not in ("TEX_IMAGE", "UVMAP", "TEX_COORD")
-            and any(o.type == "VALUE" for o in node.outputs)
-            and any(i.type == "VECTOR" and i.is_linked for i in node.inputs)
-        )
 
     def _uv(self, layer: str) -> None:
         self._result.uv_layers.add(layer)
@@ -193,17 +187,14 @@ class DependencyWalk:
             assert vector is not None
             source = source_of(stack, vector)
             if source.node is not None and source.socket is not None:
-                before = set(self._result.uv_layers)
                 self._visit(source.stack, source.node, source.socket)
-                self._result.is_periodic = False
-                del before
             else:
                 self._uv("")
         else:
             self._result.uv_layers.add(frame.layer)
             self._result.frames.add(frame)
             if node.extension != "REPEAT" or node.image.source == "TILED":
-                self._result.is_periodic = False
+                self._result.repeats = False
 
     def _coordinate(self, node: bpy.types.Node, name: str) -> None:
         if node.from_instancer:
@@ -233,6 +224,3 @@ class DependencyWalk:
             self._report(APPROXIMATION, node, "back faces get the front's material")
         else:
             self._result.mesh = True
-
-
-__all__ = ["IDENTITY", "Dependencies", "DependencyWalk"]

@@ -164,6 +164,8 @@ def reduce_to_scalar(expression: Expression, name: str = "luminance") -> Express
     if expression.width == 1:
         return expression
     if isinstance(expression, Constant):
+        if len(set(expression.value)) == 1:
+            return constant(expression.value[0])  # the weights' sum is not exactly 1
         weights = LUMINANCE if name == "luminance" else (1 / 3,) * 3
         return constant(sum(w * v for w, v in zip(weights, expression.value, strict=True)))
     if name not in _REDUCTIONS:

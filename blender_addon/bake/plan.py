@@ -67,7 +67,7 @@ class MaterialPlan:
     @property
     def is_periodic(self) -> bool:
         """Whether one UV unit holds everything."""
-        return self.dependencies.is_periodic and None not in self.dependencies.frames
+        return self.dependencies.is_periodic
 
 
 def plan_material(material: bpy.types.Material, transmission: str | None = None) -> MaterialPlan:
@@ -170,7 +170,7 @@ def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
     dependencies = Dependencies()
     dependencies.merge(plan.dependencies)
     dependencies.mesh |= on_mesh
-    dependencies.is_periodic = False
+    dependencies.repeats = False
     return MaterialPlan(
         plan.name, plan.channels, plan.constants, {}, varying, dependencies, plan.frame, plan.normals,
         plan.problems,

@@ -9,40 +9,14 @@ import numpy as np
 import pytest
 
 from datagen.asset_check import check_package
-from datagen.formats.asset import ObjectAsset, SlotMaterial, Texture
+from datagen.formats.asset import ObjectAsset, Texture
 from datagen.formats.package import Package, open_package
-from datagen.images import read_image, texture_values
-from datagen.meshes import Mesh, decode_ply
-from tests.blender_addon.graphs import CASES, Case, lookup
+from datagen.meshes import decode_ply
+from tests.blender_addon.graphs import CASES, Case
+from tests.blender_addon.surface import channel_at, surface_samples
 
 pytestmark = pytest.mark.bpy
-SCALARS = ("roughness", "opacity")
 TOLERANCE = 1 / 255
-SAMPLES_PER_TRIANGLE = 40
-
-
-def _samples(mesh: Mesh, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Random points (N, 3) on the mesh and their uv (N, 2)."""
-    generator = np.random.default_rng(seed)
-    faces = mesh.faces
-    weights = generator.dirichlet((1, 1, 1), (len(faces), SAMPLES_PER_TRIANGLE))
-    points = np.einsum("tsk,tkc->tsc", weights, mesh.positions[faces].astype(float)).reshape(-1, 3)
-    if mesh.uv is None:
-        return points, np.zeros((len(points), 2))
-    return points, np.einsum("tsk,tkc->tsc", weights, mesh.uv[faces].astype(float)).reshape(-1, 2)
-
-
-def _channel(package: Package, material: SlotMaterial, name: str, uv: np.ndarray) -> np.ndarray:
-    value = getattr(material, name)
-    is_scalar = name in SCALARS
-    if isinstance(value, Texture):
-        pixels = texture_values(value, read_image(package.path / value.texture), is_scalar).astype(float)
-        sampled = lookup(pixels[..., None] if is_scalar else pixels, uv)
-        return sampled[:, 0] if is_scalar else sampled
-    if value is None:
-        assert name == "opacity"
-        value = 1.0
-    return np.broadcast_to(value, (len(uv),) if is_scalar else (len(uv), 3))
 
 
 def _errors(package: Package, case: Case, name: str, seed: int) -> np.ndarray:
@@ -52,10 +26,10 @@ def _errors(package: Package, case: Case, name: str, seed: int) -> np.ndarray:
     errors = []
     for index, part in enumerate(asset.parts):
         mesh = decode_ply((package.path / part.mesh).read_bytes(), part.mesh)
-        points, uv = _samples(mesh, seed + index)
+        points, uv = surface_samples(mesh, seed + index)
         matrix = np.array(part.asset_from_part)
         points = points @ matrix[:3, :3].T + matrix[:3, 3]
-        got = _channel(package, asset.materials[part.material], name, uv)
+        got = channel_at(package, asset.materials[part.material], name, uv)
         wanted = case.expected[name]
         wanted = wanted(points) if callable(wanted) else np.broadcast_to(wanted, got.shape)
         difference = np.abs(got - wanted)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Builds, validates, installs and enables the extension, then uses its operators; prints JSON.
+
+``python -m tests.blender_addon.install FOLDER PACKAGES`` with BLENDER_USER_RESOURCES set to an empty folder.
+Imports packages, exports them again, and leaves the result in ``FOLDER/again``.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from tests.conftest import REPOSITORY
+
+MODULE = "bl_ext.user_default.scene_materials"
+ROUND_TRIP = (
+    "principled_constant", "principled_metal", "metallic_gradient", "arm_image", "alpha_of_an_image",
+    "emission_of_principled", "mix_of_diffuse_and_glossy", "two_slots_of_one_mesh",
+)  # fmt: skip
+
+
+def build(folder: Path) -> tuple[Path, str]:
+    """The extension's zip, built and validated by Blender's own tool, and what the tool said."""
+    import bpy
+
+    tool = Path(bpy.utils.resource_path("LOCAL")) / "scripts/addons_core/bl_pkg/cli/blender_ext.py"
+    said = ""
+    source = ["--source-dir", str(REPOSITORY / "blender_addon"), "--output-dir", str(folder)]
+    for command in (["build", *source], ["validate", str(folder / "scene_materials-0.1.0.zip")]):
+        done = subprocess.run(
+            [sys.executable, str(tool), *command], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        said += done.stdout
+    return folder / "scene_materials-0.1.0.zip", said
+
+
+def main(folder: Path, packages: Path) -> None:
+    import bpy  # isort: skip  (it brings addon_utils)
+
+    import addon_utils
+
+    archive, said = build(folder)
+    outcome: dict[str, Any] = {"tool": said}
+    sys.path = [p for p in sys.path if Path(p or ".").resolve() != REPOSITORY]  # the installed copy, not ours
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.extensions.package_install_files(
+        filepath=str(archive), repo="user_default", enable_on_install=True
+    )
+    addon_utils.enable(MODULE, default_set=True)
+    outcome["file"] = sys.modules[MODULE].__file__
+    outcome["has_operators"] = all(
+        hasattr(bpy.types, f"SCENE_MATERIALS_OT_{name}") for name in ("check", "export", "tag")
+    )
+    for name in ROUND_TRIP:
+        bpy.ops.scene_materials.import_package(filepath=str(packages / name / "asset.json"))
+    chosen = bpy.context.window_manager.scene_materials
+    chosen.kind, chosen.max_texture = "object", "1024"
+    bpy.ops.scene_materials.check()
+    outcome["status"] = chosen.status
+    outcome["problems"] = [f"{p.severity} {p.place} {p.message}" for p in chosen.problems]
+    outcome["export"] = sorted(bpy.ops.scene_materials.export(directory=str(folder / "again")))
+    bpy.context.scene.objects[0].select_set(True)
+    bpy.ops.scene_materials.tag(role="camera_region", target="objects")
+    outcome["tagged"] = [t.name for t in bpy.context.scene.objects if t.get("sm_role") == "camera_region"]
+    addon_utils.disable(MODULE)
+    outcome["disabled"] = not hasattr(bpy.types.WindowManager, "scene_materials")
+    print("\n" + json.dumps(outcome))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
