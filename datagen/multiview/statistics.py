@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 MIN_COVERAGE = 0.5
 """Least ``surface_mask`` of a pixel that counts as surface; below, its colour is mostly something else's."""
 MIN_BEST_VIEWS, MAX_BEST_VIEWS = 4, 24
+_MIN_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,8 @@ class StatisticsView:
 @dataclass(frozen=True)
 class StatisticsOptions:
     """What is computed. ``best_views`` in [4, 24] is k; ``include_self`` makes a view's own pixel a
-    candidate; ``color_fetch`` reads a colour at a projection from the nearest pixel or the four around it.
+    candidate; ``color_fetch`` reads a colour at a projection from the nearest pixel or from those of the
+    four around it that show the same depth.
     """
 
     best_views: int = 12
@@ -258,12 +260,10 @@ def _fetch_colors(
         view = selection.views[j]
         at = project(packed, view, points)
         is_own = view == own
-        color = own_color
         if options.color_fetch == "nearest":
-            pixel = at.layout[0] + mi.UInt32(at.v_px) * at.layout[1] + mi.UInt32(at.u_px)
-            fetched = dr.gather(mi.Vector4f, colors, pixel, ~is_own)
+            fetched = dr.gather(mi.Vector4f, colors, _pixel_at(at), ~is_own)
         else:
-            fetched = _fetch_bilinear(at, colors, ~is_own)
+            fetched = _fetch_bilinear(packed, at, colors, options.visibility, ~is_own)
         color = dr.select(is_own, own_color, fetched)  # exact: no detour over a projection
         red[j], green[j], blue[j] = color[0], color[1], color[2]
         return j + 1, red, green, blue
@@ -274,7 +274,10 @@ def _fetch_colors(
     return rgb
 
 
-def _fetch_bilinear(at: Any, colors: mi.Float, active: mi.Bool) -> mi.Vector4f:
+def _fetch_bilinear(
+    packed: PackedViews, at: Any, colors: mi.Float, options: VisibilityOptions, active: mi.Bool
+) -> mi.Vector4f:
+    """Colour between the four pixels around the projection; those that show another depth are left out."""
     import drjit as dr
     import mitsuba as mi
 
@@ -284,14 +287,31 @@ def _fetch_bilinear(at: Any, colors: mi.Float, active: mi.Bool) -> mi.Vector4f:
     y = dr.clip(at.v_px - 0.5, 0, mi.Float(last_y))
     left, top = mi.UInt32(x), mi.UInt32(y)
     right, bottom = dr.minimum(left + 1, last_x), dr.minimum(top + 1, last_y)
-    weight_x, weight_y = x - mi.Float(left), y - mi.Float(top)
+    share_x, share_y = x - mi.Float(left), y - mi.Float(top)
+    tolerance = at.z_m * (options.depth_tolerance + options.slope_limit)
+    total: Any = mi.Vector4f(0)
+    weights: Any = mi.Float(0)
+    for column, row, weight in (
+        (left, top, (1 - share_x) * (1 - share_y)),
+        (right, top, share_x * (1 - share_y)),
+        (left, bottom, (1 - share_x) * share_y),
+        (right, bottom, share_x * share_y),
+    ):
+        pixel = at.layout[0] + row * at.layout[1] + column
+        depth = dr.gather(mi.Float, packed.depth, pixel, active)
+        weight = dr.select(dr.abs(depth - at.z_m) <= tolerance, weight, 0)
+        total += weight * dr.gather(mi.Vector4f, colors, pixel, active)
+        weights += weight
+    # No neighbour at p's depth happens only to traced points, and near zero weights would amplify rounding.
+    nearest = dr.gather(mi.Vector4f, colors, _pixel_at(at), active)
+    return dr.select(weights > _MIN_WEIGHT, total / weights, nearest)
 
-    def tap(column: mi.UInt32, row: mi.UInt32) -> mi.Vector4f:
-        return dr.gather(mi.Vector4f, colors, at.layout[0] + row * at.layout[1] + column, active)
 
-    upper = dr.lerp(tap(left, top), tap(right, top), weight_x)
-    lower = dr.lerp(tap(left, bottom), tap(right, bottom), weight_x)
-    return dr.lerp(upper, lower, weight_y)
+def _pixel_at(at: Any) -> mi.UInt32:
+    """Packed index of the pixel that the projection falls into (*traced*)."""
+    import mitsuba as mi
+
+    return at.layout[0] + mi.UInt32(at.v_px) * at.layout[1] + mi.UInt32(at.u_px)
 
 
 def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, Any]:

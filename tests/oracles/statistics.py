@@ -77,18 +77,22 @@ def _sees(view: Any, point: NDArray, normal: NDArray, options: OracleOptions) ->
 
 
 def _color(view: Any, point: NDArray, options: OracleOptions) -> NDArray:
-    u, v, _ = _projection(view, point)
+    u, v, z = _projection(view, point)
     image = np.asarray(view.color, dtype=np.float64)
     height, width = image.shape[:2]
     if not options.is_bilinear:
         return image[int(v), int(u)]
     x, y = min(max(u - 0.5, 0.0), width - 1.0), min(max(v - 0.5, 0.0), height - 1.0)
-    x0, y0 = int(x), int(y)
-    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
-    a, b = x - x0, y - y0
-    upper = (1 - a) * image[y0, x0] + a * image[y0, x1]
-    lower = (1 - a) * image[y1, x0] + a * image[y1, x1]
-    return (1 - b) * upper + b * lower
+    total, weights = np.zeros(3), 0.0
+    for row in (int(y), int(y) + 1):
+        for column in (int(x), int(x) + 1):
+            weight = (1 - abs(x - column)) * (1 - abs(y - row))
+            if weight > 0:
+                difference = abs(float(view.depth_z_m[row, column, 0]) - z)
+                if difference <= (options.depth_tolerance + options.slope_limit) * z:
+                    total += weight * image[row, column]
+                    weights += weight
+    return total / weights if weights > 1e-3 else image[int(v), int(u)]
 
 
 def statistics_by_loops(
@@ -244,7 +248,20 @@ def _observe_vectorized(
     y = np.clip(np.where(inside, v, 0) - 0.5, 0, height - 1)
     x0, y0 = x.astype(int), y.astype(int)
     x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    a, b = (x - x0)[:, None], (y - y0)[:, None]
-    upper = (1 - a) * image[y0, x0] + a * image[y0, x1]
-    lower = (1 - a) * image[y1, x0] + a * image[y1, x1]
-    return visible, (1 - b) * upper + b * lower, margin
+    a, b = x - x0, y - y0
+    total, weights = np.zeros((len(points), 3)), np.zeros(len(points))
+    limit = options.depth_tolerance + options.slope_limit
+    for tap_row, tap_column, weight in (
+        (y0, x0, (1 - a) * (1 - b)),
+        (y0, x1, a * (1 - b)),
+        (y1, x0, (1 - a) * b),
+        (y1, x1, a * b),
+    ):
+        tap_difference = np.abs(view.depth_z_m[tap_row, tap_column, 0].astype(np.float64) - z) / safe_z
+        weight = np.where(tap_difference <= limit, weight, 0)
+        total += weight[:, None] * image[tap_row, tap_column]
+        weights += weight
+        margin = np.where(visible, np.minimum(margin, 20 * np.abs(tap_difference - limit)), margin)
+    margin = np.where(visible, np.minimum(margin, np.abs(weights - 1e-3)), margin)
+    blended = total / np.where(weights > 1e-3, weights, 1)[:, None]
+    return visible, np.where((weights > 1e-3)[:, None], blended, image[row, column]), margin
