@@ -30,6 +30,8 @@ MAX_EXPONENT = 100.0
 """exp(-100) is zero in float32; capping the exponent keeps 0 * inf out of the derivatives."""
 MAX_COTANGENT = 10.0
 """1 + erf(a) is 2 to the last bit of float32 for a > 4; the cap avoids a division by zero at the normal."""
+NEWTON_STEPS = 3
+"""Steps of the slopes' inversion: 3e-6 from the exact variate; a fourth reaches float32's limit."""
 # Dr.Jit arrays have no useful common static type: their class depends on the variant chosen at run time.
 Array = Any
 
@@ -122,7 +124,9 @@ def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
     return dr.normalize(mi.Vector3f(-alpha * rotated_x, -alpha * rotated_y, 1.0))
 
 
-def _sample_visible_slopes(cos: Array, sin: Array, sample: Array) -> tuple[Array, Array]:
+def _sample_visible_slopes(
+    cos: Array, sin: Array, sample: Array, num_steps: int = NEWTON_STEPS
+) -> tuple[Array, Array]:
     """Slopes seen from an angle with the given cosine and sine, at alpha = 1, azimuth 0.
 
     Inverts the distribution function C(s) = 1 + erf(s) + tan exp(-s^2) / sqrt(pi) of Heitz & d'Eon 2014 by
@@ -138,7 +142,7 @@ def _sample_visible_slopes(cos: Array, sin: Array, sample: Array) -> tuple[Array
     inverse_sqrt_pi = 1.0 / math.sqrt(math.pi)
     total = u * (scale_erf * (1.0 + largest_slope) + scale_exp * inverse_sqrt_pi * dr.exp(-dr.square(cot)))
     x = largest_slope - (largest_slope + 1.0) * dr.erf(dr.sqrt(-dr.log(u)))
-    for _ in range(3):
+    for _ in range(num_steps):
         x = dr.clip(x, -edge, dr.minimum(largest_slope, edge))
         slope = dr.erfinv(x)
         value = scale_erf * (1.0 + x) + scale_exp * inverse_sqrt_pi * dr.exp(-dr.square(slope)) - total

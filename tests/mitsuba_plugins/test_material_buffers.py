@@ -154,6 +154,19 @@ def test_pixel_filter_is_that_of_the_beauty_image(rfilter: str) -> None:
     assert is_the_same == (rfilter == "box")  # the twin: another filter's edges are told apart
 
 
+def test_sub_pixel_samples_are_even() -> None:
+    """At 64 samples, an edge's coverage is at least twice as exact as independent samples make it."""
+    tilted = T().translate([0.3, 0.1, 0]).rotate([0, 0, 1], 31).scale(0.9)
+    scene = _scene(floor=_plane(_cook_torrance(RED), tilted))
+    ours, exact = (render_material_buffers(scene, spp=n)["surface_mask"][..., 0] for n in (64, 16384))
+    independent = mi.load_dict({"type": "aov", "aovs": "albedo:albedo"})
+    albedo = np.array(mi.render(scene, integrator=independent, spp=64))[..., -3]
+    share = albedo / ((1 - RED["specular_albedo"][0]) * RED["diffuse_albedo"][0])
+    is_edge = (exact > 0.02) & (exact < 0.98)
+    error, reference = ((image - exact)[is_edge].std() for image in (ours, share))
+    assert is_edge.sum() > 50 and error < 0.5 * reference
+
+
 def test_emitters_and_background_are_masked() -> None:
     lamp = _plane(None, T().translate([-1.0, 0, 1.5]).scale(0.4), emitter={"type": "area"})
     floor = _plane(_cook_torrance(RED), T().scale([10, 0.8, 1]))
