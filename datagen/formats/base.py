@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import os
+import reprlib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -65,6 +66,11 @@ IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
+# Bounded: the repr of a small file with nested aliases could fill the memory.
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 120, 120
+
+
 def _field_path(location: tuple[int | str, ...]) -> str:
     text = ""
     for part in location:
@@ -75,9 +81,7 @@ def _field_path(location: tuple[int | str, ...]) -> str:
 def _problems(where: str | Path, error: ValidationError) -> list[Problem]:
     problems = []
     for entry in error.errors(include_url=False):
-        got = "" if entry["type"] == "missing" else repr(entry.get("input"))
-        if len(got) > 120:
-            got = got[:117] + "..."
+        got = "" if entry["type"] == "missing" else _SHORT.repr(entry.get("input"))
         expected = entry["msg"].removeprefix("Value error, ")
         expected = expected[0].lower() + expected[1:]
         expected = expected.removeprefix("expected ").removeprefix("input should be ")

@@ -19,6 +19,8 @@ from datagen.buffers import BUFFERS, Buffer, get_buffer
 from datagen.errors import InputError, Problem
 
 MAX_SIDE_PX = 16384  # refuses headers that claim absurd sizes before any pixel is allocated
+_MAX_COMPRESSION = 2100  # deflate shrinks at most 1032-fold; halves count as floats here
+_CLAIM_FREE_BYTES = 256 << 20
 COMPRESSIONS = {
     "none": OpenEXR.NO_COMPRESSION,
     "rle": OpenEXR.RLE_COMPRESSION,
@@ -65,6 +67,16 @@ def encode_view(buffers: Mapping[str, NDArray], compression: str = "zip", num_th
     return stream.getvalue()
 
 
+def _check_claim(file: OpenEXR.File, num_bytes: int, where: Path | str) -> None:
+    """Refuse a header that claims more pixels than a file of this size can hold, before they take memory."""
+    low, high = (np.asarray(corner, dtype=np.int64) for corner in file.header()["dataWindow"])
+    width, height = high - low + 1
+    claimed = int(width) * int(height) * 4 * len(file.header()["channels"])
+    if claimed > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:
+        got = f"{width} x {height} pixels in {num_bytes} bytes"
+        raise InputError(Problem(where, "dataWindow", got, "a size that the file can hold", _READ_REMEDY))
+
+
 def decode_view(
     source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
 ) -> dict[str, NDArray]:
@@ -75,12 +87,16 @@ def decode_view(
     where = source if isinstance(source, Path) else "EXR data"
     OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
     try:
-        stream = io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
+        data = source if isinstance(source, bytes) else source.read_bytes()
     except OSError as error:
         raise InputError(Problem(where, "", str(error), "a readable EXR file", _READ_REMEDY)) from None
     try:
-        with stream, OpenEXR.File(stream, separate_channels=True, num_threads=num_threads) as file:
+        with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
+            _check_claim(file, len(data), where)
+        with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
             pixels = {name: channel.pixels for name, channel in file.channels().items()}
+    except InputError:
+        raise
     except (RuntimeError, ValueError, OSError, MemoryError, TypeError, IndexError) as error:
         raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
     wanted = (

@@ -13,8 +13,10 @@ import json
 import os
 import shutil
 import stat
+import struct
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -42,6 +44,17 @@ ZIP_SUFFIX = ".zip"
 MAX_MEMBERS = 100_000
 MAX_UNPACKED_BYTES = 16 << 30
 _BOMB_RATIO, _BOMB_BYTES = 500, 64 << 20  # a member of over 64 MB that shrinks 500-fold holds no real asset
+# All that zipfile raises on damaged archives; each was seen with fuzzed ones.
+_ZIP_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    OSError,
+)
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold: equal content, equal bytes
 _MESH_SUFFIXES = (".ply",)
 _TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
@@ -95,8 +108,14 @@ class Package:
         if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             partial = target.with_name(f".{target.name}.partial")
-            with self._archive.open(self._prefix + name) as source, partial.open("wb") as sink:
-                shutil.copyfileobj(source, sink, 1 << 20)
+            try:
+                with self._archive.open(self._prefix + name) as source, partial.open("wb") as sink:
+                    shutil.copyfileobj(source, sink, 1 << 20)
+            except (KeyError, *_ZIP_ERRORS) as error:
+                partial.unlink(missing_ok=True)
+                raise input_error(
+                    self.path, name, str(error), "a readable file", "make the package again"
+                ) from None
             partial.replace(target)
         return target
 
@@ -106,7 +125,7 @@ class Package:
             if self._archive is None:
                 return (self.path / name).read_bytes()
             return self._archive.read(self._prefix + name)
-        except (OSError, KeyError, zipfile.BadZipFile) as error:
+        except (KeyError, *_ZIP_ERRORS) as error:
             raise input_error(
                 self.path, name, str(error), "a readable file", "make the package again"
             ) from None
@@ -184,7 +203,7 @@ def is_package(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return _find_prefix(archive.namelist()) is not None
-    except (zipfile.BadZipFile, OSError):
+    except _ZIP_ERRORS:
         return False
 
 
@@ -280,6 +299,8 @@ def _zip_problems(archive: zipfile.ZipFile, where: Path) -> list[Problem]:
             fault = "is a device or another special file"
         elif info.flag_bits & 1:
             fault = "is encrypted"
+        elif info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            fault = f"is compressed by method {info.compress_type}"
         elif name in seen:
             fault = "occurs twice"
         elif info.file_size > _BOMB_BYTES and info.file_size > _BOMB_RATIO * max(info.compress_size, 1):
@@ -308,7 +329,7 @@ def _zip_problems(archive: zipfile.ZipFile, where: Path) -> list[Problem]:
 def _open_zip(path: Path) -> Package:
     try:
         archive = zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, OSError) as error:
+    except _ZIP_ERRORS as error:
         raise input_error(path, got=str(error), expected="an asset package (folder or zip)") from None
     try:
         problems = _zip_problems(archive, path)
@@ -330,7 +351,10 @@ def _open_zip(path: Path) -> Package:
                 )
         if problems:
             raise InputError(*problems)
-    except zipfile.BadZipFile as error:
+    except InputError:
+        archive.close()
+        raise
+    except _ZIP_ERRORS as error:
         archive.close()
         raise input_error(path, got=str(error), expected="an intact zip", remedy="copy it again") from None
     except BaseException:
