@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: MIT
+"""Imported scenes against their reference images: Mitsuba's own BSDFs, and the converted materials.
+
+    python -m benchmarks.compare_references                     all scenes, JSON and a table
+    python -m benchmarks.compare_references --scenes staircase --width 160 --samples 64
+
+Every scene is imported into a temporary library, rendered from its own camera at the reference's aspect with
+the original BSDFs and with the project's, and held against ``reference.exr`` of its author. The third column
+is the conversion by itself: converted against original. Figures: correlation and median ratio of blurred
+luminance (``datagen.importers.reference.agreement``). Writes --out (JSON) and prints a markdown table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from datagen.images import read_image
+from datagen.importers.common import ImportOptions
+from datagen.importers.mitsuba_xml import import_mitsuba_scene
+from datagen.importers.reference import Agreement, agreement, render_converted, render_original
+from datagen.library import Library
+from mitsuba_plugins.variant import select_variant
+
+SCENES = ("staircase", "staircase2", "veach-ajar", "bathroom2", "dining-room", "bathroom")
+UNIT_SCALES = {"bathroom2": 0.1}
+REMARKS = {
+    "dining-room": "substitute environment map without the sun",
+    "bathroom": "the reference is framed and textured otherwise",
+}
+MAX_DEPTH = 65
+
+
+def compare_scene(
+    folder: Path, library_folder: Path, width_px: int, num_samples: int, pictures: Path | None = None
+) -> dict:
+    """Import, render twice, compare; figures and seconds of one scene."""
+    name = folder.name
+    start = time.perf_counter()
+    options = ImportOptions(dielectric="replace", unit_scale=UNIT_SCALES.get(name, 1.0), overwrite=True)
+    record = import_mitsuba_scene(folder, library_folder, options)
+    imported = time.perf_counter() - start
+    reference = read_image(folder / "reference.exr")[..., :3]
+    height_px = round(width_px * reference.shape[0] / reference.shape[1])
+    images = {"original": render_original(folder, width_px, num_samples, MAX_DEPTH, height_px=height_px)}
+    with Library([record.path]) as library:
+        images["converted"] = render_converted(
+            library, record.asset_id, width_px, num_samples, MAX_DEPTH, height_px=height_px
+        )
+    if pictures is not None:
+        write_picture(pictures / f"{name}.png", reference, images)
+    result: dict[str, Agreement] = {
+        "original": agreement(images["original"], reference),
+        "converted": agreement(images["converted"], reference),
+        "conversion": agreement(images["converted"], images["original"]),
+    }
+    return {
+        "scene": name,
+        "width_px": width_px,
+        "height_px": height_px,
+        "samples": num_samples,
+        "seconds_to_import": imported,
+        "remark": REMARKS.get(name, ""),
+        "approximations": list(record.approximations),
+        **{key: asdict(value) for key, value in result.items()},
+    }
+
+
+def write_picture(path: Path, reference: np.ndarray, images: dict[str, np.ndarray]) -> None:
+    """Reference, original and converted side by side, at one exposure."""
+    import cv2
+
+    from datagen.color import exposure_for, srgb_from_linear
+
+    height, width = images["original"].shape[:2]
+    row = [cv2.resize(np.ascontiguousarray(reference), (width, height), interpolation=cv2.INTER_AREA)]
+    row += [images["original"], images["converted"]]
+    exposure = exposure_for(row[0])
+    encoded = [np.round(255 * np.clip(srgb_from_linear(i * exposure), 0, 1)).astype(np.uint8) for i in row]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.concatenate(encoded, axis=1)[..., ::-1])
+
+
+def table(results: list[dict]) -> str:
+    """Markdown: correlation / median ratio of each pair."""
+    lines = [
+        "| scene | original : reference | converted : reference | converted : original | remark |",
+        "|---|---|---|---|---|",
+    ]
+    for result in results:
+        cells = [
+            f"{result[key]['correlation']:.4f} / {result[key]['median_ratio']:.3f}"
+            for key in ("original", "converted", "conversion")
+        ]
+        lines.append(f"| {result['scene']} | {' | '.join(cells)} | {result['remark']} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    default = Path(__file__).resolve().parents[2] / "shared" / "data" / "scenes"
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=default, help="folder that holds the scenes")
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES)
+    parser.add_argument("--width", type=int, default=240)
+    parser.add_argument("--samples", type=int, default=256)
+    parser.add_argument("--out", type=Path, default=Path("references.json"))
+    parser.add_argument("--pictures", type=Path, help="folder for pictures of reference, original, converted")
+    arguments = parser.parse_args()
+    select_variant()
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name in arguments.scenes:
+            scene = arguments.data / name
+            if not (scene / "scene.xml").is_file():
+                print(f"{scene}: not there, left out", file=sys.stderr)
+                continue
+            results.append(
+                compare_scene(scene, Path(folder), arguments.width, arguments.samples, arguments.pictures)
+            )
+            print(table(results[-1:]).splitlines()[-1], file=sys.stderr)
+    arguments.out.write_text(json.dumps(results, indent=2) + "\n")
+    print(table(results))
+
+
+if __name__ == "__main__":
+    main()

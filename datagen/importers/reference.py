@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: MIT
+"""Holds an imported scene against its original: the same camera, Mitsuba's own BSDFs or the converted ones.
+
+Images are (H, W, 3) float32, scene-linear. The Mitsuba variant must have been selected before rendering.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.color import luminance
+from datagen.errors import input_error
+from datagen.formats.asset import AssetCamera, EnvironmentAsset
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.lights import EnvironmentLight, Light
+from datagen.formats.package import Package
+from datagen.importers.common import Findings
+from datagen.importers.mitsuba_lights import camera_of
+from datagen.importers.mitsuba_scene import parse_scene
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+BLUR_SHARE = 0.01  # sigma of the comparison's blur, as a share of the image's width
+_DARK_SHARE = 0.01  # pixels below this share of the mean say nothing about a ratio
+
+
+def load_original(path: Path, *, optimize: bool = False) -> Any:
+    """The scene as Mitsuba loads it, with its own BSDFs; ``optimize=False`` keeps one mesh a shape."""
+    import mitsuba as mi
+
+    file = path / "scene.xml" if path.is_dir() else path
+    return mi.load_file(str(file), optimize=optimize)
+
+
+def original_camera(path: Path) -> AssetCamera:
+    """First camera of a scene file, in the scene's own frame."""
+    file = path / "scene.xml" if path.is_dir() else path
+    sensors = parse_scene(file).all_of("sensor")
+    if not sensors:
+        raise input_error(file, "sensor", "none", "a camera to render from")
+    return camera_of(sensors[0], 0, np.eye(4), Findings())
+
+
+def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) -> Camera:
+    """An asset's camera at another width; its aspect is kept to the nearest pixel unless a height is given.
+
+    Another aspect keeps the horizontal field of view and the vertical centre: some reference images are
+    square where their scene is wide.
+    """
+    if height_px is not None:
+        scale = width_px / camera.width_px
+        middle = 0.5 * height_px + (camera.cy_px - 0.5 * camera.height_px) * scale
+        return Camera(
+            width_px,
+            height_px,
+            camera.fx_px * scale,
+            camera.fy_px * scale,
+            camera.cx_px * scale,
+            middle,
+            np.array(camera.asset_from_camera),
+        )
+    full = Camera(
+        camera.width_px,
+        camera.height_px,
+        camera.fx_px,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        np.array(camera.asset_from_camera),
+    )
+    return full.scaled(width_px, round(width_px * camera.height_px / camera.width_px))
+
+
+def render_original(
+    path: Path,
+    width_px: int,
+    num_samples: int,
+    max_depth: int,
+    seed: int = 0,
+    height_px: int | None = None,
+) -> NDArray[np.float32]:
+    """The original from its own camera, by Mitsuba's path tracer, with a box filter."""
+    import mitsuba as mi
+
+    scene = load_original(path, optimize=True)
+    camera = camera_at(original_camera(path), width_px, height_px)
+    to_world = camera.world_from_camera @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    sensor = mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": float(np.degrees(camera.fov_x_rad)),
+            "fov_axis": "x",
+            "principal_point_offset_x": camera.cx_px / camera.width_px - 0.5,
+            "principal_point_offset_y": camera.cy_px / camera.height_px - 0.5,
+            "to_world": mi.ScalarTransform4f(to_world.tolist()),
+            "film": {
+                "type": "hdrfilm",
+                "width": camera.width_px,
+                "height": camera.height_px,
+                "rfilter": {"type": "box"},
+            },
+        }
+    )
+    integrator = mi.load_dict({"type": "path", "max_depth": max_depth})
+    pixels = mi.render(scene, sensor=sensor, integrator=integrator, spp=num_samples, seed=seed)
+    return np.array(pixels)[..., :3].astype(np.float32)
+
+
+def native_configuration(
+    package: Package, width_px: int, seed: int = 0, height_px: int | None = None
+) -> Configuration:
+    """An environment by itself, under its own lights, from its own cameras."""
+    asset = package.asset
+    if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
+        raise input_error(package.path, "cameras", "none", "an environment with a camera of its own")
+    lights: list[Light] = []
+    for light in asset.lights:
+        if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
+            light = light.model_copy(update={"asset": asset.id})
+        lights.append(light)
+    cameras = tuple(
+        ViewCamera.from_camera(f"view_{k:03d}", camera_at(camera, width_px, height_px))
+        for k, camera in enumerate(asset.cameras)
+    )
+    return Configuration(
+        id=f"{asset.id}-native",
+        index=0,
+        seed=seed,
+        environment=PlacedAsset(name="environment", asset=asset.id),
+        lights=tuple(lights),
+        cameras=cameras,
+        assets={asset.id: package.sha256},
+    )
+
+
+def render_converted(
+    library: Library,
+    asset_id: str,
+    width_px: int,
+    num_samples: int,
+    max_depth: int,
+    seed: int = 0,
+    height_px: int | None = None,
+) -> NDArray[np.float32]:
+    """The imported environment from its first camera, with the project's BSDF; not denoised."""
+    from datagen.formats.recipe import RenderRecipe
+    from datagen.rendering.renderer import SceneRenderer
+    from mitsuba_plugins.variant import select_variant
+
+    configuration = native_configuration(library.package(asset_id), width_px, seed, height_px)
+    recipe = RenderRecipe(
+        variant=select_variant(),  # type: ignore[arg-type]
+        path_samples=num_samples,
+        auxiliary_samples=min(num_samples, 64),
+        max_depth=max_depth,
+        denoise=False,
+    )
+    renderer = SceneRenderer(configuration, library, recipe)
+    return np.asarray(renderer.render_view(0).buffers["beauty"], dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well an image agrees with its reference.
+
+    ``correlation``: Pearson's, of blurred luminance. ``median_ratio``: median over pixels of blurred
+    luminance over the reference's. ``mean_ratio``: ratio of the means. ``rel_l1``: sum of absolute
+    differences of the blurred images over the reference's sum.
+    """
+
+    correlation: float
+    median_ratio: float
+    mean_ratio: float
+    rel_l1: float
+
+
+def agreement(image: NDArray, reference: NDArray) -> Agreement:
+    """Compare two images of any sizes but one aspect; the reference is brought to the image's size by area.
+
+    Luminance is blurred with a Gaussian of ``BLUR_SHARE`` of the width; then both images are clipped at the
+    99th percentile of the reference's, so that the few pixels of a visible lamp do not decide alone.
+    """
+    import cv2
+    from scipy.ndimage import gaussian_filter
+
+    height, width = image.shape[:2]
+    reference = cv2.resize(
+        np.ascontiguousarray(reference[..., :3], dtype=np.float32),
+        (width, height),
+        interpolation=cv2.INTER_AREA,
+    )
+    ours, theirs = (luminance(np.asarray(i[..., :3], dtype=np.float64)) for i in (image, reference))
+    ours, theirs = (gaussian_filter(i, BLUR_SHARE * width) for i in (ours, theirs))
+    limit = np.percentile(theirs, 99)
+    ours, theirs = np.minimum(ours, limit), np.minimum(theirs, limit)
+    lit = theirs > _DARK_SHARE * theirs.mean()
+    return Agreement(
+        correlation=float(np.corrcoef(ours.ravel(), theirs.ravel())[0, 1]),
+        median_ratio=float(np.median(ours[lit] / theirs[lit])),
+        mean_ratio=float(ours.mean() / theirs.mean()),
+        rel_l1=float(np.abs(ours - theirs).sum() / theirs.sum()),
+    )
