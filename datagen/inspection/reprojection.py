@@ -24,8 +24,9 @@ MAX_PARTNERS = 8
 MIN_POINTS = 150
 MATCH_DISTANCE = 0.05  # relative depth within which q may be p's surface
 MIN_COSINE = 0.2  # at grazing angles a pixel spans too much depth to compare
-MAX_SEEN_THROUGH = 0.06  # silhouettes, where half a pixel decides, account for a few percent
-_RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.5  # normals from maps tilt the plane within the pixel
+# Silhouettes, where half a pixel decides: their share of an image falls as its pixels grow in number.
+_THROUGH_FLOOR, _THROUGH_PIXELS = 0.04, 8.0
+_RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.75  # normals from maps tilt the plane within the pixel
 
 
 @dataclass(frozen=True)
@@ -139,10 +140,11 @@ def _excess(
     gaps = [a.median_residual for a in mine if not np.isnan(a.median_residual)]
     gap = float(np.median(gaps)) if gaps else 0.0
     limit = _RESIDUAL_FLOOR + _RESIDUAL_PIXELS / min(view.camera.fx_px, view.camera.fy_px)
+    most_through = _THROUGH_FLOOR + _THROUGH_PIXELS / view.camera.width_px
     by_through = (
-        through / MAX_SEEN_THROUGH,
+        through / most_through,
         f"other views look through {through:.0%} of its surfaces, or it through theirs",
-        f"at most {MAX_SEEN_THROUGH:.0%}",
+        f"at most {most_through:.0%}",
     )
     by_gap = (
         gap / limit,

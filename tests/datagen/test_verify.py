@@ -32,7 +32,7 @@ from datagen.multiview.statistics import StatisticsView, compute_statistics
 from tests.datagen.multiview_scenes import make_views
 
 View = dict[str, np.ndarray]
-SIZE = (80, 56)
+SIZE = (128, 90)
 
 
 @pytest.fixture(scope="module")
