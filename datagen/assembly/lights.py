@@ -120,7 +120,7 @@ def plan_lights(
     groups: list[PlannedGroup] = []
     for kind in wants:
         if wants[kind]:
-            groups += makers[kind]()
+            groups += _without_doubles(makers[kind](), groups, rejections)
     for kind in ("native", "daylight", "area", "point"):  # at least one is on, if the recipe allows any
         if not groups and not wants[kind] and getattr(recipe, f"{kind}_probability") > 0:
             groups += makers[kind]()
@@ -129,6 +129,40 @@ def plan_lights(
     if sum(any(is_from_outside(light) for light in g.lights) for g in groups) > 1:
         groups = [g for g in groups if g.name != "daylight"]  # a scene has one sky: the one that came with it
     return groups
+
+
+def _without_doubles(
+    fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
+) -> list[PlannedGroup]:
+    """The fresh groups less those whose lamp hangs where another is on already (a slot made from a light)."""
+    kept = []
+    for group in fresh:
+        others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
+        if any(isinstance(a, AreaLight) and _share_a_place(a, b) for a in group.lights for b in others):
+            rejections["light.occupied"] += 1
+        else:
+            kept.append(group)
+    return kept
+
+
+def _share_a_place(one: AreaLight, other: AreaLight) -> bool:
+    """Whether two flat lights lie in one plane, to 2 cm, and their rectangles overlap."""
+    origin, u, v = (np.array(a) for a in (other.origin_m, other.edge_u_m, other.edge_v_m))
+    normal = np.cross(u, v)
+    normal /= np.linalg.norm(normal)
+    middle, half_u, half_v = (
+        np.array(one.origin_m) + 0.5 * (np.array(one.edge_u_m) + np.array(one.edge_v_m)) - origin,
+        0.5 * np.array(one.edge_u_m),
+        0.5 * np.array(one.edge_v_m),
+    )
+    if abs(float(middle @ normal)) > 0.02:
+        return False
+    for edge in (u, v):
+        length = float(np.linalg.norm(edge))
+        reach = (abs(float(half_u @ edge)) + abs(float(half_v @ edge))) / length
+        if not -reach < float(middle @ edge) / length < length + reach:
+            return False
+    return True
 
 
 def _native(room: RoomToLight) -> list[PlannedGroup]:

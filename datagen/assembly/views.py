@@ -29,7 +29,8 @@ from datagen.formats.recipe import CameraRecipe
 PREVIEW_WIDTH_PX = 64
 MAX_NEAR_PIXELS = 0.02  # share of the image that may be nearer than min_distance_m
 MAX_OPEN_PIXELS = 0.4  # share of the image that may show nothing at all
-MIN_THING_PIXELS = 0.03  # share of the image that things (not walls and floor) must fill
+MIN_THING_PIXELS = 0.04  # share of the image that things (not walls and floor) must fill
+MAX_PLANE_PIXELS = 0.72  # share of the image that a single plane may fill: a bare wall is no picture
 _MIN_INSTANCE_PIXELS = 0.0015  # an instance that covers less is not "seen"
 _BATCH = 16
 _LUMINANCE_GRID = (18, 10)
@@ -69,23 +70,20 @@ class Subject:
     @classmethod
     def of(cls, scene: WorldScene) -> Subject:
         """Find the things of a scene; shells (walls, floor, ceiling) are told by their size."""
-        corners = scene.rays.corners
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        inside = scene.item_of_face == 0
-        room_low, room_high = low[inside].min(axis=0), high[inside].max(axis=0)
-        size = np.maximum(room_high - room_low, 1e-6)
+        order = np.argsort(scene.instance_of_face, kind="stable")
+        instances, starts = np.unique(scene.instance_of_face[order], return_index=True)
+        corners = scene.rays.corners[order]
+        lows = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
+        highs = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
+        in_room = instances < scene.num_environment_parts
+        size = np.maximum(highs[in_room].max(axis=0) - lows[in_room].min(axis=0), 1e-6)
+        is_shell = in_room & (((highs - lows) / size)[:, :2].max(axis=1) >= _SHELL_SPAN)
         is_thing = np.zeros(scene.num_instances, dtype=bool)
-        furniture, centers = [], []
-        for instance in np.unique(scene.instance_of_face).tolist():
-            faces = np.flatnonzero(scene.instance_of_face == instance)
-            lowest, highest = low[faces].min(axis=0), high[faces].max(axis=0)
-            if instance >= scene.num_environment_parts:
-                is_thing[instance] = True
-                centers.append(0.5 * (lowest + highest))
-            elif float(((highest - lowest) / size)[:2].max()) < _SHELL_SPAN:
-                is_thing[instance] = True
-                furniture.append(faces)
-        return cls(scene, np.array(centers).reshape(-1, 3), furniture, is_thing)
+        is_thing[instances] = ~is_shell
+        centers = 0.5 * (lows + highs)[~in_room]
+        faces = np.split(order, starts[1:])
+        furniture = [faces[k] for k in np.flatnonzero(in_room & ~is_shell).tolist()]
+        return cls(scene, centers, furniture, is_thing)
 
     def draw(self, draws: Draws) -> Floats:
         """A point (3,) to look at."""
@@ -150,6 +148,7 @@ class ViewFinder:
             "camera.too_near": "lower cameras.min_distance_m, raise max_near_share or place fewer objects",
             "camera.faces_outside": "keep the camera region away from open sides",
             "camera.too_little_content": "lower cameras.min_content, widen fov_x_deg or place more objects",
+            "camera.too_plain": "place more objects or keep the camera region away from bare walls",
             "camera.too_dark": "lower cameras.min_luminance or add lights",
             "camera.too_little_overlap": "lower cameras.min_overlap or widen cameras.fov_x_deg",
             "camera.too_similar": "ask for fewer views or enlarge the camera region",
@@ -200,6 +199,8 @@ class ViewFinder:
             return "faces_outside"
         if not self._shows_enough(hits.face[hits.hit_mask], len(directions), subject):
             return "too_little_content"
+        if self._largest_plane(hits.face[hits.hit_mask]) > MAX_PLANE_PIXELS * len(directions):
+            return "too_plain"
         seen = np.flatnonzero(hits.hit_mask)
         seen = seen[:: max(1, len(seen) // _OVERLAP_POINTS)]
         points = position + hits.distance_m[seen, None] * directions[seen]
@@ -214,6 +215,14 @@ class ViewFinder:
         if not subject.thing_instances.any():
             return True
         return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
+
+    def _largest_plane(self, faces: NDArray[np.int64]) -> int:
+        """Most pixels that see one plane, told apart by normal (to 0.1) and offset (to 10 cm)."""
+        normals = self.scene.rays.normals[faces]
+        offsets = (normals * self.scene.rays.corners[faces, 0]).sum(axis=1)
+        planes = np.round(np.column_stack([normals, offsets]) * 10).astype(np.int64) + 1000
+        keys = (planes * [1, 1 << 14, 1 << 28, 1 << 42]).sum(axis=1)
+        return int(np.unique(keys, return_counts=True)[1].max(initial=0))
 
     def _aim(self, position: Floats, target: Floats, draws: Draws) -> Camera:
         """A camera at ``position`` with the target somewhere in the middle of its image, held level."""

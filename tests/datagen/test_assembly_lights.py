@@ -289,6 +289,20 @@ def test_area_lights_stay_in_their_slot(tmp_path: Path) -> None:
             assert 0.5 <= u[0] <= 1.0 and -0.8 <= v[1] <= -0.4 + 1e-9
 
 
+def test_a_slot_that_a_lamp_occupies_stays_empty(tmp_path: Path) -> None:
+    """Importers make slots of the lights that they find: both at once would be one lamp twice."""
+    own = AreaLight(
+        name="own", origin_m=(2.0, 2.4, 2.69), edge_u_m=(1, 0, 0), edge_v_m=(0, -0.8, 0), radiance=(1, 1, 1)
+    )
+    write_room(tmp_path, "room", lights=(own,))
+    write_objects(tmp_path)
+    library = Library([tmp_path])
+    both = lights_of(library, lights={**ONLY_AREA, "native_probability": 1})
+    assert [light.name for light in both.lights] == ["room.own"]
+    assert both.rejections["light.occupied"] == 1
+    assert [light.name for light in lights_of(library, lights=ONLY_AREA).lights] == ["area-ceiling"]
+
+
 def test_sun_enters_when_it_can(tmp_path: Path) -> None:
     library = Library([write_small_library(tmp_path)])
     daylight = {**NONE_WANTED, "daylight_probability": 1}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.assembly import plan
 from datagen.assembly.geometry import RayScene, WorldScene
 from datagen.assembly.random import Draws
-from datagen.assembly.views import Candidate, ViewFinder, choose_views, overlap_matrix, preview_of
+from datagen.assembly.views import Candidate, Subject, ViewFinder, choose_views, overlap_matrix, preview_of
 from datagen.cameras import Camera, look_at
 from datagen.errors import InputError
 from datagen.formats.asset import AssetCamera, Box
@@ -150,6 +150,29 @@ def candidate(camera: Camera, rays: RayScene) -> Candidate:
     points = camera.position_m + hits.distance_m[hits.hit_mask, None] * directions[hits.hit_mask]
     shape = (preview.height_px, preview.width_px)
     return Candidate(camera, preview, hits.distance_m.reshape(shape), points[::6])
+
+
+def test_no_view_is_of_a_bare_wall(rooms: list[tuple[Configuration, WorldScene]]) -> None:
+    for configuration, scene in rooms:
+        for camera in cameras_of(configuration):
+            _, face = seen(camera, scene.rays)
+            normals, points = scene.rays.normals[face], scene.rays.corners[face, 0]
+            walls = [(0, 0.0), (0, 5.0), (0, 5.5), (1, 0.0), (1, 4.0), (1, 4.3), (2, 0.0), (2, 2.7)]
+            for axis, at in walls:
+                on_wall = (np.abs(normals[:, axis]) > 0.99) & (np.abs(points[:, axis] - at) < 0.01)
+                assert on_wall.mean() < 0.78
+
+
+def test_subjects_are_things_not_shells(rooms: list[tuple[Configuration, WorldScene]]) -> None:
+    configuration, scene = rooms[0]
+    subject = Subject.of(scene)
+    assert len(subject.thing_centers) == len(configuration.objects)
+    assert subject.thing_instances[:5].tolist() == [False, False, False, True, True]  # table and shelf
+    assert subject.thing_instances[5:].all()
+    for k, placed in enumerate(configuration.objects):
+        offset = subject.thing_centers[k][:2] - np.array(placed.world_from_asset)[:2, 3]
+        assert np.linalg.norm(offset) < 0.03
+    assert {int(i) for f in subject.furniture_faces for i in np.unique(scene.instance_of_face[f])} == {3, 4}
 
 
 def test_views_differ(rooms: list[tuple[Configuration, WorldScene]]) -> None:
