@@ -133,9 +133,9 @@ def compute_statistics(
     """Statistics of each view in turn, as float32 arrays by buffer name.
 
     ``color_min``, ``color_median``, ``color_max`` are (H, W, 3) scene-linear, ``observation_count`` is
-    (H, W, 1). ``scene`` is needed for traced visibility only. ``progress(done, total)`` is called after each
-    view. Input is checked before anything is computed; all faults of all views are raised in one
-    :class:`InputError`.
+    (H, W, 1). ``scene`` is needed for traced visibility only: a ``mi.Scene``, or any object whose
+    ``ray_test(ray, active=mask)`` says what hides a point. ``progress(done, total)`` is called after each
+    view. Input is checked before anything is computed; all faults are raised in one :class:`InputError`.
     """
     options = options or StatisticsOptions()
     problems = [problem for view in views for problem in view.problems()]
