@@ -7,15 +7,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from model.bilateral_solver import SolverConfig
-from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
+from model.confidence import FILTERED_MAPS, filter_maps
 from model.training.losses import LossTerms
 
 
 def confidence_loss(
-    nets: ConfidenceNets,
+    nets: nn.Module,
     image: Tensor,
     predicted: Mapping[str, Tensor],
     truth: Mapping[str, Tensor],
@@ -24,6 +24,7 @@ def confidence_loss(
 ) -> LossTerms:
     """Mean squared error of the filtered maps over pixels with a surface; gradients reach the nets only.
 
+    ``nets`` is a :class:`model.confidence.ConfidenceNets`, wrapped for several ranks or not.
     ``image`` (B, 3, H, W) encoded to [-1, 1]; ``predicted`` all three maps of the frozen tracks; ``mask``
     (B, 1, H, W) bool. The parts also hold the error before filtering, so that the gain is seen.
     """

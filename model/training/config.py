@@ -102,6 +102,8 @@ class TrainingConfig(StrictModel):
     channels_last: bool = False
     compile: bool = False
     validation: ValidationConfig = ValidationConfig()
+    initial_checkpoint: Path | None = None
+    """Start from the weights of this checkpoint, which must have the same network."""
     checkpoint_every_steps: int = Field(default=500, ge=1)
     log_every_steps: int = Field(default=10, ge=1)
 

@@ -29,6 +29,7 @@ from model.training.conditions import (
     sample_area_condition,
     sample_point_condition,
 )
+from model.training.stopwatch import Stopwatch
 
 MAP_NAMES = ("diffuse_albedo", "specular_albedo", "roughness")
 _LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the logarithm finite in the dark
@@ -105,18 +106,21 @@ class MaterialLoss(nn.Module):
         geometry: Geometry,
         draws: SampleDraws,
         generator: torch.Generator,
+        stopwatch: Stopwatch | None = None,
     ) -> LossTerms:
         """Terms of a batch; ``predicted`` may lack maps.
 
-        ``draws`` gives each image its views and lights; the CPU ``generator`` the perceptual metric's
-        transforms.
+        ``draws`` gives each image its views and lights, the CPU ``generator`` the perceptual metric's
+        transforms. ``stopwatch`` takes the times of ``render`` and ``perceptual``.
         """
+        watch = stopwatch or Stopwatch()
         mask = geometry.mask
         shown = {n: torch.where(mask, predicted[n].float(), truth[n]) for n in MAP_NAMES if n in predicted}
         materials = {**truth, **shown}
         parts: dict[str, Tensor] = {}
         total = next(iter(shown.values())).new_zeros(())
-        images = self._render_all(materials, truth, geometry, draws)
+        with watch.section("render"):
+            images = self._render_all(materials, truth, geometry, draws)
         if images:
             l1 = [(encode_log(ours) - encode_log(theirs)).abs().mean() for ours, theirs in images]
             parts["render_l1"] = torch.stack(l1).mean()
@@ -125,7 +129,8 @@ class MaterialLoss(nn.Module):
             if self.perceptual is not None and count != 0:
                 order = torch.randperm(len(images), generator=generator).tolist()[:count]
                 pairs = [tuple(encode_log_unit(image) for image in images[k]) for k in order]
-                parts["render_perceptual"] = self._distance(pairs, generator)
+                with watch.section("perceptual"):
+                    parts["render_perceptual"] = self._distance(pairs, generator)
                 total = total + self.config.perceptual_weight * parts["render_perceptual"]
         for name, ours in shown.items():
             theirs = truth[name]
@@ -137,7 +142,8 @@ class MaterialLoss(nn.Module):
             total = total + self.config.map_l1_weight * l1_map
             if self.perceptual is not None:
                 pair = (ours.expand(-1, 3, -1, -1), theirs.expand(-1, 3, -1, -1))
-                parts[f"{name}_perceptual"] = self._distance([pair], generator)
+                with watch.section("perceptual"):
+                    parts[f"{name}_perceptual"] = self._distance([pair], generator)
                 total = total + self.config.perceptual_weight * parts[f"{name}_perceptual"]
         return LossTerms(total, parts)
 

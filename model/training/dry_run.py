@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""What a run would be: its resolved configuration, sizes, memory and time, measured on one made-up step a
+phase."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from torch import Tensor
+
+from model.networks import num_parameters
+from model.training.conditions import generator_for
+from model.training.config import TrainingConfig
+from model.training.dataset import TRUTH_BUFFERS
+from model.training.losses import MaterialLoss
+from model.training.perceptual import make_perceptual
+from model.training.phases import Models, Phase, Ranks, Workshop
+from model.training.sources import TrainingData, open_data
+from model.training.stopwatch import Stopwatch
+from model.training.train import default_device
+
+
+def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) -> dict[str, Tensor]:
+    """A batch with every tensor that training reads: smooth images on a plane 2 m away."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def smooth(channels: int) -> Tensor:
+        small = torch.rand(batch, channels, 8, 8, generator=generator)
+        return torch.nn.functional.interpolate(small, size=(size, size), mode="bilinear")
+
+    y, x = torch.meshgrid(torch.linspace(-0.5, 0.5, size), torch.linspace(-0.5, 0.5, size), indexing="ij")
+    z = torch.full_like(x, 2.0)
+    images = {name: smooth(3) for name in ("beauty", "color_median", "color_max", "color_min")}
+    images |= {name: smooth(1 if name == "roughness" else 3) for name in TRUTH_BUFFERS}
+    images["normal_camera"] = torch.tensor([0.0, 0.0, -1.0]).reshape(1, 3, 1, 1).expand(batch, 3, size, size)
+    images["position"] = torch.stack([x * z, y * z, z]).expand(batch, 3, size, size)
+    images["depth_z_m"] = z.expand(batch, 1, size, size)
+    images["mask"] = torch.ones(batch, 1, size, size, dtype=torch.bool)
+    images["exposure"] = torch.ones(batch)
+    images["depth_max_m"] = torch.full((batch,), 2.0)
+    images["sample_id"] = torch.arange(batch)
+    images["is_skipped"] = torch.zeros(batch, dtype=torch.bool)
+    return {name: value.contiguous().to(device) for name, value in images.items()}
+
+
+def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatch) -> float:
+    """Seconds of one optimiser step of a phase on a batch that is there already."""
+    start = time.perf_counter()
+    phase.optimizer.zero_grad(set_to_none=True)
+    terms = phase.terms(batch, generator_for(key))
+    with watch.section("backward"):
+        terms.total.backward()
+    with watch.section("optimizer"):
+        phase.optimizer.step()
+    if batch["beauty"].device.type == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter() - start
+
+
+def saved_bytes(run: Callable[[], Any]) -> int:
+    """Bytes that autograd keeps for the backward pass of ``run``, each storage once."""
+    seen: dict[int, int] = {}
+
+    def pack(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        seen[storage.data_ptr()] = storage.nbytes()
+        return tensor
+
+    with torch.autograd.graph.saved_tensors_hooks(pack, lambda tensor: tensor):
+        run()
+    return sum(seen.values())
+
+
+def make_workshop(
+    config: TrainingConfig, data: TrainingData, device: torch.device, stopwatch: Stopwatch | None = None
+) -> Workshop:
+    """Models, loss and data of a configuration, without a run's folder."""
+    chosen = config.perceptual
+    wants = config.loss.perceptual_weight > 0
+    perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads) if wants else None
+    models = Models(config).to(device)
+    if config.channels_last:
+        models.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    loss = MaterialLoss(config.loss, perceptual).to(device)
+    return Workshop(config, data, models, loss, device, Ranks(), stopwatch or Stopwatch())
+
+
+def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
+    """Text for ``--dry-run``. One step with a single crop is timed a phase and scaled to the whole."""
+    device = device or default_device()
+    data = open_data(folders, config.network, config.data.crop_px)
+    shop = make_workshop(config, data, device)
+    lines = [yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False).rstrip(), ""]
+    width, height = data.size_px
+    lines.append(
+        f"data: {len(data.train)} training and {len(data.validation)} validation views, {width} x {height}"
+    )
+    for name, track in shop.models.network.tracks.items():
+        lines.append(f"{name} track: {num_parameters(track):,} parameters")
+    lines.append(f"confidence: {num_parameters(shop.models.confidence):,} parameters")
+    lines.append(f"loss: {shop.loss.name}; device: {device}, {torch.get_num_threads()} threads")
+    batch = synthetic_batch(1, config.data.crop_px, device)
+    total = 0.0
+    for index in range(len(config.phases)):
+        phase = Phase(shop, index)
+        steps = phase.num_steps
+        activations = saved_bytes(lambda p=phase: p.terms(batch, generator_for(0)))  # type: ignore[misc]
+        timed_step(phase, batch, 0, Stopwatch())
+        seconds = timed_step(phase, batch, 1, Stopwatch())
+        weights = sum(p.numel() for p in shop.models.parameters()) * 4
+        moving = sum(p.numel() for p in phase.parameters) * 4 * 3  # gradient and two moments
+        memory = (activations * config.batch_size + weights + moving) / 2**30
+        hours = steps * config.accumulation * config.batch_size * seconds / 3600
+        total += hours
+        lines.append(
+            f"{phase.config.name}: {steps:,} steps, about {memory:.1f} GiB and {hours:.2f} h "
+            f"({seconds:.2f} s a crop, measured with one crop)"
+        )
+    lines.append(f"in all about {total:.2f} h, without validation")
+    return "\n".join(lines)

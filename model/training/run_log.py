@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: MIT
+"""What a run leaves to look at: a CSV, TensorBoard scalars and image panels, a progress bar, a stopwatch."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from model.networks import encode_color
+from model.training.dataset import TRUTH_BUFFERS
+
+CSV_FILE = "log.csv"
+_COLUMNS = (
+    "step",
+    "phase",
+    "epoch",
+    "kind",
+    "name",
+    "value",
+)
+
+
+class RunLog:
+    """Long-form CSV (one figure a row) and TensorBoard, both cut back to ``step`` when a run resumes
+    there."""
+
+    def __init__(self, folder: Path, step: int = 0, *, tensorboard: bool = True):
+        self.path = folder / CSV_FILE
+        kept = []
+        if self.path.is_file():
+            with self.path.open(newline="", encoding="utf-8") as file:
+                kept = [row for row in csv.DictReader(file) if int(row["step"]) <= step and step > 0]
+        self._file = self.path.open("w", newline="", encoding="utf-8")
+        self._writer = csv.DictWriter(self._file, _COLUMNS, lineterminator="\n")
+        self._writer.writeheader()
+        self._writer.writerows(kept)
+        self._board: Any = None
+        if tensorboard:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1 if step else None)
+
+    def scalars(self, step: int, phase: str, epoch: int, kind: str, values: Mapping[str, float]) -> None:
+        """Record figures by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
+        for name, value in values.items():
+            row = {
+                "step": step,
+                "phase": phase,
+                "epoch": epoch,
+                "kind": kind,
+                "name": name,
+                "value": repr(value),
+            }
+            self._writer.writerow(row)
+            if self._board is not None:
+                self._board.add_scalar(f"{kind}/{phase}/{name}", value, step)
+
+    def panel(self, step: int, name: str, image: Tensor) -> None:
+        """Record an image (3, H, W) in [0, 1]."""
+        if self._board is not None:
+            self._board.add_image(name, image, step)
+
+    def flush(self) -> None:
+        """Bring everything to disk."""
+        self._file.flush()
+        if self._board is not None:
+            self._board.flush()
+
+    def close(self) -> None:
+        """Flush and close."""
+        self.flush()
+        self._file.close()
+        if self._board is not None:
+            self._board.close()
+
+
+def read_log(folder: Path, kind: str, name: str, phase: str | None = None) -> list[tuple[int, float]]:
+    """(step, value) rows of one figure of a run's CSV."""
+    with (folder / CSV_FILE).open(newline="", encoding="utf-8") as file:
+        return [
+            (int(row["step"]), float(row["value"]))
+            for row in csv.DictReader(file)
+            if row["kind"] == kind and row["name"] == name and phase in (None, row["phase"])
+        ]
+
+
+def view_panel(batch: Mapping[str, Tensor], predicted: Mapping[str, Tensor]) -> Tensor:
+    """Panel (3, rows, columns) of one view: the input on top, then predicted, truth and error of each map.
+
+    Colours are shown with gamma 2.2, roughness as it is, absolute errors times 2.
+    """
+    image = 0.5 * (encode_color(batch["beauty"], batch["exposure"].reshape(-1, 1, 1, 1))[0] + 1.0)
+    rows = [torch.cat([image, torch.zeros_like(image), torch.zeros_like(image)], dim=2)]
+    mask = batch["mask"][0].float()
+    for name in TRUTH_BUFFERS:
+        if name not in predicted:
+            continue
+        ours, theirs = (m[name][0].float().clamp(0, 1) * mask for m in (predicted, batch))
+        error = 2.0 * (ours - theirs).abs()
+        shown = [t if name == "roughness" else t.pow(1 / 2.2) for t in (ours, theirs)]
+        rows.append(torch.cat([t.expand(3, -1, -1) for t in (*shown, error)], dim=2))
+    return torch.cat(rows, dim=1).clamp(0, 1).cpu()
+
+
+@contextmanager
+def progress_bar(total_steps: int, start: int, *, shown: bool) -> Iterator[Any]:
+    """A function ``advance(step, text)``; the bar shows the phase, throughput and the time left."""
+    if not shown:
+        yield lambda step, text: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(*columns, console=Console(stderr=True), refresh_per_second=2) as progress:
+        task = progress.add_task("training", total=total_steps, completed=start)
+        yield lambda step, text: progress.update(task, completed=step, description=text)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: MIT
+"""The state of an unfinished run, so that it continues bit for bit, and what is kept of a batch that broke
+it.
+
+``state.safetensors`` holds the weights and the optimiser's moments; its header says where the run stands. All
+random numbers of a step come from (seed, phase, step, rank), so no generator's state has to be kept.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+
+from datagen.errors import input_error
+from datagen.formats.base import StrictModel, canonical_json, parse_model, write_bytes_atomically
+from model.checkpoint import DataRecord
+from model.training.config import TrainingConfig
+
+STATE_FILE = "state.safetensors"
+RUN_FILE = "run.json"
+_KEY = "progress"
+_REMEDY = "start the run again in another folder"
+
+
+class RunRecord(StrictModel):
+    """``run.json``: what a run was started with. A run resumes only with the same."""
+
+    config: TrainingConfig
+    folders: tuple[str, ...]
+    data: tuple[DataRecord, ...]
+    loss: str
+    num_ranks: int
+
+
+class RunProgress(StrictModel):
+    """Where a run stands: ``phase`` is an index, ``step`` counts within it, ``total_step`` over all
+    phases."""
+
+    phase: int = Field(default=0, ge=0)
+    step: int = Field(default=0, ge=0)
+    total_step: int = Field(default=0, ge=0)
+    best_score: float | None = None
+    num_skipped: int = 0
+    is_finished: bool = False
+
+
+class NonFiniteError(RuntimeError):
+    """Training met a loss or a gradient that is NaN or Inf; the batch was saved."""
+
+
+def save_state(
+    folder: Path, progress: RunProgress, module: nn.Module, optimizer: torch.optim.Optimizer | None
+) -> None:
+    """Write the state of a run; it appears whole or not at all."""
+    from safetensors.torch import save
+
+    tensors = {f"module.{name}": value for name, value in module.state_dict().items()}
+    if optimizer is not None:
+        for index, state in optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{index}.{name}": torch.as_tensor(value) for name, value in state.items()}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    data = save(tensors, {_KEY: canonical_json(progress).decode()})
+    write_bytes_atomically(folder / STATE_FILE, data)
+
+
+def load_state(folder: Path) -> tuple[RunProgress, dict[str, Tensor]] | None:
+    """Progress and tensors of a run, or None where it has not saved any yet."""
+    from safetensors import SafetensorError, safe_open
+    from safetensors.torch import load_file
+
+    path = folder / STATE_FILE
+    if not path.is_file():
+        return None
+    try:
+        with safe_open(path, "pt") as file:
+            text = (file.metadata() or {}).get(_KEY, "")
+        progress = parse_model(RunProgress, json.loads(text), path)
+        tensors = load_file(path)
+    except (SafetensorError, OSError, ValueError) as error:
+        raise input_error(path, "", f"unreadable: {error}", "the state of a run", _REMEDY) from None
+    return progress, {name: value.clone() for name, value in tensors.items()}
+
+
+def restore_module(module: nn.Module, tensors: Mapping[str, Tensor], where: Path) -> None:
+    """Set a module's weights from a state's tensors, in place."""
+    own = {n.removeprefix("module."): v for n, v in tensors.items() if n.startswith("module.")}
+    try:
+        module.load_state_dict(own)
+    except RuntimeError as error:
+        raise input_error(where, "", str(error).splitlines()[0], "this run's weights", _REMEDY) from None
+
+
+def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    """Set an optimiser's moments from a state's tensors."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        if name.startswith("optimizer."):
+            _, index, key = name.split(".", 2)
+            state.setdefault(int(index), {})[key] = value
+    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+
+
+def save_bad_batch(
+    folder: Path, batch: Mapping[str, Tensor], parts: Mapping[str, float], step: int, rank: int
+) -> Path:
+    """Keep a batch that gave a non-finite loss or gradient, with the loss's terms; returns its file."""
+    from safetensors.torch import save_file
+
+    path = folder / f"bad_batch_step{step}_rank{rank}.safetensors"
+    tensors = {name: value.detach().cpu().contiguous() for name, value in batch.items()}
+    save_file(tensors, path, {"terms": json.dumps({name: repr(value) for name, value in parts.items()})})
+    return path

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+"""Where the time of a training step goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+
+class Stopwatch:
+    """Seconds by name. On a GPU every section waits for the device first, so it is for measuring only."""
+
+    def __init__(self, device: torch.device | None = None):
+        self.seconds: dict[str, float] = {}
+        self._synchronize = device is not None and device.type == "cuda"
+
+    @contextmanager
+    def section(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to ``name``."""
+        start = self._now()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + self._now() - start
+
+    def _now(self) -> float:
+        if self._synchronize:
+            torch.cuda.synchronize()
+        return time.perf_counter()

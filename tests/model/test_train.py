@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: MIT
+"""The training loop on a small real dataset: every phase, resuming bit for bit, ranks, stops, and
+learning."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from datagen.errors import InputError
+from model.checkpoint import load_checkpoint
+from model.training.config import parse_overrides, resolve_config
+from model.training.dataset import buffer_names
+from model.training.run_log import read_log
+from model.training.run_state import NonFiniteError
+from model.training.train import Trainer
+from model.training.validation import (
+    constant_predictor,
+    evaluate,
+    mean_maps,
+    network_predictor,
+    whole_views,
+)
+from tests.conftest import REPOSITORY
+from tests.model.training_data import make_dataset
+
+pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR tensor support is in beta")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Path:
+    splits = {"room-0": ("train", 4), "room-1": ("train", 4), "room-2": ("validation", 2)}
+    return make_dataset(tmp_path_factory.mktemp("data") / "set", splits)
+
+
+CPU = torch.device("cpu")
+
+
+def _config(*settings: str):
+    return resolve_config("smoke", None, parse_overrides(list(settings)))
+
+
+def _weights(folder: Path) -> dict[str, torch.Tensor]:
+    return load_file(folder / "final.safetensors")
+
+
+@pytest.fixture(scope="module")
+def whole(dataset, tmp_path_factory) -> Path:
+    """Folder of a run of the smoke preset that nothing disturbed."""
+    out = tmp_path_factory.mktemp("run") / "whole"
+    Trainer(_config(), [dataset], out, device=CPU).run()
+    return out
+
+
+def test_smoke_preset_runs_every_phase(dataset, whole):
+    out, final = whole, whole / "final.safetensors"
+    checkpoint = load_checkpoint(final)
+    assert checkpoint.confidence is not None
+    card = checkpoint.card
+    assert card.loss == "l1+gradient-ssim-3"
+    assert card.data[0].name == "tiny" and card.step == 10
+    expected = {f"{n}_{k}" for n in ("diffuse_albedo", "specular_albedo", "roughness") for k in ("mse", "l1")}
+    assert expected <= set(card.metrics)
+    assert {"filtered_roughness_mse", "filtered_specular_albedo_mse"} <= set(card.metrics)
+    files = {p.name for p in out.iterdir()}
+    phases = ("diffuse", "specular", "joint", "confidence")
+    assert files >= {"run.json", "log.csv", "state.safetensors", *(f"best-{p}.safetensors" for p in phases)}
+    assert list((out / "tensorboard").glob("events*"))
+    assert [step for step, _ in read_log(out, "train", "total")] == list(range(1, 11))
+    assert len(read_log(out, "validation", "score")) == 4
+    assert json.loads((out / "run.json").read_text())["config"]["batch_size"] == 2
+    assert Trainer(_config(), [dataset], out, device=CPU).run() == final
+
+
+def test_phases_train_their_own_part_only(dataset, tmp_path):
+    config = _config("phases=[{name: diffuse, steps: 2}]")
+    trainer = Trainer(config, [dataset], tmp_path / "run", device=CPU)
+    before = {n: v.clone() for n, v in trainer.models.state_dict().items()}
+    trainer.run()
+    changed = {n for n, v in trainer.models.state_dict().items() if not torch.equal(v, before[n])}
+    assert changed and all(n.startswith("network.tracks.diffuse.") for n in changed)
+
+
+@pytest.mark.parametrize("stop_at", [1, 4, 9])
+def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop_at):
+    """Stopped in any phase, also between checkpoints, it ends with the same bytes and the same log."""
+    parts = tmp_path / "parts"
+    trainer = Trainer(_config(), [dataset], parts, device=CPU)
+    original = trainer._step
+
+    def step(phase, batches):
+        values = original(phase, batches)
+        if trainer.progress.total_step + 1 == stop_at:
+            trainer._request_stop()
+        return values
+
+    trainer._step = step
+    with pytest.raises(KeyboardInterrupt):
+        trainer.run()
+    assert not (parts / "final.safetensors").exists()
+    torch.manual_seed(12345)  # what the process drew before does not matter
+    Trainer(_config(), [dataset], parts, device=CPU).run()
+    assert (whole / "final.safetensors").read_bytes() == (parts / "final.safetensors").read_bytes()
+    logs = [read_log(folder, "train", "total") for folder in (whole, parts)]
+    assert logs[0] == logs[1]
+
+
+def test_a_killed_run_goes_back_to_its_last_state(dataset, whole, tmp_path):
+    """Killed without warning between two saved states: the steps in between are done again, with the same
+    result."""
+    parts = tmp_path / "parts"
+    trainer = Trainer(_config(), [dataset], parts, device=CPU)
+    original = trainer._step
+
+    def step(phase, batches):
+        if trainer.progress.total_step == 7:
+            raise RuntimeError("power cut")
+        return original(phase, batches)
+
+    trainer._step = step
+    with pytest.raises(RuntimeError, match="power cut"):
+        trainer.run()
+    Trainer(_config(), [dataset], parts, device=CPU).run()
+    assert (whole / "final.safetensors").read_bytes() == (parts / "final.safetensors").read_bytes()
+    assert read_log(whole, "train", "total") == read_log(parts, "train", "total")
+
+
+def test_a_run_is_not_continued_with_other_settings_or_data(dataset, tmp_path):
+    out = tmp_path / "run"
+    short = ("phases=[{name: diffuse, steps: 1}]",)
+    Trainer(_config(*short), [dataset], out, device=CPU).run()
+    with pytest.raises(InputError, match="config"):
+        Trainer(_config(*short, "learning_rate=0.5"), [dataset], out, device=CPU).run()
+    other = make_dataset(tmp_path / "other", {"room-9": ("train", 4)})
+    with pytest.raises(InputError, match="data"):
+        Trainer(_config(*short), [other], out, device=CPU).run()
+
+
+def test_accumulation_equals_a_larger_batch(dataset, tmp_path):
+    """Two micro-batches of 2 give the step of one batch of 4, up to rounding."""
+    common = ("phases=[{name: joint, steps: 4}]", "network.dropout=0.0", "validation.num_views=0")
+    runs = {"large": ("batch_size=4",), "small": ("batch_size=2", "accumulation=2")}
+    curves = {}
+    for name, settings in runs.items():
+        out = tmp_path / name
+        Trainer(_config(*common, *settings), [dataset], out, device=CPU).run()
+        curves[name] = [value for _, value in read_log(out, "train", "total")]
+    np.testing.assert_allclose(curves["small"], curves["large"], rtol=1e-4)
+
+
+def test_two_ranks_equal_one_process_with_the_double_batch(dataset, tmp_path):
+    """torchrun with two gloo processes: the same loss curve to 1e-3."""
+    settings = ["phases=[{name: joint, steps: 5}]", "network.dropout=0.0", "validation.num_views=0"]
+    one = tmp_path / "one"
+    Trainer(_config(*settings, "batch_size=4"), [dataset], one, device=CPU).run()
+    two = tmp_path / "two"
+    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2", "--master-port=0"]
+    command += [
+        "--rdzv-backend=c10d",
+        "--rdzv-endpoint=localhost:0",
+        "-m",
+        "model.cli",
+        "train",
+        str(dataset),
+    ]
+    command += ["--out", str(two), "--preset", "smoke", "--device", "cpu", "--quiet", "--threads", "1"]
+    for item in [*settings, "batch_size=2"]:
+        command += ["--set", item]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(REPOSITORY)}
+    result = subprocess.run(
+        command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert result.returncode == 0, result.stderr[-2000:]
+    curves = [[value for _, value in read_log(folder, "train", "total")] for folder in (one, two)]
+    np.testing.assert_allclose(curves[1], curves[0], rtol=1e-3)
+    weights = [_weights(folder) for folder in (one, two)]
+    for name, value in weights[0].items():
+        torch.testing.assert_close(weights[1][name], value, rtol=0, atol=1e-4)
+
+
+def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
+    out = tmp_path / "run"
+    trainer = Trainer(_config("phases=[{name: diffuse, steps: 3}]"), [dataset], out, device=CPU)
+    original = trainer.shop.loss.forward
+    calls = []
+
+    def forward(predicted, *args):
+        calls.append(1)
+        if len(calls) == 2:
+            predicted = {n: v * float("nan") for n, v in predicted.items()}
+        return original(predicted, *args)
+
+    trainer.shop.loss.forward = forward
+    with pytest.raises(NonFiniteError, match=r"diffuse, step 1: .*total = nan"):
+        trainer.run()
+    (saved,) = out.glob("bad_batch_step1_rank0.safetensors")
+    batch = load_file(saved)
+    assert batch["beauty"].shape == (2, 3, 32, 32) and torch.isfinite(batch["beauty"]).all()
+
+
+def test_bad_views_stop_or_are_counted(dataset, tmp_path):
+    def spoil(buffers, record):
+        if record["index"] == 1:
+            buffers["roughness"] = buffers["roughness"] * np.nan
+
+    bad = make_dataset(tmp_path / "bad", {"room-0": ("train", 4)}, change=spoil)
+    settings = ("phases=[{name: diffuse, steps: 4}]", "validation.num_views=0")
+    with pytest.raises(InputError, match=r"room-0/view-001: roughness"):
+        Trainer(_config(*settings), [bad], tmp_path / "a", device=CPU).run()
+    with pytest.raises(InputError, match=r"room-0/view-001: roughness"):
+        Trainer(_config(*settings, "data.workers=1"), [bad], tmp_path / "w", device=CPU).run()
+    trainer = Trainer(_config(*settings, "data.on_bad_view=skip"), [bad], tmp_path / "b", device=CPU)
+    trainer.run()
+    assert trainer.progress.num_skipped == 2  # both crops of the bad view, once an epoch
+
+
+def test_bfloat16_channels_last_and_checkpoint_start(dataset, tmp_path):
+    settings = ("phases=[{name: joint, steps: 2}]", "precision=bfloat16", "channels_last=true")
+    final = Trainer(_config(*settings), [dataset], tmp_path / "a", device=CPU).run()
+    again = (*settings, f"initial_checkpoint={final}")
+    trainer = Trainer(_config(*again), [dataset], tmp_path / "b", device=CPU)
+    first = load_checkpoint(final).network.state_dict()
+    assert all(torch.equal(v, first[n]) for n, v in trainer.models.network.state_dict().items())
+    with pytest.raises(InputError, match="network"):
+        wider = _config(*again, "network.base_channels=8")
+        Trainer(wider, [dataset], tmp_path / "c", device=CPU)
+
+
+def test_unknown_settings_are_refused(tmp_path):
+    with pytest.raises(InputError, match="batchsize"):
+        _config("batchsize=3")
+    with pytest.raises(InputError, match="KEY=VALUE"):
+        parse_overrides(["batch_size"])
+    with pytest.raises(InputError, match="epochs or steps"):
+        _config("phases=[{name: diffuse}]")
+    with pytest.raises(InputError, match="--preset"):
+        resolve_config("large")
+    file = tmp_path / "c.yaml"
+    file.write_text("batch_size: 3\ndata: {workers: 0}\n")
+    config = resolve_config("smoke", file, {"data": {"crop_px": 48}})
+    assert (config.batch_size, config.data.crop_px, config.data.crops_per_view) == (3, 48, 2)
+
+
+def test_presets_are_as_documented():
+    paper = resolve_config("paper")
+    assert (paper.learning_rate, paper.adam_betas, paper.batch_size) == (2e-5, (0.5, 0.999), 8)
+    assert (paper.data.crop_px, paper.data.crops_per_view) == (256, 7)
+    assert [p.epochs for p in paper.phases] == [15, 15, 15, None]
+    assert (paper.loss.num_point_lights, paper.loss.num_area_lights, paper.loss.map_l1_weight) == (3, 3, 0.1)
+    assert paper.perceptual.kind == "elpips"
+
+
+def test_overfitting_one_view_reaches_near_zero_error(tmp_path):
+    """One view, seen again and again: every map's error falls near zero, far below a constant's."""
+    folder = make_dataset(tmp_path / "set", {"room-0": ("train", 1)}, width=32, height=32)
+    config = _config(
+        "phases=[{name: joint, steps: 160}]",
+        "network={base_channels: 16, global_channels: 32, dropout: 0.0}",
+        "data={crop_px: 32, crops_per_view: 1, flips: false, exposure_jitter_stops: 0.0, workers: 0}",
+        "batch_size=1",
+        "learning_rate=1e-3",
+        "loss={map_l1_weight: 1.0, num_point_lights: 1, num_area_lights: 0}",
+        "validation.num_views=0",
+        "checkpoint_every_steps=1000",
+        "log_every_steps=20",
+    )
+    trainer = Trainer(config, [folder], tmp_path / "run", device=CPU)
+    trainer.run()
+    batches = list(whole_views(trainer.data.train, buffer_names(config.network), CPU))
+    network = load_checkpoint(tmp_path / "run" / "final.safetensors").network
+    ours = evaluate(network_predictor(network, ("diffuse", "specular")), batches)
+    constant = evaluate(constant_predictor(mean_maps(batches)), batches)
+    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+        assert ours[f"{name}_mse"] < 0.2 * constant[f"{name}_mse"]
+        assert ours[f"{name}_mse"] < 1e-3
