@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Node graphs in few words, periodic over the unit UV square so that what they bake to can be tiled.
+
+Periodicity: a UV square is rolled into a torus in four dimensions, (cos 2πu, sin 2πu, cos 2πv, sin 2πv), and
+4D noise is read on it; lattices (planks, tiles, threads) count a whole number of cells per tile and wrap.
+Scales are in cells per tile. A ``Socket`` is a node's output; plain numbers and RGB tuples stand for
+constants everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import bpy
+
+Socket = bpy.types.NodeSocket
+Color = tuple[float, float, float]
+Value = Socket | float
+ColorValue = Socket | Color
+
+
+def srgb(code: str) -> Color:
+    """Linear Rec.709 of an ``rrggbb`` code."""
+    parts = [int(code[i : i + 2], 16) / 255 for i in (0, 2, 4)]
+    r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return (r, g, b)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A lattice: ``number`` tells cells apart, ``x``, ``y`` in [0, 1) inside, ``edge`` = distance to the border.
+
+    ``edge`` is in units of the tile's side.
+    """
+
+    number: Socket
+    x: Socket
+    y: Socket
+    edge: Socket
+
+
+class Graph:
+    """Builder of one material's node tree."""
+
+    def __init__(self, name: str) -> None:
+        self.material = bpy.data.materials.new(name)
+        self.material.use_nodes = True
+        self.tree = self.material.node_tree
+        self.tree.nodes.clear()
+        self.output = self.tree.nodes.new("ShaderNodeOutputMaterial")
+        self._uv: tuple[Socket, Socket] | None = None
+
+    # nodes and links -------------------------------------------------------------------------------------
+    def node(self, kind: str, **settings: object) -> bpy.types.Node:
+        """A new node; keyword arguments are its properties."""
+        node = self.tree.nodes.new(kind)
+        for key, value in settings.items():
+            setattr(node, key, value)
+        return node
+
+    def feed(self, target: bpy.types.NodeSocket, value: Value | ColorValue) -> None:
+        """Link a socket, or set the constant."""
+        if isinstance(value, bpy.types.NodeSocket):
+            self.tree.links.new(value, target)
+        elif isinstance(value, tuple) and len(target.default_value) == 4:
+            target.default_value = (*value, 1.0)
+        else:
+            target.default_value = value
+
+    # arithmetic ------------------------------------------------------------------------------------------
+    def math(self, operation: str, a: Value, b: Value = 0.0, c: Value = 0.0, clamp: bool = False) -> Socket:
+        node = self.node("ShaderNodeMath", operation=operation, use_clamp=clamp)
+        for target, value in zip(node.inputs, (a, b, c), strict=True):
+            self.feed(target, value)
+        return node.outputs[0]
+
+    def add(self, a: Value, b: Value) -> Socket:
+        return self.math("ADD", a, b)
+
+    def mul(self, a: Value, b: Value) -> Socket:
+        return self.math("MULTIPLY", a, b)
+
+    def fit(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
+        """Map [low, high] to [to_low, to_high], clamped, smoothly."""
+        node = self.node("ShaderNodeMapRange", interpolation_type="SMOOTHSTEP")
+        for name, item in (
+            ("Value", value), ("From Min", low), ("From Max", high), ("To Min", to_low), ("To Max", to_high),
+        ):  # fmt: skip
+            self.feed(node.inputs[name], item)
+        return node.outputs["Result"]
+
+    def line(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
+        """Map [low, high] to [to_low, to_high], clamped, linearly."""
+        node = self.node("ShaderNodeMapRange", interpolation_type="LINEAR")
+        for name, item in (
+            ("Value", value), ("From Min", low), ("From Max", high), ("To Min", to_low), ("To Max", to_high),
+        ):  # fmt: skip
+            self.feed(node.inputs[name], item)
+        return node.outputs["Result"]
+
+    def mix(self, factor: Value, a: ColorValue, b: ColorValue, blend: str = "MIX") -> Socket:
+        node = self.node("ShaderNodeMix", data_type="RGBA", blend_type=blend, clamp_factor=True)
+        self.feed(node.inputs[0], factor)
+        self.feed(node.inputs[6], a)
+        self.feed(node.inputs[7], b)
+        return node.outputs[2]
+
+    def shade(self, color: ColorValue, factor: Value) -> Socket:
+        """Colour times a factor."""
+        node = self.node("ShaderNodeVectorMath", operation="SCALE")
+        self.feed(node.inputs[0], color)
+        self.feed(node.inputs["Scale"], factor)
+        return node.outputs[0]
+
+    def ramp(self, factor: Value, *stops: tuple[float, Color]) -> Socket:
+        node = self.node("ShaderNodeValToRGB")
+        node.color_ramp.interpolation = "EASE" if len(stops) > 2 else "LINEAR"
+        elements = node.color_ramp.elements
+        while len(elements) < len(stops):
+            elements.new(1.0)
+        for element, (position, color) in zip(elements, stops, strict=True):
+            element.position, element.color = position, (*color, 1.0)
+        self.feed(node.inputs[0], factor)
+        return node.outputs[0]
+
+    # patterns --------------------------------------------------------------------------------------------
+    def uv(self) -> tuple[Socket, Socket]:
+        """The two texture coordinates."""
+        if self._uv is None:
+            split = self.node("ShaderNodeSeparateXYZ")
+            self.tree.links.new(self.node("ShaderNodeTexCoord").outputs["UV"], split.inputs[0])
+            self._uv = (split.outputs[0], split.outputs[1])
+        return self._uv
+
+    def torus(self, cells_u: float, cells_v: float, seed: Value = 0.0) -> tuple[Socket, Socket]:
+        """Coordinates (3-vector, w) on the torus for noise of so many cells per tile in u and v."""
+        u, v = self.uv()
+        join = self.node("ShaderNodeCombineXYZ")
+        ru, rv = cells_u / (2 * math.pi), cells_v / (2 * math.pi)
+        au, av = self.mul(u, 2 * math.pi), self.mul(v, 2 * math.pi)
+        self.feed(join.inputs[0], self.mul(self.math("COSINE", au), ru))
+        self.feed(join.inputs[1], self.mul(self.math("SINE", au), ru))
+        self.feed(join.inputs[2], self.math("MULTIPLY_ADD", self.math("COSINE", av), rv, seed))
+        return join.outputs[0], self.math("MULTIPLY_ADD", self.math("SINE", av), rv, self.mul(seed, 1.7))
+
+    def noise(
+        self, cells_u: float, cells_v: float | None = None, detail: float = 3.0, seed: Value = 0.0,
+        roughness: float = 0.5, spread: float = 0.22,
+    ) -> Socket:  # fmt: skip
+        """Periodic fractal noise, contrast set so that [0.5 - spread, 0.5 + spread] fills [0, 1]."""
+        vector, w = self.torus(cells_u, cells_u if cells_v is None else cells_v, seed)
+        node = self.node("ShaderNodeTexNoise", noise_dimensions="4D")
+        self.feed(node.inputs["Vector"], vector)
+        self.feed(node.inputs["W"], w)
+        node.inputs["Scale"].default_value = 1.0
+        node.inputs["Detail"].default_value = detail
+        node.inputs["Roughness"].default_value = roughness
+        return self.line(node.outputs[0], 0.5 - spread, 0.5 + spread)
+
+    def voronoi(
+        self, cells_u: float, cells_v: float | None = None, feature: str = "F1", seed: Value = 0.0,
+        warp: Value | None = None,
+    ) -> bpy.types.Node:  # fmt: skip
+        """Periodic cellular noise; use the node's Distance and Color."""
+        vector, w = self.torus(cells_u, cells_u if cells_v is None else cells_v, seed)
+        node = self.node("ShaderNodeTexVoronoi", voronoi_dimensions="4D", feature=feature)
+        self.feed(node.inputs["Vector"], vector)
+        self.feed(node.inputs["W"], w if warp is None else self.add(w, warp))
+        node.inputs["Scale"].default_value = 1.0
+        return node
+
+    def random(self, number: Value, seed: float = 0.0) -> Socket:
+        """A value in [0, 1) of its own for each number."""
+        node = self.node("ShaderNodeTexWhiteNoise", noise_dimensions="2D")
+        join = self.node("ShaderNodeCombineXYZ")
+        self.feed(join.inputs[0], number)
+        self.feed(join.inputs[1], seed + 0.5)
+        self.tree.links.new(join.outputs[0], node.inputs["Vector"])
+        return node.outputs["Value"]
+
+    def cells(self, columns: int, rows: int, shift: str = "none", jitter_seed: float = 0.0) -> Cells:
+        """A lattice of ``columns`` x ``rows``; rows moved by 'none', 'half' or 'random' parts of a cell."""
+        u, v = self.uv()
+        y = self.mul(v, rows)
+        # the sum keeps 0.99999 and 1.00001 in one row after wrapping, so that tiles meet
+        row = self.math("WRAP", self.math("FLOOR", y), rows, 0.0)
+        x = self.mul(u, columns)
+        if shift == "half":
+            x = self.math("MULTIPLY_ADD", self.math("MODULO", row, 2.0), 0.5, x)
+        elif shift == "random":
+            x = self.math("MULTIPLY_ADD", self.random(row, jitter_seed), float(columns), x)
+        column = self.math("WRAP", self.math("FLOOR", x), columns, 0.0)
+        fx, fy = self.math("FRACT", x), self.math("FRACT", y)
+        number = self.math("MULTIPLY_ADD", row, float(columns), column)
+        ex = self.mul(self.math("MINIMUM", fx, self.math("SUBTRACT", 1.0, fx)), 1.0 / columns)
+        ey = self.mul(self.math("MINIMUM", fy, self.math("SUBTRACT", 1.0, fy)), 1.0 / rows)
+        return Cells(number, fx, fy, self.math("MINIMUM", ex, ey))
+
+    def wave(self, u_turns: int, v_turns: int, phase: Value = 0.0, amount: float = 0.0) -> Socket:
+        """0.5 + 0.5 sin(2π(u_turns u + v_turns v) + amount phase)."""
+        u, v = self.uv()
+        angle = self.add(self.mul(u, 2 * math.pi * u_turns), self.mul(v, 2 * math.pi * v_turns))
+        angle = self.math("MULTIPLY_ADD", phase, amount, angle)
+        return self.math("MULTIPLY_ADD", self.math("SINE", angle), 0.5, 0.5)
+
+    def periodic_distance(self, centre: tuple[float, float], stretch: float = 1.0) -> Socket:
+        """Distance to a point of the tile, around its borders; ``stretch`` shortens v."""
+        parts = []
+        for coordinate, c, factor in zip(self.uv(), centre, (1.0, stretch), strict=True):
+            away = self.math("ABSOLUTE", self.math("WRAP", self.add(coordinate, 0.5 - c), 1.0, 0.0))
+            parts.append(self.math("POWER", self.mul(self.math("SUBTRACT", away, 0.5), factor), 2.0))
+        return self.math("SQRT", self.add(*parts))
+
+    def fingerprints(self, count: int = 7, size: float = 0.05, seed: int = 0) -> Socket:
+        """Mask of smudges with papillary lines; ``size`` in tiles."""
+        import random
+
+        rng = random.Random(seed)
+        warp = self.noise(9, detail=1.0, seed=seed + 3.1)
+        mask: Value = 0.0
+        for _ in range(count):
+            centre = (rng.random(), rng.random())
+            distance = self.periodic_distance(centre, rng.uniform(0.65, 0.9))
+            lines = self.math("MULTIPLY_ADD", distance, 2 * math.pi * 9 / size, self.mul(warp, 9.0))
+            lines = self.math("MULTIPLY_ADD", self.math("SINE", lines), 0.5, 0.5)
+            print_mask = self.mul(self.fit(distance, 0.35 * size, size, 1.0, 0.0), self.line(lines, 0.2, 0.8, 0.25, 1.0))
+            mask = self.math("MAXIMUM", mask, self.mul(print_mask, rng.uniform(0.5, 1.0)))
+        return mask  # type: ignore[return-value]
+
+    def scratches(self, seed: float = 0.0, density: float = 0.5) -> Socket:
+        """Mask of fine curved scratches in several directions."""
+        first = self.noise(3, 160, detail=1.0, seed=seed, spread=0.3)
+        second = self.noise(140, 4, detail=1.0, seed=seed + 5, spread=0.3)
+        where = self.noise(5, detail=2.0, seed=seed + 9)
+        both = self.math("MAXIMUM", self.fit(first, 0.78, 0.9), self.fit(second, 0.82, 0.92))
+        return self.mul(both, self.fit(where, 1.0 - density, 1.0))
+
+    # closures --------------------------------------------------------------------------------------------
+    def finish(
+        self, base: ColorValue, roughness: Value, metallic: Value = 0.0, ior: float = 1.5, level: Value = 0.5
+    ) -> bpy.types.Material:
+        """Connect a Principled closure and return the material."""
+        node = self.node("ShaderNodeBsdfPrincipled")
+        for name, value in (
+            ("Base Color", base), ("Roughness", roughness), ("Metallic", metallic), ("IOR", ior),
+            ("Specular IOR Level", level),
+        ):  # fmt: skip
+            self.feed(node.inputs[name], value)
+        self.tree.links.new(node.outputs[0], self.output.inputs["Surface"])
+        return self.material

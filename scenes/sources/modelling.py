@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From shapes to Blender: material slots with tags, meshes with UVs and normals, markers, a clean file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from scenes.sources.materials.catalogue import MATERIALS
+from scenes.sources.materials.graph import Color, Graph
+from scenes.sources.shapes import Point, Shape
+
+SMOOTH_DEGREES = 42.0  # edges that turn more stay sharp: a two-step bevel (30 degrees a step) is smooth
+AUTHOR = "the scene-materials authors"
+LICENSE = "CC0-1.0"
+
+
+def new_file() -> None:
+    """An empty file in metres."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.unit_settings.system = "METRIC"
+    bpy.context.scene.unit_settings.scale_length = 1.0
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What a material slot shows by itself and what may take its place.
+
+    ``source`` names a library material; without it the slot is constant: ``color`` (linear Rec.709),
+    ``roughness``, ``metallic``, ``ior``; or ``graph`` builds it over a unique UV layout.
+    """
+
+    classes: tuple[str, ...]
+    replaceable_by: tuple[str, ...] = ()
+    source: str = ""
+    color: Color = (0.5, 0.5, 0.5)
+    roughness: float = 0.5
+    metallic: float = 0.0
+    ior: float = 1.5
+    graph: object = None
+
+
+@dataclass
+class Workshop:
+    """Collects shapes by part and slot and turns them into tagged Blender objects.
+
+    A part becomes one object; parts of the same name share a mesh at several places (``place``).
+    """
+
+    slots: dict[str, Slot]
+    parts: dict[str, list[tuple[str, Shape]]] = field(default_factory=dict)
+    places: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    _materials: dict[str, bpy.types.Material] = field(default_factory=dict)
+    _count: int = 0
+
+    def add(self, part: str, slot: str, *shapes: Shape) -> None:
+        """Append shapes with a slot's material to a part."""
+        if slot not in self.slots:
+            raise KeyError(f"no slot {slot!r}")
+        self.parts.setdefault(part, []).extend((slot, shape) for shape in shapes)
+
+    def place(self, part: str, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> None:
+        """Show a part here, turned about z; without any call it is shown once at the origin."""
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        matrix = np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
+        self.places.setdefault(part, []).append(matrix)
+
+    def material(self, name: str) -> bpy.types.Material:
+        """The Blender material of a slot, made once."""
+        if name not in self._materials:
+            slot = self.slots[name]
+            graph = Graph(name)
+            if slot.source:
+                material = MATERIALS[slot.source].build(graph)
+                material["sm_tile_size_m"] = MATERIALS[slot.source].tile_size_m
+            elif slot.graph is not None:
+                material = slot.graph(graph)  # type: ignore[operator]
+            else:
+                material = graph.finish(slot.color, slot.roughness, slot.metallic, slot.ior)
+            material["sm_class"] = ", ".join(slot.classes)
+            if slot.replaceable_by:
+                material["sm_replaceable_by"] = ", ".join(slot.replaceable_by)
+            self._materials[name] = material
+        return self._materials[name]
+
+    def _uv_factor(self, slot: str) -> float:
+        source = self.slots[slot].source
+        return 1.0 / MATERIALS[source].tile_size_m if source else 1.0
+
+    def mesh(self, part: str) -> bpy.types.Mesh:
+        """One mesh of a part's shapes, a material slot for each of its materials."""
+        pieces = self.parts[part]
+        names = list(dict.fromkeys(slot for slot, _ in pieces))
+        points, faces, uvs, indices, offset = [], [], [], [], 0
+        for slot, shape in pieces:
+            uv = shape.uvs
+            if not shape.unit_uv:
+                # every board and cushion reads its own piece of the pattern
+                self._count += 1
+                shift = np.array([0.6180339887, 0.7548776662]) * self._count % 1.0
+                uv = uv * self._uv_factor(slot) + shift
+                uv = uv - np.floor(uv.min(axis=0))
+            points.append(shape.points)
+            faces += [tuple(i + offset for i in face) for face in shape.faces]
+            uvs.append(uv)
+            indices += [names.index(slot)] * len(shape.faces)
+            offset += len(shape.points)
+        mesh = bpy.data.meshes.new(part)
+        mesh.from_pydata(np.concatenate(points).tolist(), [], faces)
+        layer = mesh.uv_layers.new(name="UVMap")
+        layer.uv.foreach_set("vector", np.concatenate(uvs).astype(np.float32).ravel())
+        for name in names:
+            mesh.materials.append(self.material(name))
+        mesh.polygons.foreach_set("material_index", np.array(indices, dtype=np.int32))
+        mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
+        mesh.set_sharp_from_angle(angle=math.radians(SMOOTH_DEGREES))
+        mesh.update()
+        return mesh
+
+    def build(self, collection: bpy.types.Collection) -> list[bpy.types.Object]:
+        """All parts as objects linked into ``collection``."""
+        made = []
+        for part in self.parts:
+            mesh = self.mesh(part)
+            for matrix in self.places.get(part, [np.eye(4)]):
+                thing = bpy.data.objects.new(part, mesh)
+                thing.matrix_world = matrix.T.tolist()
+                collection.objects.link(thing)
+                weighted = thing.modifiers.new("Normals", "WEIGHTED_NORMAL")
+                weighted.keep_sharp = True
+                made.append(thing)
+        return made
+
+
+def rectangle_marker(
+    collection: bpy.types.Collection, role: str, name: str, origin: Point, edge_u: Point, edge_v: Point, **tags: object
+) -> bpy.types.Object:
+    """A marker mesh whose +Z is edge_u x edge_v (the edges must be perpendicular)."""
+    u, v = np.array(edge_u, dtype=float), np.array(edge_v, dtype=float)
+    lu, lv = np.linalg.norm(u), np.linalg.norm(v)
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata([(0, 0, 0), (lu, 0, 0), (lu, lv, 0), (0, lv, 0)], [], [(0, 1, 2, 3)])
+    thing = bpy.data.objects.new(name, mesh)
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1] = u / lu, v / lv
+    matrix[:3, 2] = np.cross(matrix[:3, 0], matrix[:3, 1])
+    matrix[:3, 3] = origin
+    thing.matrix_world = matrix.T.tolist()
+    return _tagged(collection, thing, role, tags)
+
+
+def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Point) -> bpy.types.Object:
+    """A camera region."""
+    corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    return _tagged(collection, bpy.data.objects.new(name, mesh), "camera_region", {})
+
+
+def point_marker(collection: bpy.types.Collection, name: str, at: Point) -> bpy.types.Object:
+    """A place for a point light."""
+    x, y, z = at
+    return rectangle_marker(
+        collection, "light_slot", name, (x - 0.01, y - 0.01, z), (0.02, 0, 0), (0, 0.02, 0), sm_kind="point"
+    )
+
+
+def _tagged(
+    collection: bpy.types.Collection, thing: bpy.types.Object, role: str, tags: dict[str, object]
+) -> bpy.types.Object:
+    thing["sm_role"] = role
+    for key, value in tags.items():
+        thing[key] = value
+    thing.hide_render = False
+    collection.objects.link(thing)
+    return thing
+
+
+def tagged_collection(role: str, identity: str, title: str, **tags: object) -> bpy.types.Collection:
+    """A collection that the add-on exports as one package."""
+    collection = bpy.data.collections.new(identity)
+    bpy.context.scene.collection.children.link(collection)
+    values = {"sm_role": role, "sm_id": identity, "sm_title": title, "sm_license": LICENSE, "sm_author": AUTHOR}
+    for key, value in {**values, **tags}.items():
+        collection[key] = value
+    return collection
+
+
+def tag_material(material: bpy.types.Material, identity: str) -> None:
+    """Tags that make a library material a package of its own."""
+    source = MATERIALS[identity]
+    tags: Iterable[tuple[str, object]] = (
+        ("sm_role", "material"), ("sm_id", identity), ("sm_title", source.title), ("sm_license", LICENSE),
+        ("sm_author", AUTHOR), ("sm_class", ", ".join(source.classes)), ("sm_tile_size_m", source.tile_size_m),
+    )  # fmt: skip
+    for key, value in tags:
+        material[key] = value

@@ -1,0 +1,422 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Modelling with plain arrays: every function returns a :class:`Shape` in metres, Z up, with UVs at real scale.
+
+Letters: n points, f faces, c face corners (sum of face sizes). UVs are metres along the surface; where a
+material has a grain, it runs along u. ``unit_uv`` marks a unique layout in [0, 1] (prints, dials, covers).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import bmesh
+import numpy as np
+from mathutils import Vector
+from numpy.typing import NDArray
+
+Point = tuple[float, float, float]
+Face = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Polygons: ``points`` (n, 3) m, ``faces`` f index tuples (counter-clockwise from outside), ``uvs`` (c, 2)."""
+
+    points: NDArray
+    faces: list[Face]
+    uvs: NDArray
+    unit_uv: bool = field(default=False)
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
+        return replace(self, points=self.points + np.array([x, y, z]))
+
+    def turned(self, axis: str, degrees: float) -> Shape:
+        """Rotated about a coordinate axis through the origin, counter-clockwise."""
+        return replace(self, points=self.points @ rotation(axis, degrees).T)
+
+    def scaled(self, x: float, y: float | None = None, z: float | None = None) -> Shape:
+        """Scaled about the origin; UVs keep their metres for uniform scales only."""
+        factors = np.array([x, x if y is None else y, x if z is None else z])
+        uvs = self.uvs if self.unit_uv else self.uvs * abs(np.prod(factors)) ** (1 / 3)
+        shape = replace(self, points=self.points * factors, uvs=uvs)
+        return shape.flipped() if np.prod(factors) < 0 else shape
+
+    def flipped(self) -> Shape:
+        """The same surface seen from its other side."""
+        corners, start = [], 0
+        for face in self.faces:
+            corners.append(self.uvs[start : start + len(face)][::-1])
+            start += len(face)
+        return replace(self, faces=[face[::-1] for face in self.faces], uvs=np.concatenate(corners))
+
+    def bent(self, mapping: Callable[[NDArray], NDArray]) -> Shape:
+        """Points sent through ``mapping`` (n, 3) -> (n, 3); UVs stay."""
+        return replace(self, points=mapping(self.points))
+
+    def uv_turned(self) -> Shape:
+        """u and v exchanged, for a grain across."""
+        return replace(self, uvs=self.uvs[:, ::-1] * np.array([1.0, -1.0]))
+
+    def __add__(self, other: Shape) -> Shape:
+        offset = len(self.points)
+        faces = self.faces + [tuple(i + offset for i in face) for face in other.faces]
+        if self.unit_uv != other.unit_uv:
+            raise ValueError("cannot join shapes with unique and with metric UVs")
+        return Shape(
+            np.concatenate([self.points, other.points]),
+            faces,
+            np.concatenate([self.uvs, other.uvs]),
+            self.unit_uv,
+        )
+
+
+def rotation(axis: str, degrees: float) -> NDArray:
+    """3x3 matrix of a rotation about ``axis`` ('x', 'y' or 'z')."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    return matrix
+
+
+def join(shapes: Sequence[Shape]) -> Shape:
+    """All shapes as one."""
+    result = shapes[0]
+    for shape in shapes[1:]:
+        result = result + shape
+    return result
+
+
+def face_normals(points: NDArray, faces: Sequence[Face]) -> NDArray:
+    """Unit normals (f, 3) by Newell's sum, which any polygon has."""
+    normals = np.zeros((len(faces), 3))
+    for i, face in enumerate(faces):
+        corners = points[list(face)]
+        following = np.roll(corners, -1, axis=0)
+        normals[i] = np.cross(corners, following).sum(axis=0)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+
+def box_uvs(points: NDArray, faces: Sequence[Face], grain: int | None = None) -> NDArray:
+    """Metric box projection (c, 2); u runs along axis ``grain`` (default: the longest) where a face has it."""
+    if grain is None:
+        grain = int(np.argmax(np.ptp(points, axis=0)))
+    uvs = []
+    for normal, face in zip(face_normals(points, faces), faces, strict=True):
+        axis = int(np.argmax(np.abs(normal)))
+        first, second = [i for i in (0, 1, 2) if i != axis]
+        if grain == second:
+            first, second = second, first
+        # a face's layer is moved by its axis, so that the two ends of a board do not repeat each other
+        offset = np.array([0.0, 0.37 * axis + (0.19 if normal[axis] > 0 else 0.0)])
+        uvs.append(points[list(face)][:, [first, second]] + offset)
+    return np.concatenate(uvs)
+
+
+def from_bmesh(mesh: bmesh.types.BMesh, grain: int | None = None) -> Shape:
+    """A shape with box-projected UVs from a bmesh, which is freed."""
+    mesh.verts.index_update()
+    points = np.array([v.co[:] for v in mesh.verts])
+    faces = [tuple(v.index for v in face.verts) for face in mesh.faces]
+    mesh.free()
+    return Shape(points, faces, box_uvs(points, faces, grain))
+
+
+def box(
+    size: Point, at: Point = (0.0, 0.0, 0.0), bevel: float = 0.003, segments: int = 1, grain: int | None = None
+) -> Shape:
+    """A block of ``size`` whose bottom centre stands at ``at``, its edges bevelled."""
+    mesh = bmesh.new()
+    bmesh.ops.create_cube(mesh, size=1.0)
+    bmesh.ops.scale(mesh, vec=Vector(size), verts=mesh.verts)
+    bevel = min(bevel, 0.45 * min(size))
+    if bevel > 0:
+        bmesh.ops.bevel(
+            mesh, geom=list(mesh.edges), offset=bevel, segments=segments, profile=0.5, affect="EDGES"
+        )
+    return from_bmesh(mesh, grain).moved(at[0], at[1], at[2] + size[2] / 2)
+
+
+def smooth_curve(points: Sequence[Sequence[float]], per_span: int = 6, closed: bool = False) -> NDArray:
+    """Centripetal-free Catmull-Rom through ``points`` (k, d), ``per_span`` steps between neighbours."""
+    p = np.asarray(points, dtype=float)
+    if closed:
+        p = np.concatenate([p[-1:], p, p[:2]])
+    else:
+        p = np.concatenate([2 * p[:1] - p[1:2], p, 2 * p[-1:] - p[-2:-1]])
+    t = np.arange(per_span)[:, None] / per_span
+    spans = []
+    for a, b, c, d in zip(p[:-3], p[1:-2], p[2:-1], p[3:], strict=True):
+        spans.append(
+            0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
+        )
+    curve = np.concatenate(spans)
+    return curve if closed else np.concatenate([curve, p[-2:-1]])
+
+
+def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shape:
+    """Quads over a (rows, columns, 3) lattice; u runs along columns. UVs are arc lengths (or [0, 1]).
+
+    Seen from outside, columns run to the right and rows upwards. ``closed_u`` joins the last column to
+    the first.
+    """
+    rows, columns = points.shape[:2]
+    wrapped = np.concatenate([points, points[:, :1]], axis=1) if closed_u else points
+    steps_u = np.linalg.norm(np.diff(wrapped, axis=1), axis=2).mean(axis=0)
+    steps_v = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+    u = np.concatenate([[0.0], np.cumsum(steps_u)])
+    v = np.concatenate([[0.0], np.cumsum(steps_v)])
+    if unit_uv:
+        u, v = u / u[-1], v / v[-1]
+    faces, uvs = [], []
+    for r in range(rows - 1):
+        for c in range(len(u) - 1):
+            d = (c + 1) % columns
+            faces.append((r * columns + c, r * columns + d, (r + 1) * columns + d, (r + 1) * columns + c))
+            uvs += [(u[c], v[r]), (u[c + 1], v[r]), (u[c + 1], v[r + 1]), (u[c], v[r + 1])]
+    return Shape(points.reshape(-1, 3), faces, np.array(uvs), unit_uv)
+
+
+def _without_degenerate(shape: Shape) -> Shape:
+    """Corners that fall together merged, faces that keep fewer than three dropped."""
+    keys = np.round(shape.points, 7) + 0.0
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    faces, uvs, start = [], [], 0
+    for face in shape.faces:
+        corners: list[int] = []
+        kept: list[int] = []
+        for k, i in enumerate(inverse.reshape(-1)[list(face)]):
+            if int(i) not in corners:
+                corners.append(int(i))
+                kept.append(start + k)
+        if len(corners) >= 3:
+            faces.append(tuple(corners))
+            uvs.append(shape.uvs[kept])
+        start += len(face)
+    return Shape(shape.points[first], faces, np.concatenate(uvs), shape.unit_uv)
+
+
+def lathe(profile: Sequence[Sequence[float]], segments: int = 40, smooth: int = 0) -> Shape:
+    """Turned about z: ``profile`` rows (radius, z) from the bottom outside to the top, then down the inside.
+
+    Points on the axis close the shape. ``smooth`` > 0 puts a curve through the profile's points.
+    """
+    p = smooth_curve(profile, smooth) if smooth else np.asarray(profile, dtype=float)
+    p = np.column_stack([np.maximum(p[:, 0], 0.0), p[:, 1]])
+    angle = 2 * np.pi * np.arange(segments) / segments
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    points = np.empty((len(p), segments, 3))
+    points[..., :2] = p[:, None, :1] * ring
+    points[..., 2] = p[:, None, 1]
+    return _without_degenerate(grid(points, closed_u=True))
+
+
+def sphere(radius: float, at: Point = (0.0, 0.0, 0.0), segments: int = 24, squash: float = 1.0) -> Shape:
+    """A ball about ``at``, its height multiplied by ``squash``."""
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
+    profile = np.stack([radius * np.cos(latitude), radius * squash * np.sin(latitude)], axis=-1)
+    profile[[0, -1], 0] = 0.0
+    return lathe(profile, segments).moved(*at)
+
+
+def cylinder(
+    radius: float, height: float, at: Point = (0.0, 0.0, 0.0), bevel: float = 0.002, segments: int = 24
+) -> Shape:
+    """A drum standing at ``at`` with bevelled rims."""
+    b = min(bevel, 0.45 * radius, 0.45 * height)
+    profile = [(0, 0), (radius - b, 0), (radius, b), (radius, height - b), (radius - b, height), (0, height)]
+    return lathe(profile, segments).moved(*at)
+
+
+def tube(
+    path: Sequence[Sequence[float]],
+    radius: float | Sequence[float],
+    segments: int = 10,
+    smooth: int = 0,
+    closed: bool = False,
+) -> Shape:
+    """A round bar along ``path`` (k, 3) with rounded ends; ``radius`` may vary from point to point."""
+    if smooth:
+        k = len(path)
+        radii = np.full(k, radius) if np.isscalar(radius) else np.asarray(radius, dtype=float)
+        curve = smooth_curve(np.column_stack([np.asarray(path, dtype=float), radii]), smooth, closed)
+        p, r = curve[:, :3], curve[:, 3]
+    else:
+        p = np.asarray(path, dtype=float)
+        r = np.full(len(p), radius) if np.isscalar(radius) else np.asarray(radius, dtype=float)
+    tangents = (
+        np.roll(p, -1, axis=0) - np.roll(p, 1, axis=0) if closed else np.gradient(p, axis=0, edge_order=1)
+    )
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    side = np.cross(tangents[0], [0.0, 0.0, 1.0])
+    if np.linalg.norm(side) < 1e-3:
+        side = np.array([1.0, 0.0, 0.0])
+    rings = []
+    angle = 2 * np.pi * np.arange(segments) / segments
+    for point, tangent, rho in zip(p, tangents, r, strict=True):
+        side = side - tangent * (side @ tangent)  # parallel transport: no twist along the path
+        side /= np.linalg.norm(side)
+        up = np.cross(side, tangent)
+        rings.append(point + rho * (np.cos(angle)[:, None] * up + np.sin(angle)[:, None] * side))
+    lattice = np.array(rings)
+    if closed:
+        lattice = np.concatenate([lattice, lattice[:1]])
+        return _without_degenerate(_along_u(grid(lattice, closed_u=True)))
+    start, end = _cap(lattice[0], -tangents[0], r[0]), _cap(lattice[-1], tangents[-1], r[-1])
+    lattice = np.concatenate([start[::-1], lattice, end])
+    return _without_degenerate(_along_u(grid(lattice, closed_u=True)))
+
+
+def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
+    centre = ring.mean(axis=0)
+    bulge = 0.35 * radius
+    inner = centre + 0.75 * (ring - centre) + outward * bulge * 0.8
+    return np.stack([inner, np.broadcast_to(centre + outward * bulge, ring.shape)])
+
+
+def _along_u(shape: Shape) -> Shape:
+    """Grain along the bar instead of around it."""
+    return shape.uv_turned()
+
+
+def loft(sections: NDArray, capped: bool = True) -> Shape:
+    """Skin over closed rings (k, m, 3), each counter-clockwise seen from the last towards the first."""
+    rings = np.asarray(sections, dtype=float)
+    if capped:
+        ends = []
+        for ring in (rings[0], rings[-1]):
+            centre = ring.mean(axis=0)
+            ends.append(np.stack([np.broadcast_to(centre, ring.shape), centre + 0.6 * (ring - centre)]))
+        rings = np.concatenate([ends[0], rings, ends[1][::-1]])
+    return _without_degenerate(grid(rings, closed_u=True))
+
+
+def extrude(outline: Sequence[Sequence[float]], height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
+    """A plate: ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``, its edges bevelled."""
+    mesh = bmesh.new()
+    bottom = mesh.faces.new([mesh.verts.new((x, y, 0.0)) for x, y in outline])
+    top = bmesh.ops.extrude_face_region(mesh, geom=[bottom])
+    bmesh.ops.translate(
+        mesh, vec=(0, 0, height), verts=[v for v in top["geom"] if isinstance(v, bmesh.types.BMVert)]
+    )
+    bmesh.ops.recalc_face_normals(mesh, faces=mesh.faces)
+    if bevel > 0:
+        edges = [e for e in mesh.edges if e.calc_face_angle(0.0) > 0.5]
+        bmesh.ops.bevel(mesh, geom=edges, offset=bevel, segments=segments, profile=0.5, affect="EDGES")
+    return from_bmesh(mesh)
+
+
+def rounded_rectangle(width: float, depth: float, radius: float, steps: int = 4) -> list[tuple[float, float]]:
+    """Outline (x, y) about the origin, counter-clockwise, for :func:`extrude`."""
+    outline = []
+    corners = (((1, 1), 0.0), ((-1, 1), 90.0), ((-1, -1), 180.0), ((1, -1), 270.0))
+    for (sx, sy), start in corners:
+        for angle in np.radians(start + np.linspace(0, 90, steps + 1)):
+            outline.append(
+                (
+                    sx * (width / 2 - radius) + radius * np.cos(angle),
+                    sy * (depth / 2 - radius) + radius * np.sin(angle),
+                )
+            )
+    return outline
+
+
+def sheet(points: NDArray, thickness: float, unit_uv: bool = False) -> Shape:
+    """A closed skin of ``thickness`` around a (rows, columns, 3) lattice: curtains, leaves, cloth, rugs."""
+    du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    normal = np.cross(du, dv)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    front, back = points + normal * thickness / 2, points - normal * thickness / 2
+    face = grid(front, unit_uv=unit_uv)
+    reverse = replace(face, points=back.reshape(-1, 3)).flipped()
+    shape = face + reverse
+    rows, columns = points.shape[:2]
+    border = (
+        [(0, c) for c in range(columns)]
+        + [(r, columns - 1) for r in range(1, rows)]
+        + [(rows - 1, c) for c in range(columns - 2, -1, -1)]
+        + [(r, 0) for r in range(rows - 2, 0, -1)]
+    )
+    index = [r * columns + c for r, c in border]
+    count = rows * columns
+    uv_of = {}
+    start = 0
+    for corners in face.faces:
+        for k, i in enumerate(corners):
+            uv_of[i] = face.uvs[start + k]
+        start += len(corners)
+    faces, uvs = list(shape.faces), [shape.uvs]
+    for i, j in zip(index, index[1:] + index[:1], strict=True):
+        faces.append((i, i + count, j + count, j))
+        inset = np.array([0.0, 0.0]) if unit_uv else np.array([0.0, thickness])
+        uvs.append(np.array([uv_of[i], uv_of[i] + inset, uv_of[j] + inset, uv_of[j]]))
+    return Shape(shape.points, faces, np.concatenate(uvs), unit_uv)
+
+
+def soft_box(
+    size: Point,
+    at: Point = (0.0, 0.0, 0.0),
+    radius: float = 0.05,
+    puff: Point = (0.0, 0.0, 0.02),
+    steps: int = 9,
+    wrinkle: float = 0.0,
+    seed: int = 0,
+) -> Shape:
+    """An upholstered block whose bottom centre stands at ``at``: round edges, faces swollen by ``puff``.
+
+    ``puff`` gives the swelling of the x, y and z faces at their centres; ``wrinkle`` adds folds of that
+    height.
+    """
+    mesh = bmesh.new()
+    bmesh.ops.create_cube(mesh, size=2.0)
+    bmesh.ops.subdivide_edges(mesh, edges=list(mesh.edges), cuts=steps - 1, use_grid_fill=True)
+    mesh.verts.index_update()
+    unit = np.array([v.co[:] for v in mesh.verts])
+    faces = [tuple(v.index for v in face.verts) for face in mesh.faces]
+    mesh.free()
+    half = np.asarray(size) / 2
+    # more lattice lines near the edges, where the surface turns
+    unit = np.sign(unit) * np.sin(np.abs(unit) * np.pi / 2) ** 0.8
+    p = unit * half
+    core = np.clip(p, -(half - radius), half - radius)
+    offset = p - core
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
+    p = np.where(length > 1e-9, core + offset / np.maximum(length, 1e-9) * radius, p)
+    bulge = np.ones((len(p), 3))
+    for axis in range(3):
+        a, b = [i for i in range(3) if i != axis]
+        window = (1 - unit[:, a] ** 2) * (1 - unit[:, b] ** 2)
+        p[:, axis] += np.sign(unit[:, axis]) * (np.abs(unit[:, axis]) > 0.5) * puff[axis] * window
+        bulge[:, axis] = window
+    if wrinkle > 0:
+        phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, 6)
+        k = 2 * np.pi / np.array([0.23, 0.31, 0.17])
+        wave = np.sin(p[:, 0] * k[0] + 2 * np.sin(p[:, 1] * k[1] + phase[0]) + phase[1])
+        wave = wave + np.sin(p[:, 1] * k[2] + 1.5 * np.sin(p[:, 0] * k[1] + phase[2]) + phase[3])
+        p[:, 2] += wrinkle * wave * bulge[:, 2] * np.sign(unit[:, 2]) * (np.abs(unit[:, 2]) > 0.5)
+    return Shape(p, faces, box_uvs(p, faces)).moved(at[0], at[1], at[2] + size[2] / 2)
+
+
+def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0.003, seed: int = 0) -> Shape:
+    """A stuffed square lying at z = 0: thin seam, pulled-in sides, pointed corners."""
+    t = np.linspace(-1, 1, 2 * steps + 1)
+    t = np.sign(t) * np.sin(np.abs(t) * np.pi / 2)
+    u, v = np.meshgrid(t, t)
+    x = size[0] / 2 * u * (1 - pinch * (1 - v**2))
+    y = size[1] / 2 * v * (1 - pinch * (1 - u**2))
+    height = ((1 - u**2) * (1 - v**2)) ** 0.42
+    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, 4)
+    fold = np.sin(7 * u + 3 * np.sin(2 * v + phase[0]) + phase[1]) * np.sin(6 * v + phase[2])
+    z = size[2] / 2 * height + wrinkle * fold * height
+    top = grid(np.stack([x, y, z], axis=-1))
+    # the underside is flatter: a cushion lies on it
+    bottom = grid(np.stack([x, y, -0.8 * size[2] / 2 * height], axis=-1)).flipped()
+    return _without_degenerate(top + bottom).moved(z=0.8 * size[2] / 2)
+
+
+def panel(width: float, height: float, at: Point = (0.0, 0.0, 0.0)) -> Shape:
+    """A flat picture facing -Y, bottom centre at ``at``, with unique UVs that fill [0, 1]."""
+    x, z = width / 2, height
+    points = np.array([[-x, 0, 0], [x, 0, 0], [x, 0, z], [-x, 0, z]]) + np.asarray(at)
+    return Shape(points, [(0, 1, 2, 3)], np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float), True)
