@@ -90,10 +90,8 @@ class CookTorrance(mi.BSDF):
             return beckmann.effective_albedo(getattr(self, name).eval(si, active))
         if name in SCALAR_ATTRIBUTES:
             return beckmann.effective_roughness(getattr(self, name).eval_1(si, active))
-        raise KeyError(
-            f"cook_torrance has no attribute {name!r}; expected one of "
-            f"{', '.join((*COLOR_ATTRIBUTES, *SCALAR_ATTRIBUTES))}"
-        )
+        # As Mitsuba's own BSDFs: an indirect call asks all BSDFs of a scene, also those without it.
+        return mi.Float(0.0)
 
     def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
         """(1 - S) D, the albedo of the diffuse term alone."""

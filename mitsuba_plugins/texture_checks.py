@@ -7,6 +7,7 @@ refused here, where the file's name and the texel are still known.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -53,9 +54,16 @@ def needs_uv(obj: Any) -> bool:
     return any(needs_uv(child) for child in exposed(obj)[0].values())
 
 
+def _file_of(texture: Any) -> str:
+    """ " in FILE" for a texture that was read from a file, else ""."""
+    found = re.search(r'^  name = "(.+)",$', str(texture), re.MULTILINE)
+    return f" in {found.group(1)}" if found else ""
+
+
 def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     """What is wrong with a parameter that must lie in [0, 1]; empty where nothing is."""
     problems: list[Problem] = []
+    file = _file_of(texture)
     objects, values = exposed(texture)
     for key, value in values.items():
         if key not in ("value", "data", "color0", "color1"):
@@ -65,13 +73,14 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
             continue  # 8-bit texels stay encoded in memory and can hold neither NaN nor values beyond [0, 1]
         data = stored.astype(np.float32)
         field = name if key == "value" else f"{name}.{key}"
-        num_bad = int(np.count_nonzero(~np.isfinite(data)))
-        if num_bad:
+        is_bad = ~np.isfinite(data)
+        if is_bad.any():
+            num_bad = int(np.count_nonzero(is_bad))
             problems.append(
                 Problem(
                     material,
                     field,
-                    f"{num_bad} of {data.size} values NaN or Inf (first at {_first(~np.isfinite(data))})",
+                    f"{num_bad} of {data.size} values NaN or Inf{file} (first at {_first(is_bad)})",
                     "finite values in [0, 1]",
                     "repair the texture",
                 )
@@ -79,7 +88,7 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
             continue
         low, high = float(data.min(initial=0.0)), float(data.max(initial=0.0))
         if low < -TOLERANCE or high > 1.0 + TOLERANCE:
-            got = f"{low:g} ... {high:g}" if data.size > 1 else f"{(low if low < 0 else high):g}"
+            got = f"{low:g} ... {high:g}{file}" if data.size > 1 else f"{(low if low < 0 else high):g}"
             problems.append(
                 Problem(material, field, got, "values in [0, 1]", "rescale the parameter or its texture")
             )

@@ -115,7 +115,7 @@ def slopes_grid(alpha: float, num: int = 400, reach: float = 6.0) -> tuple[Array
     return normal, (edges[1] - edges[0]) ** 2 / length**3
 
 
-def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: int = 600) -> float:
+def specular_albedo_towards(wi: Array, specular: float, roughness: float, num: int = 400) -> float:
     """Directional albedo of the specular term for one ``wi`` (3,), by quadrature over visible normals."""
     alpha = float(alpha_from_roughness(np.float64(roughness)))
     h, weight = slopes_grid(alpha, num)
