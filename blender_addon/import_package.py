@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Loads an asset package into Blender: meshes, Principled materials with the right colour spaces, lights.
 
-D and S become a Principled material: Principled has one base colour, so D and S are told apart by metallic.
-With f the F0 of its dielectric and m the metallic value, D = base (1 - m) and S = f (1 - m) + base m. Where S is
-the same small grey everywhere, m = 0 and base = D; otherwise a Diffuse and a Glossy BSDF are added, which holds
-any D and S (and is what the add-on exports back to the same channels).
+Where S is one small grey everywhere, the material is a Principled BSDF of base colour D whose specular level
+gives that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Glossy BSDF of S are added, which holds any D and S
+(Principled has one base colour for both), and which the add-on exports back to the same channels.
 """
 
 from __future__ import annotations
@@ -69,7 +68,9 @@ def _load(folder: Path, pack: bool) -> bpy.types.Collection:
         raise ValueError(f"{source}: larger than 256 MB")
     data = json.loads(source.read_text(encoding="utf-8"))
     if data.get("format") != "scene-materials/asset" or data.get("version") != 1:
-        raise ValueError(f"{source}: format = {data.get('format')!r}; expected scene-materials/asset, version 1")
+        raise ValueError(
+            f"{source}: format = {data.get('format')!r}; expected scene-materials/asset, version 1"
+        )
     collection = bpy.data.collections.new(data["id"])
     bpy.context.scene.collection.children.link(collection)
     for key in ("license", "author", "source", "usage"):
@@ -87,11 +88,11 @@ def _load(folder: Path, pack: bool) -> bpy.types.Collection:
     materials = {name: _material(name, entry, folder, pack) for name, entry in data["materials"].items()}
     meshes: dict[tuple[str, str], bpy.types.Mesh] = {}
     for part in data["parts"]:
-        key = (part["mesh"], part["material"])
-        if key not in meshes:
-            meshes[key] = _mesh(part["name"], _inside(folder, part["mesh"]))
-            meshes[key].materials.append(materials[part["material"]])
-        thing = bpy.data.objects.new(part["name"], meshes[key])
+        pair = (part["mesh"], part["material"])
+        if pair not in meshes:
+            meshes[pair] = _mesh(part["name"], _inside(folder, part["mesh"]))
+            meshes[pair].materials.append(materials[part["material"]])
+        thing = bpy.data.objects.new(part["name"], meshes[pair])
         matrix = np.array(part.get("asset_from_part", np.eye(4)))
         thing.matrix_world = matrix.T.tolist()
         collection.objects.link(thing)
@@ -179,7 +180,11 @@ class _Nodes:
     def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
         """Diffuse of (1 - S) D plus Glossy of S."""
         self.tree.nodes.remove(self.principled_node)
-        glossy, lambert, total = self._new("BsdfAnisotropic"), self._new("BsdfDiffuse"), self._new("AddShader")
+        glossy, lambert, total = (
+            self._new("BsdfAnisotropic"),
+            self._new("BsdfDiffuse"),
+            self._new("AddShader"),
+        )
         self._channel(specular, glossy.inputs["Color"])
         self._channel(roughness, glossy.inputs["Roughness"])
         invert, product = self._new("VectorMath"), self._new("VectorMath")

@@ -103,7 +103,11 @@ class SCENE_MATERIALS_PT_export(_Panel, bpy.types.Panel):
     def _details(layout: bpy.types.UILayout, item: bpy.types.PropertyGroup) -> None:
         box = layout.box()
         width = 44
-        for text, icon in ((item.place, "OBJECT_DATA"), (item.message, "INFO"), (item.remedy, "TOOL_SETTINGS")):
+        for text, icon in (
+            (item.place, "OBJECT_DATA"),
+            (item.message, "INFO"),
+            (item.remedy, "TOOL_SETTINGS"),
+        ):
             lines = _wrapped(text, width)
             for index, line in enumerate(lines):
                 box.label(text=line, icon=icon if index == 0 else "BLANK1")

@@ -15,7 +15,7 @@ from .settings import ExportSettings
 
 @dataclass(frozen=True)
 class Target:
-    """One package to write. ``tagged`` is the block that carries the tags; ``owners`` are names of objects."""
+    """One package to write. ``tagged`` is the block with the tags; ``owners`` are names of objects."""
 
     kind: str
     id: str

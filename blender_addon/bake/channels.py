@@ -6,7 +6,7 @@ With lobe weights w, diffuse reflectances r, F0s s and slope widths a = roughnes
     S = sum w s        D = sum w r / (1 - S)        R = sqrt(sum w m a / sum w m),  m = mean component of s
 
 D divides by 1 - S because the project's BSDF renders (1 - S) D / pi: so what is kept through a mix is the
-light that is reflected diffusely, not the parameter (docs/decisions/0030). A single lobe keeps its parameters.
+light that is reflected diffusely, not the parameter (docs/decisions/0030). A single lobe keeps its own.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ from .expression import (
     widen,
 )
 
-_LEAST_DIFFUSE_SHARE = constant(1e-3)  # a mix that is all specular leaves 0 / 0 for D
-_NO_SPECULAR = constant(1e-6)  # without any specular part the mean slope width is 0 / 0; so it becomes 1
+_LEAST_DIFFUSE_SHARE: Expression = constant(1e-3)  # a mix that is all specular leaves 0 / 0 for D
+_NO_SPECULAR: Expression = constant(
+    1e-6
+)  # without any specular part the mean slope width is 0 / 0; so it becomes 1
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,13 @@ def channels_of(closures: Closures) -> Channels:
     """The channels of a surface. A surface without any lobe is black and rough, as Blender renders it."""
     opacity: Expression = clamp_sum(complement(closures.transparency))
     lobes = _normalized(closures.lobes, opacity)
-    if not lobes:
-        diffuse, specular, roughness = BLACK, BLACK, ONE
-    elif len(lobes) == 1 and is_constant(lobes[0].weight, 1) and lobes[0].albedo is not None:
+    diffuse: Expression = BLACK
+    specular: Expression = BLACK
+    roughness: Expression = ONE
+    if len(lobes) == 1 and is_constant(lobes[0].weight, 1) and lobes[0].albedo is not None:
         diffuse, specular = lobes[0].albedo, lobes[0].specular
         roughness = lobes[0].roughness if lobes[0].roughness is not None else ONE
-    else:
+    elif lobes:
         diffuse, specular, roughness = _mixed(lobes)
     emission = None if is_constant(closures.emission, 0) else widen(closures.emission)
     return Channels(
@@ -115,8 +118,8 @@ def _unclamped(expression: Expression) -> Expression:
 def _mixed(lobes: list[Lobe]) -> tuple[Expression, Expression, Expression]:
     specular = clamp(add(*(multiply(lobe.weight, lobe.specular) for lobe in lobes)))
     reflected = add(*(multiply(lobe.weight, lobe.diffuse) for lobe in lobes))
-    share = operate("maximum", complement(specular), _LEAST_DIFFUSE_SHARE)
-    diffuse = clamp(divide(reflected, share))
+    diffuse_share = operate("maximum", complement(specular), _LEAST_DIFFUSE_SHARE)
+    diffuse = clamp(divide(reflected, diffuse_share))
     glossy = [lobe for lobe in lobes if lobe.roughness is not None and not is_constant(lobe.specular, 0)]
     values = {lobe.roughness for lobe in glossy}
     if not values:
@@ -125,10 +128,11 @@ def _mixed(lobes: list[Lobe]) -> tuple[Expression, Expression, Expression]:
         (only,) = values
         assert only is not None
         return diffuse, specular, only
-    total, width = _NO_SPECULAR, _NO_SPECULAR
+    total: Expression = _NO_SPECULAR
+    width: Expression = _NO_SPECULAR
     for lobe in glossy:
         assert lobe.roughness is not None
         share = multiply(lobe.weight, reduce_to_scalar(lobe.specular, "average"))
-        total = add(total, share)  # type: ignore[assignment]
-        width = add(width, multiply(share, lobe.roughness, lobe.roughness))  # type: ignore[assignment]
+        total = add(total, share)
+        width = add(width, multiply(share, lobe.roughness, lobe.roughness))
     return diffuse, specular, operate("sqrt", divide(width, total))

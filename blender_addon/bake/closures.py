@@ -75,7 +75,9 @@ class ClosureWalk:
         """All closures that reach the surface output."""
         output = graph.output_node()
         if output is None:
-            self._report(ERROR, None, "has no material output node", "add a Material Output and link a shader")
+            self._report(
+                ERROR, None, "has no material output node", "add a Material Output and link a shader"
+            )
             return self.result
         self._check_volume_and_displacement(output)
         self._closure((), output.inputs["Surface"], ONE)
@@ -90,7 +92,10 @@ class ClosureWalk:
     def _check_volume_and_displacement(self, output: bpy.types.Node) -> None:
         if source_of((), output.inputs["Volume"]).is_linked:
             self._report(
-                ERROR, output, "volumes cannot be exported", "unlink Volume, or tag the object sm_role = ignore"
+                ERROR,
+                output,
+                "volumes cannot be exported",
+                "unlink Volume, or tag the object sm_role = ignore",
             )
         if source_of((), output.inputs["Displacement"]).is_linked:
             self._report(
@@ -140,9 +145,7 @@ class ClosureWalk:
             return
         handler(self, source.stack, node, weight)
 
-    def _colour_as_shader(
-        self, socket: bpy.types.NodeSocket, stack: Stack, weight: Expression
-    ) -> None:
+    def _colour_as_shader(self, socket: bpy.types.NodeSocket, stack: Stack, weight: Expression) -> None:
         source = source_of(stack, socket)  # Cycles turns a colour that meets a shader input into emission
         assert source.node is not None and source.socket is not None
         self._report(
@@ -194,9 +197,7 @@ class ClosureWalk:
         under = complement(coat_f0)
         tint = lerp(constant(1, 1, 1), get("Coat Tint"), coat)
         diffuse = multiply(albedo, complement(specular), tint, under)
-        self.result.lobes.append(
-            Lobe(opaque, diffuse, multiply(specular, tint, under, under), roughness)
-        )
+        self.result.lobes.append(Lobe(opaque, diffuse, multiply(specular, tint, under, under), roughness))
         self.result.lobes.append(Lobe(opaque, BLACK, widen(coat_f0), clamp(get("Coat Roughness"))))
         self._report(
             APPROXIMATION,
@@ -214,7 +215,9 @@ class ClosureWalk:
             "subsurface scattering",
             "light leaves where it enters; the albedo is the same, soft shadow edges inside the material go",
         )
-        self._drop(node, get("Sheen Weight", "Sheen"), "sheen", "the rim of the surface is darker by up to it")
+        self._drop(
+            node, get("Sheen Weight", "Sheen"), "sheen", "the rim of the surface is darker by up to it"
+        )
         self._drop(
             node,
             get("Anisotropic"),
@@ -324,7 +327,7 @@ class ClosureWalk:
         self._report(
             APPROXIMATION,
             node,
-            "translucency is exported as diffuse reflection: light leaves on the lit side instead of the other",
+            "translucency is exported as diffuse reflection: light leaves on the lit side, not on the other",
             "use Diffuse where the surface is seen from its lit side",
         )
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
@@ -334,7 +337,7 @@ class ClosureWalk:
         self._report(
             APPROXIMATION,
             node,
-            "subsurface scattering becomes diffuse reflection of the same albedo: light leaves where it enters",
+            "subsurface scattering becomes diffuse reflection of the same albedo, leaving where it enters",
         )
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
 
@@ -349,13 +352,14 @@ class ClosureWalk:
             self._lobe(multiply(weight, absorbed), BLACK, BLACK, None)
 
     def emission(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        self._emit(weight, multiply(self._value(stack, node, "Color"), self._value(stack, node, "Strength")))
+        colour, strength = self._value(stack, node, "Color"), self._value(stack, node, "Strength")
+        self._emit(weight, multiply(colour, strength))
 
     def sheen(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
         self._report(
             ERROR,
             node,
-            "the Sheen BSDF cannot be exported: it has no part at normal incidence that D, S and R could hold",
+            "the Sheen BSDF cannot be exported: nothing of it at normal incidence fits into D, S and R",
             "remove it, or use a Diffuse BSDF with the cloth's colour",
         )
 

@@ -34,9 +34,12 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 
 @dataclass
 class Dependencies:
-    """``uv_layers`` read ("" is the layer that renders); ``frames`` in which image textures read them, None for
-    any other use of UVs; ``repeats``: no image ends at its border; ``mesh``: needs the mesh itself; ``world``:
-    needs the instance's place; ``object_info``: needs Object Info values."""
+    """What values depend on.
+
+    ``uv_layers`` read ("" is the layer that renders); ``frames`` in which image textures read them, None for
+    any other use of UVs; ``repeats``: no image ends at its border; ``mesh``: needs the mesh itself;
+    ``world``: needs the instance's place; ``object_info``: needs Object Info values.
+    """
 
     uv_layers: set[str] = field(default_factory=set)
     frames: set[UvFrame | None] = field(default_factory=set)
@@ -102,7 +105,10 @@ class DependencyWalk:
         kind = node.type
         if kind in _REFUSED:
             self._report(
-                ERROR, node, f"{node.bl_label}: {_REFUSED[kind]}", "replace it by a node that uses the surface"
+                ERROR,
+                node,
+                f"{node.bl_label}: {_REFUSED[kind]}",
+                "replace it by a node that uses the surface",
             )
             return
         if kind == "TEX_IMAGE":

@@ -229,7 +229,9 @@ class BakeSession:
     def _run(
         self, kind: str, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str
     ) -> tuple[Array, NDArray[np.bool_]]:
-        image = bpy.data.images.new(f"{_PREFIX}target", size, size, alpha=True, float_buffer=True, is_data=True)
+        image = bpy.data.images.new(
+            f"{_PREFIX}target", size, size, alpha=True, float_buffer=True, is_data=True
+        )
         self.own(bpy.data.images, image)
         try:
             image.generated_color = (0, 0, 0, 0)
@@ -289,7 +291,9 @@ class _Builder:
             end = next((node for node in outputs if node.is_active_output), None)
             if end is None:
                 end = outputs[0] if outputs else inner.nodes.new("NodeGroupOutput")
-            kind = {"VALUE": "NodeSocketFloat", "RGBA": "NodeSocketColor"}.get(socket.type, "NodeSocketVector")
+            kind = {"VALUE": "NodeSocketFloat", "RGBA": "NodeSocketColor"}.get(
+                socket.type, "NodeSocketVector"
+            )
             item = inner.interface.new_socket(name="sm_value", in_out="OUTPUT", socket_type=kind)
             inner.links.new(socket, next(i for i in end.inputs if i.identifier == item.identifier))
             socket = next(o for o in group.outputs if o.identifier == item.identifier)

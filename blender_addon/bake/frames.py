@@ -16,7 +16,7 @@ from .graph import Stack, input_of, source_of, value_of
 
 @dataclass(frozen=True)
 class UvFrame:
-    """Texture coordinates = ``matrix`` @ (u, v, 1) of the UV layer named ``layer`` ("": the one that renders).
+    """Texture coordinates = ``matrix`` @ (u, v, 1) of the UV layer ``layer`` ("": the one that renders).
 
     ``matrix`` is two rows of three numbers, rounded so that equal maps compare equal.
     """
@@ -48,7 +48,7 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
     """3x3 homogeneous map of a Mapping node in the UV plane, None where it is not constant or not planar."""
     if node.vector_type not in ("POINT", "TEXTURE"):
         return None
-    values = []
+    values: list[tuple[float, ...]] = []
     for name, default in (("Location", 0.0), ("Rotation", 0.0), ("Scale", 1.0)):
         socket = input_of(node, name)
         if socket is None or (socket.is_inactive if hasattr(socket, "is_inactive") else False):
@@ -72,7 +72,7 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
 
 
 def image_frame(stack: Stack, node: bpy.types.Node) -> UvFrame | None:
-    """The frame in which an Image Texture reads its image; None where it is not an affine map of a UV layer."""
+    """The frame in which an Image Texture reads its image; None where it is no affine map of a UV layer."""
     legacy = node.texture_mapping
     if (
         tuple(legacy.translation) != (0, 0, 0)

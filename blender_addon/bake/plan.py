@@ -41,8 +41,8 @@ class PlainImage:
 class MaterialPlan:
     """How one material is exported.
 
-    ``constants`` need no bake beyond a value; ``images`` pass through; ``varying`` are baked on a plane, or on
-    the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
+    ``constants`` need no bake beyond a value; ``images`` pass through; ``varying`` are baked on a plane, or
+    on the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
     """
 
     name: str
@@ -137,7 +137,7 @@ def _classify(plan: MaterialPlan, tree: bpy.types.NodeTree, problems: ProblemLis
     if plan.dependencies.needs_mesh or not plan.dependencies.uv_layers:
         plan.frame = None  # laid out anew, or without texture
     elif len(read_frames) == 1 and None not in read_frames:
-        (plan.frame,) = read_frames  # type: ignore[assignment]
+        (plan.frame,) = read_frames
     else:
         (layer,) = plan.dependencies.uv_layers
         plan.frame = UvFrame(layer, IDENTITY)
@@ -222,9 +222,9 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
         if not is_scalar or not _is_grey(image):
             return None  # one component as a colour, or a coloured image read as a value: bake
         channel = "r"
-    if channel != "a" and image.channels == 4 and image.alpha_mode in ("STRAIGHT", "PREMUL"):
-        if not _is_opaque(image):
-            return None
+    is_blended = channel != "a" and image.channels == 4 and image.alpha_mode in ("STRAIGHT", "PREMUL")
+    if is_blended and not _is_opaque(image):
+        return None
     if channel == "a":
         encoding = "linear"
     return PlainImage(image, channel, encoding, frame, node.extension != "REPEAT")

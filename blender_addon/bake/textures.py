@@ -19,7 +19,9 @@ from .plan import SCALAR_CHANNELS, MaterialPlan, PlainImage
 from .pyramid import fill, halve, level_error, smallest_level
 
 _FIRST_PX = 256
-_ODD_PX = 181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
+_ODD_PX = (
+    181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
+)
 BORDER = 1 / 32  # of the texture's side, around what a window or a layout holds
 _FLAT = 1e-4  # a texture that varies by less is a constant
 
@@ -37,8 +39,10 @@ class BakedTexture:
 
 
 def padded_window(low: NDArray, high: NDArray) -> Window:
-    """A window around a box of texture coordinates that leaves half a texel of a 16-texel texture on each side,
-    so that the lookup, which repeats, never meets the opposite border."""
+    """A window around a box of texture coordinates, with half a texel of a 16-texel texture on each side.
+
+    So the lookup, which repeats, never meets the opposite border.
+    """
     size = np.maximum(high - low, 1e-3)
     middle = (low + high) / 2
     half = size / 2 / (1 - 2 * BORDER)
@@ -200,7 +204,7 @@ class MaterialBaker:
             error = _last_change(pixels, mask, counted)
             self.problems.add(
                 APPROXIMATION,
-                f"{name} is cut at {size} px: it still changed by {error:.4f} on average at the last doubling",
+                f"{name} is cut at {size} px: its last doubling still changed it by {error:.4f} on average",
                 "raise the largest texture size, or accept it",
                 material=material,
             )
@@ -231,7 +235,7 @@ class MaterialBaker:
         if spread > _FLAT * max(float(mean.max()), 1e-6):
             self.problems.add(
                 APPROXIMATION,
-                f"the emission varies over the surface (standard deviation {spread:.3g}); its mean is exported",
+                f"the emission varies over the surface (deviation {spread:.3g}); its mean is exported",
                 "split the mesh where the emission changes",
                 material=material,
             )

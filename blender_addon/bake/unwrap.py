@@ -22,7 +22,8 @@ def bake_layout(
 ) -> NDArray[np.float32]:
     """UVs (C, 2) under which the slot's faces can be baked; the mesh gets a layer ``BAKE_UV`` for them.
 
-    A border of the unit square stays free, since texture lookups repeat. The mesh's own UVs serve if they are a valid unwrap; otherwise Smart UV Project makes new ones.
+    A border of the unit square stays free, since texture lookups repeat. The mesh's own UVs serve if they are
+    a valid unwrap; otherwise Smart UV Project makes new ones.
     """
     mesh = thing.data
     if BAKE_UV not in mesh.uv_layers:

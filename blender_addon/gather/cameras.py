@@ -32,7 +32,7 @@ def gather_camera(
     metres_per_unit: float,
     problems: ProblemList,
 ) -> CameraData | None:
-    """One perspective camera; others are refused by name. Pixels are square unless the render says otherwise."""
+    """One perspective camera; others are refused by name. Pixels may be other than square."""
     camera = thing.data
     if camera.type != "PERSP":
         problems.add(

@@ -166,7 +166,9 @@ def _object_info(
 def _check_modifiers(thing: bpy.types.Object, problems: ProblemList) -> None:
     for modifier in thing.modifiers:
         if modifier.type == "PARTICLE_SYSTEM" and modifier.particle_system.settings.type == "HAIR":
-            problems.add(ERROR, "hair cannot be exported", "convert it to a mesh or remove it", object=thing.name)
+            problems.add(
+                ERROR, "hair cannot be exported", "convert it to a mesh or remove it", object=thing.name
+            )
         differs = modifier.show_render != modifier.show_viewport
         if modifier.type in ("SUBSURF", "MULTIRES") and modifier.show_render:
             differs |= modifier.levels != modifier.render_levels

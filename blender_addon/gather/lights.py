@@ -2,9 +2,9 @@
 """Blender's lights in radiometric units, as dictionaries of the asset format.
 
 With P = energy * colour * 2^exposure (the light's own exposure): point of radius 0, I = P / 4 pi; sphere,
-L = P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi; without Normalize
-L = P / pi for spheres and areas. Lengths become metres by ``m`` (metres per unit), under which radiance stays
-and intensity grows by m^2. All are held against Cycles in the tests.
+L = P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi; without
+Normalize L = P / pi for spheres and areas. Lengths become metres by ``m`` (metres per unit), under which
+radiance stays and intensity grows by m^2. All are held against Cycles in the tests.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _point(
     if getattr(thing.data, "use_soft_falloff", False):
         problems.add(
             APPROXIMATION,
-            "Soft Falloff turns the light into a disc that faces each point; the exported sphere is brighter by "
+            "Soft Falloff makes the light a disc that faces each point; the exported sphere is brighter by "
             f"(radius / distance)^2, {(radius / 2) ** 2:.2%} at a distance of 2 units",
             "turn Soft Falloff off to have the same sphere in both",
             object=thing.name,

@@ -78,9 +78,7 @@ def gather_markers(
             found["camera_regions"].append(box)
         elif role == "light_slot" and thing.type == "LIGHT" and thing.data.type != "AREA":
             position = _matrix(thing, metres_per_unit)[:3, 3]
-            found["light_slots"].append(
-                {"name": thing.name, "kind": "point", "origin_m": _listed(position)}
-            )
+            found["light_slots"].append({"name": thing.name, "kind": "point", "origin_m": _listed(position)})
         elif role in ("support_surface", "light_slot", "opening"):
             _add_rectangle(found, thing, role, metres_per_unit, problems)
     return found

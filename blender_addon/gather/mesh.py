@@ -21,10 +21,10 @@ IntArray = NDArray[np.int32]
 class MeshArrays:
     """One evaluated mesh.
 
-    ``positions`` (V, 3); ``corner_vertices`` (C,); ``normals`` unit, (V, 3) where the mesh is smooth all over,
-    else (C, 3); ``triangles`` (T, 3) corners; ``triangle_polygons`` (T,) the face of each triangle;
-    ``triangle_slots`` (T,) material slots; ``uv_layers`` name -> (C, 2), v upwards; ``active_uv`` is the layer
-    that renders, or "".
+    ``positions`` (V, 3); ``corner_vertices`` (C,); ``normals`` unit, (V, 3) where the mesh is smooth all
+    over, else (C, 3); ``triangles`` (T, 3) corners; ``triangle_polygons`` (T,) the face of each triangle;
+    ``triangle_slots`` (T,) material slots; ``uv_layers`` name -> (C, 2), v upwards; ``active_uv`` is the
+    layer that renders, or "".
     """
 
     positions: FloatArray
@@ -53,8 +53,10 @@ class Submesh:
     faces: IntArray
 
 
-def _read(collection: bpy.types.bpy_prop_collection, name: str, shape: tuple[int, ...], dtype: type) -> NDArray:
-    values = np.empty(int(np.prod(shape)), dtype)
+def _read(
+    collection: bpy.types.bpy_prop_collection, name: str, shape: tuple[int, ...], dtype: type
+) -> NDArray:
+    values: NDArray = np.empty(int(np.prod(shape)), dtype)
     collection.foreach_get(name, values)
     return values.reshape(shape)
 
@@ -72,14 +74,10 @@ def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
         normals = _read(mesh.corner_normals, "vector", (num_corners, 3), np.float32)
     slots = np.zeros(num_triangles, np.int32)
     if "material_index" in mesh.attributes:
-        per_polygon = _read(
-            mesh.attributes["material_index"].data, "value", (len(mesh.polygons),), np.int32
-        )
+        per_polygon = _read(mesh.attributes["material_index"].data, "value", (len(mesh.polygons),), np.int32)
         slots = per_polygon[polygons]
     last_slot = max(len(mesh.materials) - 1, 0)  # Blender renders an index past the end with the last slot
-    layers = {
-        layer.name: _read(layer.uv, "vector", (num_corners, 2), np.float32) for layer in mesh.uv_layers
-    }
+    layers = {layer.name: _read(layer.uv, "vector", (num_corners, 2), np.float32) for layer in mesh.uv_layers}
     active = next((layer.name for layer in mesh.uv_layers if layer.active_render), "")
     return MeshArrays(
         positions, corner_vertices, normals, triangles, polygons, np.clip(slots, 0, last_slot), layers, active

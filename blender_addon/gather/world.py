@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world as an environment light: a constant radiance, or an equirectangular image of whatever it shows."""
+"""The world as an environment light: a constant radiance, or an equirectangular image of what it shows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..bake.expression import BLACK, Constant, Expression, add, complement, is_c
 from ..bake.graph import Graph, Stack, source_of, value_of
 from ..problems import ERROR, ProblemList
 
-# The format's image has +Y of its frame in the middle column, Blender's panorama +X of the world: Rz(-90 deg).
+# The format's image has +Y of its frame in the middle column, Blender's panorama +X of the world.
 WORLD_FROM_ENVIRONMENT = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], float)
 
 
@@ -81,6 +81,8 @@ def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None
 def _plain_panorama(world: bpy.types.World) -> tuple[NDArray[np.float32], float, float] | None:
     """Pixels, angle about Z and strength of a world that is one equirectangular image; else None."""
     output = Graph(world.node_tree).output_node()
+    if output is None:
+        return None
     shader = source_of((), output.inputs["Surface"])
     if shader.node is None or shader.node.type != "BACKGROUND":
         return None

@@ -10,7 +10,8 @@ RUNTIME = {
     "rna_type", "bl_rna", "session_uid", "is_evaluated", "has_data", "bindcode", "is_dirty", "tag", "preview",
     "is_runtime_data", "original", "pixels", "size", "depth", "channels", "is_updated", "is_updated_data",
     "frame_current_final", "resolution", "display_aspect", "frame_duration", "type_info", "is_float",
-    "depsgraph", "uv_layer_clone", "uv_layer_stencil", "is_tagged", "id_data", "asset_data", "is_library_indirect", "matrix_parent_inverse",
+    "depsgraph", "uv_layer_clone", "uv_layer_stencil", "is_tagged", "id_data", "asset_data",
+    "is_library_indirect", "matrix_parent_inverse",
 }  # fmt: skip
 
 

@@ -141,9 +141,8 @@ class Stage:
         return node
 
     def group(self, name: str = "") -> Any:
-        """A node group with a Value input and a Colour output, and a node in the material that uses it."""
-        tree = self.bpy.data.node_groups.new(name or self.name, "ShaderNodeTree")
-        return tree
+        """An empty node group."""
+        return self.bpy.data.node_groups.new(name or self.name, "ShaderNodeTree")
 
 
 FOLDER = Path()
@@ -394,7 +393,11 @@ def nested_groups_with_coordinates(s: Stage) -> None:
     inner.interface.new_socket("Scale", in_out="INPUT", socket_type="NodeSocketFloat")
     inner.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
     start, end = inner.nodes.new("NodeGroupInput"), inner.nodes.new("NodeGroupOutput")
-    split, scale, shader = s.node("SeparateXYZ", inner), s.node("Math", inner), s.node("BsdfPrincipled", inner)
+    split, scale, shader = (
+        s.node("SeparateXYZ", inner),
+        s.node("Math", inner),
+        s.node("BsdfPrincipled", inner),
+    )
     scale.operation = "MULTIPLY"
     s.link(s.node("TexCoord", inner).outputs["UV"], split.inputs[0], inner)
     s.link(split.outputs[0], scale.inputs[0], inner)
@@ -525,7 +528,9 @@ def arm_image(s: Stage) -> None:
 
 def _turned(p: np.ndarray) -> np.ndarray:
     c, n = np.cos(0.5), np.sin(0.5)
-    return np.stack([2 * c * p[:, 0] - 3 * n * p[:, 1] + 0.1, 2 * n * p[:, 0] + 3 * c * p[:, 1] + 0.2], axis=1)
+    return np.stack(
+        [2 * c * p[:, 0] - 3 * n * p[:, 1] + 0.1, 2 * n * p[:, 0] + 3 * c * p[:, 1] + 0.2], axis=1
+    )
 
 
 @case(

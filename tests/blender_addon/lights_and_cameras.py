@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A floor under each kind of light, and cameras of every fit, exported and rendered by Cycles; prints JSON.
 
-``python -m tests.blender_addon.lights_and_cameras OUT`` writes ``OUT/packages/<name>`` and ``OUT/cycles/<name>.npy``.
+``python -m tests.blender_addon.lights_and_cameras OUT`` writes ``packages/<name>`` and ``cycles/<name>.npy``.
 """
 
 from __future__ import annotations

@@ -27,9 +27,7 @@ def installed(
     folder = tmp_path_factory.mktemp("extension")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("BLENDER_USER_RESOURCES", str(folder / "user"))
-        return folder, run_module(
-            "tests.blender_addon.install", str(folder), str(graphs_folder / "packages")
-        )
+        return folder, run_module("tests.blender_addon.install", str(folder), str(graphs_folder / "packages"))
 
 
 def test_extension_validates_installs_and_enables(installed: tuple[Path, dict[str, Any]]) -> None:

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads a target: its instances, lights, cameras, world and markers, and plans its materials."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from .bake.execute import BakeSession
+from .bake.plan import MaterialPlan, plan_material
+from .gather.cameras import gather_camera
+from .gather.instances import Gathered, gather_instances
+from .gather.lights import gather_light
+from .gather.markers import gather_markers
+from .gather.tags import (
+    SUPPORT_KINDS,
+    check_words,
+    material_classes,
+    numbers,
+    provenance,
+    replaceable_by,
+    role_of,
+    slug,
+    words,
+)
+from .gather.world import gather_world
+from .problems import APPROXIMATION, ERROR, ProblemList
+from .settings import ExportSettings
+from .targets import Target
+
+
+@dataclass
+class Contents:
+    """A target with everything read that it holds."""
+
+    target: Target
+    gathered: Gathered = field(default_factory=Gathered)
+    copies: dict[int, bpy.types.Mesh] = field(default_factory=dict)
+    lights: list[dict[str, Any]] = field(default_factory=list)
+    images: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    extra: dict[str, Any] = field(default_factory=dict)
+    num_triangles: int = 0
+
+
+class Reader:
+    """Reads the targets of one export from ``scene``; each material is planned once."""
+
+    def __init__(
+        self,
+        settings: ExportSettings,
+        session: BakeSession,
+        problems: ProblemList,
+        scene: bpy.types.Scene,
+        depsgraph: bpy.types.Depsgraph,
+    ):
+        self.settings, self.session, self.problems = settings, session, problems
+        self.scene, self.depsgraph = scene, depsgraph
+        self.metres = scene.unit_settings.scale_length or 1.0
+        self._plans: dict[str, MaterialPlan] = {}
+
+    def plan(self, name: str) -> MaterialPlan:
+        """A material's plan, made once; its problems join the list."""
+        if name not in self._plans:
+            self._plans[name] = plan_material(bpy.data.materials[name])
+            self.problems.extend(self._plans[name].problems)
+        return self._plans[name]
+
+    # ---- reading
+
+    def prepare(self, target: Target) -> Generator[None, None, Contents]:
+        """Read a target and plan its materials, noting every problem."""
+        contents = Contents(target)
+        fallback = {
+            "license": self.settings.license,
+            "author": self.settings.author,
+            "source": self.settings.source,
+        }
+        contents.extra["provenance"] = provenance(target.tagged, fallback, self.problems)
+        if target.kind == "material":
+            self.plan(target.tagged.name)
+            return contents
+
+        def keep(key: int, mesh: bpy.types.Mesh, materials: tuple[str | None, ...]) -> None:
+            if key not in contents.copies and any(
+                name is not None and self.plan(name).needs_mesh for name in materials
+            ):
+                copy = self.session.own(bpy.data.meshes, mesh.copy())
+                copy.use_auto_texspace = False
+                copy.texspace_location = mesh.texspace_location
+                copy.texspace_size = mesh.texspace_size
+                contents.copies[key] = copy
+
+        for gathered in gather_instances(self.depsgraph, target.owners.__contains__, keep, self.problems):
+            contents.gathered = gathered
+            if len(gathered.instances) % 64 == 0:
+                yield
+        self._check_materials(contents)
+        if not contents.gathered.instances:
+            self.problems.add(
+                ERROR, f"{target.title!r} holds no visible surface", "add a mesh, or correct the tags"
+            )
+        self._prepare_lights(contents)
+        if target.kind == "object":
+            self._prepare_object(contents)
+        else:
+            self._prepare_environment(contents)
+        return contents
+
+    def _check_materials(self, contents: Contents) -> None:
+        seen: set[tuple[int, tuple[str | None, ...]]] = set()
+        for instance in contents.gathered.instances:
+            if (instance.mesh_key, instance.materials) in seen:
+                continue
+            seen.add((instance.mesh_key, instance.materials))
+            mesh = contents.gathered.meshes[instance.mesh_key]
+            for slot in np.unique(mesh.triangle_slots):
+                name = instance.materials[min(int(slot), len(instance.materials) - 1)]
+                if name is None:
+                    self.problems.add(
+                        ERROR, f"slot {slot} has no material", "assign one", object=instance.owner
+                    )
+                    continue
+                plan = self.plan(name)
+                material_classes(bpy.data.materials[name], self.problems)
+                replaceable_by(bpy.data.materials[name], self.problems)
+                for layer in plan.dependencies.uv_layers if (plan.images or plan.varying) else ():
+                    if (layer or mesh.active_uv) not in mesh.uv_layers:
+                        wanted = f"the UV map {layer!r}" if layer else "a UV map"
+                        self.problems.add(
+                            ERROR,
+                            f"the material needs {wanted}, which the mesh does not have",
+                            "unwrap the mesh",
+                            object=instance.owner,
+                            material=name,
+                        )
+
+    def _prepare_lights(self, contents: Contents) -> None:
+        for shown in self.depsgraph.object_instances:
+            thing = shown.object
+            owner = shown.parent.original if shown.is_instance and shown.parent else thing.original
+            if thing.type != "LIGHT" or owner.name not in contents.target.owners or owner.hide_render:
+                continue
+            if role_of(owner) or not shown.show_self:
+                continue
+            matrix = np.array(shown.matrix_world, dtype=np.float64)
+            light = gather_light(thing, matrix, self.metres, self.problems)
+            if light is not None:
+                contents.lights.append(light)
+        contents.lights.sort(key=lambda light: light["name"])
+        names: dict[str, int] = {}
+        for light in contents.lights:  # instances of one light share its name
+            number = names[light["name"]] = names.get(light["name"], 0) + 1
+            if number > 1:
+                light["name"] += f" {number}"
+
+    def _prepare_object(self, contents: Contents) -> None:
+        tagged = contents.target.tagged
+        category = str(tagged.get("sm_category", ""))
+        if not category:
+            self.problems.add(ERROR, f"{tagged.name!r} has no category", "set sm_category, for example 'cup'")
+        contents.extra["category"] = slug(category) if category else ""
+        if tagged.get("sm_supports") is not None:
+            kinds = check_words(words(tagged["sm_supports"]), SUPPORT_KINDS, "sm_supports", self.problems)
+            contents.extra["supports"] = list(kinds)
+        for tag, key in (("sm_scale_range", "scale_range"), ("sm_yaw_range_rad", "yaw_range_rad")):
+            if tagged.get(tag) is not None:
+                values = numbers(tagged[tag])
+                if len(values) != 2 or values[0] > values[1]:
+                    self.problems.add(
+                        ERROR, f"{tag} = {values} of {tagged.name!r}", "give two numbers, the smaller first"
+                    )
+                contents.extra[key] = list(values)
+
+    def _prepare_environment(self, contents: Contents) -> None:
+        scene, target = self.scene, contents.target
+        things = [thing for thing in scene.objects if thing.name in target.owners]
+        contents.extra.update(gather_markers(things, self.metres, self.problems))
+        cameras = [
+            gather_camera(thing, scene.render, self.metres, self.problems)
+            for thing in sorted(things, key=lambda t: t.name)
+            if thing.type == "CAMERA" and not thing.hide_render and role_of(thing) != "ignore"
+        ]
+        contents.extra["cameras"] = [
+            {**vars(camera), "asset_from_camera": camera.asset_from_camera} for camera in cameras if camera
+        ]
+        light = gather_world(scene, self.session, self.problems, min(self.settings.max_texture_px, 2048))
+        if light is not None:
+            entry, image = light
+            if image is not None:
+                contents.images[entry["name"]] = image
+            contents.lights.append(entry)
+
+    def approximations(self, material: str) -> tuple[str, ...]:
+        """What of a material is exported otherwise than Blender shows it."""
+        return tuple(
+            (f"{problem.node}: " if problem.node else "") + problem.message
+            for problem in self.problems
+            if problem.material == material and problem.severity == APPROXIMATION
+        )
