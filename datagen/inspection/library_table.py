@@ -40,6 +40,6 @@ def print_library(names: list[str], check: bool, as_json: bool) -> int:
         licence = summary.license + (" (evaluation only)" if summary.usage != "any" else "")
         table.add_row(summary.kind, summary.id, summary.title, summary.detail, licence)
     Console().print(table)
-    counts = Counter(s.kind for s in summaries)
-    print(", ".join(f"{count} {kind}s" for kind, count in sorted(counts.items())) or "the library is empty")
+    by_kind = Counter(s.kind for s in summaries)
+    print(", ".join(f"{count} {kind}s" for kind, count in sorted(by_kind.items())) or "the library is empty")
     return 0
