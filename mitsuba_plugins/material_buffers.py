@@ -38,9 +38,10 @@ SOLID_OPACITY = 0.5
 """A surface at least this opaque owns the pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
 """Below this share of the pixel a channel's average is noise over noise, and the pixel is masked."""
-# Fractions of 2^32 whose multiples spread evenly: 1/g, 1/g^2 with g^3 = g + 1 (R2, by M. Roberts), then the
-# golden ratio's.
-_LATTICE = (3242174889, 2447445414, 2654435769)
+# Fractions of 2^32, independent over the rationals, so that their multiples fill five dimensions evenly: 1/g
+# and 1/g^2 with g^3 = g + 1 for the pixel (the R2 sequence of M. Roberts), sqrt(2) and sqrt(3) for the lens,
+# sqrt(5) for time (their fractional parts).
+_PIXEL_X, _PIXEL_Y, _LENS_X, _LENS_Y, _TIME = 3242174889, 2447445413, 1779033703, 3144134277, 1013904243
 CHANNELS = {
     "diffuse_albedo": ("R", "G", "B"),
     "specular_albedo": ("R", "G", "B"),
@@ -132,9 +133,9 @@ class _View:
         return self.materials.has_transparency or self.hide_emitters
 
 
-def _lattice_point(index: Array, shift: Array, axis: int) -> Array:
-    """Coordinate ``axis`` of the shifted lattice's point ``index``, in [0, 1)."""
-    bits = index * mi.UInt32(_LATTICE[axis]) + shift
+def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
+    """One coordinate of the shifted lattice's point ``index``, in [0, 1)."""
+    bits = index * mi.UInt32(generator) + shift
     return mi.Float(bits >> 8) * (1.0 / (1 << 24))
 
 
@@ -238,13 +239,13 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
     def body(i: Any, total_weight: Any, *seen: Any) -> tuple[Any, ...]:
         *sums, point, shape_index = seen
         is_centre = i == 0
-        offset_x, sign_x = pixel_filter.sample(dr.lerp(first_x, last_x, _lattice_point(i, shift_x, 0)))
-        offset_y, sign_y = pixel_filter.sample(dr.lerp(first_y, last_y, _lattice_point(i, shift_y, 1)))
-        lens = mi.Point2f(_lattice_point(i, lens_x, 1), _lattice_point(i, lens_y, 2))
+        offset_x, sign_x = pixel_filter.sample(dr.lerp(first_x, last_x, _lattice_point(i, shift_x, _PIXEL_X)))
+        offset_y, sign_y = pixel_filter.sample(dr.lerp(first_y, last_y, _lattice_point(i, shift_y, _PIXEL_Y)))
+        lens = mi.Point2f(_lattice_point(i, lens_x, _LENS_X), _lattice_point(i, lens_y, _LENS_Y))
         ray = view.ray(
             x + 0.5 + dr.select(is_centre, 0.0, offset_x),
             y + 0.5 + dr.select(is_centre, 0.0, offset_y),
-            dr.select(is_centre, 0.5, _lattice_point(i, lens_x, 2)),
+            dr.select(is_centre, 0.5, _lattice_point(i, lens_x ^ lens_y, _TIME)),
             dr.select(is_centre, 0.5, lens),
         )
         hit = _trace(view, ray)

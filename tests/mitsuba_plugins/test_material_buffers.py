@@ -167,6 +167,21 @@ def test_sub_pixel_samples_are_even() -> None:
     assert is_edge.sum() > 50 and error < 0.5 * reference
 
 
+def test_depth_of_field_is_that_of_the_beauty_image() -> None:
+    """A thin lens out of focus: the mask blurs as Mitsuba's film does; depth is the lens centre's."""
+    tilted = T().translate([0.3, 0.1, 0]).rotate([0, 0, 1], 31).scale(0.9)
+    white = {"diffuse_albedo": [0.5, 0.5, 0.5], "specular_albedo": [0.0, 0.0, 0.0], "roughness": 1.0}
+    lens = _sensor("gaussian") | {"type": "thinlens", "aperture_radius": 0.3, "focus_distance": 2.5}
+    scene = _scene(floor=_plane(_cook_torrance(white), tilted), sensor=lens)
+    ours = render_material_buffers(scene, spp=4096)
+    aov = mi.load_dict({"type": "aov", "aovs": "albedo:albedo"})
+    film = np.array(mi.render(scene, integrator=aov, spp=4096))[..., -3] / 0.5
+    mask = ours["surface_mask"][..., 0]
+    assert np.abs(mask - np.clip(film, 0, 1)).max() < 0.03
+    assert ((mask > 0.02) & (mask < 0.98)).mean() > 0.2  # it does blur
+    assert set(np.unique(np.round(ours["depth_z_m"], 4))) == {0.0, CAMERA_HEIGHT}
+
+
 def test_emitters_and_background_are_masked() -> None:
     lamp = _plane(None, T().translate([-1.0, 0, 1.5]).scale(0.4), emitter={"type": "area"})
     floor = _plane(_cook_torrance(RED), T().scale([10, 0.8, 1]))
