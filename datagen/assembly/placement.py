@@ -18,6 +18,7 @@ import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene, distance_m, world_points
 from datagen.assembly.random import Draws
+from datagen.assembly.shortfall import shortfall
 from datagen.assembly.things import (
     PlacedThing,
     Room,
@@ -261,7 +262,7 @@ def place_things(
         extra += 1
     if len(placer.placed) < recipe.count[0]:
         counts = ", ".join(f"{k} {v}" for k, v in sorted(rejections.items()) if k.startswith("placement."))
-        raise input_error(
+        raise shortfall(
             f"environment {room.asset.id}",
             "objects",
             f"{len(placer.placed)} placed ({counts})",

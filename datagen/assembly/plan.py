@@ -21,17 +21,20 @@ from datagen.assembly.lights import RoomToLight
 from datagen.assembly.materials import MeanMaterials, assign_materials, worn_materials
 from datagen.assembly.placement import place_things
 from datagen.assembly.random import Draws, digest
-from datagen.assembly.splits import Pools, pools_of_split, split_of
+from datagen.assembly.shortfall import Shortfall
+from datagen.assembly.splits import Pools, pools_of_split, recipe_problems, split_of
 from datagen.assembly.things import PlacedThing, Room, Thing
 from datagen.assembly.views import ViewFinder
+from datagen.errors import InputError
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
-from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.configuration import Configuration, PlacedAsset, Split, ViewCamera
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import Package
 from datagen.formats.recipe import Recipe
 from datagen.library import Library
 
 NUM_EYES = 384  # places where the light is probed
+NUM_TRIES = 3
 
 __all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of"]
 
@@ -84,9 +87,6 @@ def check_recipe(recipe: Recipe, library: Library) -> None:
     Raises :class:`InputError` for filters and weights that name nothing in the library, for splits that get
     no configuration or no asset of their own, and for a library without rooms.
     """
-    from datagen.assembly.splits import recipe_problems
-    from datagen.errors import InputError
-
     problems = recipe_problems(recipe, library)
     if problems:
         raise InputError(*problems)
@@ -95,17 +95,43 @@ def check_recipe(recipe: Recipe, library: Library) -> None:
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
     """The recipe's configuration number ``index``: equal arguments give equal ``canonical_json`` bytes.
 
-    Raises :class:`InputError` where the library cannot give what the recipe asks, with what was tried.
+    Where the draws come out badly (too few things stand, too few views pass), things, lights and cameras are
+    drawn again in the same room, at most :data:`NUM_TRIES` times in all; ``rejections`` counts it as
+    ``configuration.retried``. Raises :class:`InputError` where the library cannot give what the recipe asks.
     """
     if not 0 <= index < recipe.configurations:
         raise IndexError(f"configuration {index} of {recipe.configurations}")
-    caches = _process_caches()
     split = split_of(recipe, index)
     pools = pools_of_split(recipe, library, split)
-    key: tuple[int | str, ...] = (recipe.seed, index)
-    rejections: Counter[str] = Counter()
+    environment = Draws(recipe.seed, index, "environment").choice(pools.environments)
+    earlier: Counter[str] = Counter()
+    for attempt in range(NUM_TRIES):
+        rejections: Counter[str] = Counter()
+        key = (recipe.seed, index) if attempt == 0 else (recipe.seed, index, "again", attempt)
+        try:
+            made = _assemble_once(recipe, index, library, split, environment, pools, key, rejections)
+        except Shortfall:
+            if attempt == NUM_TRIES - 1:
+                raise
+            rejections["configuration.retried"] += 1
+            earlier += rejections
+            continue
+        total = earlier + rejections  # of positive counts only
+        return made.model_copy(update={"rejections": {name: total[name] for name in sorted(total)}})
+    raise AssertionError("unreachable")
 
-    environment = Draws(*key, "environment").choice(pools.environments)
+
+def _assemble_once(
+    recipe: Recipe,
+    index: int,
+    library: Library,
+    split: Split,
+    environment: Package,
+    pools: Pools,
+    key: tuple[int | str, ...],
+    rejections: Counter[str],
+) -> Configuration:
+    caches = _process_caches()
     room = caches.room(environment)
     things = [caches.thing(package) for package in pools.objects]
     placed_things = place_things(room, things, recipe.objects, key, rejections)
@@ -120,7 +146,7 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
     assets = tuple(g.asset for g in geometries)
     to_light = RoomToLight(room.asset, scene, tuple(placed), assets, worn, eyes, space.trusts_winding)
     lighting = light_room(to_light, recipe.lights, library, key, rejections)
-    placed = [p.model_copy(update={"emission": e}) for p, e in zip(placed, lighting.emission, strict=True)]
+    lit = [p.model_copy(update={"emission": e}) for p, e in zip(placed, lighting.emission, strict=True)]
 
     finder = ViewFinder(scene, space, lighting, recipe.cameras, recipe.resolution, key, rejections)
     cameras = finder.find(recipe.views)
@@ -129,12 +155,11 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
         index=index,
         seed=int.from_bytes(digest(*key, "renderer")[:8], "little") >> 1,
         split=split,
-        environment=placed[0],
-        objects=tuple(placed[1:]),
+        environment=lit[0],
+        objects=tuple(lit[1:]),
         lights=lighting.lights,
         cameras=tuple(ViewCamera.from_camera(f"view-{k:03d}", camera) for k, camera in enumerate(cameras)),
-        assets=_hashes(placed, lighting.lights, library),
-        rejections={name: rejections[name] for name in sorted(rejections) if rejections[name]},
+        assets=_hashes(lit, lighting.lights, library),
     )
 
 

@@ -21,8 +21,8 @@ from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
 from datagen.assembly.light_levels import Lighting
 from datagen.assembly.random import Draws
+from datagen.assembly.shortfall import shortfall
 from datagen.cameras import Camera, look_at
-from datagen.errors import input_error
 from datagen.formats.base import quantized
 from datagen.formats.recipe import CameraRecipe
 
@@ -154,7 +154,7 @@ class ViewFinder:
             "camera.too_similar": "ask for fewer views or enlarge the camera region",
         }.get(worst, "raise cameras.max_attempts")
         listed = ", ".join(f"{k.removeprefix('camera.')} {v}" for k, v in reasons.items())
-        raise input_error(
+        raise shortfall(
             f"environment {self.space.environment.id}",
             "views",
             f"{found} of {self.num_drawn} candidates ({listed})",

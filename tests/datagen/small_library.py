@@ -232,9 +232,13 @@ def write_room(
 
 
 def write_package_of(
-    root: Path, name: str, shapes: dict[str, trimesh.Trimesh], **fields: Any
+    root: Path,
+    name: str,
+    shapes: dict[str, trimesh.Trimesh],
+    files: dict[str, Path] | None = None,
+    **fields: Any,
 ) -> EnvironmentAsset:
-    """An environment package of any shapes, one grey part each."""
+    """An environment package of any shapes, one grey part each, with further ``files``."""
     meshes = {part: with_uv(shape) for part, shape in shapes.items()}
     asset = EnvironmentAsset(
         id=name,
@@ -244,7 +248,8 @@ def write_package_of(
         parts=tuple(Part(name=p, mesh=f"{p}.ply", material=p) for p in shapes),
         **fields,
     )
-    write_package(root / name, asset, {f"{p}.ply": encode_ply(m) for p, m in meshes.items()})
+    encoded = {f"{part}.ply": encode_ply(mesh) for part, mesh in meshes.items()}
+    write_package(root / name, asset, {**encoded, **(files or {})})
     return asset
 
 

@@ -12,7 +12,14 @@ import pytest
 import trimesh
 
 from datagen.assembly import plan
-from datagen.assembly.daylight import directions_of_table, lookup, sky_radiance, sun_of
+from datagen.assembly.daylight import (
+    directions_of_table,
+    environment_image,
+    environment_radiance,
+    lookup,
+    sky_radiance,
+    sun_of,
+)
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import WorldScene, load_geometry
 from datagen.assembly.light_levels import Lighting, scaled
@@ -447,6 +454,49 @@ def test_sky_and_sun_are_the_renderers(mitsuba_variant: str) -> None:
     sample, weight = emitter.sample_direction(surface, sampler.next_2d())
     theirs = np.array(weight * dr.maximum(sample.d.z, 0.0)).T.mean(axis=0)
     np.testing.assert_allclose(ours, theirs, rtol=0.03)
+
+
+def test_images_light_rooms_through_their_windows(tmp_path: Path, mitsuba_variant: str) -> None:
+    """An image of an asset as daylight: named with its hash, oriented as the renderer turns it."""
+    import drjit as dr
+    import mitsuba as mi
+    import OpenEXR
+
+    from datagen.rendering.scene_builder import build_scene
+
+    pixels = (1.0 + 0.8 * directions_of_table(64, 128)).astype(np.float32)  # red from +X, green +Y, blue +Z
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": pixels}).write(str(tmp_path / "sky.exr"))
+    root = write_small_library(tmp_path / "library")
+    write_package_of(
+        root,
+        "evening",
+        {"ground": box([-1, -1, -0.1], [1, 1, 0])},
+        {"sky.exr": tmp_path / "sky.exr"},
+        lights=(EnvironmentLight(name="sky", image="sky.exr"),),
+    )
+    library = Library([root])
+    wanted = {**NONE_WANTED, "daylight_probability": 1, "environment_images": ("evening",)}
+    images = []
+    for index in range(6):
+        configuration = lights_of(library, index, lights=wanted, environments={"include": ["room-0"]})
+        (light,) = configuration.lights
+        if isinstance(light, EnvironmentLight):
+            assert light.asset == "evening" and light.image == "sky.exr"
+            assert configuration.assets["evening"] == library.package("evening").sha256
+            images.append((configuration, light))
+    assert 1 <= len(images) <= 5  # an image or a computed sky, evenly
+    configuration, light = images[0]
+    scene = build_scene(configuration, library).scene
+    turn = np.array(light.world_from_environment)[:3, :3]
+    directions = directions_of_table(16, 32).reshape(-1, 3) @ turn.T
+    surface = dr.zeros(mi.SurfaceInteraction3f, len(directions))
+    surface.wi = mi.Vector3f(*(-directions.T).astype(np.float32))
+    theirs = np.array(scene.environment().eval(surface)).T
+    ours = environment_radiance(light, library)(directions)
+    np.testing.assert_allclose(ours / light.scale, theirs / light.scale, atol=0.08)  # a cell is 5.6 degrees
+    np.testing.assert_allclose(ours / light.scale, 1.0 + 0.8 * directions @ turn, atol=0.08)
+    with pytest.raises(InputError, match=r"lights = no environment light with an image.*environment_images"):
+        environment_image(library, "room-0")
 
 
 def test_space_without_regions_comes_from_cameras(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datagen.assembly.class_statistics import main, sample_library
 from datagen.assembly.materials import (
     CLASS_RANGES,
     MeanMaterial,
@@ -178,3 +179,16 @@ def test_hue_of_wood_stays_wood() -> None:
         change = draw_adjustment(MeanMaterial(oak, (0.04, 0.04, 0.04), 0.5), "wood", 1.0, draws)
         turned = colorsys.rgb_to_hsv(*adjusted(MeanMaterial(oak, (0.04,) * 3, 0.5), change).diffuse_albedo)[0]
         assert abs(turned - hue) < 0.021
+
+
+def test_class_statistics_measure_a_library(library: Library, capsys: pytest.CaptureFixture[str]) -> None:
+    samples = sample_library(library)
+    assert sorted(s.value for s in samples["wood"])[0] == pytest.approx(0.15)  # walnut
+    (steel,) = samples["metal"]
+    assert (steel.value, steel.roughness) == (0.0, 0.3) and np.isnan(steel.value_spread)
+    noisy = [s for s in samples["stone"] if np.isfinite(s.value_spread)]
+    assert len(noisy) == 1 and 1.1 < noisy[0].value_spread < 1.5
+    assert main([str(path) for path in library.paths]) == 0
+    assert "metal       1   0.00 0.00 0.00    0.00-1.00    0.30 0.30 0.30" in capsys.readouterr().out
+    assert main(["/nowhere"]) == 2
+    assert "no such folder" in capsys.readouterr().err

@@ -12,7 +12,10 @@ from typing import Any
 
 import pytest
 
+from datagen.assembly import plan
 from datagen.assembly.plan import assemble, assemble_all
+from datagen.assembly.shortfall import shortfall
+from datagen.errors import InputError
 from datagen.formats.base import canonical_json, parse_model, sha256_hex
 from datagen.formats.configuration import Configuration
 from datagen.formats.package import write_package
@@ -98,6 +101,28 @@ def test_zipped_packages_give_the_same_bytes(
             write_package(tmp_path / f"{package.id}.zip", package.asset, files)
     with Library([tmp_path]) as zipped:
         assert canonical_json(assemble(recipe(), 3, zipped)) == canonical_json(configurations[3])
+
+
+def test_bad_draws_are_drawn_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    library, place, calls = Library([root]), plan.place_things, []
+
+    def unlucky(room: Any, things: Any, recipe: Any, key: Any, rejections: Any) -> Any:
+        calls.append(key)
+        rejections["placement.unstable"] += 3
+        if len(calls) < 3:
+            raise shortfall("environment", "objects", "0 placed", "more", "")
+        return place(room, things, recipe, key, rejections)
+
+    first = assemble(recipe(), 1, library)
+    monkeypatch.setattr(plan, "place_things", unlucky)
+    again = assemble(recipe(), 1, library)
+    assert calls == [(0, 1), (0, 1, "again", 1), (0, 1, "again", 2)]
+    assert again.rejections["configuration.retried"] == 2 and again.rejections["placement.unstable"] >= 9
+    assert again.environment.asset == first.environment.asset and again.objects != first.objects
+    calls.clear()
+    monkeypatch.setattr(plan, "NUM_TRIES", 2)
+    with pytest.raises(InputError, match="objects = 0 placed"):
+        assemble(recipe(), 1, library)
 
 
 def test_an_index_outside_the_recipe_is_refused(root: Path) -> None:

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""What materials of a class look like in a library: the measurement behind ``CLASS_RANGES``.
+
+    python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
+
+prints, by main class, how many materials there are and the 5th, 50th and 95th percentile of the brightest
+channel of their mean D and of their mean R, beside the limits within which assembly varies them; and how far
+texels of one material spread about its mean: hue (as a share of a turn), saturation and value as factors,
+roughness as an offset (medians over the materials of the root mean square).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.assembly.materials import CLASS_RANGES, MeanMaterials
+from datagen.errors import InputError
+from datagen.formats.asset import MATERIAL_CLASSES, Material, MaterialAsset, Texture
+from datagen.formats.package import Package
+from datagen.images import read_image, texture_values
+from datagen.library import Library
+
+_STRIDE_PX = 128  # spreads need fewer texels than means
+_MIN_SATURATION = 0.05  # hue and saturation of greys are noise
+
+
+@dataclass(frozen=True)
+class MaterialSample:
+    """Averages and spreads of one material; a spread is NaN where the channel is constant."""
+
+    value: float
+    roughness: float
+    hue_spread: float
+    saturation_spread: float
+    value_spread: float
+    roughness_spread: float
+
+
+def _spread_of_color(texels: NDArray) -> tuple[float, float, float]:
+    import cv2
+
+    hsv = cv2.cvtColor(np.ascontiguousarray(texels, dtype=np.float32), cv2.COLOR_RGB2HSV).reshape(-1, 3)
+    hue, saturation, value = hsv.T.astype(np.float64)
+    turn = np.exp(2j * np.pi * hue / 360)
+    colored = saturation > _MIN_SATURATION
+    hue_spread = saturation_spread = float("nan")
+    if colored.any():
+        turns = np.angle(turn[colored] / turn[colored].mean()) / (2 * np.pi)
+        hue_spread = float(np.sqrt((turns**2).mean()))
+        saturation_spread = float(np.exp(np.log(saturation[colored]).std()))
+    bright = value > 1e-3
+    return hue_spread, saturation_spread, float(np.exp(np.log(value[bright]).std())) if bright.any() else 1.0
+
+
+def sample_material(package: Package, material: Material, means: MeanMaterials) -> MaterialSample:
+    """Averages and spreads of a material of a package."""
+    mean = means.mean(package, material)
+
+    def texels(texture: Texture, is_scalar: bool) -> NDArray:
+        pixels = read_image(package.local_file(texture.texture))
+        step = max(1, max(pixels.shape[:2]) // _STRIDE_PX)
+        return texture_values(texture, pixels[::step, ::step], is_scalar)
+
+    nan = float("nan")
+    color, rough = (nan, nan, nan), nan
+    if isinstance(material.diffuse_albedo, Texture):
+        color = _spread_of_color(texels(material.diffuse_albedo, False))
+    if isinstance(material.roughness, Texture):
+        rough = float(texels(material.roughness, True).std())
+    return MaterialSample(max(mean.diffuse_albedo), mean.roughness, *color, rough)
+
+
+def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
+    """Samples by main class of all materials and slots that neither glow nor let light through."""
+    means = MeanMaterials()
+    found: dict[str, list[MaterialSample]] = defaultdict(list)
+    for package in library:
+        asset = package.asset
+        if isinstance(asset, MaterialAsset):
+            materials: list[Material] = [asset.material]
+        else:
+            materials = [asset.materials[slot] for slot in sorted(asset.materials)]
+        for material in materials:
+            if material.emission is None and material.opacity is None:
+                found[material.classes[0]].append(sample_material(package, material, means))
+    return found
+
+
+def main(paths: list[str]) -> int:
+    """Print the table; returns the exit code."""
+    try:
+        with Library([Path(p) for p in paths]) as library:
+            found = sample_library(library)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print("class      n    value 5/50/95 %   limits     roughness 5/50/95 %  limits     spread h/s/v/R")
+    for name in MATERIAL_CLASSES:
+        samples = found.get(name, [])
+        if not samples:
+            continue
+        limits = CLASS_RANGES[name]  # type: ignore[index]
+        value = np.percentile([s.value for s in samples], [5, 50, 95])
+        rough = np.percentile([s.roughness for s in samples], [5, 50, 95])
+        spreads = [
+            np.array([getattr(s, f"{channel}_spread") for s in samples])
+            for channel in ("hue", "saturation", "value", "roughness")
+        ]
+        medians = [f"{np.median(s[np.isfinite(s)]):.3f}" if np.isfinite(s).any() else "-" for s in spreads]
+        print(
+            f"{name:9s} {len(samples):3d}   {value[0]:.2f} {value[1]:.2f} {value[2]:.2f}"
+            f"    {limits.value_limits[0]:.2f}-{limits.value_limits[1]:.2f}"
+            f"    {rough[0]:.2f} {rough[1]:.2f} {rough[2]:.2f}"
+            f"       {limits.roughness_limits[0]:.2f}-{limits.roughness_limits[1]:.2f}  {' '.join(medians)}"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: MIT
+"""The error of a configuration whose draws came out badly: other draws may do better."""
+
+from __future__ import annotations
+
+from datagen.errors import InputError, Problem
+
+
+class Shortfall(InputError):
+    """Too few things stood or too few views passed. :func:`datagen.assembly.plan.assemble` draws again."""
+
+
+def shortfall(where: str, field: str, got: str, expected: str, remedy: str) -> Shortfall:
+    """Shorthand for a :class:`Shortfall` with a single problem."""
+    return Shortfall(Problem(where, field, got, expected, remedy))
