@@ -224,7 +224,8 @@ class _Assembly:
             baked = self.baker.on_mesh(material, plan, thing, slot, self._layout(instance, slot), info)
         else:
             window = UNIT_WINDOW
-            if plan.varying and plan.frame is not None and not plan.is_periodic:
+            repeats = plan.is_periodic or material.get("sm_tile_size_m") is not None
+            if plan.varying and plan.frame is not None and not repeats:
                 window = padded_window(*self._boxes[name])
             baked = self.baker.on_plane(material, plan, window, info)
         number = 1

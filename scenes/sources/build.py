@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Builds one asset in an empty file: sources to tagged Blender data to a package, by the project's add-on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from blender_addon.export import export
+from blender_addon.settings import ExportSettings
+from scenes.sources import modelling
+from scenes.sources.environments import ENVIRONMENTS
+from scenes.sources.materials.catalogue import MATERIALS
+from scenes.sources.materials.graph import Graph
+from scenes.sources.objects import OBJECTS
+from scenes.sources.objects.registry import yaw_range
+
+FOLDERS = {"environment": "environments", "object": "objects", "material": "materials"}
+TOLERANCE = 0.7 / 255  # below the step of an 8-bit texture
+SLOT_TEXTURE_PX = {"environment": 512, "object": 256}
+
+
+def sources() -> dict[str, str]:
+    """Kind of every asset by its id, in the order in which they are built."""
+    kinds = {name: "material" for name in MATERIALS}
+    kinds |= {name: "object" for name in OBJECTS}
+    kinds |= {name: "environment" for name in ENVIRONMENTS}
+    return kinds
+
+
+def make(name: str) -> str:
+    """Put one asset into an empty file, tagged for the export; returns its kind."""
+    modelling.new_file()
+    kind = sources()[name]
+    if kind == "material":
+        material = MATERIALS[name].build(Graph(name))
+        modelling.tag_material(material, name)
+    elif kind == "object":
+        source = OBJECTS[name]
+        collection = modelling.tagged_collection(
+            "object", name, source.title, sm_category=source.category, sm_supports=source.supports,
+            sm_scale_range=source.scale, sm_yaw_range_rad=yaw_range(source),
+        )  # fmt: skip
+        workshop = modelling.Workshop(source.slots)
+        source.build(workshop)
+        workshop.build(collection)
+    else:
+        room = ENVIRONMENTS[name]
+        collection = modelling.tagged_collection("environment", name, room.title)
+        room.build(collection)
+    bpy.context.view_layer.update()
+    return kind
+
+
+def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
+    """Export one asset below ``out``; ``quality`` 2 doubles the side of the textures, and so on.
+
+    Returns the package's folder and what the export had to say.
+    """
+    kind = make(name)
+    side = MATERIALS[name].max_px if kind == "material" else SLOT_TEXTURE_PX[kind]
+    settings = ExportSettings(kind=kind, max_texture_px=side * quality, tolerance=TOLERANCE / quality)
+    folder = out / FOLDERS[kind]
+    folder.mkdir(parents=True, exist_ok=True)
+    result = export(folder, settings)
+    return result.packages[0], [str(problem) for problem in result.problems]
+
+
+def description(package: Path) -> dict[str, Any]:
+    """The package's ``asset.json``."""
+    data: dict[str, Any] = json.loads((package / "asset.json").read_text(encoding="utf-8"))
+    return data

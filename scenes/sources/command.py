@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line of the library's sources."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m scenes.sources", description=__doc__)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    build = verbs.add_parser("build", help="model and export packages")
+    build.add_argument("--out", type=Path, required=True, help="the library's folder")
+    build.add_argument("--only", action="append", default=[], metavar="ID", help="this asset only (repeatable)")
+    build.add_argument("--kind", action="append", default=[], choices=("material", "object", "environment"))
+    build.add_argument("--quality", type=int, default=1, choices=(1, 2, 4, 8), help="textures this many times finer")
+    build.add_argument("--verbose", action="store_true", help="print what the export approximated")
+    preview = verbs.add_parser("preview", help="render a source with Cycles")
+    preview.add_argument("id")
+    preview.add_argument("--out", type=Path, required=True, help="a PNG file")
+    preview.add_argument("--samples", type=int, default=24)
+    preview.add_argument("--width", type=int, default=480)
+    preview.add_argument("--camera", type=float, nargs=6, metavar=("X", "Y", "Z", "TX", "TY", "TZ"))
+    verbs.add_parser("list", help="list ids by kind")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    arguments = _parser().parse_args(argv)
+    from scenes.sources.build import sources
+
+    known = sources()
+    if arguments.verb == "list":
+        for name, kind in known.items():
+            print(kind, name)
+        return 0
+    if arguments.verb == "preview":
+        from scenes.sources.preview import render_preview
+
+        render_preview(arguments.id, arguments.out, arguments.samples, arguments.width, arguments.camera)
+        return 0
+    unknown = sorted(set(arguments.only) - set(known))
+    if unknown:
+        print(f"error: no source named {', '.join(unknown)}; `list` prints all", file=sys.stderr)
+        return 2
+    return _build(arguments, known)
+
+
+def _build(arguments: argparse.Namespace, known: dict[str, str]) -> int:
+    from blender_addon.command import quiet_stdout
+    from blender_addon.problems import ExportRefused
+    from scenes.sources.build import FOLDERS, build
+
+    names = [
+        name
+        for name, kind in known.items()
+        if (not arguments.only or name in arguments.only) and (not arguments.kind or kind in arguments.kind)
+    ]
+    failed = 0
+    started = time.monotonic()
+    for index, name in enumerate(names):
+        try:
+            with quiet_stdout():
+                package, problems = build(name, arguments.out, arguments.quality)
+        except ExportRefused as refused:
+            failed += 1
+            print(f"{name}: refused\n{refused}", file=sys.stderr)
+            continue
+        size = sum(f.stat().st_size for f in package.rglob("*") if f.is_file())
+        print(f"[{index + 1}/{len(names)} {time.monotonic() - started:4.0f} s] {name} {size // 1024} KB", flush=True)
+        if arguments.verbose:
+            for problem in problems:
+                print("   ", problem)
+    if not arguments.only and not arguments.kind:
+        _remove_strangers(arguments.out, known, FOLDERS)
+    return 1 if failed else 0
+
+
+def _remove_strangers(out: Path, known: dict[str, str], folders: dict[str, str]) -> None:
+    """Packages whose source is gone."""
+    for kind, folder in folders.items():
+        for package in sorted((out / folder).glob("*/asset.json")):
+            if known.get(package.parent.name) != kind:
+                print(f"removing {package.parent}: it has no source any more")
+                shutil.rmtree(package.parent)

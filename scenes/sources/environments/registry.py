@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an environment source is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import bpy
+
+Builder = Callable[[bpy.types.Collection], None]
+
+
+@dataclass(frozen=True)
+class EnvironmentSource:
+    """``build`` fills a collection that is tagged as an environment."""
+
+    title: str
+    build: Builder
+
+
+ENVIRONMENTS: dict[str, EnvironmentSource] = {}
+
+
+def environment(name: str, title: str) -> Callable[[Builder], Builder]:
+    """Register a builder."""
+
+    def register(build: Builder) -> Builder:
+        ENVIRONMENTS[name] = EnvironmentSource(title, build)
+        return build
+
+    return register

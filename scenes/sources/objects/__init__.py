@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Object sources by category; importing this package fills :data:`OBJECTS`."""
+
+from scenes.sources.objects import (  # noqa: F401
+
+    crockery,
+
+
+
+
+
+)
+from scenes.sources.objects.registry import OBJECTS, ObjectSource
+
+__all__ = ["OBJECTS", "ObjectSource"]
