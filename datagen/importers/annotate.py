@@ -26,6 +26,7 @@ from datagen.formats.asset import (
 )
 from datagen.formats.base import StrictModel, Vector3, quantized, read_yaml
 from datagen.formats.lights import AreaLight, Light
+from datagen.meshes import Mesh
 
 _MAX_POINTS = 6_000_000  # sampled surface points; coarser sampling beyond keeps the memory below 100 MB
 _SQUARE_M = 0.025
@@ -440,3 +441,19 @@ def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, 
             if height and (not stack or stack[-1][1] < height):
                 stack.append((start, height))
     return result
+
+
+def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
+    """The upright rectangle that frames a mesh (a window pane), pointing to the side of ``inside_m``."""
+    points = mesh.positions.astype(np.float64)
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(flat.T @ flat)
+    along = np.array([axes[0, 1], axes[1, 1], 0.0])  # the longer horizontal axis
+    reach = (points - center) @ along
+    width, height = float(np.ptp(reach)), float(np.ptp(points[:, 2]))
+    edge_u, edge_v = along * width, np.array([0.0, 0.0, height])
+    if float(np.cross(edge_u, edge_v) @ (inside_m - center)) < 0:
+        edge_u = -edge_u
+    origin = center - 0.5 * (edge_u + edge_v)
+    return Opening(name=name, origin_m=_vector(origin), edge_u_m=_vector(edge_u), edge_v_m=_vector(edge_v))

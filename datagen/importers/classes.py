@@ -34,7 +34,14 @@ _CLASS_WORDS: dict[MaterialClass, str] = {
     "candles wax",
 }
 _WORD_CLASS = {word: name for name, words in _CLASS_WORDS.items() for word in words.split()}
-_STRONG = {"paint", "painted", "lacquer", "lacquered", "glazed", "wallpaper"}  # a finish hides what is below
+_STRONG = {
+    "paint",
+    "painted",
+    "lacquer",
+    "lacquered",
+    "glazed",
+    "wallpaper",
+}  # a finish hides what is below
 
 _CATEGORY_WORDS = {
     "seat": "sofa couch chair stool armchair bench ottoman",

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import Problem
 from datagen.formats.asset import AssetCamera
-from datagen.formats.base import Matrix4, Vector3, quantized
+from datagen.formats.base import quantized
 from datagen.formats.lights import (
     AreaLight,
     DirectionalLight,
@@ -31,6 +31,7 @@ from datagen.importers.channels import TextureFiles
 from datagen.importers.common import Findings, ImportOptions, unique
 from datagen.importers.mitsuba_materials import scene_file
 from datagen.importers.mitsuba_scene import MitsubaScene, SceneNode
+from datagen.importers.packaging import matrix4, vector3
 
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -79,7 +80,7 @@ def camera_of(
         fy_px=quantized(focal),
         cx_px=width * (0.5 + float(node.get("principal_point_offset_x", 0.0))),
         cy_px=height * (0.5 + float(node.get("principal_point_offset_y", 0.0))),
-        asset_from_camera=_matrix4(rigid),
+        asset_from_camera=matrix4(rigid),
     )
 
 
@@ -178,7 +179,7 @@ class LightConverter:
                 name=self._name(node),
                 image=self.textures.add_file(path),
                 scale=float(node.get("scale", 1.0)),
-                world_from_environment=_matrix4(rigid),
+                world_from_environment=matrix4(rigid),
             )
         )
 
@@ -190,7 +191,7 @@ class LightConverter:
         self.lights.append(
             PointLight(
                 name=self._name(node),
-                position_m=_vector(point[:3]),
+                position_m=vector3(point[:3]),
                 intensity=self._intensity(node.get("intensity", 1.0)),
             )
         )
@@ -204,8 +205,8 @@ class LightConverter:
         self.lights.append(
             SpotLight(
                 name=self._name(node),
-                position_m=_vector(matrix[:3, 3]),
-                direction=_vector(_unit(matrix[:3, 2])),
+                position_m=vector3(matrix[:3, 3]),
+                direction=vector3(_unit(matrix[:3, 2])),
                 intensity=self._intensity(node.get("intensity", 1.0)),
                 cutoff_rad=quantized(cutoff),
                 beam_width_rad=quantized(cutoff * 0.75 if beam is None else math.radians(float(beam))),
@@ -219,7 +220,7 @@ class LightConverter:
         self.lights.append(
             DirectionalLight(
                 name=self._name(node),
-                direction=_vector(_unit(direction)),
+                direction=vector3(_unit(direction)),
                 irradiance=_color(node.get("irradiance", 1.0)),
             )
         )
@@ -244,7 +245,7 @@ class LightConverter:
         self.lights.append(
             SkyLight(
                 name=self._name(node),
-                sun_direction=_vector(_unit(direction)),
+                sun_direction=vector3(_unit(direction)),
                 turbidity=float(node.get("turbidity", 3.0)),
                 ground_albedo=float(np.mean(albedo)),
                 sky_scale=sky_scale,
@@ -275,9 +276,9 @@ def emitter_shape_light(
             edge_u, edge_v = edge_v, edge_u
         return AreaLight(
             name=name,
-            origin_m=_vector(center - 0.5 * (edge_u + edge_v)),
-            edge_u_m=_vector(edge_u),
-            edge_v_m=_vector(edge_v),
+            origin_m=vector3(center - 0.5 * (edge_u + edge_v)),
+            edge_u_m=vector3(edge_u),
+            edge_v_m=vector3(edge_v),
             radiance=radiance,
             shape="rectangle" if node.type == "rectangle" else "disk",
         )
@@ -288,7 +289,7 @@ def emitter_shape_light(
         middle = asset_from_shape @ np.append(np.asarray(node.get("center", (0.0, 0.0, 0.0))), 1.0)
         return SphereLight(
             name=name,
-            position_m=_vector(middle[:3]),
+            position_m=vector3(middle[:3]),
             radius_m=quantized(float(scales[0]) * float(node.get("radius", 1.0))),
             radiance=radiance,
         )
@@ -297,16 +298,6 @@ def emitter_shape_light(
 
 def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     return vector / max(float(np.linalg.norm(vector)), 1e-30)
-
-
-def _vector(values: NDArray[np.float64]) -> Vector3:
-    x, y, z = (quantized(float(v)) for v in values)
-    return x, y, z
-
-
-def _matrix4(matrix: NDArray[np.float64]) -> Matrix4:
-    rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
-    return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
 
 
 def _color(value: object) -> tuple[float, float, float]:

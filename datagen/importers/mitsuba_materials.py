@@ -214,16 +214,6 @@ class MaterialConverter:
             is_scalar=False,
         )
         rough = self._scalar(node, "roughness", 0.5)
-        rough = cast(
-            ScalarValue,
-            combine(
-                lambda r: np.sqrt(np.clip(r * r * fresnel.ALPHA_BECKMANN_PER_GGX, 0, 1)),
-                self.cache,
-                f"{name}_roughness",
-                (rough, True),
-                is_scalar=True,
-            ),
-        )
         draft = Draft(name, cast(ColorValue, diffuse), cast(ColorValue, specular), rough)
         for lobe in ("clearcoat", "sheen", "anisotropic", "flatness", "spec_tint", "sheen_tint"):
             if node.child(lobe) is not None or float(node.get(lobe, 0.0) or 0.0) > 0:

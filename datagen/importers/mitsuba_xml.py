@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.asset_check import check_package
 from datagen.errors import InputError, input_error
 from datagen.formats.asset import (
     AssetCamera,
@@ -24,8 +23,8 @@ from datagen.formats.asset import (
     SlotMaterial,
     Texture,
 )
-from datagen.formats.base import IDENTITY4, Matrix4, quantized
-from datagen.formats.package import FileSource, Package, write_package
+from datagen.formats.base import IDENTITY4, quantized
+from datagen.formats.package import FileSource
 from datagen.images import encode_png
 from datagen.importers import annotate
 from datagen.importers.channels import ImageCache, ImageSource, TextureFiles
@@ -55,6 +54,7 @@ from datagen.importers.mitsuba_shapes import (
     shape_mesh,
     transformed_uv,
 )
+from datagen.importers.packaging import finish, matrix4
 from datagen.meshes import Mesh, encode_ply, inspect_mesh, without_degenerate
 
 _PANE_RATIO = 0.05  # a see-through part thinner than this share of its second extent is a pane
@@ -419,46 +419,9 @@ def _pieces(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int32]:
     return connected_components(graph, directed=False)[1]
 
 
-def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
-    """Rows of a (4, 4) affine matrix for a file, with the last row exact."""
-    rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
-    return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
-
-
 def _rounded(value: float | None) -> float | None:
     return None if value is None else quantized(value, 6)
 
 
 def _first(given: Any, derived: Any) -> Any:
     return derived if given is None else given
-
-
-def finish(
-    asset: Any, files: dict[str, FileSource], folder: Path, options: ImportOptions, findings: Findings
-) -> ImportedAsset:
-    """Write and check a package; warnings of the check join the notes."""
-    used = set(files)
-    warnings: list[str] = []
-
-    def validate(package: Package) -> None:
-        report = check_package(package)
-        report.raise_errors()
-        for problem in report.warnings:
-            warnings.append(f"{problem.field}: {problem.got}")
-
-    path = folder / (f"{asset.id}.zip" if options.as_zip else asset.id)
-    package = write_package(
-        path, asset, {n: files[n] for n in used}, overwrite=options.overwrite, validate=validate
-    )
-    for sentence in warnings:
-        findings.note(sentence)
-    with package:
-        return ImportedAsset(
-            asset_id=asset.id,
-            kind=asset.kind,
-            path=path,
-            sha256=package.sha256,
-            license=asset.provenance.license,
-            approximations=findings.approximations,
-            notes=findings.notes,
-        )

@@ -109,7 +109,7 @@ def render_original(
         }
     )
     integrator = mi.load_dict({"type": "path", "max_depth": max_depth})
-    pixels = mi.render(scene, sensor=sensor, integrator=integrator, spp=num_samples, seed=seed)
+    pixels = mi.render(scene, sensor=sensor, integrator=integrator, spp=num_samples, seed=mi.UInt32(seed))
     return np.array(pixels)[..., :3].astype(np.float32)
 
 

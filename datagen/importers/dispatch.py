@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+"""One door for every importer: the kind of source decides (``datagen import PATH --library DIR``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.importers.common import ImportedAsset, ImportOptions, slug
+
+GLTF_SUFFIXES = (".gltf", ".glb")
+_SCENE_FILES = ("scene.xml", "scene_v3.xml")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Something that can be imported: ``kind`` is ``mitsuba``, ``gltf`` or ``material``."""
+
+    path: Path
+    kind: str
+
+
+def find_sources(path: Path) -> list[Source]:
+    """What a path holds: a scene file, a glTF file, a scene or texture folder, or a folder of these.
+
+    Raises :class:`InputError` where there is nothing that an importer knows.
+    """
+    if path.is_file():
+        if path.suffix.lower() == ".xml":
+            return [Source(path, "mitsuba")]
+        if path.suffix.lower() in GLTF_SUFFIXES:
+            return [Source(path, "gltf")]
+    elif path.is_dir():
+        sources = _in_folder(path)
+        if not sources:
+            sources = [s for child in sorted(path.iterdir()) if child.is_dir() for s in _in_folder(child)]
+        if sources:
+            return sources
+    else:
+        raise input_error(path, got="nothing there", expected="something to import", remedy="check the path")
+    expected = "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a PBR texture folder, or a folder of these"
+    raise input_error(
+        path, got=path.suffix or "a folder without any", expected=expected, remedy="check the path"
+    )
+
+
+def _in_folder(folder: Path) -> list[Source]:
+    from datagen.importers.material_folder import is_material_folder
+
+    for name in _SCENE_FILES:
+        if (folder / name).is_file():
+            return [Source(folder / name, "mitsuba")]
+    documents = sorted(p for p in folder.iterdir() if p.suffix.lower() in GLTF_SUFFIXES)
+    if documents:
+        return [Source(p, "gltf") for p in documents]
+    return [Source(folder, "material")] if is_material_folder(folder) else []
+
+
+def import_asset(
+    path: Path,
+    out_library: Path,
+    options: ImportOptions | None = None,
+    *,
+    split: bool = False,
+    on_done: Callable[[ImportedAsset], None] | None = None,
+) -> list[ImportedAsset]:
+    """Import everything that a path holds into a library folder.
+
+    ``split`` makes an object of each separate thing in a glTF file; ``on_done`` is called after each asset.
+    An ``asset_id`` goes with a single source only. With several sources, those that can be imported are, and
+    then one :class:`InputError` tells of all that could not.
+    """
+    options = options or ImportOptions()
+    sources = find_sources(Path(path))
+    if options.asset_id and (len(sources) > 1 or split):
+        raise input_error(
+            path, "id", options.asset_id, "no id where several assets are imported", "leave --id out"
+        )
+    if options.asset_id and options.asset_id != slug(options.asset_id):
+        expected = f"lower-case letters, digits, '_' and '-', such as {slug(options.asset_id)!r}"
+        raise input_error(path, "id", repr(options.asset_id), expected)
+    done: list[ImportedAsset] = []
+    problems: list[Problem] = []
+    for source in sources:
+        try:
+            for record in _import_one(source, Path(out_library), options, split):
+                done.append(record)
+                if on_done is not None:
+                    on_done(record)
+        except InputError as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InputError(*problems)
+    return done
+
+
+def _import_one(
+    source: Source, out_library: Path, options: ImportOptions, split: bool
+) -> list[ImportedAsset]:
+    if source.kind == "mitsuba":
+        from datagen.importers.mitsuba_xml import import_mitsuba_scene
+
+        if options.kind not in ("auto", "environment"):
+            raise input_error(source.path, "kind", options.kind, "environment, which is what a scene becomes")
+        return [import_mitsuba_scene(source.path, out_library, options)]
+    if source.kind == "gltf":
+        from datagen.importers.gltf import import_gltf
+
+        return import_gltf(source.path, out_library, options, split=split)
+    from datagen.importers.material_folder import import_material_folder
+
+    if options.kind not in ("auto", "material"):
+        raise input_error(
+            source.path, "kind", options.kind, "material, which is what a texture folder becomes"
+        )
+    return [import_material_folder(source.path, out_library, replace(options, kind="material"))]

@@ -1,0 +1,429 @@
+# SPDX-License-Identifier: MIT
+"""glTF 2.0 files as object or environment packages: metres, Z up, D, S and R.
+
+glTF is Y up with its front along +Z, which becomes Z up with the front along -Y. An object is centred on the
+origin and put on the plane z = 0. Texture coordinates are turned so that v runs upwards.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.asset import (
+    AssetCamera,
+    EnvironmentAsset,
+    ObjectAsset,
+    Opening,
+    Part,
+    SlotMaterial,
+)
+from datagen.formats.base import IDENTITY4, quantized
+from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight
+from datagen.importers import annotate
+from datagen.importers.channels import ImageCache, TextureFiles
+from datagen.importers.classes import guess_category, guess_supports
+from datagen.importers.common import (
+    Findings,
+    ImportedAsset,
+    ImportOptions,
+    asset_from_source,
+    provenance,
+    slug,
+    unique,
+)
+from datagen.importers.gltf_file import GltfFile, PlacedNode
+from datagen.importers.gltf_materials import GltfMaterial, GltfMaterialConverter
+from datagen.importers.mitsuba_materials import raise_problems
+from datagen.importers.mitsuba_shapes import transformed_uv
+from datagen.importers.packaging import finish, matrix4, vector3
+from datagen.meshes import Mesh, encode_ply, flat_shaded, inspect_mesh, without_degenerate
+
+LUMENS_PER_WATT = 683.0
+"""glTF lights are photometric; Blender and others convert with this factor, and so it is undone."""
+_ROOM_SIDE_M, _ROOM_HEIGHT_M = 2.5, 2.0
+_TOUCH_M = 0.005
+_OPENING_AREA_M2 = 0.3
+
+
+@dataclass
+class _Piece:
+    """One primitive of a placed node; ``mesh`` is in the asset's frame, v upwards."""
+
+    name: str
+    root: int
+    mesh: Mesh
+    material: GltfMaterial
+
+
+def import_gltf(
+    path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
+) -> list[ImportedAsset]:
+    """Convert a .gltf or .glb file to packages below ``out_library``: one, or with ``split`` one for each
+    group of root nodes that touch each other.
+
+    Raises :class:`InputError` with every problem: unknown extensions, missing files, see-through materials
+    where the policy is to refuse, an unknown licence.
+    """
+    options = options or ImportOptions()
+    with GltfFile(path) as file:
+        importer = _GltfImporter(file, options)
+        groups = importer.groups() if split else [importer.pieces]
+        return [importer.write(group, out_library, is_alone=len(groups) == 1) for group in groups]
+
+
+class _GltfImporter:
+    def __init__(self, file: GltfFile, options: ImportOptions):
+        self.file, self.options = file, options
+        self.findings = Findings()
+        self.cache = ImageCache()
+        self.textures = TextureFiles(self.cache)
+        self.materials = GltfMaterialConverter(file, options, self.findings, self.cache, self.textures)
+        up: Literal["y", "z"] = "z" if options.up == "z" else "y"
+        self.asset_from_source = asset_from_source(up, options.unit_scale)
+        self.annotations = annotate.read_annotations(options.annotations)
+        self.source, self.title = provenance(file.path, file.path.parent, options, self.findings)
+        self.nodes = list(file.placed_nodes())
+        self.pieces = self._collect()
+        raise_problems(self.materials.problems)
+        if not self.pieces:
+            raise file.error("meshes", "no triangles in the scene", "at least one mesh", "check the export")
+
+    # geometry
+
+    def _collect(self) -> list[_Piece]:
+        pieces: list[_Piece] = []
+        taken: set[str] = set()
+        for key in ("animations", "skins"):
+            if self.file.items(key):
+                self.findings.approximate(f"{self.file.path.name}: {key} left out, the rest pose is taken")
+        for placed in self.nodes:
+            if "mesh" not in placed.node:
+                continue
+            entry = self.file.item("meshes", placed.node["mesh"], f"node {placed.name!r}")
+            primitives = entry.get("primitives", [])
+            for k, primitive in enumerate(primitives):
+                label = placed.name if len(primitives) == 1 else f"{placed.name}_{k}"
+                piece = self._piece(placed, primitive, label, str(entry.get("name", "")))
+                if piece is not None:
+                    piece.name = unique(slug(label), taken)
+                    taken.add(piece.name)
+                    pieces.append(piece)
+        return pieces
+
+    def _piece(
+        self, placed: PlacedNode, primitive: dict[str, Any], label: str, mesh_name: str
+    ) -> _Piece | None:
+        extensions = primitive.get("extensions", {})
+        if "KHR_draco_mesh_compression" in extensions:
+            raise self.file.error(
+                f"node {label!r}", "Draco compression", "uncompressed meshes", "export it without"
+            )
+        if int(primitive.get("mode", 4)) not in (4, 5, 6):
+            self.findings.approximate(f"{label}: points or lines left out")
+            return None
+        if primitive.get("targets"):
+            self.findings.approximate(f"{label}: morph targets left out")
+        if "COLOR_0" in primitive.get("attributes", {}):
+            self.findings.approximate(f"{label}: vertex colours left out")
+        material = self.materials.convert(
+            primitive.get("material"), placed.name, mesh_name, self.file.path.stem
+        )
+        mesh = self._mesh(primitive, material, label)
+        matrix = self.asset_from_source @ placed.scene_from_node
+        if abs(np.linalg.det(matrix[:3, :3])) < 1e-15:
+            self.findings.approximate(f"{label}: scaled to nothing, left out")
+            return None
+        if np.linalg.det(matrix[:3, :3]) < 0:  # a mirroring node turns the winding round
+            mesh = replace(mesh, faces=mesh.faces[:, ::-1].copy())
+        mesh = mesh.transformed(matrix)
+        faults = inspect_mesh(mesh)
+        if faults.bad_indices or faults.non_finite:
+            raise self.file.error(f"node {label!r}", "NaN, infinite or missing vertices", "an intact mesh")
+        if faults.is_unusable:
+            self.findings.approximate(f"{label}: mesh without a surface left out")
+            return None
+        return _Piece(label, placed.root, without_degenerate(mesh), material)
+
+    def _mesh(self, primitive: dict[str, Any], material: GltfMaterial, label: str) -> Mesh:
+        attributes = primitive.get("attributes", {})
+        if "POSITION" not in attributes:
+            raise self.file.error(f"node {label!r}", "no POSITION", "vertex positions")
+        positions = self.file.accessor(attributes["POSITION"], label).astype(np.float32)
+        if "indices" in primitive:
+            indices = self.file.accessor(primitive["indices"], label)[:, 0].astype(np.int64)
+        else:
+            indices = np.arange(len(positions))
+        faces = _triangles(indices, int(primitive.get("mode", 4)))
+        uv = None
+        uv_name = f"TEXCOORD_{material.uv_set}"
+        if uv_name in attributes:
+            uv = self.file.accessor(attributes[uv_name], label).astype(np.float32)
+            uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
+            if material.uv_matrix is not None:
+                uv = transformed_uv(uv, material.uv_matrix)
+        if "NORMAL" in attributes:
+            normals = self.file.accessor(attributes["NORMAL"], label).astype(np.float32)
+            return Mesh(positions, faces, normals, uv)
+        if len(faces) and (faces.max() >= len(positions) or faces.min() < 0):
+            raise self.file.error(f"node {label!r}", "indices beyond the vertices", "an intact mesh")
+        return flat_shaded(Mesh(positions, faces, None, uv))  # as the format asks where normals are absent
+
+    def groups(self) -> list[list[_Piece]]:
+        """Pieces by root node; roots whose bounding boxes touch (a pot and its lid) stay together."""
+        roots = list(dict.fromkeys(p.root for p in self.pieces))
+        boxes = {r: _bounds([p for p in self.pieces if p.root == r]) for r in roots}
+        leader = {r: r for r in roots}
+
+        def find(root: int) -> int:
+            while leader[root] != root:
+                root = leader[root]
+            return root
+
+        for k, a in enumerate(roots):
+            for b in roots[k + 1 :]:
+                (low_a, high_a), (low_b, high_b) = boxes[a], boxes[b]
+                if (np.maximum(low_a, low_b) <= np.minimum(high_a, high_b) + _TOUCH_M).all():
+                    leader[find(b)] = find(a)
+        found: dict[int, list[_Piece]] = {}
+        for piece in self.pieces:
+            found.setdefault(find(piece.root), []).append(piece)
+        return list(found.values())
+
+    # packages
+
+    def write(self, pieces: list[_Piece], out_library: Path, *, is_alone: bool) -> ImportedAsset:
+        stem = self.file.path.stem
+        first = next(n.name for n in self.nodes if n.index == pieces[0].root)
+        name = (self.options.asset_id if is_alone else "") or slug(stem if is_alone else first)
+        title = (self.options.title if is_alone else "") or name.replace("_", " ").replace(
+            "-", " "
+        ).capitalize()
+        low, high = _bounds(pieces)
+        size = high - low
+        kind = self.options.kind
+        if kind == "auto":
+            is_room = min(size[0], size[1]) > _ROOM_SIDE_M and size[2] > _ROOM_HEIGHT_M
+            kind = "environment" if is_room else "object"
+        if kind == "material":
+            raise input_error(self.file.path, "kind", kind, "object or environment")
+        if kind == "object":
+            shift = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
+            return self._write_object(pieces, name, title, shift, out_library)
+        return self._write_environment(pieces, name, title, out_library)
+
+    def _contents(
+        self, pieces: list[_Piece], shift: NDArray[np.float64]
+    ) -> tuple[tuple[Part, ...], dict[str, SlotMaterial], dict[str, Any], list[Mesh]]:
+        matrix = np.eye(4)
+        matrix[:3, 3] = shift
+        meshes = [piece.mesh.transformed(matrix) for piece in pieces]
+        parts = tuple(
+            Part(
+                name=piece.name,
+                mesh=f"meshes/{piece.name}.ply",
+                material=piece.material.slot,
+                asset_from_part=IDENTITY4,
+                uv_per_m=None if (density := mesh.uv_per_m()) is None else quantized(density, 6),
+            )
+            for piece, mesh in zip(pieces, meshes, strict=True)
+        )
+        slots = {piece.material.slot: self._corrected(piece.material) for piece in pieces}
+        used = {texture.texture for slot in slots.values() for texture in slot.textures()}
+        files: dict[str, Any] = {name: self.textures.files[name] for name in sorted(used)}
+        files.update({part.mesh: encode_ply(mesh) for part, mesh in zip(parts, meshes, strict=True)})
+        return parts, slots, files, meshes
+
+    def _corrected(self, material: GltfMaterial) -> SlotMaterial:
+        known, updates = self.annotations, {}
+        if material.slot in known.classes:
+            updates["classes"] = known.classes[material.slot]
+        if material.slot in known.replaceable_by:
+            updates["replaceable_by"] = known.replaceable_by[material.slot]
+        return material.material.model_copy(update=updates)
+
+    def _write_object(
+        self, pieces: list[_Piece], name: str, title: str, shift: NDArray[np.float64], out_library: Path
+    ) -> ImportedAsset:
+        parts, slots, files, meshes = self._contents(pieces, shift)
+        low = np.min([m.positions.min(axis=0) for m in meshes], axis=0)
+        high = np.max([m.positions.max(axis=0) for m in meshes], axis=0)
+        category = self.options.category or guess_category(name, *(p.name for p in pieces))
+        if not category:
+            category = "other"
+            self.findings.note(f"{name}: category unknown; give it with --category")
+        size = high - low
+        if size.max() > 10 or size.max() < 0.01:
+            self.findings.note(f"{name}: {size.max():.3g} m large; is the unit a metre? see --unit-scale")
+        if any(light.get("extensions", {}).get("KHR_lights_punctual") for light in self.file.items("nodes")):
+            self.findings.approximate(f"{name}: lights of the file left out of the object")
+        asset = ObjectAsset(
+            id=name,
+            title=title,
+            provenance=self.source,
+            category=category,
+            materials=slots,
+            parts=parts,
+            minimum_m=(quantized(float(low[0]), 7), quantized(float(low[1]), 7), 0.0),
+            maximum_m=vector3(high.astype(np.float64)),
+            supports=guess_supports(category, float(size[2]), float(max(size[0], size[1]))),
+        )
+        return finish(asset, files, out_library / "objects", self.options, self.findings)
+
+    def _write_environment(
+        self, pieces: list[_Piece], name: str, title: str, out_library: Path
+    ) -> ImportedAsset:
+        parts, slots, files, meshes = self._contents(pieces, np.zeros(3))
+        cameras, lights = self._cameras(), tuple(self._lights())
+        places = self._places(parts, slots, meshes, cameras)
+        inside = _middle(places, meshes)
+        glowing = [
+            (part.name, mesh)
+            for part, mesh in zip(parts, meshes, strict=True)
+            if slots[part.material].emission is not None
+        ]
+        openings = [annotate.opening_of(mesh, label, inside) for label, mesh in glowing]
+        known = self.annotations
+        asset = EnvironmentAsset(
+            id=name,
+            title=title,
+            provenance=self.source,
+            materials=slots,
+            parts=parts,
+            lights=lights,
+            cameras=cameras,
+            support_surfaces=_first(known.support_surfaces, places.support_surfaces),
+            camera_regions=_first(known.camera_regions, places.camera_regions),
+            light_slots=_first(known.light_slots, places.light_slots),
+            openings=_first(known.openings, tuple(o for o in openings if _is_wide(o))),
+        )
+        return finish(asset, files, out_library / "environments", self.options, self.findings)
+
+    def _places(
+        self,
+        parts: tuple[Part, ...],
+        slots: dict[str, SlotMaterial],
+        meshes: list[Mesh],
+        cameras: tuple[AssetCamera, ...],
+    ) -> annotate.RoomPlaces:
+        triangles = [mesh.triangles() for mesh in meshes]
+        owners = np.repeat(np.arange(len(meshes)), [len(t) for t in triangles])
+        seats = {k for k, p in enumerate(parts) if slots[p.material].classes[0] in ("fabric", "leather")}
+        seeds = np.array([[row[3] for row in c.asset_from_camera[:3]] for c in cameras]).reshape(-1, 3)
+        places = annotate.find_places(np.concatenate(triangles), owners, seats, seeds)
+        if places.floor_m is None:
+            self.findings.note(
+                "places: no enclosed space found; give support surfaces and camera regions in a file"
+            )
+        return places
+
+    def _cameras(self) -> tuple[AssetCamera, ...]:
+        """Perspective cameras; glTF's look along -Z with +Y up, and have no resolution of their own."""
+        found = []
+        for placed in self.nodes:
+            if "camera" not in placed.node:
+                continue
+            entry = self.file.item("cameras", placed.node["camera"], placed.name)
+            if entry.get("type") != "perspective":
+                self.findings.approximate(f"{placed.name}: orthographic camera left out")
+                continue
+            lens = entry["perspective"]
+            height = 720
+            width = round(height * float(lens.get("aspectRatio", 16 / 9)))
+            focal = 0.5 * height / math.tan(0.5 * float(lens["yfov"]))
+            matrix = self.asset_from_source @ placed.scene_from_node @ np.diag([1.0, -1.0, -1.0, 1.0])
+            matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+            found.append(
+                AssetCamera(
+                    name=placed.name,
+                    width_px=width,
+                    height_px=height,
+                    fx_px=quantized(focal),
+                    fy_px=quantized(focal),
+                    cx_px=width / 2,
+                    cy_px=height / 2,
+                    asset_from_camera=matrix4(matrix),
+                )
+            )
+        return tuple(found)
+
+    def _lights(self) -> list[Light]:
+        """KHR_lights_punctual: candela and lux become W/sr and W/m^2 by 683 lm/W; they shine along -Z."""
+        entries = self.file.json.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
+        found: list[Light] = []
+        for placed in self.nodes:
+            use = placed.node.get("extensions", {}).get("KHR_lights_punctual")
+            if use is None:
+                continue
+            if not 0 <= int(use.get("light", -1)) < len(entries):
+                problem = Problem(
+                    self.file.path, f"node {placed.name!r}: light", str(use.get("light")), "an entry"
+                )
+                raise InputError(problem)
+            entry = entries[int(use["light"])]
+            matrix = self.asset_from_source @ placed.scene_from_node
+            strength = float(entry.get("intensity", 1.0)) / LUMENS_PER_WATT
+            red, green, blue = (float(c) * strength for c in entry.get("color", (1.0, 1.0, 1.0)))
+            value = (red, green, blue)
+            name = unique(placed.name, {light.name for light in found})
+            direction = vector3(-matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]))
+            position = vector3(matrix[:3, 3])
+            if entry.get("type") == "directional":
+                found.append(DirectionalLight(name=name, direction=direction, irradiance=value))
+            elif entry.get("type") == "spot":
+                cone = entry.get("spot", {})
+                outer = float(cone.get("outerConeAngle", math.pi / 4))
+                found.append(
+                    SpotLight(
+                        name=name,
+                        position_m=position,
+                        direction=direction,
+                        intensity=value,
+                        cutoff_rad=min(outer, 1.57),
+                        beam_width_rad=min(float(cone.get("innerConeAngle", 0.0)), outer),
+                    )
+                )
+            else:
+                found.append(PointLight(name=name, position_m=position, intensity=value))
+        return found
+
+
+def _triangles(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
+    """Triangle list (M, 3) of a list (4), strip (5) or fan (6)."""
+    if mode == 4:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
+    k = np.arange(max(0, len(indices) - 2))
+    if mode == 6:
+        return np.stack([indices[0] + 0 * k, indices[k + 1], indices[k + 2]], axis=1).astype(np.int32)
+    odd = k % 2
+    return np.stack([indices[k + odd], indices[k + 1 - odd], indices[k + 2]], axis=1).astype(np.int32)
+
+
+def _bounds(pieces: list[_Piece]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    points = [p.mesh.positions for p in pieces]
+    low = np.min([p.min(axis=0) for p in points], axis=0).astype(np.float64)
+    high = np.max([p.max(axis=0) for p in points], axis=0).astype(np.float64)
+    return low, high
+
+
+def _middle(places: annotate.RoomPlaces, meshes: list[Mesh]) -> NDArray[np.float64]:
+    if places.camera_regions:
+        region = places.camera_regions[0]
+        return (np.asarray(region.minimum_m) + np.asarray(region.maximum_m)) / 2
+    return np.mean([m.positions.mean(axis=0, dtype=np.float64) for m in meshes], axis=0)
+
+
+def _is_wide(opening: Opening) -> bool:
+    normal = np.cross(opening.edge_u_m, opening.edge_v_m)
+    area = float(np.linalg.norm(normal))
+    return area > _OPENING_AREA_M2 and abs(normal[2]) < 0.5 * area
+
+
+def _first(given: Any, derived: Any) -> Any:
+    return derived if given is None else given

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: MIT
+"""glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree, without meaning.
+
+Buffers and images may be files beside the document, data URIs or parts of the binary; files outside the
+document's folder are refused, and so are compressions and required extensions that are not known here.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem, input_error
+
+KNOWN_EXTENSIONS = frozenset(
+    {
+        "KHR_materials_specular", "KHR_materials_ior", "KHR_materials_emissive_strength",
+        "KHR_materials_transmission", "KHR_materials_clearcoat", "KHR_materials_sheen",
+        "KHR_materials_volume",
+        "KHR_materials_anisotropy", "KHR_materials_iridescence", "KHR_materials_unlit", "KHR_lights_punctual",
+        "KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_variants",
+        "KHR_materials_dispersion",
+    }
+)  # fmt: skip
+MAX_FILE_BYTES = 2 << 30
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_IMAGE_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
+
+
+@dataclass(frozen=True)
+class PlacedNode:
+    """A node of the default scene with its transform from the node's frame to the document's."""
+
+    index: int
+    root: int
+    node: dict[str, Any]
+    scene_from_node: NDArray[np.float64]
+
+    @property
+    def name(self) -> str:
+        return str(self.node.get("name") or f"node_{self.index}")
+
+
+class GltfFile:
+    """An opened document. Use as a context manager: embedded images live in a temporary folder."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.folder = path.parent.resolve()
+        self._temporary: tempfile.TemporaryDirectory | None = None
+        self._buffers: dict[int, bytes] = {}
+        self._binary = b""
+        self.json = self._load()
+        required = set(self.json.get("extensionsRequired", [])) - KNOWN_EXTENSIONS
+        if required:
+            raise input_error(
+                path,
+                "extensionsRequired",
+                ", ".join(sorted(required)),
+                "known extensions",
+                "export it without them",
+            )
+
+    def __enter__(self) -> GltfFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def error(
+        self, field: str, got: object, expected: str, remedy: str = "export the file again"
+    ) -> InputError:
+        return input_error(self.path, field, got, expected, remedy)
+
+    def items(self, key: str) -> list[dict[str, Any]]:
+        """A top-level list of the document, empty where it is absent."""
+        value = self.json.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
+            raise self.error(key, type(value).__name__, "a list of objects")
+        return value
+
+    def item(self, key: str, index: object, user: str) -> dict[str, Any]:
+        """Entry ``index`` of a top-level list; ``user`` says who asks."""
+        entries = self.items(key)
+        if not isinstance(index, int) or not 0 <= index < len(entries):
+            raise self.error(user, index, f"an index below {len(entries)} into {key}")
+        return entries[index]
+
+    def _load(self) -> dict[str, Any]:
+        try:
+            if self.path.stat().st_size > MAX_FILE_BYTES:
+                raise input_error(self.path, got="over 2 GB", expected="a glTF file")
+            data = self.path.read_bytes()
+        except OSError as error:
+            raise input_error(self.path, got=error.strerror or error, expected="a glTF file") from None
+        if data[:4] == b"glTF":
+            data = self._split_binary(data)
+        try:
+            value = json.loads(data.decode("utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise input_error(self.path, got=str(error)[:200], expected="a glTF document") from None
+        version = value.get("asset", {}).get("version", "") if isinstance(value, dict) else ""
+        if not str(version).startswith("2."):
+            raise input_error(self.path, "asset.version", repr(version), "2.0", "export it as glTF 2.0")
+        return value
+
+    def _split_binary(self, data: bytes) -> bytes:
+        document, offset = b"", 12
+        try:
+            while offset + 8 <= len(data):
+                length, kind = struct.unpack_from("<II", data, offset)
+                chunk = data[offset + 8 : offset + 8 + length]
+                if len(chunk) != length:
+                    raise struct.error("cut short")
+                if kind == 0x4E4F534A:
+                    document = chunk
+                elif kind == 0x004E4942:
+                    self._binary = chunk
+                offset += 8 + length
+        except struct.error:
+            raise input_error(
+                self.path, got="a chunk that is cut short", expected="an intact .glb file"
+            ) from None
+        return document
+
+    # data
+
+    def resource(self, uri: str, user: str) -> bytes | Path:
+        """Content of a data URI, or the path of a file beside the document (which may be absent)."""
+        if uri.startswith("data:"):
+            try:
+                return base64.b64decode(uri.split(",", 1)[1], validate=True)
+            except (IndexError, binascii.Error):
+                raise self.error(user, uri[:40], "base64 data") from None
+        path = (self.folder / unquote(uri)).resolve()
+        if "://" in uri or not path.is_relative_to(self.folder):
+            raise self.error(user, repr(uri), "a file in the document's folder", "copy it there")
+        return path
+
+    def buffer(self, index: int) -> bytes:
+        if index not in self._buffers:
+            entry = self.item("buffers", index, "bufferViews")
+            if "uri" not in entry:
+                content: bytes | Path = self._binary
+            else:
+                content = self.resource(str(entry["uri"]), f"buffers[{index}].uri")
+            if isinstance(content, Path):
+                if not content.is_file():
+                    raise self.error(
+                        f"buffers[{index}].uri",
+                        f"{entry['uri']!r} (no such file)",
+                        "the buffer",
+                        "restore it",
+                    )
+                content = content.read_bytes()
+            if len(content) < int(entry.get("byteLength", 0)):
+                raise self.error(
+                    f"buffers[{index}]", f"{len(content)} bytes", f"{entry.get('byteLength')} bytes"
+                )
+            self._buffers[index] = content
+        return self._buffers[index]
+
+    def view(self, index: object) -> tuple[bytes, int]:
+        """Bytes of a buffer view and its stride (0 = tightly packed)."""
+        entry = self.item("bufferViews", index, "accessors")
+        if "EXT_meshopt_compression" in entry.get("extensions", {}):
+            raise self.error(
+                f"bufferViews[{index}]", "EXT_meshopt_compression", "uncompressed data", "export it without"
+            )
+        data = self.buffer(int(entry.get("buffer", 0)))
+        start = int(entry.get("byteOffset", 0))
+        return data[start : start + int(entry["byteLength"])], int(entry.get("byteStride", 0))
+
+    def accessor(self, index: object, user: str) -> NDArray:
+        """Values (count, width) of an accessor; normalised integers become floats."""
+        entry = self.item("accessors", index, user)
+        try:
+            kind = np.dtype(_COMPONENTS[entry["componentType"]])
+            width, count = _WIDTHS[entry["type"]], int(entry["count"])
+        except KeyError as error:
+            raise self.error(f"accessors[{index}]", str(error), "a known component type and shape") from None
+        if "bufferView" in entry:
+            values = self._strided(entry, kind, width, count, f"accessors[{index}]")
+        else:
+            values = np.zeros((count, width), kind)
+        if "sparse" in entry:
+            values = self._sparse(entry["sparse"], values, kind, width, f"accessors[{index}].sparse")
+        if entry.get("normalized") and kind.kind in "iu":
+            limit = np.iinfo(kind).max
+            values = np.maximum(values.astype(np.float32) / limit, -1.0)
+        return values
+
+    def _strided(self, entry: dict[str, Any], kind: np.dtype, width: int, count: int, user: str) -> NDArray:
+        data, stride = self.view(entry["bufferView"])
+        size = kind.itemsize * width
+        stride = stride or size
+        start = int(entry.get("byteOffset", 0))
+        if count and (stride < size or start + stride * (count - 1) + size > len(data)):
+            raise self.error(user, f"{len(data)} bytes", f"{start + stride * (count - 1) + size} bytes")
+        if stride == size:
+            return np.frombuffer(data, kind, count * width, start).reshape(count, width)
+        raw = np.frombuffer(data, np.uint8)
+        rows = np.lib.stride_tricks.as_strided(raw[start:], (count, size), (stride, 1))
+        return np.ascontiguousarray(rows).view(kind).reshape(count, width)
+
+    def _sparse(
+        self, sparse: dict[str, Any], values: NDArray, kind: np.dtype, width: int, user: str
+    ) -> NDArray:
+        count = int(sparse["count"])
+        part = sparse["indices"]
+        index_kind = np.dtype(_COMPONENTS[part["componentType"]])
+        indices = self._strided(part, index_kind, 1, count, user)[:, 0].astype(np.int64)
+        replacement = self._strided(sparse["values"], kind, width, count, user)
+        if len(indices) and indices.max() >= len(values):
+            raise self.error(user, int(indices.max()), f"indices below {len(values)}")
+        values = np.array(values)
+        values[indices] = replacement
+        return values
+
+    def image_file(self, index: object, user: str) -> Path:
+        """Path of an image; embedded ones are written to a temporary folder. The file may be absent."""
+        entry = self.item("images", index, user)
+        if "uri" in entry:
+            content = self.resource(str(entry["uri"]), f"images[{index}].uri")
+            if isinstance(content, Path):
+                return content
+        else:
+            content = self.view(entry.get("bufferView"))[0]
+        kind = str(entry.get("mimeType", ""))
+        suffix = _IMAGE_SUFFIX.get(kind) or (".png" if content[:4] == b"\x89PNG" else ".jpg")
+        if self._temporary is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="gltf-")
+        name = str(entry.get("name") or f"image_{index}").replace("/", "_")
+        folder = Path(self._temporary.name) / str(index)
+        folder.mkdir(exist_ok=True)
+        path = folder / f"{Path(name).stem or 'image'}{suffix}"
+        if not path.exists():
+            path.write_bytes(content)
+        return path
+
+    # nodes
+
+    def placed_nodes(self) -> Iterator[PlacedNode]:
+        """Nodes of the default scene, depth first. Raises :class:`InputError` for a node inside itself."""
+        scenes = self.items("scenes")
+        if scenes:
+            roots = self.item("scenes", self.json.get("scene", 0), "scene").get("nodes", [])
+        else:
+            inner = {c for n in self.items("nodes") for c in n.get("children", [])}
+            roots = [k for k in range(len(self.items("nodes"))) if k not in inner]
+        for root in roots:
+            yield from self._walk(root, root, np.eye(4), ())
+
+    def _walk(
+        self, index: int, root: int, outer: NDArray[np.float64], above: tuple[int, ...]
+    ) -> Iterator[PlacedNode]:
+        node = self.item("nodes", index, "nodes")
+        if index in above:
+            raise InputError(
+                Problem(self.path, f"nodes[{index}]", "inside itself", "a tree of nodes", "export it again")
+            )
+        matrix = outer @ local_matrix(node)
+        yield PlacedNode(index, root, node, matrix)
+        for child in node.get("children", []):
+            yield from self._walk(child, root, matrix, (*above, index))
+
+
+def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
+    """(4, 4) transform of a node: its matrix (column-major in files), or translation x rotation x scale."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix

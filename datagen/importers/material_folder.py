@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: MIT
+"""PBR texture folders in the naming of ambientCG and Poly Haven as material packages.
+
+``Wood051_1K_Color.jpg``, ``Wood051_1K-JPG_NormalGL.jpg``; ``oak_diff_1k.jpg``, ``oak_arm_1k.jpg``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.errors import Problem, input_error
+from datagen.formats.asset import Material, MaterialAsset, MaterialClass, Texture
+from datagen.images import encode_png
+from datagen.importers.channels import ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
+from datagen.importers.classes import guess_class
+from datagen.importers.common import Findings, ImportedAsset, ImportOptions, provenance, slug
+from datagen.importers.mitsuba_materials import raise_problems
+from datagen.importers.packaging import finish
+from datagen.importers.pbr import green_points_up, metallic_roughness
+
+_IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff", ".tga", ".bmp")
+_ROLE_WORDS = {
+    "color": "color col diff diffuse albedo basecolor base_color",
+    "roughness": "roughness rough",
+    "metalness": "metalness metallic metal",
+    "normal_gl": "normalgl nor_gl normal_gl",
+    "normal_dx": "normaldx nor_dx normal_dx",
+    "normal": "normal nor nrm",
+    "opacity": "opacity alpha mask",
+    "arm": "arm orm",
+    "occlusion": "ambientocclusion ao occlusion",
+    "displacement": "displacement disp height bump",
+    "emission": "emission emissive emit",
+    "specular": "specular spec spec_ior",
+}
+_WORD_ROLE = {word: role for role, words in _ROLE_WORDS.items() for word in words.split()}
+_RESOLUTION = re.compile(r"[_-]\d+k(?=[_\-.]|$)|[_-](jpg|png)(?=_|$)", re.I)
+_LEFT_OUT = ("occlusion", "displacement", "emission", "specular")
+DEFAULT_TILE_M = 1.0
+
+
+def role_of(name: str) -> str:
+    """What the image of that file name holds; '' if its name does not say."""
+    stem = _RESOLUTION.sub("", Path(name).stem).lower().replace("-", "_")
+    words = stem.split("_")
+    for length in (2, 1):
+        role = _WORD_ROLE.get("_".join(words[-length:])) if len(words) > length or length == 1 else None
+        if role:
+            return role
+    return ""
+
+
+def find_maps(folder: Path) -> dict[str, list[Path]]:
+    """Images of a folder by role."""
+    maps: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in _IMAGES and path.is_file():
+            role = role_of(path.name)
+            if role:
+                maps.setdefault(role, []).append(path)
+    return maps
+
+
+def is_material_folder(folder: Path) -> bool:
+    """Whether a folder holds a colour map and at least one other map that its name tells."""
+    maps = find_maps(folder) if folder.is_dir() else {}
+    return "color" in maps and len(maps) > 1
+
+
+def import_material_folder(
+    folder: Path, out_library: Path, options: ImportOptions | None = None
+) -> ImportedAsset:
+    """Convert a texture folder to a material package in ``out_library/materials/<id>``.
+
+    Raises :class:`InputError` for a folder without a colour map, several images for one channel, a missing
+    licence, or a bad image.
+    """
+    return _MaterialImporter(folder, options or ImportOptions()).run(out_library)
+
+
+@dataclass(frozen=True)
+class _Scalars:
+    roughness: ScalarValue
+    metallic: ScalarValue
+
+
+class _MaterialImporter:
+    def __init__(self, folder: Path, options: ImportOptions):
+        if not folder.is_dir():
+            raise input_error(
+                folder, got="no such folder", expected="a folder of textures", remedy="check the path"
+            )
+        self.folder, self.options = folder, options
+        self.findings = Findings()
+        self.cache = ImageCache()
+        self.textures = TextureFiles(self.cache)
+        self.maps = find_maps(folder)
+        self.problems: list[Problem] = []
+
+    def one(self, role: str) -> Path | None:
+        found = self.maps.get(role, [])
+        if len(found) > 1:
+            names = ", ".join(p.name for p in found)
+            expected = "one image; put each resolution into a folder of its own"
+            self.problems.append(Problem(self.folder, role, names, expected, "remove the others"))
+        return found[0] if found else None
+
+    def run(self, out_library: Path) -> ImportedAsset:
+        source, title = provenance(self.folder, self.folder, self.options, self.findings)
+        color = self.one("color")
+        if color is None:
+            expected = "a colour map (..._Color, ..._diff)"
+            self.problems.append(Problem(self.folder, "color", "none", expected, "check the folder"))
+        scalars, normal, opacity = self.scalars(), self.normal(), self.one("opacity")
+        raise_problems(self.problems)
+        assert color is not None
+        name = self.options.asset_id or slug(self.folder.name)
+        base: ColorValue = ImageSource(color, "linear" if color.suffix.lower() == ".exr" else "srgb")
+        channels = metallic_roughness(self.cache, name, base, scalars.metallic, scalars.roughness)
+        for role in _LEFT_OUT:
+            if role in self.maps:
+                self.findings.approximate(f"{name}: {role} map left out")
+        tile = self.options.tile_size_m
+        if tile is None:
+            tile = DEFAULT_TILE_M
+            self.findings.note(f"{name}: one tile taken as {tile:g} m wide; give --tile-size if it is known")
+        material = Material(
+            classes=self.classes(color, title),
+            diffuse_albedo=self.textures.color(channels.diffuse),
+            specular_albedo=self.textures.color(channels.specular),
+            roughness=self.textures.scalar(channels.roughness),
+            opacity=self.textures.scalar(ImageSource(opacity, "linear")) if opacity else None,
+            normal=normal,
+            tile_size_m=tile,
+            approximations=self.findings.approximations,
+        )
+        asset = MaterialAsset(
+            id=name,
+            title=self.options.title or title or self.folder.name.replace("-", " ").title(),
+            provenance=source,
+            material=material,
+        )
+        return finish(asset, self.textures.files, out_library / "materials", self.options, self.findings)
+
+    def scalars(self) -> _Scalars:
+        packed, rough, metal = self.one("arm"), self.one("roughness"), self.one("metalness")
+        roughness: ScalarValue = 0.5
+        metallic: ScalarValue = 0.0
+        if packed is not None:
+            roughness, metallic = ImageSource(packed, "linear", "g"), ImageSource(packed, "linear", "b")
+        if rough is not None:
+            roughness = ImageSource(rough, "linear", "r")
+        if metal is not None:
+            metallic = ImageSource(metal, "linear", "r")
+        if packed is None and rough is None:
+            self.findings.approximate(f"{self.folder.name}: no roughness map, R = 0.5")
+        return _Scalars(roughness, metallic)
+
+    def normal(self) -> Texture | None:
+        """The normal map in OpenGL orientation; DirectX maps have their green channel turned round."""
+        up, down, unknown = self.one("normal_gl"), self.one("normal_dx"), self.one("normal")
+        path = up or down or unknown
+        if path is None:
+            return None
+        is_up = up is not None
+        if up is None and down is None:
+            pixels = self.cache.pixels(path)
+            height = self.one("displacement")
+            slopes = None if height is None else self.cache.pixels(height)
+            is_up = pixels.dtype.kind != "u" or green_points_up(pixels, slopes)
+            made = "OpenGL" if is_up else "DirectX"
+            self.findings.note(f"{path.name}: orientation not in its name; by its pixels it is {made}")
+        if is_up:
+            return Texture(texture=self.textures.add_file(path), encoding="linear")
+        flipped = np.array(self.cache.pixels(path)[..., :3])
+        flipped[..., 1] = np.iinfo(flipped.dtype).max - flipped[..., 1]
+        name = f"textures/{slug(path.stem)}_gl.png"
+        self.textures.files[name] = encode_png(flipped)
+        return Texture(texture=name, encoding="linear")
+
+    def classes(self, color: Path, title: str) -> tuple[MaterialClass, ...]:
+        if self.options.classes:
+            return self.options.classes  # type: ignore[return-value]
+        guessed = guess_class(title, self.folder.name, color.stem)
+        if guessed == "other":
+            self.findings.note(f"{self.folder.name}: material class unknown; give it with --class")
+        return (guessed,)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Metallic-roughness materials (glTF, texture folders) to D, S and R:
+
+D = base (1 - metallic),  S = F0 (1 - metallic) + base metallic,  R = roughness    (method 1)
+
+A channel that one plain image gives is passed through; only true products of images are baked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.importers.channels import (
+    ColorValue,
+    ImageCache,
+    ScalarValue,
+    combine,
+    is_constant,
+)
+
+DEFAULT_F0 = 0.04
+_MIN_AGREEMENT = 0.2  # correlation of normals and height; made from each other they reach 0.3 to 0.96
+_END_TOLERANCE = 0.02  # JPEG noise in a metalness image that is meant to be all 0 or all 1
+
+
+@dataclass(frozen=True)
+class PbrChannels:
+    """Channels of a metallic-roughness material."""
+
+    diffuse: ColorValue
+    specular: ColorValue
+    roughness: ScalarValue
+
+
+def metallic_roughness(
+    cache: ImageCache,
+    label: str,
+    base: ColorValue,
+    metallic: ScalarValue,
+    roughness: ScalarValue,
+    f0: ColorValue = (DEFAULT_F0,) * 3,
+) -> PbrChannels:
+    """D, S and R; ``label`` names baked files. A metalness image that is constant counts as a constant."""
+    metallic = settled(cache, metallic)
+    if metallic == 0.0:
+        return PbrChannels(base, f0, roughness)
+    if metallic == 1.0:
+        return PbrChannels((0.0, 0.0, 0.0), base, roughness)
+    diffuse = combine(
+        lambda b, m: b * (1 - m),
+        cache,
+        f"{label}_diffuse_albedo",
+        (base, False),
+        (metallic, True),
+        is_scalar=False,
+    )
+    specular = combine(
+        lambda b, m, s: s * (1 - m) + b * m,
+        cache,
+        f"{label}_specular_albedo",
+        (base, False),
+        (metallic, True),
+        (f0, False),
+        is_scalar=False,
+    )
+    return PbrChannels(cast(ColorValue, diffuse), cast(ColorValue, specular), roughness)
+
+
+def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
+    """A scalar, as a constant where its image stays within 2 % of 0 or of 1."""
+    if is_constant(value):
+        return value
+    pixels = cache.values(value, is_scalar=True)
+    if float(pixels.max()) <= _END_TOLERANCE:
+        return 0.0
+    if float(pixels.min()) >= 1 - _END_TOLERANCE:
+        return 1.0
+    return value
+
+
+def green_points_up(pixels: NDArray, height: NDArray | None = None) -> bool:
+    """Whether a tangent-space normal image has +Y up (OpenGL) rather than down (DirectX), by its pixels.
+
+    Where a ``height`` image of the same size goes with it and agrees with the normals at all, its slope
+    along v decides. Else the curl does:
+
+    Slopes p = nx / nz and q = ny / nz of a height field have no curl: dp/dv = dq/du. With v upwards and rows
+    downwards that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow - dq/dcolumn = 0 for DirectX; whichever
+    leaves less is right. Columns and rows wrap around.
+    """
+    values = pixels[..., :3].astype(np.float64) / np.iinfo(pixels.dtype).max * 2 - 1
+    if height is not None and height.shape[:2] == pixels.shape[:2]:
+        rise = height[..., 0].astype(np.float64)
+        slope_v = np.roll(rise, 1, axis=0) - np.roll(rise, -1, axis=0)  # v runs against the rows
+        if slope_v.std() > 0 and values[..., 1].std() > 0:
+            agreement = float(np.corrcoef(values[..., 1].ravel(), -slope_v.ravel())[0, 1])
+            if abs(agreement) > _MIN_AGREEMENT:
+                return agreement > 0
+    depth = np.maximum(values[..., 2], 0.1)  # a steep or missing z would dominate the sums
+    p, q = values[..., 0] / depth, values[..., 1] / depth
+    dp = np.roll(p, -1, axis=0) - np.roll(p, 1, axis=0)
+    dq = np.roll(q, -1, axis=1) - np.roll(q, 1, axis=1)
+    return float(((dp + dq) ** 2).sum()) <= float(((dp - dq) ** 2).sum())
