@@ -23,7 +23,7 @@ from datagen.meshes import Mesh, decode_ply, inspect_mesh, joined
 if TYPE_CHECKING:
     from datagen.formats.package import Package
 
-DEFAULT_CACHE_BYTES = 512 << 20
+DEFAULT_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:

@@ -12,6 +12,9 @@ and adds them in a fixed order, so that a view's bytes do not depend on what was
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import gc
 import hashlib
 import time
 from collections.abc import Iterable, Iterator
@@ -28,7 +31,7 @@ from datagen.errors import input_error
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.view import RenderRecord
-from datagen.rendering.denoiser import Denoiser, auxiliary_albedo, make_denoiser
+from datagen.rendering.denoiser import Denoiser, OidnDenoiser, auxiliary_albedo, make_denoiser
 from datagen.rendering.scene_builder import AssetCaches, BuiltScene, build_scene, sensor_for
 
 if TYPE_CHECKING:
@@ -60,6 +63,19 @@ def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
     return int.from_bytes(hashlib.sha256(text).digest()[:4], "little") >> 1
 
 
+def release_memory() -> None:
+    """Give back what earlier scenes left: Dr.Jit keeps freed arrays, and glibc keeps freed pages.
+
+    Without it a worker grows by some 15 MB a configuration although nothing is leaked.
+    """
+    import drjit as dr
+
+    gc.collect()  # scenes and their materials refer to each other
+    dr.flush_malloc_cache()
+    with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
 class SceneRenderer:
     """Renders the views of one configuration.
 
@@ -79,6 +95,7 @@ class SceneRenderer:
 
         start = time.perf_counter()
         self.variant = select_variant(None if recipe.variant == "auto" else recipe.variant)
+        release_memory()
         self.configuration, self.recipe = configuration, recipe
         self.built: BuiltScene = build_scene(configuration, library, caches)
         from datagen.rendering.path_tracer import PathTracer
@@ -114,6 +131,14 @@ class SceneRenderer:
                 pending = pool.submit(self._finish, *traced)
             if pending is not None:
                 yield pending.result()
+
+    def close(self) -> None:
+        """Release the scene and the denoiser; shared caches keep their meshes and textures."""
+        denoiser, self._denoiser = self._denoiser, None
+        if isinstance(denoiser, OidnDenoiser):
+            denoiser.close()
+        self._sensors.clear()
+        release_memory()
 
     def _sensor(self, camera: Camera) -> Any:
         size = (camera.width_px, camera.height_px)

@@ -117,6 +117,7 @@ def build_scene(
     register_rendering_plugins()
     caches = caches or process_caches()
     _check_packages(configuration, library)
+    caches.textures.forget_variations()
     builder = _Builder(configuration, library, caches)
     builder.add_placed(configuration.environment)
     for placed in configuration.objects:

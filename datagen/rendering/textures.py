@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Role = Literal["diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"]
 SCALAR_ROLES = ("roughness", "opacity")
 NO_ADJUSTMENT = ColorAdjustment()
-DEFAULT_CACHE_BYTES = 1 << 30
+DEFAULT_CACHE_BYTES = 256 << 20
 # A metal's F0 is coloured; what lies under this saturation is rounding of a grey one and keeps its colour.
 _MIN_SATURATION = 1e-3
 
@@ -67,13 +67,19 @@ def adjusted_constant(
 class TextureCache:
     """Uploaded textures by content, least recently used go first. One a process serves all configurations.
 
-    The same image under another adjustment is another texture; UV scales are in the meshes and are not.
+    A variation is drawn for one configuration and hardly ever again: varied textures are shared within a
+    configuration and forgotten with :meth:`forget_variations`. UV scales are in the meshes.
     """
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
         self.max_bytes = max_bytes
         self.num_bytes = 0
         self._textures: OrderedDict[tuple, tuple[Any, int]] = OrderedDict()
+        self._variations: dict[tuple, Any] = {}
+
+    def forget_variations(self) -> None:
+        """Drop varied textures; scenes that use them keep theirs."""
+        self._variations.clear()
 
     def channel(
         self,
@@ -97,6 +103,8 @@ class TextureCache:
         if role in ("opacity", "normal"):
             adjustment = NO_ADJUSTMENT
         key = (package.sha256, value, role, adjustment, flip_green)
+        if key in self._variations:
+            return self._variations[key]
         if key in self._textures:
             self._textures.move_to_end(key)
             return self._textures[key][0]
@@ -105,6 +113,9 @@ class TextureCache:
             values = values.copy()
             values[..., 1] = 1.0 - values[..., 1]
         texture = upload(values)
+        if adjustment != NO_ADJUSTMENT:
+            self._variations[key] = texture
+            return texture
         self._textures[key] = (texture, values.size * 2)
         self.num_bytes += values.size * 2
         while self.num_bytes > self.max_bytes and len(self._textures) > 1:

@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: MIT
+"""What a view costs and how far it is from convergence: the converted ``staircase``, everything counted.
+
+    python benchmarks/bench_view.py                             640x384, 40 views, as `make` would render them
+    python benchmarks/bench_view.py --samples 2 4 8 --views 8   a sweep
+    python benchmarks/bench_view.py --overlap                   sequential and overlapped rendering in turns
+
+A view passes through: path, ground-truth buffers, denoiser, statistics against all views, EXR (zip). Wall
+and CPU seconds (user + system of all threads) are given by stage; on a machine that does other things,
+the CPU seconds divided by the number of cores are the more telling figure. The error is the relMSE of
+``datagen.rendering.error`` against two independent references, which are made once and kept in --cache. The
+scene is converted from ../shared/data by the project's own importer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from datagen.cameras import Camera
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.exr import encode_view
+from datagen.formats.recipe import RenderRecipe
+from datagen.library import Library
+from datagen.multiview.statistics import StatisticsView, compute_statistics
+from datagen.rendering.error import relative_mse
+from datagen.rendering.renderer import RenderedView, SceneRenderer
+from datagen.versions import pixel_versions
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))
+RESULTS = REPOSITORY / "benchmarks" / "results"
+SAMPLES_A_CHUNK = 64
+
+
+def converted(scene: str, cache: Path) -> Library:
+    """The library with the imported scene, made on first use."""
+    from datagen.importers.common import ImportOptions
+    from datagen.importers.mitsuba_xml import import_mitsuba_scene
+
+    folder = cache / "library" / scene
+    if not (folder / "environments").is_dir():
+        source = SHARED_DATA / "scenes" / scene / "scene.xml"
+        import_mitsuba_scene(source, folder, ImportOptions(dielectric="replace", missing="replace"))
+    return Library([folder])
+
+
+def around_own_camera(environment: EnvironmentAsset, count: int, size: tuple[int, int]) -> list[Camera]:
+    """``count`` views from near the scene's own camera, turned by up to 0.5 rad, shifted by up to 0.2 m."""
+    own = environment.cameras[0]
+    pose = np.array(own.asset_from_camera)
+    focal = 0.85 * size[0]
+    rng = np.random.default_rng(1)
+    cameras = []
+    for k in range(count):
+        angle = 0.0 if k == 0 else rng.uniform(-0.5, 0.5)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+        world_from_camera = pose.copy()
+        world_from_camera[:3, :3] = turn @ pose[:3, :3]
+        world_from_camera[:3, 3] += 0.0 if k == 0 else rng.uniform(-0.2, 0.2, 3)
+        cameras.append(Camera(*size, focal, focal, size[0] / 2, size[1] / 2, world_from_camera))
+    return cameras
+
+
+def configuration_of(library: Library, count: int, size: tuple[int, int]) -> Configuration:
+    """The room as it was imported, with its own lights."""
+    (package,) = library.select("environment", for_training=False)
+    environment = package.asset
+    assert isinstance(environment, EnvironmentAsset)
+    views = around_own_camera(environment, count, size)
+    return Configuration(
+        id=package.id,
+        index=0,
+        seed=1,
+        environment=PlacedAsset(name=package.id, asset=package.id),
+        lights=environment.lights,
+        cameras=tuple(ViewCamera.from_camera(f"view_{k:03}", camera) for k, camera in enumerate(views)),
+        assets={p.id: p.sha256 for p in library},
+    )
+
+
+def cpu_seconds() -> float:
+    """User and system time of all threads of this process."""
+    times = os.times()
+    return times.user + times.system
+
+
+def summary(values: list[float]) -> dict[str, Any]:
+    """Median and interquartile range."""
+    low, median, high = np.percentile(values, [25, 50, 75])
+    return {"median": round(float(median), 4), "iqr": [round(float(low), 4), round(float(high), 4)]}
+
+
+class Stopwatch:
+    """Wall and CPU seconds by stage, one entry a view."""
+
+    def __init__(self) -> None:
+        self.wall: dict[str, list[float]] = {}
+        self.cpu: dict[str, list[float]] = {}
+
+    @contextmanager
+    def stage(self, name: str, share: int = 1) -> Iterator[None]:
+        """Time a block; ``share`` views are made in it."""
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        yield
+        self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)
+        self.cpu.setdefault(name, []).append((cpu_seconds() - cpu) / share)
+
+    def result(self) -> dict[str, Any]:
+        """Medians by stage."""
+        return {
+            name: {"wall_s": summary(self.wall[name]), "cpu_s": summary(self.cpu[name])} for name in self.wall
+        }
+
+
+def references(
+    renderer: SceneRenderer, cache: Path, views: list[int], samples: int
+) -> dict[int, tuple[Any, Any]]:
+    """Two independent converged images of each view, from the cache or made now."""
+    folder = cache / "references"
+    folder.mkdir(parents=True, exist_ok=True)
+    configuration = renderer.configuration
+    width, height = configuration.cameras[0].width_px, configuration.cameras[0].height_px
+    pairs = {}
+    for view in views:
+        path = folder / f"{configuration.id}-{width}x{height}-view{view}-{samples}.npz"
+        if not path.is_file():
+            start = time.perf_counter()
+            halves = [reference_half(renderer, view, samples, half) for half in (0, 1)]
+            partial = path.with_suffix(".partial.npz")
+            np.savez(partial, *halves)
+            partial.replace(path)
+            print(f"reference of view {view}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+        with np.load(path) as data:
+            pairs[view] = (data["arr_0"], data["arr_1"])
+    return pairs
+
+
+def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) -> np.ndarray:
+    """Mean of ``samples`` paths a pixel, seen lights included; (H, W, 3) float32."""
+    sensor = renderer._sensor(renderer.configuration.cameras[view].camera())
+    total: Any = 0.0
+    for chunk in range(samples // SAMPLES_A_CHUNK):
+        seed = 0x5EED0000 + 65536 * half + chunk
+        total = total + renderer._tracer.render(sensor, SAMPLES_A_CHUNK, seed).astype(np.float64)
+    return (total / (samples // SAMPLES_A_CHUNK)).astype(np.float32)
+
+
+def measure(renderer: SceneRenderer, configuration: Configuration, compression: str) -> dict[str, Any]:
+    """Stage by stage, one after the other, so that each stage's seconds are its own."""
+    watch = Stopwatch()
+    count = len(configuration.cameras)
+    renderer.render_view(0)  # compiles
+    views: list[RenderedView] = []
+    for index in range(count):
+        with watch.stage("path + buffers"):
+            traced = renderer._trace(index)
+        with watch.stage("denoiser"):
+            views.append(renderer._finish(*traced))
+    inputs = [
+        StatisticsView.from_buffers(camera.camera(), view.buffers)
+        for camera, view in zip(configuration.cameras, views, strict=True)
+    ]
+    statistics = iter(compute_statistics(inputs))
+    next(statistics)  # compiles
+    statistics = iter(compute_statistics(inputs))
+    results = []
+    for _ in range(count):
+        with watch.stage("statistics"):
+            results.append(next(statistics))
+    sizes = []
+    for view, result in zip(views, results, strict=True):
+        with watch.stage("exr"):
+            sizes.append(len(encode_view({**view.buffers, **result}, compression)))
+    stages = watch.result()
+    total = {
+        kind: round(sum(stage[kind]["median"] for stage in stages.values()), 4)
+        for kind in ("wall_s", "cpu_s")
+    }
+    passes = {name: summary([view.seconds[name] for view in views]) for name in ("path", "buffers")}
+    return {
+        "stages": stages,
+        "passes_wall_s": passes,
+        "sum_of_medians": total,
+        "exr_megabytes": round(float(np.median(sizes)) / 1e6, 3),
+    }
+
+
+def measure_error(
+    configuration: Configuration, library: Library, recipe: RenderRecipe, pairs: dict[int, tuple[Any, Any]]
+) -> dict[str, Any]:
+    """relMSE of the denoised image by view, over three seeds."""
+    result: dict[str, Any] = {}
+    for exposed in (False, True):
+        errors = {view: [] for view in pairs}  # type: dict[int, list[float]]
+        result["rel_mse_exposed" if exposed else "rel_mse"] = errors
+    for seed in range(3):
+        seeded = configuration.model_copy(update={"seed": 100 + seed})
+        renderer = SceneRenderer(seeded, library, recipe)
+        for view, (first, second) in pairs.items():
+            beauty = renderer.render_view(view).buffers["beauty"]
+            result["rel_mse"][view].append(relative_mse(beauty, first, second))
+            result["rel_mse_exposed"][view].append(relative_mse(beauty, first, second, exposed=True))
+    for name in list(result):
+        by_view = {str(view): round(float(np.mean(values)), 5) for view, values in result[name].items()}
+        result[name] = {"by_view": by_view, "mean": round(float(np.mean(list(by_view.values()))), 5)}
+    return result
+
+
+def measure_overlap(renderer: SceneRenderer, count: int, repeats: int) -> dict[str, Any]:
+    """Seconds a view of sequential and of overlapped rendering, in turns, and their paired ratio."""
+    seconds: dict[str, list[float]] = {"sequential": [], "overlapped": []}
+    for _ in range(repeats):
+        start = time.perf_counter()
+        for index in range(count):
+            renderer.render_view(index)
+        middle = time.perf_counter()
+        for _ in renderer.render_views(range(count)):
+            pass
+        seconds["sequential"].append((middle - start) / count)
+        seconds["overlapped"].append((time.perf_counter() - middle) / count)
+    ratios = [a / b for a, b in zip(seconds["sequential"], seconds["overlapped"], strict=True)]
+    return {name: summary(values) for name, values in seconds.items()} | {"speedup": summary(ratios)}
+
+
+def main() -> None:
+    """Parse, measure, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", default="staircase")
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
+    parser.add_argument("--views", type=int, default=40)
+    parser.add_argument("--samples", type=int, nargs="+", default=[4])
+    parser.add_argument("--auxiliary-samples", type=int, default=64)
+    parser.add_argument("--max-depth", type=int, default=8)
+    parser.add_argument("--reference-views", type=int, nargs="*", default=[0, 1])
+    parser.add_argument("--reference-samples", type=int, default=256, help="paths a pixel in each of two")
+    parser.add_argument("--compression", default="zip")
+    parser.add_argument("--overlap", action="store_true")
+    parser.add_argument("--cache", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS / "bench_view.json")
+    arguments = parser.parse_args()
+    library = converted(arguments.scene, arguments.cache)
+    configuration = configuration_of(library, arguments.views, tuple(arguments.size))
+    result: dict[str, Any] = {
+        "machine": {"cores": os.cpu_count(), "processor": platform.processor() or platform.machine()},
+        "versions": pixel_versions(),
+        "arguments": {k: v if not isinstance(v, Path) else v.name for k, v in vars(arguments).items()},
+        "by_samples": {},
+    }
+    pairs: dict[int, tuple[Any, Any]] = {}
+    for samples in arguments.samples:
+        recipe = RenderRecipe(
+            path_samples=samples,
+            auxiliary_samples=arguments.auxiliary_samples,
+            max_depth=arguments.max_depth,
+        )
+        renderer = SceneRenderer(configuration, library, recipe)
+        if not pairs and arguments.reference_views:
+            pairs = references(
+                renderer, arguments.cache, arguments.reference_views, arguments.reference_samples
+            )
+        entry = measure(renderer, configuration, arguments.compression)
+        entry["seconds_to_build"] = round(renderer.seconds_to_build, 2)
+        if arguments.overlap:
+            entry["overlap"] = measure_overlap(renderer, min(6, arguments.views), 5)
+        if pairs:
+            entry |= measure_error(configuration, library, recipe, pairs)
+        result["by_samples"][str(samples)] = entry
+        print(json.dumps({str(samples): entry}, indent=1))
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
