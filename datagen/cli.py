@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
@@ -118,6 +118,125 @@ def library(
     from datagen.inspection.library_table import print_library
 
     raise typer.Exit(print_library(paths or ["bundled"], check, as_json))
+
+
+@app.command("import")
+def import_command(
+    path: Annotated[
+        Path, typer.Argument(help="Mitsuba scene, glTF file, PBR texture folder, or a folder of these.")
+    ],
+    library: Annotated[Path, typer.Option("--library", help="Library folder to import into.")],
+    kind: Annotated[str, typer.Option(help="auto, environment, object or material.")] = "auto",
+    asset_id: Annotated[str, typer.Option("--id", help="Id of the asset; from its name if left out.")] = "",
+    title: Annotated[str, typer.Option(help="Title of the asset.")] = "",
+    license_: Annotated[
+        str, typer.Option("--license", help="SPDX licence, if none is found beside it.")
+    ] = "",
+    author: Annotated[str, typer.Option(help="Author, if none is found beside it.")] = "",
+    source: Annotated[str, typer.Option(help="Where it comes from.")] = "",
+    evaluation_only: Annotated[
+        bool, typer.Option("--evaluation-only", help="Never offer it to plans that make training data.")
+    ] = False,
+    category: Annotated[str, typer.Option(help="Category of an object; guessed if left out.")] = "",
+    classes: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--class", help="Material class, repeatable; guessed if left out."),
+    ] = None,
+    up: Annotated[str, typer.Option(help="Axis that points up in the file: auto, y or z.")] = "auto",
+    unit_scale: Annotated[float, typer.Option(help="Metres in a unit of the file.")] = 1.0,
+    tile_size: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="Side of a material's tile in metres."),
+    ] = None,
+    dielectric: Annotated[str, typer.Option(help="See-through materials: refuse or replace.")] = "refuse",
+    dielectric_as: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(help="MATERIAL=STAND-IN for one see-through material, repeatable."),
+    ] = None,
+    missing: Annotated[str, typer.Option(help="Files that are not there: refuse or replace.")] = "refuse",
+    annotations: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="YAML that states support surfaces, openings, light slots and camera regions."),
+    ] = None,
+    define: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(help="NAME=VALUE for a $name of a Mitsuba scene, repeatable."),
+    ] = None,
+    as_zip: Annotated[bool, typer.Option("--zip", help="Write packages as zips.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace assets of the same id.")] = False,
+    split: Annotated[
+        bool, typer.Option("--split", help="An object for each separate thing of a glTF.")
+    ] = False,
+) -> None:
+    """Turn other people's files into asset packages, and say what is only approximated.
+
+    Example: datagen import staircase/scene.xml --library my-library --dielectric replace
+    """
+    from datagen.importers.common import ImportedAsset, ImportOptions
+    from datagen.importers.dispatch import import_asset
+
+    options = _parse_import_options(
+        ImportOptions,
+        kind=kind,
+        asset_id=asset_id,
+        title=title,
+        license=license_,
+        author=author,
+        source=source,
+        evaluation_only=evaluation_only,
+        category=category,
+        classes=tuple(classes or ()),
+        up=up,
+        unit_scale=unit_scale,
+        tile_size_m=tile_size,
+        dielectric=dielectric,
+        dielectric_as=_pairs("--dielectric-as", dielectric_as),
+        missing=missing,
+        annotations=annotations,
+        defines=_pairs("--define", define),
+        as_zip=as_zip,
+        overwrite=overwrite,
+    )
+
+    def tell(asset: ImportedAsset) -> None:
+        typer.echo(f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.path}")
+        for sentence in asset.approximations:
+            typer.echo(f"  approximated: {sentence}")
+        for sentence in asset.notes:
+            typer.echo(f"  note: {sentence}")
+
+    imported = import_asset(path, library, options, split=split, on_done=tell)
+    typer.echo(f"{len(imported)} assets imported into {library}")
+
+
+def _pairs(option: str, values: list[str] | None) -> dict[str, str]:
+    from datagen.errors import input_error
+
+    pairs = {}
+    for value in values or ():
+        name, separator, what = value.partition("=")
+        if not separator or not name:
+            raise input_error(option, got=repr(value), expected="NAME=VALUE", remedy="write it so")
+        pairs[name] = what
+    return pairs
+
+
+def _parse_import_options(options_type: type, **values: object) -> Any:
+    """Options of an import, their types and choices checked."""
+    from pydantic import TypeAdapter, ValidationError
+
+    from datagen.errors import InputError, Problem
+
+    try:
+        return TypeAdapter(options_type).validate_python(values)
+    except ValidationError as error:
+        problems = [
+            Problem(
+                "datagen import", str(e["loc"][0] if e["loc"] else ""), repr(e.get("input")), e["msg"].lower()
+            )
+            for e in error.errors()
+        ]
+        raise InputError(*problems) from None
 
 
 @app.command()
