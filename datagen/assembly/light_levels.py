@@ -15,18 +15,16 @@ import numpy as np
 
 from datagen.assembly.daylight import environment_radiance, sky_radiance, sun_of
 from datagen.assembly.geometry import Floats
+from datagen.assembly.light_changes import scaled
 from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe
 from datagen.assembly.lights import PlannedGroup, RoomToLight, plan_lights, plan_panels
 from datagen.assembly.random import Draws
 from datagen.errors import input_error
 from datagen.formats.base import quantized
 from datagen.formats.lights import (
-    DirectionalLight,
     EnvironmentLight,
     Light,
-    PointLight,
     SkyLight,
-    SpotLight,
 )
 from datagen.formats.recipe import LightRecipe
 from datagen.library import Library
@@ -121,28 +119,6 @@ def _emission(
                 found[slot] = (red, green, blue)
         emission.append(found)
     return tuple(emission)
-
-
-def scaled(light: Light, gain: float) -> Light:
-    """The light with all its power multiplied by ``gain``."""
-
-    def times(color: tuple[float, float, float]) -> tuple[float, float, float]:
-        red, green, blue = (quantized(gain * c, 6) for c in color)
-        return (red, green, blue)
-
-    if isinstance(light, PointLight | SpotLight):
-        return light.model_copy(update={"intensity": times(light.intensity)})
-    if isinstance(light, DirectionalLight):
-        return light.model_copy(update={"irradiance": times(light.irradiance)})
-    if isinstance(light, SkyLight):
-        changes = {
-            "sky_scale": quantized(gain * light.sky_scale, 6),
-            "sun_scale": quantized(gain * light.sun_scale, 6),
-        }
-        return light.model_copy(update=changes)
-    if isinstance(light, EnvironmentLight):
-        return light.model_copy(update={"scale": quantized(gain * light.scale, 6)})
-    return light.model_copy(update={"radiance": times(light.radiance)})
 
 
 def _probe(

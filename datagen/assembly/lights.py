@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from datagen.assembly.daylight import (
     draw_sun_direction,
@@ -21,6 +20,7 @@ from datagen.assembly.daylight import (
     rotation_about_up,
 )
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
+from datagen.assembly.light_changes import moved_light
 from datagen.assembly.light_probe import LUMINANCE, is_from_outside
 from datagen.assembly.materials import MeanMaterial
 from datagen.assembly.random import Draws
@@ -30,13 +30,10 @@ from datagen.formats.base import quantized
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.lights import (
     AreaLight,
-    DirectionalLight,
     EnvironmentLight,
     Light,
     PointLight,
     SkyLight,
-    SphereLight,
-    SpotLight,
 )
 from datagen.formats.recipe import LightRecipe
 from datagen.library import Library
@@ -176,50 +173,6 @@ def _native(room: RoomToLight) -> list[PlannedGroup]:
             (item, slot) for slot in sorted(asset.materials) if any(asset.materials[slot].emission or ())
         ]
     return [PlannedGroup("native", tuple(lights), tuple(slots))] if lights or slots else []
-
-
-def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
-    """A light of an asset in the world; intensities stay, sizes and places follow the transform."""
-    matrix = np.array(world_from_asset, dtype=np.float64)
-    linear = matrix[:3, :3]
-    scale = float(np.cbrt(abs(np.linalg.det(linear))))
-
-    def point(p: Any) -> tuple[float, ...]:
-        return tuple((linear @ np.array(p) + matrix[:3, 3]).tolist())
-
-    def vector(v: Any, unit: bool = False) -> tuple[float, ...]:
-        moved = linear @ np.array(v)
-        return tuple((moved / np.linalg.norm(moved) if unit else moved).tolist())
-
-    if isinstance(light, PointLight):
-        return light.model_copy(update={"position_m": point(light.position_m)})
-    if isinstance(light, SpotLight):
-        changes = {"position_m": point(light.position_m), "direction": vector(light.direction, True)}
-        return light.model_copy(update=changes)
-    if isinstance(light, SphereLight):
-        return light.model_copy(
-            update={"position_m": point(light.position_m), "radius_m": light.radius_m * scale}
-        )
-    if isinstance(light, DirectionalLight):
-        return light.model_copy(update={"direction": vector(light.direction, True)})
-    if isinstance(light, AreaLight):
-        return light.model_copy(
-            update={
-                "origin_m": point(light.origin_m),
-                "edge_u_m": vector(light.edge_u_m),
-                "edge_v_m": vector(light.edge_v_m),
-            }
-        )
-    if isinstance(light, SkyLight):
-        return light.model_copy(update={"sun_direction": vector(light.sun_direction, True)})
-    rotation = np.eye(4)
-    rotation[:3, :3] = linear / scale
-    world = rotation @ np.array(light.world_from_environment)
-    rows = tuple(tuple(row) for row in world.tolist())
-    changes_env: dict[str, Any] = {"world_from_environment": rows}
-    if light.image is not None and light.asset is None:
-        changes_env["asset"] = asset_id
-    return light.model_copy(update=changes_env)
 
 
 def _lamp_color(recipe: LightRecipe, draws: Draws) -> tuple[float, float, float]:

@@ -39,6 +39,7 @@ MIN_CONTACT_MARGIN_M = 2e-3  # a centre of mass nearer to the contact hull's rim
 _MIN_UP = 0.98  # contact normals flatter than 11 degrees
 _WALL_HEIGHT_M = 0.9  # taller floor things tend to stand with their back to a wall
 _WALL_PROBABILITY = 0.65
+_ATTEMPTS_A_SCALE = 12  # a new scale means a new collision tree, half a second for a large mesh
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
@@ -90,9 +91,13 @@ class Placer:
             self.rejections["placement.no_surface"] += 1
             return None
         weights = [math.sqrt(np.linalg.norm(np.cross(s.edge_u_m, s.edge_v_m))) for s in surfaces]
-        for _ in range(self.recipe.max_attempts):
+        scale = 1.0
+        for attempt in range(self.recipe.max_attempts):
+            if attempt % _ATTEMPTS_A_SCALE == 0:
+                low, high = thing.asset.scale_range
+                scale = min(max(round(draws.uniform(low, high), 6), low), high)
             surface = draws.weighted(surfaces, weights)
-            outcome = self._try(thing, surface, draws)
+            outcome = self._try(thing, surface, scale, draws)
             if isinstance(outcome, PlacedThing):
                 self.placed.append(outcome)
                 return outcome
@@ -100,9 +105,8 @@ class Placer:
         self.rejections["placement.gave_up"] += 1
         return None
 
-    def _try(self, thing: Thing, surface: SupportSurface, draws: Draws) -> PlacedThing | str:
+    def _try(self, thing: Thing, surface: SupportSurface, scale: float, draws: Draws) -> PlacedThing | str:
         frame = _Frame.of(surface)
-        scale = draws.uniform(*thing.asset.scale_range)
         height = float(thing.geometry.maximum_m[2] - thing.geometry.minimum_m[2]) * scale
         if height > surface.clearance_m:
             return "too_tall"

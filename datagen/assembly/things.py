@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,7 @@ from datagen.assembly.geometry import (
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
 
 _MAX_UNDERSIDE_POINTS = 600
+_MANY_POINTS = 2000
 
 
 def convex_hull_2d(points: Floats) -> Floats:
@@ -30,6 +32,11 @@ def convex_hull_2d(points: Floats) -> Floats:
     unique = np.unique(np.round(points, 9), axis=0)
     if len(unique) < 3:
         return unique
+    if len(unique) > _MANY_POINTS:  # the loop below would take seconds
+        from scipy.spatial import ConvexHull, QhullError
+
+        with contextlib.suppress(QhullError):  # of points on a line
+            unique = np.unique(unique[ConvexHull(unique).vertices], axis=0)
     chains = []
     for run in (unique, unique[::-1]):
         chain: list[Floats] = []

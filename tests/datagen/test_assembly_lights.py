@@ -22,9 +22,10 @@ from datagen.assembly.daylight import (
 )
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import WorldScene, load_geometry
-from datagen.assembly.light_levels import Lighting, scaled
+from datagen.assembly.light_changes import moved_light, scaled
+from datagen.assembly.light_levels import Lighting
 from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe
-from datagen.assembly.lights import RoomToLight, color_of_temperature, is_blocked, moved_light
+from datagen.assembly.lights import RoomToLight, color_of_temperature, is_blocked
 from datagen.assembly.random import Draws
 from datagen.assembly.things import pose
 from datagen.errors import InputError

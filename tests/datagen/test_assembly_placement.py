@@ -307,4 +307,9 @@ def test_hull_and_margin() -> None:
     assert len(hull) == 4
     assert margin_inside(hull, np.array([0.5, 0.25])) == pytest.approx(0.25)
     assert margin_inside(hull, np.array([1.2, 0.5])) == pytest.approx(-0.2)
+    many = np.random.default_rng(1).normal(size=(5000, 2))
+    few = convex_hull_2d(many)
+    assert all(margin_inside(few, point) > -1e-8 for point in many[::50])
+    np.testing.assert_allclose(few, convex_hull_2d(few))
+    assert len(convex_hull_2d(np.column_stack([np.linspace(0, 1, 3000), np.zeros(3000)]))) == 2
     assert margin_inside(convex_hull_2d(square[:2]), np.array([0.5, 0.0])) == -math.inf
