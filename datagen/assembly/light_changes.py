@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""Lights moved with their asset and dimmed: every kind of light, by the units that it is given in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from datagen.formats.base import quantized
+from datagen.formats.lights import (
+    AreaLight,
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SkyLight,
+    SphereLight,
+    SpotLight,
+)
+
+
+def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
+    """A light of an asset in the world; intensities stay, sizes and places follow the transform."""
+    matrix = np.array(world_from_asset, dtype=np.float64)
+    linear = matrix[:3, :3]
+    scale = float(np.cbrt(abs(np.linalg.det(linear))))
+
+    def point(p: Any) -> tuple[float, ...]:
+        return tuple((linear @ np.array(p) + matrix[:3, 3]).tolist())
+
+    def vector(v: Any, unit: bool = False) -> tuple[float, ...]:
+        moved = linear @ np.array(v)
+        return tuple((moved / np.linalg.norm(moved) if unit else moved).tolist())
+
+    if isinstance(light, PointLight):
+        return light.model_copy(update={"position_m": point(light.position_m)})
+    if isinstance(light, SpotLight):
+        changes = {"position_m": point(light.position_m), "direction": vector(light.direction, True)}
+        return light.model_copy(update=changes)
+    if isinstance(light, SphereLight):
+        return light.model_copy(
+            update={"position_m": point(light.position_m), "radius_m": light.radius_m * scale}
+        )
+    if isinstance(light, DirectionalLight):
+        return light.model_copy(update={"direction": vector(light.direction, True)})
+    if isinstance(light, AreaLight):
+        return light.model_copy(
+            update={
+                "origin_m": point(light.origin_m),
+                "edge_u_m": vector(light.edge_u_m),
+                "edge_v_m": vector(light.edge_v_m),
+            }
+        )
+    if isinstance(light, SkyLight):
+        return light.model_copy(update={"sun_direction": vector(light.sun_direction, True)})
+    rotation = np.eye(4)
+    rotation[:3, :3] = linear / scale
+    world = rotation @ np.array(light.world_from_environment)
+    rows = tuple(tuple(row) for row in world.tolist())
+    changes_env: dict[str, Any] = {"world_from_environment": rows}
+    if light.image is not None and light.asset is None:
+        changes_env["asset"] = asset_id
+    return light.model_copy(update=changes_env)
+
+
+def scaled(light: Light, gain: float) -> Light:
+    """The light with all its power multiplied by ``gain``."""
+
+    def times(color: tuple[float, float, float]) -> tuple[float, float, float]:
+        red, green, blue = (quantized(gain * c, 6) for c in color)
+        return (red, green, blue)
+
+    if isinstance(light, PointLight | SpotLight):
+        return light.model_copy(update={"intensity": times(light.intensity)})
+    if isinstance(light, DirectionalLight):
+        return light.model_copy(update={"irradiance": times(light.irradiance)})
+    if isinstance(light, SkyLight):
+        changes = {
+            "sky_scale": quantized(gain * light.sky_scale, 6),
+            "sun_scale": quantized(gain * light.sun_scale, 6),
+        }
+        return light.model_copy(update=changes)
+    if isinstance(light, EnvironmentLight):
+        return light.model_copy(update={"scale": quantized(gain * light.scale, 6)})
+    return light.model_copy(update={"radiance": times(light.radiance)})
