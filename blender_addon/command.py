@@ -38,6 +38,10 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
     parser.add_argument("--license", default="", help="SPDX identifier where the file's tags give none")
     parser.add_argument("--author", default="")
     parser.add_argument("--source", default="")
+    parser.add_argument("--report", action="store_true", help="write fidelity.html beside the packages")
+    parser.add_argument(
+        "--report-python", default="", metavar="EXE", help="Python that has this project, to run Mitsuba with"
+    )
     parser.add_argument("--check", action="store_true", help="list the problems and write nothing")
     return parser
 
@@ -54,6 +58,8 @@ def settings_from(arguments: argparse.Namespace) -> ExportSettings:
         license=arguments.license,
         author=arguments.author,
         source=arguments.source,
+        report=arguments.report,
+        report_python=arguments.report_python,
     )
 
 
@@ -122,8 +128,8 @@ def run(arguments: argparse.Namespace) -> int:
         return CANCELLED
     print("\r\033[K" if sys.stderr.isatty() else "", end="", file=sys.stderr)
     _list(result.problems)
-    for folder in result.packages:
-        print(folder)
+    for path in [*result.packages, *([result.report] if result.report else [])]:
+        print(path)
     return 0
 
 

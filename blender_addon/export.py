@@ -21,11 +21,14 @@ from .settings import ExportSettings
 from .targets import find_targets
 from .write import PackageWriter
 
+REPORT_FILE = "fidelity.html"
+
 
 @dataclass
 class ExportResult:
     """Folders written, everything approximated, and counts for the report."""
 
+    report: Path | None = None
     packages: list[Path] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
     num_triangles: int = 0
@@ -91,6 +94,13 @@ def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
             result.num_triangles += contents.num_triangles
             result.num_instances += len(contents.gathered.instances)
     result.problems = list(problems)
+    if settings.report:
+        from .report.compare import report_steps
+
+        result.report = out_dir / REPORT_FILE
+        title = Path(bpy.data.filepath).stem or bpy.context.scene.name
+        things = sorted(set().union(*(contents.target.owners for contents in prepared)))
+        yield from report_steps(result.report, title, settings, reader.uv_layers(), things, result.problems)
     return result
 
 

@@ -70,6 +70,13 @@ class Reader:
             self.problems.extend(self._plans[name].problems)
         return self._plans[name]
 
+    def uv_layers(self) -> dict[str, tuple[str, ...]]:
+        """Name of each planned material -> the UV maps that its nodes name."""
+        return {
+            name: tuple(sorted(layer for layer in plan.dependencies.uv_layers if layer))
+            for name, plan in sorted(self._plans.items())
+        }
+
     # ---- reading
 
     def prepare(self, target: Target) -> Generator[None, None, Contents]:

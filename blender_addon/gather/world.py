@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import bpy
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 from ..bake.execute import BakeSession
 from ..bake.expression import BLACK, Constant, Expression, add, complement, is_constant, multiply, widen
 from ..bake.graph import Graph, Stack, source_of, value_of
+from ..cycles import render_linear
 from ..problems import ERROR, ProblemList
 
 # The format's image has +Y of its frame in the middle column, Blender's panorama +X of the world.
@@ -145,26 +144,9 @@ def _panorama(world: bpy.types.World, session: BakeSession, size_px: int) -> NDA
     render.resolution_percentage = 100
     scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
     scene.cycles.filter_width = 0.01
-    render.image_settings.file_format = "OPEN_EXR"
-    render.image_settings.color_depth = "32"
-    render.image_settings.color_mode = "RGB"
-    scene.view_settings.view_transform = "Raw"
     hidden = [(other, other.hide_render) for other in scene.collection.objects if other != thing]
     for other, _ in hidden:
         other.hide_render = True
-    had_result = "Render Result" in bpy.data.images
-    with tempfile.TemporaryDirectory() as folder:
-        render.filepath = str(Path(folder) / "world.exr")
-        try:
-            bpy.ops.render.render(write_still=True, scene=scene.name)
-        finally:
-            if not had_result and "Render Result" in bpy.data.images:
-                bpy.data.images.remove(bpy.data.images["Render Result"])
-        image = session.own(bpy.data.images, bpy.data.images.load(render.filepath))
-        image.colorspace_settings.name = "Non-Color"
-        pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-        image.pixels.foreach_get(pixels)
-        pixels = pixels.reshape(image.size[1], image.size[0], image.channels)[::-1, :, :3].copy()
-        session.discard(image)
+    pixels = render_linear(scene)
     scene.world, scene.camera = None, None
     return pixels

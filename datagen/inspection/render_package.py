@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Renders an environment package as it is: its own materials, lights and cameras, nothing assembled.
 
-``python -m datagen.inspection.render_package PACKAGE OUT`` writes one linear EXR a camera. The Blender add-on's
+``python -m datagen.inspection.render_package PACKAGE... --out OUT`` writes ``OUT/<folder>/view_000.exr`` and so
+on, one linear EXR a camera. The Blender add-on's
 fidelity report calls it in a process of its own, since Blender and Mitsuba do not share one.
 """
 
@@ -101,16 +102,21 @@ def _write_rgb(path: Path, pixels: object) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("package", type=Path)
-    parser.add_argument("out", type=Path)
+    parser.add_argument("packages", type=Path, nargs="+")
+    parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--max-depth", type=int, default=8)
     parser.add_argument("--denoise", action="store_true")
     arguments = parser.parse_args()
-    for path in render_package(
-        arguments.package, arguments.out, arguments.samples, arguments.max_depth, arguments.denoise
-    ):
-        print(path)
+    for package in arguments.packages:
+        for path in render_package(
+            package,
+            arguments.out / package.name,
+            arguments.samples,
+            arguments.max_depth,
+            arguments.denoise,
+        ):
+            print(path)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Small scenes to compare renderers with: each material on a sphere and a plane, each light over a floor.
+
+All blocks belong to a :class:`~blender_addon.bake.execute.BakeSession` and vanish with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from ..bake.execute import BakeSession
+
+PICTURE_PX = 128
+SAMPLES = 64
+_SPACING = 40.0  # between samples: their planes then shade each other by less than a thousandth
+_PREFIX = ".sm_report"
+_SPHERE_ROWS, _SPHERE_COLUMNS = 48, 96
+
+
+def _prepare(session: BakeSession, identity: str) -> bpy.types.Scene:
+    scene = session.scene
+    scene["sm_id"], scene["sm_license"] = identity, "CC0-1.0"
+    scene.render.resolution_x = scene.render.resolution_y = PICTURE_PX
+    scene.render.resolution_percentage = 100
+    scene.render.use_persistent_data = True
+    scene.cycles.samples = SAMPLES
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 1.0
+    scene.cycles.max_bounces = 7
+    return scene
+
+
+def sphere_mesh(session: BakeSession, radius: float) -> bpy.types.Mesh:
+    """A smooth sphere around (0, 0, radius) with UVs: u around, v from pole to pole."""
+    rows, columns = _SPHERE_ROWS, _SPHERE_COLUMNS
+    theta, phi = np.meshgrid(
+        np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, columns + 1), indexing="ij"
+    )
+    points = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 1], axis=-1)
+    uv = np.stack([phi / (2 * np.pi), 1 - theta / np.pi], axis=-1).reshape(-1, 2)
+    first = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)[None, :]).ravel()
+    faces = np.stack([first, first + columns + 1, first + columns + 2, first + 1], axis=1)
+    mesh = session.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}_sphere"))
+    mesh.from_pydata((radius * points.reshape(-1, 3)).tolist(), [], faces.tolist())
+    layer = mesh.uv_layers.new(name="UVMap")
+    layer.uv.foreach_set("vector", uv[faces.ravel()].astype(np.float32).ravel())
+    normals = points.reshape(-1, 3) - [0, 0, 1]
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))
+    mesh.normals_split_custom_set_from_vertices(normals.tolist())
+    return mesh
+
+
+def plane_mesh(session: BakeSession, side: float) -> bpy.types.Mesh:
+    """A square around the origin with UVs from 0 to 1."""
+    mesh = session.own(bpy.data.meshes, bpy.data.meshes.new(f"{_PREFIX}_plane"))
+    h = side / 2
+    mesh.from_pydata([(-h, -h, 0), (h, -h, 0), (h, h, 0), (-h, h, 0)], [], [(0, 1, 2, 3)])
+    layer = mesh.uv_layers.new(name="UVMap")
+    layer.uv.foreach_set("vector", np.array([0, 0, 1, 0, 1, 1, 0, 1], np.float32))
+    return mesh
+
+
+def _camera(session: BakeSession, eye: np.ndarray, target: np.ndarray, lens: float) -> bpy.types.Object:
+    camera = session.own(bpy.data.cameras, bpy.data.cameras.new(f"{_PREFIX}_camera"))
+    camera.lens = lens
+    thing = session.own(bpy.data.objects, bpy.data.objects.new(f"{_PREFIX}_camera", camera))
+    back = (eye - target) / np.linalg.norm(eye - target)
+    side = np.cross([0.0, 0.0, 1.0] if abs(back[2]) < 0.99 else [0.0, 1.0, 0.0], back)
+    side /= np.linalg.norm(side)
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = side, np.cross(back, side), back, eye
+    thing.matrix_world = matrix.T.tolist()
+    session.scene.collection.objects.link(thing)
+    return thing
+
+
+def material_stage(
+    session: BakeSession, materials: Sequence[bpy.types.Material], layers: Sequence[Sequence[str]]
+) -> list[bpy.types.Object]:
+    """Build the scene of all materials under a sun and an even sky; returns a camera for each, in order.
+
+    ``layers``: for each material the UV maps that its nodes name; all are the shape's own map.
+    """
+    scene = _prepare(session, "report_materials")
+    sun = session.own(bpy.data.lights, bpy.data.lights.new(f"{_PREFIX}_sun", "SUN"))
+    sun.energy, sun.angle = 2.0, 0.15
+    light = session.own(bpy.data.objects, bpy.data.objects.new(f"{_PREFIX}_sun", sun))
+    light.rotation_euler = (0.6, 0.5, 0.0)
+    scene.collection.objects.link(light)
+    scene.world = session.own(bpy.data.worlds, bpy.data.worlds.new(f"{_PREFIX}_sky"))
+    scene.world.use_nodes = False
+    scene.world.color = (0.35, 0.35, 0.35)
+    cameras = []
+    for index, material in enumerate(materials):
+        place = np.array([(index % 20) * _SPACING, (index // 20) * _SPACING, 0.0])
+        for mesh in (sphere_mesh(session, 0.5), plane_mesh(session, 2.4)):
+            mesh.materials.append(material)
+            for name in layers[index]:
+                if name not in mesh.uv_layers:
+                    mesh.uv_layers.new(name=name)  # a copy of the active one
+            session.object_of(mesh).location = place
+        cameras.append(
+            _camera(session, place + np.array([0.0, -3.2, 1.9]), place + np.array([0.0, 0.0, 0.36]), lens=60)
+        )
+    return cameras
+
+
+def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy.types.World | None) -> None:
+    """A grey floor square under one light, or a grey sphere in a world; the scene's camera sees it."""
+    scene = _prepare(session, "report_light")
+    grey = session.own(bpy.data.materials, bpy.data.materials.new(f"{_PREFIX}_grey"))
+    grey.use_nodes = False
+    grey.diffuse_color = (0.5, 0.5, 0.5, 1.0)
+    if light is None:
+        scene.world = world
+        mesh = sphere_mesh(session, 0.5)
+        mesh.materials.append(grey)
+        session.object_of(mesh)
+        scene.camera = _camera(session, np.array([0.0, -3.0, 0.9]), np.array([0.0, 0.0, 0.5]), lens=75)
+        return
+    copy = session.own(bpy.data.objects, light.copy())
+    copy.parent = None
+    copy.constraints.clear()
+    copy.animation_data_clear()
+    copy.hide_render = False
+    copy.matrix_world = light.matrix_world
+    scene.collection.objects.link(copy)
+    pose = np.array(light.matrix_world, dtype=np.float64)
+    axis = pose[:3, 2] / np.linalg.norm(pose[:3, 2])
+    if light.data.type == "POINT":
+        axis = np.array([0.0, 0.0, 1.0])
+    size = max(getattr(light.data, "size", 0.0), 2 * getattr(light.data, "shadow_soft_size", 0.0), 0.5)
+    distance = 2.0 * size
+    frame = _frame(axis)
+    mesh = plane_mesh(session, distance)
+    mesh.materials.append(grey)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = frame, pose[:3, 3] - distance * axis
+    session.object_of(mesh).matrix_world = matrix.T.tolist()
+    eye = matrix[:3, 3] + distance * (0.55 * axis + 0.9 * frame[:, 0])
+    scene.camera = _camera(session, eye, matrix[:3, 3], lens=60)
+
+
+def _frame(axis: np.ndarray) -> np.ndarray:
+    """An orthonormal frame (columns) whose third column is ``axis``."""
+    helper = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    side = np.cross(helper, axis)
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(axis, side), axis], axis=1)
