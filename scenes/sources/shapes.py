@@ -209,7 +209,18 @@ def lathe(profile: Sequence[Sequence[float]], segments: int = 40, smooth: int = 
     points = np.empty((len(p), segments, 3))
     points[..., :2] = p[:, None, :1] * ring
     points[..., 2] = p[:, None, 1]
-    return _without_degenerate(grid(points, closed_u=True))
+    return outward(_without_degenerate(grid(points, closed_u=True)))
+
+
+def outward(shape: Shape) -> Shape:
+    """The shape turned so that it encloses a positive volume about its own middle."""
+    points = shape.points - shape.points.mean(axis=0)
+    volume = 0.0
+    for face in shape.faces:
+        a = points[face[0]]
+        for i, j in zip(face[1:-1], face[2:], strict=True):
+            volume += float(np.dot(a, np.cross(points[i], points[j])))
+    return shape if volume >= 0 else shape.flipped()
 
 
 def sphere(radius: float, at: Point = (0.0, 0.0, 0.0), segments: int = 24, squash: float = 1.0) -> Shape:
@@ -289,7 +300,7 @@ def loft(sections: NDArray, capped: bool = True) -> Shape:
             centre = ring.mean(axis=0)
             ends.append(np.stack([np.broadcast_to(centre, ring.shape), centre + 0.6 * (ring - centre)]))
         rings = np.concatenate([ends[0], rings, ends[1][::-1]])
-    return _without_degenerate(grid(rings, closed_u=True))
+    return outward(_without_degenerate(grid(rings, closed_u=True)))
 
 
 def extrude(outline: Sequence[Sequence[float]], height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
