@@ -12,16 +12,18 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.assembly.daylight import environment_radiance, sky_radiance, sun_of
-from datagen.assembly.geometry import Floats
+from datagen.assembly.geometry import Floats, Hits
 from datagen.assembly.light_changes import scaled
-from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe
+from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe, Rectangle
 from datagen.assembly.lights import PlannedGroup, RoomToLight, plan_lights, plan_panels
 from datagen.assembly.random import Draws
 from datagen.errors import input_error
 from datagen.formats.base import quantized
 from datagen.formats.lights import (
+    AreaLight,
     EnvironmentLight,
     Light,
     SkyLight,
@@ -42,6 +44,17 @@ class Lighting:
     probe: LightProbe
     gains: tuple[float, ...]
     mean_irradiance: float
+
+    def shows_light(self, origins: Floats, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
+        """Whether rays (R, 3) see a luminous surface itself: such pixels have no material."""
+        shown = np.zeros(len(directions), dtype=bool)
+        for group, gain in zip(self.probe.groups, self.gains, strict=True):
+            if gain > 0 and group.emitters is not None:
+                shown |= np.isin(hits.face, group.emitters.faces)
+        for light in self.lights:
+            if isinstance(light, AreaLight) and light.is_visible:
+                shown |= Rectangle.of(light).is_crossed(origins, directions, hits.distance_m)
+        return shown
 
     def luminance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
         """Luminance (R,) seen along rays."""

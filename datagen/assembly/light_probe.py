@@ -67,7 +67,7 @@ class LightProbe:
         self.rays: RayScene = scene.rays
         self.albedo = albedo
         self.groups = groups
-        self.openings = [_Rectangle.of(o) for o in openings]
+        self.openings = [Rectangle.of(o) for o in openings]
 
     def irradiance(self, points: Floats, draws: Draws, rays_per_point: int = 8) -> Floats:
         """Irradiance (P, G, 3) in W/m^2 at free points (P, 3), averaged over the orientation of the receiver.
@@ -198,7 +198,9 @@ class _Sample:
 
 
 @dataclass(frozen=True)
-class _Rectangle:
+class Rectangle:
+    """An opening or a flat light; ``normal`` points into the room."""
+
     origin: Floats
     u: Floats
     v: Floats
@@ -206,21 +208,25 @@ class _Rectangle:
     area: float
 
     @classmethod
-    def of(cls, opening: Opening) -> _Rectangle:
+    def of(cls, opening: Opening | AreaLight) -> Rectangle:
+        """The rectangle of an opening or a light."""
         u, v = np.array(opening.edge_u_m), np.array(opening.edge_v_m)
         cross = np.cross(u, v)
         area = float(np.linalg.norm(cross))
         return cls(np.array(opening.origin_m), u, v, cross / area, area)
 
-    def is_crossed(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
-        """Whether rays (R, 3) leave the room through the rectangle, (R,)."""
+    def is_crossed(
+        self, origins: Floats, directions: Floats, limit_m: Floats | float = np.inf
+    ) -> NDArray[np.bool_]:
+        """Whether rays (R, 3) run through the rectangle against its normal within the limit, (R,)."""
         cosine = directions @ self.normal
         height = (self.origin - origins) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = height / cosine
             local = origins + distance[:, None] * directions - self.origin
             s, t = local @ self.u / (self.u @ self.u), local @ self.v / (self.v @ self.v)
-            return (cosine < 0) & (distance > 0) & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+            inside = (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+            return inside & (cosine < 0) & (distance > 0) & (distance < limit_m)
 
 
 def _from_surface(points: Floats, on_light: Floats, normals: Floats, radiance_area: Floats) -> _Sample:

@@ -28,7 +28,7 @@ from datagen.formats.recipe import CameraRecipe
 
 PREVIEW_WIDTH_PX = 64
 MAX_NEAR_PIXELS = 0.02  # share of the image that may be nearer than min_distance_m
-MAX_OPEN_PIXELS = 0.4  # share of the image that may show nothing at all
+MAX_OPEN_PIXELS = 0.4  # share of the image that may show nothing, or a light itself
 MIN_THING_PIXELS = 0.04  # share of the image that things (not walls and floor) must fill
 MAX_PLANE_PIXELS = 0.72  # share of the image that a single plane may fill: a bare wall is no picture
 _MIN_INSTANCE_PIXELS = 0.0015  # an instance that covers less is not "seen"
@@ -147,6 +147,7 @@ class ViewFinder:
             "camera.too_close": "lower cameras.min_distance_m or enlarge the camera region",
             "camera.too_near": "lower cameras.min_distance_m, raise max_near_share or place fewer objects",
             "camera.faces_outside": "keep the camera region away from open sides",
+            "camera.faces_light": "keep the camera region away from large luminous surfaces",
             "camera.too_little_content": "lower cameras.min_content, widen fov_x_deg or place more objects",
             "camera.too_plain": "place more objects or keep the camera region away from bare walls",
             "camera.too_dark": "lower cameras.min_luminance or add lights",
@@ -197,6 +198,9 @@ class ViewFinder:
             return "too_near"
         if (~hits.hit_mask).mean() > MAX_OPEN_PIXELS:
             return "faces_outside"
+        luminous = self.lighting.shows_light(position, directions, hits)
+        if (luminous | ~hits.hit_mask).mean() > MAX_OPEN_PIXELS:
+            return "faces_light"
         if not self._shows_enough(hits.face[hits.hit_mask], len(directions), subject):
             return "too_little_content"
         if self._largest_plane(hits.face[hits.hit_mask]) > MAX_PLANE_PIXELS * len(directions):

@@ -393,6 +393,31 @@ def test_blocked_lights_are_seen(tmp_path: Path) -> None:
     assert is_blocked(light(0.6, 0.5), scene.rays)  # cuts through its side
 
 
+def test_luminous_pixels_are_known(tmp_path: Path) -> None:
+    """A visible panel in front of a wall, and an emissive part; from behind a panel is not seen."""
+    shapes = {"wall": box([-2, 2, -2], [2, 2.1, 2]), "glow": box([-2, 1.9, 1], [2, 2.0, 2])}
+    write_package_of(tmp_path, "set", shapes)
+    scene = WorldScene(load_geometry(Library([tmp_path]).package("set")), [])
+    panel = AreaLight(
+        name="p", origin_m=(-1, 1.5, -1), edge_u_m=(1, 0, 0), edge_v_m=(0, 0, 1), radiance=(1, 1, 1)
+    )  # emits along -Y, towards the viewer at the origin
+    glow = Emitters(np.flatnonzero(scene.part_of_face == 1), np.ones((12, 3)))
+    probe = LightProbe(scene, np.ones((24, 3)), [LightGroup((panel,)), LightGroup((), glow)], ())
+    directions = np.array([[-0.3, 1.5, -0.4], [0.4, 1.5, -0.4], [0.4, 1.5, 1.2], [0.0, -1.0, 0.0]])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = np.zeros((4, 3))
+    hits = scene.rays.cast(origins, directions)
+
+    def shown(lights: tuple[Light, ...], gains: tuple[float, ...], at: Any = origins) -> list[bool]:
+        return Lighting(lights, (), probe, gains, 1.0).shows_light(at, directions, hits).tolist()
+
+    assert shown((panel,), (1.0, 1.0)) == [True, False, True, False]
+    assert shown((panel,), (1.0, 0.0)) == [True, False, False, False]
+    assert shown((panel.model_copy(update={"is_visible": False}),), (1.0, 0.0)) == [False] * 4
+    turned = panel.model_copy(update={"edge_u_m": panel.edge_v_m, "edge_v_m": panel.edge_u_m})
+    assert shown((turned,), (1.0, 0.0)) == [False] * 4
+
+
 def test_black_bodies() -> None:
     """D65's neighbourhood is near white; 2856 K is illuminant A, (0.4476, 0.4074) in xy."""
     for kelvin in (2000, 2856, 4000, 6504, 10000):
