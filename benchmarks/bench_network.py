@@ -137,7 +137,7 @@ def measure_padding() -> list[dict[str, Any]]:
             with torch.no_grad():
                 alone = track(x)
                 change = (track(torch.nn.functional.pad(x, pad), (height, width)) - alone).abs()
-            row = {
+            row: dict[str, Any] = {
                 "ignores_padding": ignores,
                 "image": f"{height} x {width}",
                 "canvas": f"{canvas[0]} x {canvas[1]}",

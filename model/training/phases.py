@@ -31,6 +31,8 @@ class Ranks:
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
         self.index = int(os.environ.get("RANK", "0"))
         self.local_index = int(os.environ.get("LOCAL_RANK", "0"))
+        if self.count > 1 and torch.cuda.is_available():
+            torch.cuda.set_device(self.local_index)
         if self.count > 1 and not dist.is_initialized():
             dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
 

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Does it learn? Trains a preset and its single-view version (*No RP*) and compares them with simple
+predictions.
+
+    python -m benchmarks.bench_learning DATASET --out DIR [--preset small] [--set KEY=VALUE ...] [--threads 2]
+
+On the whole views of the validation split: mean squared errors of every map for a constant (the training
+mean), the exposed median image as diffuse albedo, the single-view network, the network, and the network
+with the bilateral solver. Writes ``table.md``, ``results.json`` and ``curves.png`` into DIR; interrupted
+runs continue.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import torch
+
+from model.checkpoint import load_checkpoint
+from model.networks import TrackName
+from model.training.config import TrainingConfig, parse_overrides, resolve_config
+from model.training.dataset import TRUTH_BUFFERS, buffer_names
+from model.training.run_log import read_log
+from model.training.sources import open_data, spread
+from model.training.train import Trainer
+from model.training.validation import (
+    constant_predictor,
+    evaluate,
+    filtered_predictor,
+    mean_maps,
+    median_predictor,
+    network_predictor,
+    whole_views,
+)
+
+TRACKS: tuple[TrackName, ...] = ("diffuse", "specular")
+
+
+Rows = dict[str, dict[str, float]]
+"""Metrics by method."""
+
+
+def compare(config: TrainingConfig, dataset: Path, checkpoints: dict[str, Path]) -> Rows:
+    """Metrics by method on the validation split."""
+    device = torch.device("cpu")
+    data = open_data([dataset], config.network, config.data.crop_px)
+    names = buffer_names(config.network)
+    batches = list(whole_views(data.validation, names, device))
+    means = mean_maps(whole_views(spread(data.train, 80), names, device))
+    rows = {
+        "constant (training mean)": evaluate(constant_predictor(means), batches),
+        "median image as diffuse albedo": evaluate(median_predictor, batches),
+    }
+    for label, path in checkpoints.items():
+        checkpoint = load_checkpoint(path)
+        predict = network_predictor(checkpoint.network, TRACKS)
+        rows[label] = evaluate(predict, batches)
+        if checkpoint.confidence is not None:
+            filtered = filtered_predictor(predict, checkpoint.confidence, checkpoint.card.solver)
+            rows[f"{label}, filtered"] = evaluate(filtered, batches)
+    return rows
+
+
+def as_table(rows: Rows) -> str:
+    """Markdown table of mean squared errors."""
+    lines = ["| method | " + " | ".join(TRUTH_BUFFERS) + " |", "|---" * (len(TRUTH_BUFFERS) + 1) + "|"]
+    for label, metrics in rows.items():
+        values = [metrics.get(f"{name}_mse") for name in TRUTH_BUFFERS]
+        lines.append(f"| {label} | " + " | ".join("" if v is None else f"{v:.4f}" for v in values) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def plot_curves(folders: dict[str, Path], path: Path) -> None:
+    """Training loss and validation score over steps."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4))
+    for label, folder in folders.items():
+        for axis, kind, name in ((axes[0], "train", "total"), (axes[1], "validation", "score")):
+            rows = read_log(folder, kind, name)
+            axis.plot(
+                [s for s, _ in rows],
+                [v for _, v in rows],
+                label=label,
+                linewidth=1,
+                marker="." if axis is axes[1] else "",
+            )
+            axis.set(xlabel="step", ylabel=f"{kind} {name}", yscale="log")
+    axes[0].legend()
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--preset", default="small")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--threads", type=int, default=2)
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    config = resolve_config(args.preset, None, parse_overrides(args.set))
+    single = config.model_copy(
+        update={"network": config.network.model_copy(update={"uses_statistics": False})}
+    )
+    folders, seconds = {}, {}
+    for label, chosen in (("ours", config), ("No RP", single)):
+        folder = args.out / label.lower().replace(" ", "_")
+        start = time.perf_counter()
+        Trainer(chosen, [args.dataset], folder, device=torch.device("cpu"), show_progress=True).run()
+        folders[label], seconds[label] = folder, time.perf_counter() - start
+    rows = compare(config, args.dataset, {label: f / "final.safetensors" for label, f in folders.items()})
+    table = as_table(rows)
+    print(table)
+    (args.out / "table.md").write_text(table)
+    report = {"dataset": str(args.dataset), "preset": args.preset, "training_s": seconds, "results": rows}
+    (args.out / "results.json").write_text(json.dumps(report, indent=2) + "\n")
+    plot_curves(folders, args.out / "curves.png")
+
+
+if __name__ == "__main__":
+    main()
