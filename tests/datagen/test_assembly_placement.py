@@ -32,6 +32,8 @@ def triangles_cross(one: NDArray, other: NDArray) -> bool:
 
 
 def _pierces(edges_of: NDArray, triangles: NDArray) -> bool:
+    if len(edges_of) == 0 or len(triangles) == 0:
+        return False
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     near = ((edges_of.max(axis=1) >= low) & (edges_of.min(axis=1) <= high)).all(axis=1)
     corners = edges_of[near]
