@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bake.plan import MaterialPlan, force_bake
-from .bake.textures import UNIT_WINDOW, BakedMaterial, MaterialBaker, padded_window
+from .bake.textures import UNIT_WINDOW, BakedMaterial, MaterialBaker, Window, padded_window
 from .bake.unwrap import bake_layout
 from .gather.instances import Instance
 from .gather.mesh import MeshArrays, Submesh, submesh
@@ -225,9 +225,10 @@ class _Assembly:
         else:
             window = UNIT_WINDOW
             repeats = plan.is_periodic or material.get("sm_tile_size_m") is not None
-            if plan.varying and plan.frame is not None and not repeats:
+            if (plan.varying or plan.bakes_normal) and plan.frame is not None and not repeats:
                 window = padded_window(*self._boxes[name])
-            baked = self.baker.on_plane(material, plan, window, info)
+            size = self._side_m(instance, slot, plan, window) if plan.bakes_normal else 1.0
+            baked = self.baker.on_plane(material, plan, window, info, size)
         number = 1
         if plan.needs_mesh or plan.is_per_instance:
             slot_name = base = f"{name} on {instance.name}"
@@ -248,6 +249,18 @@ class _Assembly:
         self.materials[slot_name] = entry
         self._baked[self._key(instance, slot, name)] = (slot_name, baked)
         return slot_name, baked
+
+    def _side_m(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:
+        """Side of the square that the window covers on the surface, in Blender units: bumps have a height."""
+        mesh = self.contents.gathered.meshes[instance.mesh_key]
+        frame = plan.frame
+        layer = (frame.layer if frame is not None else "") or mesh.active_uv
+        if layer not in mesh.uv_layers:
+            return 1.0
+        placed = BakedMaterial(frame=frame, window=window)
+        part = submesh(mesh, slot, placed.texture_coordinates(mesh.uv_layers[layer]))
+        density = uv_density(part, instance.matrix)
+        return 1.0 / density if density else 1.0
 
     def _thing(self, instance: Instance) -> bpy.types.Object:
         """The object of the session that shows the instance's mesh, standing where the instance stands."""
@@ -296,4 +309,5 @@ class _Assembly:
 
 
 def _has_textures(baked: BakedMaterial) -> bool:
-    return any(not isinstance(channel, tuple) for channel in baked.channels.values())
+    has_channel = any(not isinstance(channel, tuple) for channel in baked.channels.values())
+    return has_channel or baked.normal is not None

@@ -66,7 +66,7 @@ class Reader:
     def plan(self, name: str) -> MaterialPlan:
         """A material's plan, made once; its problems join the list."""
         if name not in self._plans:
-            self._plans[name] = plan_material(bpy.data.materials[name])
+            self._plans[name] = plan_material(bpy.data.materials[name], self.settings.bake_normals)
             self.problems.extend(self._plans[name].problems)
         return self._plans[name]
 
@@ -135,7 +135,8 @@ class Reader:
                 plan = self.plan(name)
                 material_classes(bpy.data.materials[name], self.problems)
                 replaceable_by(bpy.data.materials[name], self.problems)
-                for layer in plan.dependencies.uv_layers if (plan.images or plan.varying) else ():
+                has_textures = plan.images or plan.varying or plan.bakes_normal
+                for layer in plan.dependencies.uv_layers if has_textures else ():
                     if (layer or mesh.active_uv) not in mesh.uv_layers:
                         wanted = f"the UV map {layer!r}" if layer else "a UV map"
                         self.problems.add(

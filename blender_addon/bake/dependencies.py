@@ -83,6 +83,7 @@ class DependencyWalk:
         self.tree, self.material, self.problems = tree, material, problems
         self._seen: set[tuple[tuple[str, ...], str, str]] = set()
         self._result = Dependencies()
+        self._is_normal = False
 
     def of(self, *expressions: Expression) -> Dependencies:
         """Everything that the expressions depend on."""
@@ -92,6 +93,16 @@ class DependencyWalk:
                 stack, node = node_at(self.tree, value.path, value.node)
                 output = next(o for o in node.outputs if o.identifier == value.socket)
                 self._visit(stack, node, output)
+        return self._result
+
+    def of_inputs(self, inputs: list[tuple[Stack, bpy.types.NodeSocket]]) -> Dependencies:
+        """What linked Normal inputs depend on, if the result is to be a tangent-space texture."""
+        self._seen, self._result, self._is_normal = set(), Dependencies(), True
+        for stack, socket in inputs:
+            source = source_of(stack, socket)
+            if source.node is not None and source.socket is not None:
+                self._visit(source.stack, source.node, source.socket)
+        self._is_normal = False
         return self._result
 
     def _report(self, severity: str, node: bpy.types.Node, message: str, remedy: str = "") -> None:
@@ -136,6 +147,10 @@ class DependencyWalk:
                 )
         elif kind == "POINT_INFO":
             self._report(ERROR, node, "point clouds are not exported", "convert them to a mesh")
+        elif self._is_normal and kind == "NORMAL_MAP" and node.space == "TANGENT":
+            self._result.uv_layers.add(node.uv_map)
+        elif self._is_normal and kind == "BUMP":
+            pass  # what matters is what its height depends on
         elif kind in _ON_MESH:
             self._result.mesh = True
         elif kind in ("FRESNEL", "LAYER_WEIGHT"):

@@ -31,12 +31,16 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class WorkingMaterial:
-    """A copy of a material whose channel values are top-level sockets, switched to the output one by one."""
+    """A copy of a material whose channel values are top-level sockets, switched to the output one by one.
+
+    ``surface`` is what the output showed before, for the bake of normals.
+    """
 
     material: bpy.types.Material
     outputs: dict[str, bpy.types.NodeSocket | Constant]
     emission: bpy.types.Node
     target: bpy.types.Node
+    surface: bpy.types.NodeSocket | None
 
 
 class BakeSession:
@@ -110,12 +114,14 @@ class BakeSession:
         for name in ("Displacement", "Volume"):
             for link in list(output.inputs[name].links):
                 tree.links.remove(link)
+        links = output.inputs["Surface"].links
+        surface = links[0].from_socket if links else None
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
         for node in tree.nodes:
             node.select = False
         target.select = True
         tree.nodes.active = target
-        return WorkingMaterial(copy, outputs, emission, target)
+        return WorkingMaterial(copy, outputs, emission, target, surface)
 
     def _fix_object_info(
         self,
@@ -223,8 +229,16 @@ class BakeSession:
     def bake_normal(
         self, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str = BAKE_UV
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Bake the tangent-space normal of whatever is linked to the working material's output."""
-        return self._run("NORMAL", thing, working, size, uv_layer)
+        """Bake the tangent-space normal (encoded as (n + 1) / 2, +Y up) of the original surface."""
+        tree = working.material.node_tree
+        end = tree.get_output_node("CYCLES").inputs["Surface"]
+        assert working.surface is not None
+        tree.links.new(working.surface, end)
+        thing.data.uv_layers.active = thing.data.uv_layers[uv_layer]
+        try:
+            return self._run("NORMAL", thing, working, size, uv_layer)
+        finally:
+            tree.links.new(working.emission.outputs[0], end)
 
     def _run(
         self, kind: str, thing: bpy.types.Object, working: WorkingMaterial, size: int, uv_layer: str

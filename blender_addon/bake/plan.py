@@ -53,16 +53,17 @@ class MaterialPlan:
     dependencies: Dependencies = field(default_factory=Dependencies)
     frame: UvFrame | None = None
     normals: list[tuple[Stack, bpy.types.NodeSocket]] = field(default_factory=list)
+    bakes_normal: bool = False
     problems: list[Problem] = field(default_factory=list)
 
     @property
     def needs_mesh(self) -> bool:
         """Whether a part of its own mesh has to be baked."""
-        return bool(self.varying) and self.dependencies.needs_mesh
+        return (bool(self.varying) or self.bakes_normal) and self.dependencies.needs_mesh
 
     @property
     def is_per_instance(self) -> bool:
-        return bool(self.varying) and self.dependencies.is_per_instance
+        return (bool(self.varying) or self.bakes_normal) and self.dependencies.is_per_instance
 
     @property
     def is_periodic(self) -> bool:
@@ -70,10 +71,10 @@ class MaterialPlan:
         return self.dependencies.is_periodic
 
 
-def plan_material(material: bpy.types.Material, transmission: str | None = None) -> MaterialPlan:
-    """Plan one material; problems are in the plan. ``transmission`` overrides the material's policy."""
+def plan_material(material: bpy.types.Material, bakes_normal: bool = False) -> MaterialPlan:
+    """Plan one material; problems are in the plan. ``bakes_normal``: Normal inputs become a texture."""
     problems = ProblemList()
-    policy = transmission or str(material.get("sm_transmission", "refuse"))
+    policy = str(material.get("sm_transmission", "refuse"))
     if policy not in TRANSMISSION_POLICIES:
         problems.add(
             ERROR,
@@ -90,6 +91,7 @@ def plan_material(material: bpy.types.Material, transmission: str | None = None)
     _note_leftover_lobes(closures, material.name, problems)
     channels = channels_of(closures)
     plan = MaterialPlan(material.name, channels, normals=closures.normals)
+    plan.bakes_normal = bakes_normal and bool(closures.normals)
     _classify(plan, material.node_tree, problems)
     plan.problems = list(problems)
     return plan
@@ -124,15 +126,17 @@ def _classify(plan: MaterialPlan, tree: bpy.types.NodeTree, problems: ProblemLis
         if (image := plain_image(tree, expression, name in SCALAR_CHANNELS)) is not None
     }
     frames = {image.frame for image in plain.values()}
-    if plain and len(plain) == len(varying) and len(frames) == 1:
+    if not plan.bakes_normal and plain and len(plain) == len(varying) and len(frames) == 1:
         plan.images, (plan.frame,) = plain, frames
         for name, image in plain.items():
             _note_interpolation(tree, varying[name], plan.name, problems, image)
         plan.dependencies = walk.of(*varying.values())
         return
-    if not varying:
+    if not varying and not plan.bakes_normal:
         return
     plan.dependencies = walk.of(*varying.values())
+    if plan.bakes_normal:
+        plan.dependencies.merge(walk.of_inputs(plan.normals))
     read_frames = plan.dependencies.frames
     if plan.dependencies.needs_mesh or not plan.dependencies.uv_layers:
         plan.frame = None  # laid out anew, or without texture
@@ -173,7 +177,7 @@ def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
     dependencies.repeats = False
     return MaterialPlan(
         plan.name, plan.channels, plan.constants, {}, varying, dependencies, plan.frame, plan.normals,
-        plan.problems,
+        plan.bakes_normal, plan.problems,
     )  # fmt: skip
 
 

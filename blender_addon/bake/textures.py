@@ -23,6 +23,7 @@ _ODD_PX = (
     181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
 )
 BORDER = 1 / 32  # of the texture's side, around what a window or a layout holds
+NORMAL = "normal"
 _FLAT = 1e-4  # a texture that varies by less is a constant
 
 Window = tuple[float, float, float, float]
@@ -103,7 +104,7 @@ class MaterialBaker:
         direct = {name: value for name, value in pending.items() if isinstance(value, Constant)}
         result.channels.update({name: _constant(name, value.value) for name, value in direct.items()})
         pending = {name: value for name, value in pending.items() if name not in direct}
-        if not pending:
+        if not pending and not plan.bakes_normal:
             return self._finish(result, plan)
         working = self.session.working_material(material, pending, object_info)
         frame = plan.frame or UvFrame("", IDENTITY)
@@ -121,6 +122,8 @@ class MaterialBaker:
                 result.channels[name] = _constant(name, tuple(pixels.reshape(-1, 3).mean(axis=0).tolist()))
             else:
                 result.channels[name] = self._grow(thing, working, name, plan.name, covered)
+        if plan.bakes_normal:
+            result.normal = self._normal(thing, working, plan.name, covered)
         self._release(thing, working)
         return self._finish(result, plan)
 
@@ -150,6 +153,8 @@ class MaterialBaker:
                 result.channels[name] = _constant(name, source.value)
             else:
                 result.channels[name] = self._grow(thing, working, name, plan.name)
+        if plan.bakes_normal:
+            result.normal = self._normal(thing, working, plan.name, None)
         self._release(None, working)
         return self._finish(result, plan)
 
@@ -184,8 +189,7 @@ class MaterialBaker:
         limit, tolerance = self.settings.max_texture_px, self.settings.tolerance
         size = min(_FIRST_PX, limit)
         while True:
-            pixels, mask = self.session.bake(thing, working, name, size)
-            pixels = _tidy(name, pixels)
+            pixels, mask = self._bake(thing, working, name, size)
             counted = mask & covered(size) if covered is not None else mask
             if not mask.any():
                 return _constant(name, (0.0,) * 3)
@@ -211,6 +215,26 @@ class MaterialBaker:
             return BakedTexture(level.image, error)
         return BakedTexture(level.image, level.error)
 
+    def _bake(
+        self, thing: bpy.types.Object, working: WorkingMaterial, name: str, size: int
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        if name == NORMAL:
+            pixels, mask = self.session.bake_normal(thing, working, size)
+        else:
+            pixels, mask = self.session.bake(thing, working, name, size)
+        return _tidy(name, pixels), mask
+
+    def _normal(
+        self,
+        thing: bpy.types.Object,
+        working: WorkingMaterial,
+        material: str,
+        covered: Callable[[int], NDArray[np.bool_]] | None,
+    ) -> BakedTexture | None:
+        """The normal texture, None where the surface is flat."""
+        channel = self._grow(thing, working, NORMAL, material, covered)
+        return channel if isinstance(channel, BakedTexture) else None
+
     def _is_trusted(
         self,
         thing: bpy.types.Object,
@@ -220,10 +244,10 @@ class MaterialBaker:
         mask: NDArray[np.bool_],
     ) -> bool:
         """Whether a bake at an unrelated size shows the same statistics: if not, the first one aliases."""
-        other, other_mask = self.session.bake(thing, working, name, _ODD_PX)
+        other, other_mask = self._bake(thing, working, name, _ODD_PX)
         if not other_mask.any():
             return False
-        a, b = pixels[mask], _tidy(name, other)[other_mask]
+        a, b = pixels[mask], other[other_mask]
         allowed = 4 * self.settings.tolerance
         return bool(
             np.abs(a.mean(axis=0) - b.mean(axis=0)).max() <= allowed
@@ -242,7 +266,7 @@ class MaterialBaker:
         return tuple(float(v) for v in mean)
 
     def _finish(self, result: BakedMaterial, plan: MaterialPlan) -> BakedMaterial:
-        if plan.normals and not self.settings.bake_normals:
+        if plan.normals and not plan.bakes_normal:
             self.problems.add(
                 NOTE,
                 "bump and normal inputs are left out",

@@ -26,6 +26,7 @@ from .page import CameraCheck, Comparison, page
 from .stage import SAMPLES, light_stage, material_stage
 
 _MATERIAL_LIMIT, _LIGHT_LIMIT = 0.10, 0.05
+_MITSUBA_SAMPLES = 4 * SAMPLES  # independent samples; Cycles' are stratified
 _TIMEOUT_S = 3600
 _RENDER_MODULE = "datagen.inspection.render_package"
 
@@ -152,7 +153,7 @@ def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) ->
             "with Mitsuba."
         )
     command = [executable, "-m", _RENDER_MODULE, *map(str, packages), "--out", str(folder / "mitsuba")]
-    command += ["--samples", str(SAMPLES)]
+    command += ["--samples", str(_MITSUBA_SAMPLES)]
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONHOME"}
     try:
         done = subprocess.run(
@@ -163,7 +164,10 @@ def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) ->
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         return f"Rendered by Cycles only: {executable} failed with {last}"
-    return f"Cycles {bpy.app.version_string} against Mitsuba, {SAMPLES} samples a pixel each, not denoised."
+    return (
+        f"Cycles {bpy.app.version_string} with {SAMPLES} samples a pixel against Mitsuba with "
+        f"{_MITSUBA_SAMPLES}, not denoised."
+    )
 
 
 def _own_python() -> str:

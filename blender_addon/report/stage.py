@@ -13,8 +13,8 @@ import numpy as np
 
 from ..bake.execute import BakeSession
 
-PICTURE_PX = 128
-SAMPLES = 64
+PICTURE_PX = 112
+SAMPLES = 48
 _SPACING = 40.0  # between samples: their planes then shade each other by less than a thousandth
 _PREFIX = ".sm_report"
 _SPHERE_ROWS, _SPHERE_COLUMNS = 48, 96

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What must be refused by name, what bakes to a normal texture, and the fidelity report; prints JSON.
+
+``python -m tests.blender_addon.policies OUT``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.blender_addon import graphs
+from tests.blender_addon.graphs import Stage
+
+REFUSED: dict[str, tuple[str, Callable[[Stage], None]]] = {}
+
+
+def refused(fragment: str) -> Callable[[Callable[[Stage], None]], Callable[[Stage], None]]:
+    """A graph that must be refused with a message that holds ``fragment``."""
+
+    def register(build: Callable[[Stage], None]) -> Callable[[Stage], None]:
+        REFUSED[build.__name__] = (fragment, build)
+        return build
+
+    return register
+
+
+@refused("transmission")
+def glass(s: Stage) -> None:
+    s.surface(s.node("BsdfGlass"))
+
+
+@refused("transmission")
+def principled_glass(s: Stage) -> None:
+    s.shader.inputs["Transmission Weight"].default_value = 1
+
+
+@refused("Hair BSDF")
+def hair(s: Stage) -> None:
+    s.surface(s.node("BsdfHair"))
+
+
+@refused("Sheen")
+def sheen(s: Stage) -> None:
+    s.surface(s.node("BsdfSheen"))
+
+
+@refused("Toon")
+def toon(s: Stage) -> None:
+    s.surface(s.node("BsdfToon"))
+
+
+@refused("volume")
+def volume(s: Stage) -> None:
+    s.link(s.node("VolumeScatter").outputs[0], s.output.inputs["Volume"])
+
+
+@refused("thin film")
+def thin_film(s: Stage) -> None:
+    s.shader.inputs["Thin Film Thickness"].default_value = 400
+
+
+@refused("no image")
+def image_node_without_image(s: Stage) -> None:
+    s.link(s.node("TexImage").outputs[0], s.shader.inputs["Base Color"])
+
+
+@refused("cannot be read")
+def image_file_missing(s: Stage) -> None:
+    image = s.image(graphs.smooth_image(8), packed=False)
+    Path(image.filepath).unlink()
+    image.reload()
+    s.link(s.texture(image).outputs[0], s.shader.inputs["Base Color"])
+
+
+@refused("needs a UV map")
+def no_uv_map(s: Stage) -> None:
+    s.mesh.uv_layers.remove(s.mesh.uv_layers[0])
+    s.link(s.uv(), s.shader.inputs["Base Color"])
+
+
+@refused("needs the UV map 'Missing'")
+def wrong_uv_map(s: Stage) -> None:
+    s.link(s.node("UVMap", uv_map="Missing").outputs[0], s.shader.inputs["Base Color"])
+
+
+@refused("change with the view")
+def window_coordinates(s: Stage) -> None:
+    s.link(s.node("TexCoord").outputs["Window"], s.shader.inputs["Base Color"])
+
+
+@refused("Open Shading Language")
+def script(s: Stage) -> None:
+    group = s.node("Script")
+    group.mode = "INTERNAL"
+    text = s.bpy.data.texts.new("s.osl")
+    text.write("shader s(output color c = 0.5) { c = 0.2; }")
+    group.script = text
+    if not group.outputs:  # without an OSL compiler the node has no outputs: another refused node stands in
+        s.link(s.node("CameraData").outputs["View Z Depth"], s.shader.inputs["Roughness"])
+        group.name = "unused"
+        s.material["no_osl"] = True
+        return
+    s.link(group.outputs[0], s.shader.inputs["Base Color"])
+
+
+@refused("linked to a shader input")
+def colour_as_shader(s: Stage) -> None:
+    s.link(s.node("TexNoise").outputs[1], s.output.inputs["Surface"])
+
+
+@refused("no material")
+def empty_slot(s: Stage) -> None:
+    s.mesh.materials[0] = None
+
+
+@refused("sm_class = 'wod'")
+def misspelt_class(s: Stage) -> None:
+    s.material["sm_class"] = "wod"
+
+
+@refused("spread")
+def area_light_spread(s: Stage) -> None:
+    light = s.bpy.data.lights.new(s.name, "AREA")
+    light.spread = 1.0
+    s.thing.name = "floor"
+    s.collection.objects.link(s.bpy.data.objects.new(s.name, light))
+
+
+def normal_image(size: int = 64) -> np.ndarray:
+    """Encoded unit normals that wander by 20 degrees and repeat."""
+    t = (np.arange(size) + 0.5) / size * 2 * np.pi
+    y, x = np.meshgrid(t, t, indexing="ij")
+    vector = np.stack([0.3 * np.sin(x), 0.3 * np.cos(y), np.ones_like(x)], axis=-1)
+    vector /= np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.round((vector + 1) / 2 * 255) / 255
+
+
+def _normal_map(s: Stage) -> None:
+    node = s.node("NormalMap")
+    s.link(s.texture(s.image(normal_image(), "Non-Color")).outputs[0], node.inputs["Color"])
+    s.link(node.outputs[0], s.shader.inputs["Normal"])
+
+
+def _bump(s: Stage) -> None:
+    """Height 0.05 sin(2 pi x): the slope is known."""
+    node = s.node("Bump")
+    node.inputs["Strength"].default_value, node.inputs["Distance"].default_value = 1, 0.05
+    wave = s.math("SINE", s.math("MULTIPLY", s.split(s.uv())[0], 2 * np.pi))
+    s.link(wave, node.inputs["Height"])
+    s.link(node.outputs[0], s.shader.inputs["Normal"])
+
+
+def main(out: Path) -> None:
+    import bpy
+
+    from blender_addon.export import check, export
+    from blender_addon.settings import ExportSettings
+
+    graphs.FOLDER = out / "images"
+    graphs.FOLDER.mkdir(parents=True, exist_ok=True)
+    found: dict[str, Any] = {"refused": {}}
+    for name, (_, build) in REFUSED.items():
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        build(Stage(bpy, name))
+        bpy.context.view_layer.update()
+        problems = check(ExportSettings(kind="object", license="CC0-1.0"))
+        found["refused"][name] = [vars(p) for p in problems if p.severity == "error"]
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    _normal_map(Stage(bpy, "normal_map"))
+    _bump(Stage(bpy, "bump"))
+    bpy.context.view_layer.update()
+    settings = ExportSettings(kind="object", license="CC0-1.0", bake_normals=True, max_texture_px=256)
+    export(out / "normals", settings)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    stages = [Stage(bpy, name) for name in ("plain", "gradient")]
+    stages[1].link(stages[1].uv(), stages[1].shader.inputs["Base Color"])
+    scene = bpy.context.scene
+    light = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "AREA"))
+    camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    light.location, camera.location = (0.5, 0.5, 2), (0.5, -1, 1)
+    for thing in (light, camera):
+        scene.collection.objects.link(thing)
+    for collection in bpy.data.collections:
+        del collection["sm_role"]
+    bpy.context.view_layer.update()
+    result = export(
+        out / "report", ExportSettings(license="CC0-1.0", report=True, max_texture_px=64, kind="environment")
+    )
+    found["report"] = str(result.report)
+    found["left"] = [scene.name for scene in bpy.data.scenes] + [block.name for block in bpy.data.meshes]
+    print("\n" + json.dumps(found))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

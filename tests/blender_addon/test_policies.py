@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Refusals name the node and the remedy; normals bake to a texture; the fidelity report compares."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datagen.formats.asset import ObjectAsset, Texture
+from datagen.formats.package import open_package
+from datagen.images import read_image
+from tests.blender_addon.policies import REFUSED, normal_image
+
+pytestmark = pytest.mark.bpy
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory: pytest.TempPathFactory, run_module: Callable[..., Any]) -> tuple[Path, Any]:
+    folder = tmp_path_factory.mktemp("policies")
+    return folder, run_module("tests.blender_addon.policies", str(folder))
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_by_name(outcome: tuple[Path, Any], name: str) -> None:
+    fragment, _ = REFUSED[name]
+    errors = outcome[1]["refused"][name]
+    matching = [e for e in errors if fragment in e["message"]]
+    if name == "script" and not matching:
+        assert any("changes with the camera" in e["message"] for e in errors)
+        return
+    assert matching, errors
+    assert all(e["remedy"] for e in matching)
+    assert any(e["material"] == name or e["object"] == name for e in matching)
+
+
+def _normals(folder: Path, name: str) -> np.ndarray:
+    package = open_package(folder / "normals" / name)
+    assert isinstance(package.asset, ObjectAsset)
+    (material,) = package.asset.materials.values()
+    assert isinstance(material.normal, Texture)
+    return read_image(package.path / material.normal.texture).astype(float) / 255
+
+
+def test_normal_map_bakes_to_itself(outcome: tuple[Path, Any]) -> None:
+    baked = _normals(outcome[0], "normal_map")
+    wanted = normal_image()
+    step = wanted.shape[0] // baked.shape[0], wanted.shape[1] // baked.shape[1]
+    assert min(step) >= 1
+    coarse = wanted.reshape(baked.shape[0], step[0], baked.shape[1], step[1], 3).mean(axis=(1, 3))
+    assert np.abs(baked - coarse).mean() < 2 / 255
+
+
+def test_bump_has_the_slope_of_its_height(outcome: tuple[Path, Any]) -> None:
+    """h = 0.05 sin(2 pi x): nx / nz = -dh/dx = -0.314 cos(2 pi x)."""
+    baked = _normals(outcome[0], "bump")
+    vectors = baked * 2 - 1
+    slope = vectors[..., 0] / vectors[..., 2]
+    border = 1 / 32  # left free around the layout
+    x = ((np.arange(baked.shape[1]) + 0.5) / baked.shape[1] - border) / (1 - 2 * border)
+    inside = (x > 0.02) & (x < 0.98)
+    wanted = -0.05 * 2 * np.pi * np.cos(2 * np.pi * x)
+    assert np.abs(slope - wanted[None, :])[:, inside].mean() < 0.02
+    assert np.abs(slope - 1.3 * wanted[None, :])[:, inside].mean() > 0.02
+
+
+def test_report_compares_materials_lights_and_cameras(outcome: tuple[Path, Any]) -> None:
+    text = Path(outcome[1]["report"]).read_text()
+    assert "not rendered a second time" not in text, re.findall(r"</h1>\s*<p>(.*?)</p>", text, re.S)
+    errors = dict(re.findall(r"<b>(.*?)</b>.*?<td class=\"number(?: over)?\">([\d.]+)%", text, re.S))
+    assert errors.keys() == {"plain", "gradient", "lamp"}
+    assert all(float(value) < 10 for value in errors.values()), errors
+    assert float(errors["lamp"]) < 3
+    assert text.count("data:image/png;base64,") == 3
+    assert re.search(r"eye</td><td class=\"number\">0\.0\d+ px", text)
+    assert outcome[1]["left"] == ["Scene", "gradient", "plain"]
