@@ -8,7 +8,7 @@ therefore come from a pass of their own (:mod:`mitsuba_plugins.material_buffers`
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,12 @@ class Denoiser(Protocol):
     """Something that turns a noisy image into a clean one. ``name`` goes into the view's record."""
 
     name: str
+    wants_camera_normals: ClassVar[bool]
 
     def denoise(
         self, color: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """``color`` (H, W, 3) linear radiance, ``albedo`` (H, W, 3) in [0, 1], ``normal`` (H, W, 3) world."""
+        """``color`` (H, W, 3) linear radiance, ``albedo`` (H, W, 3) in [0, 1], ``normal`` (H, W, 3) unit."""
         ...
 
 
@@ -46,6 +47,7 @@ class OidnDenoiser:
 
     quality: Quality = "high"
     num_threads: int = 0
+    wants_camera_normals: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         import pyoidn
@@ -113,7 +115,9 @@ def _oidn_version() -> tuple[int, ...]:
 
 @dataclass
 class OptixDenoiser:
-    """NVIDIA's denoiser through Mitsuba; needs the CUDA variant."""
+    """NVIDIA's denoiser through Mitsuba; needs the CUDA variant. Normals are in camera space (y down)."""
+
+    wants_camera_normals: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         self.name = "optix"
@@ -132,13 +136,13 @@ class OptixDenoiser:
             )
         result = self._denoisers[height, width](
             mi.TensorXf(np.ascontiguousarray(color, np.float32)),
-            denoise_alpha=False,
             albedo=mi.TensorXf(np.ascontiguousarray(albedo, np.float32)),
-            normals=mi.TensorXf(np.ascontiguousarray(normal, np.float32)),
+            # Mitsuba's sensor frame: x to the left, y up, z forward
+            normals=mi.TensorXf(np.ascontiguousarray(normal * np.array([-1, -1, 1], np.float32), np.float32)),
         )
         return np.maximum(np.array(result, dtype=np.float32)[..., :3], 0.0)
 
 
-def make_denoiser(variant: str, num_threads: int = 0) -> Denoiser:
+def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDenoiser:
     """The denoiser that fits a Mitsuba variant."""
     return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)

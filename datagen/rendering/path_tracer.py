@@ -118,7 +118,8 @@ class PathTracer:
         self, sensor: Any, pixel: Array, size: tuple[int, int], num_samples: Array, seed: int
     ) -> Array:
         width, height = size
-        bits_x, bits_y = mi.sample_tea_32(pixel, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))
+        key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+        bits_x, bits_y = mi.sample_tea_32(pixel, key)
         shift_x, shift_y = mi.Float(bits_x >> 8) * 2.0**-24, mi.Float(bits_y >> 8) * 2.0**-24
         row: Any = pixel // width
         left, top = mi.Float(pixel - row * width), mi.Float(row)

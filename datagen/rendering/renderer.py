@@ -123,14 +123,18 @@ class SceneRenderer:
         return self._finish(*self._trace(index))
 
     def render_views(self, indices: Iterable[int]) -> Iterator[RenderedView]:
-        """Views in the order of ``indices``; one is denoised while the next is traced."""
+        """Views in the order of ``indices``.
+
+        A view is denoised in a thread of its own while the next one is traced, and while the caller does what
+        it does with the one before.
+        """
         with ThreadPoolExecutor(1, thread_name_prefix="denoise") as pool:
             pending: Future[RenderedView] | None = None
             for index in indices:
-                traced = self._trace(index)
+                following = pool.submit(self._finish, *self._trace(index))
                 if pending is not None:
                     yield pending.result()
-                pending = pool.submit(self._finish, *traced)
+                pending = following
             if pending is not None:
                 yield pending.result()
 
@@ -208,7 +212,11 @@ class SceneRenderer:
             albedo = auxiliary_albedo(
                 buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
             )
-            beauty = self._denoiser.denoise(noisy, albedo, buffers["normal_world"]) + seen_lights
+            normal = buffers["normal_world"]
+            if self._denoiser.wants_camera_normals:
+                camera = self.configuration.cameras[index].camera()
+                normal = normal @ camera.world_from_camera[:3, :3].astype(np.float32)
+            beauty = self._denoiser.denoise(noisy, albedo, normal) + seen_lights
             self._check_finite(index, {"beauty": beauty})
         clipped = int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1)))
         buffers["beauty"] = np.minimum(beauty, HALF_MAX)
