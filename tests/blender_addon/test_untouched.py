@@ -24,7 +24,7 @@ def test_comparison_itself_is_stable_and_sees_changes(outcome: dict[str, Any]) -
     assert any("location" in line for line in outcome["twin"])
 
 
-@pytest.mark.parametrize("ending", ["success", "environment", "check", "refused", "disk full"])
+@pytest.mark.parametrize("ending", ["success", "environment", "check", "report", "refused", "disk full"])
 def test_file_is_unchanged(outcome: dict[str, Any], ending: str) -> None:
     assert outcome[ending] == []
 

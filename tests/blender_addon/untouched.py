@@ -44,6 +44,12 @@ def main(folder: Path) -> None:
     compare("environment")
     check(settings)
     compare("check")
+    report = ExportSettings(
+        kind="object", only=CHOSEN[:2], license="CC0-1.0", max_texture_px=64, bake_normals=True,
+        report=True, report_python="/bin/false",
+    )  # fmt: skip
+    export(out / "report", report)
+    compare("report")
     try:
         export(out / "refused", ExportSettings(kind="object", only=CHOSEN))
         outcome["refused"] = ["an export without a licence was not refused"]

@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Large scenes: time to export a million triangles, a room with 2,000 instances, and a 1024-px bake."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = [pytest.mark.bpy, pytest.mark.slow]
+
+
+def test_large_scenes_export_in_time(tmp_path: Path, run_module: Callable[..., Any]) -> None:
+    measured = run_module("tests.blender_addon.scale", str(tmp_path), timeout=900)
+    assert measured["million_triangles_s"] < 5, measured
+    assert measured["three_channels_1024_px_s"] < 3, measured
+    asset = json.loads((tmp_path / "room").glob("*/asset.json").__next__().read_text())
+    assert len(asset["parts"]) == 2000 * 5
+    assert len(asset["materials"]) == 200
+    files = list((tmp_path / "room").rglob("*.png"))
+    assert 0 < len(files) <= 100, "materials are baked once, not once for each instance"
