@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: MIT
+"""Captures: the one form for the views of a rendered configuration and of a room that was photographed.
+
+A capture is cameras, images and geometry. In memory it is a :class:`Capture`, whose images are read on
+demand; on disk ``capture.json`` (:class:`CaptureFile`) names images, cameras with their distortion, and the
+mesh. World: metres, right-handed, Z up; ``datagen.cameras`` fixes the rest. Images are (H, W, 3), linear
+Rec.709, row 0 at the top, all views of a capture under one exposure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem
+from datagen.formats.base import IDENTITY4, Matrix4, Positive, Slug, StrictModel
+from datagen.formats.configuration import ViewCamera
+from datagen.formats.lights import Light
+
+if TYPE_CHECKING:
+    from datagen.meshes import Mesh
+
+CAPTURE_FILE = "capture.json"
+Encoding = Literal["auto", "linear", "srgb", "gamma22"]
+
+
+class Distortion(StrictModel):
+    """Lens distortion in OpenCV's form, on normalised image coordinates.
+
+    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing ones 0; ``fisheye``: k1 k2 k3 k4.
+    """
+
+    model: Literal["brown", "fisheye"]
+    coefficients: Annotated[tuple[float, ...], Field(min_length=1, max_length=8)]
+
+    @model_validator(mode="after")
+    def _fits_the_model(self) -> Distortion:
+        if self.model == "fisheye" and len(self.coefficients) > 4:
+            raise ValueError("expected at most 4 coefficients of a fisheye")
+        return self
+
+
+class PhotographRecord(StrictModel):
+    """One photograph: its camera as it was calibrated, before distortion is undone.
+
+    ``image`` is absolute or relative to ``capture.json``. ``exposure_scale`` multiplies the linear image and
+    brings all views to one exposure.
+    """
+
+    camera: ViewCamera
+    image: str
+    distortion: Distortion | None = None
+    exposure_scale: Positive = 1.0
+
+
+class MeshRecord(StrictModel):
+    """The mesh file (PLY, OBJ, glTF, GLB) and what takes it to the cameras' world."""
+
+    file: str
+    world_from_mesh: Matrix4 = IDENTITY4
+
+
+class CaptureFile(StrictModel):
+    """``capture.json``. ``encoding`` of the images' values: ``auto`` is sRGB for integer images (PNG, JPEG,
+    TIFF) and linear for EXR; ``gamma22`` is what the paper takes photographs for. ``lights``, where they are
+    known, are used when the result is rendered."""
+
+    format: Literal["scene-materials/capture"] = "scene-materials/capture"
+    version: Literal[1] = 1
+    name: Slug
+    encoding: Encoding = "auto"
+    photographs: Annotated[tuple[PhotographRecord, ...], Field(min_length=1)]
+    mesh: MeshRecord
+    lights: tuple[Light, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> CaptureFile:
+        names = [photograph.camera.name for photograph in self.photographs]
+        if len(set(names)) != len(names):
+            raise ValueError("expected every view to have a name of its own")
+        return self
+
+
+@dataclass(frozen=True)
+class ColorImage:
+    """``color`` (H, W, 3) float32 linear; ``valid_mask`` (H, W): False where undoing the distortion left
+    nothing."""
+
+    color: NDArray[np.float32]
+    valid_mask: NDArray[np.bool_]
+
+
+class ImageSource(Protocol):
+    """Where a view's pixels come from."""
+
+    def read(self, camera: Camera) -> ColorImage:
+        """The image as the undistorted ``camera`` has it. Raises :class:`InputError` where it cannot be
+        read."""
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        """Stored ground truth by buffer name; empty for photographs."""
+
+
+@dataclass(frozen=True)
+class CaptureView:
+    """One view. ``camera`` has no distortion and the size at which the view is worked on."""
+
+    name: str
+    camera: Camera
+    source: ImageSource
+
+    def read(self) -> ColorImage:
+        """The view's image."""
+        return self.source.read(self.camera)
+
+
+@dataclass(frozen=True)
+class GeometryPart:
+    """Triangles ``first_face`` ... ``first_face + num_faces - 1``; ``emission`` is the radiance of a lamp."""
+
+    name: str
+    first_face: int
+    num_faces: int
+    emission: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class CaptureGeometry:
+    """One mesh in the world, v of its UVs upwards, and the parts it is joined of, in the order of its
+    faces."""
+
+    mesh: Mesh
+    parts: tuple[GeometryPart, ...]
+
+    def __post_init__(self) -> None:
+        if sum(part.num_faces for part in self.parts) != len(self.mesh.faces):
+            raise ValueError("expected the parts to hold every face once")
+
+    def emitter_mask(self) -> NDArray[np.bool_]:
+        """(M,): True where a triangle emits."""
+        mask = np.zeros(len(self.mesh.faces), dtype=bool)
+        for part in self.parts:
+            mask[part.first_face : part.first_face + part.num_faces] = part.emission is not None
+        return mask
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Cameras, images and geometry. ``lights`` are known for rendered captures only; ``notes`` say in words
+    what was decided while reading."""
+
+    name: str
+    views: tuple[CaptureView, ...]
+    geometry: CaptureGeometry
+    lights: tuple[Light, ...] = ()
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise InputError(Problem(self.name, "views", "none", "at least one view", "add photographs"))
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """Camera of each view."""
+        return [view.camera for view in self.views]

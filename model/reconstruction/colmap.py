@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: MIT
+"""COLMAP models, text and binary: ``cameras`` and ``images`` as photographs. Points are not needed and not
+read.
+
+COLMAP's pose is camera_from_world (quaternion w x y z, translation), its camera looks along +z with y down
+and its pixel centres are at +0.5: the project's conventions. The world is whatever frame COLMAP chose.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.capture import Distortion
+
+MODELS = (
+    ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
+)  # fmt: skip
+"""Name and number of parameters by COLMAP's model id."""
+_REMEDY = "export the model again (colmap model_converter)"
+_UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and their simple forms"
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """An image of a calibration: file name as it stands there, camera with its pose, distortion."""
+
+    file: str
+    camera: Camera
+    distortion: Distortion | None
+
+
+@dataclass(frozen=True)
+class _Lens:
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+def is_colmap_model(folder: Path) -> bool:
+    """Whether the folder holds cameras and images in either form."""
+    return any(all((folder / f"{n}{s}").is_file() for n in ("cameras", "images")) for s in (".bin", ".txt"))
+
+
+def read_colmap(folder: Path) -> list[PosedImage]:
+    """Every registered image, by file name. Binary files are preferred where both forms lie in the folder."""
+    if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
+        lenses, poses = (
+            _read_binary_cameras(folder / "cameras.bin"),
+            _read_binary_images(folder / "images.bin"),
+        )
+        where = folder / "images.bin"
+    else:
+        lenses, poses = _read_text_cameras(folder / "cameras.txt"), _read_text_images(folder / "images.txt")
+        where = folder / "images.txt"
+    problems = []
+    found = []
+    for name, (lens_id, quaternion, translation) in sorted(poses.items()):
+        if lens_id not in lenses:
+            problems.append(Problem(where, name, f"camera {lens_id}", "a camera of the model", _REMEDY))
+            continue
+        try:
+            found.append(_posed(name, lenses[lens_id], quaternion, translation, where))
+        except InputError as error:
+            problems.extend(error.problems)
+    if not poses:
+        problems.append(Problem(where, "", "no images", "at least one registered image", _REMEDY))
+    if problems:
+        raise InputError(*problems)
+    return found
+
+
+def _posed(name: str, lens: _Lens, quaternion: NDArray, translation: NDArray, where: Path) -> PosedImage:
+    length = float(np.linalg.norm(quaternion))
+    if not (np.isfinite(length) and length > 1e-6 and np.isfinite(translation).all()):
+        raise input_error(where, name, f"quaternion {quaternion.tolist()}", "a rotation", _REMEDY)
+    rotation = rotation_of(quaternion / length)
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation.T
+    matrix[:3, 3] = -rotation.T @ translation
+    (fx, fy, cx, cy), distortion = lens_intrinsics(lens.model, lens.parameters, where)
+    return PosedImage(name, Camera(lens.width, lens.height, fx, fy, cx, cy, matrix), distortion)
+
+
+def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
+    """Rotation matrix of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = (float(q) for q in quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def lens_intrinsics(
+    model: str, p: tuple[float, ...], where: Path
+) -> tuple[tuple[float, float, float, float], Distortion | None]:
+    """(fx, fy, cx, cy) and the distortion of one of COLMAP's models. Raises for models without OpenCV's
+    form."""
+    num_focal = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
+    focal = (p[0], p[0]) if num_focal == 1 else (p[0], p[1])
+    center, k = p[num_focal : num_focal + 2], p[num_focal + 2 :]
+    if model in ("FOV", "THIN_PRISM_FISHEYE"):
+        raise input_error(where, "camera model", model, _UNSUPPORTED, "calibrate with one of these")
+    if model in ("SIMPLE_RADIAL", "RADIAL"):
+        k = (k[0], k[1] if len(k) > 1 else 0.0, 0.0, 0.0)
+    kind = "fisheye" if "FISHEYE" in model else "brown"
+    distortion = Distortion(model=kind, coefficients=k) if any(k) else None  # type: ignore[arg-type]
+    if not (min(focal) > 0 and np.isfinite([*focal, *center, *k]).all()):
+        raise input_error(where, "camera parameters", p, "finite values, focal lengths above 0", _REMEDY)
+    return (focal[0], focal[1], center[0], center[1]), distortion
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise input_error(path, got=str(error), expected="a readable text file", remedy=_REMEDY) from None
+    return [line.strip() for line in text.splitlines() if not line.startswith("#")]
+
+
+def _read_text_cameras(path: Path) -> dict[int, _Lens]:
+    lenses = {}
+    counts = dict(MODELS)
+    for line in filter(None, _lines(path)):
+        words = line.split()
+        try:
+            parameters = tuple(float(word) for word in words[4:])
+            lens = _Lens(words[1], int(words[2]), int(words[3]), parameters)
+            lens_id = int(words[0])
+        except (ValueError, IndexError):
+            raise input_error(path, "line", line[:80], "ID MODEL WIDTH HEIGHT PARAMETERS", _REMEDY) from None
+        if counts.get(lens.model) != len(parameters) or min(lens.width, lens.height) <= 0:
+            expected = "a known model with its parameters and a size"
+            raise input_error(path, f"camera {words[0]}", line[:80], expected, _REMEDY)
+        lenses[lens_id] = lens
+    return lenses
+
+
+def _read_text_images(path: Path) -> dict[str, tuple[int, NDArray, NDArray]]:
+    lines = _lines(path)
+    while lines and not lines[0]:
+        lines.pop(0)
+    poses = {}
+    for line in lines[::2]:  # each image has a second line with its points, which may be empty
+        words = line.split(maxsplit=9)
+        if not words:
+            continue
+        try:
+            values = np.array([float(word) for word in words[1:8]])
+            poses[words[9]] = (int(words[8]), values[:4], values[4:])
+        except (ValueError, IndexError):
+            expected = "ID QW QX QY QZ TX TY TZ CAMERA NAME, and a line of points after it"
+            raise input_error(path, "line", line[:80], expected, _REMEDY) from None
+    return poses
+
+
+class _Cursor:
+    """Reads little-endian values off a file's bytes."""
+
+    def __init__(self, path: Path):
+        self.path, self.offset = path, 0
+        try:
+            self.data = path.read_bytes()
+        except OSError as error:
+            raise input_error(path, got=str(error), expected="a readable file", remedy=_REMEDY) from None
+
+    def take(self, form: str) -> tuple:
+        """Values by a ``struct`` format."""
+        try:
+            values = struct.unpack_from(f"<{form}", self.data, self.offset)
+        except struct.error:
+            raise self.short() from None
+        self.offset += struct.calcsize(f"<{form}")
+        return values
+
+    def text(self) -> str:
+        """A string that ends in a zero byte."""
+        end = self.data.find(b"\0", self.offset)
+        if end < 0:
+            raise self.short()
+        value = self.data[self.offset : end].decode("utf-8", "replace")
+        self.offset = end + 1
+        return value
+
+    def skip(self, num_bytes: int) -> None:
+        """Go past bytes that are not needed."""
+        self.offset += num_bytes
+        if self.offset > len(self.data):
+            raise self.short()
+
+    def short(self) -> InputError:
+        """The error of a file that was cut."""
+        return input_error(self.path, "", "the file ends early", "a whole file", _REMEDY)
+
+
+def _read_binary_cameras(path: Path) -> dict[int, _Lens]:
+    cursor = _Cursor(path)
+    lenses = {}
+    for _ in range(cursor.take("Q")[0]):
+        lens_id, model, width, height = cursor.take("iiQQ")
+        if not 0 <= model < len(MODELS):
+            raise input_error(path, f"camera {lens_id}", f"model {model}", _UNSUPPORTED, _REMEDY)
+        name, count = MODELS[model]
+        lenses[lens_id] = _Lens(name, width, height, cursor.take(f"{count}d"))
+    return lenses
+
+
+def _read_binary_images(path: Path) -> dict[str, tuple[int, NDArray, NDArray]]:
+    cursor = _Cursor(path)
+    poses = {}
+    for _ in range(cursor.take("Q")[0]):
+        values = cursor.take("i7di")
+        name = cursor.text()
+        cursor.skip(cursor.take("Q")[0] * 24)  # x, y as doubles and a point id a feature
+        poses[name] = (values[8], np.array(values[1:5]), np.array(values[5:8]))
+    return poses

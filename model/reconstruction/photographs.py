@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""Photographs as a capture's images: decoded, turned upright, linearised, resized and undistorted.
+
+Pixel coordinates have their centres at +0.5 (``datagen.cameras``); OpenCV's are at whole numbers, so its
+principal point is ours less 0.5. Linearisation comes before any resampling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.color import linear_from_srgb
+from datagen.errors import input_error
+from datagen.formats.capture import ColorImage, Distortion, Encoding
+from datagen.images import normalized, read_image
+
+PAPER_GAMMA = 2.2
+_EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
+_EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
+_ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
+
+
+@dataclass(frozen=True)
+class PhotographSource:
+    """A photograph on disk, calibrated as ``calibrated`` with ``distortion``."""
+
+    path: Path
+    calibrated: Camera
+    distortion: Distortion | None
+    encoding: Encoding
+    exposure_scale: float = 1.0
+
+    def read(self, camera: Camera) -> ColorImage:
+        """The photograph as ``camera`` sees it: the same pose, any size and intrinsics, no distortion."""
+        pixels = fit_orientation(read_photograph(self.path), self.path, self.calibrated)
+        linear = linearized(pixels, self.encoding) * np.float32(self.exposure_scale)
+        if not np.isfinite(linear).all():
+            raise input_error(self.path, "pixels", "NaN or Inf", "finite values", "export the image again")
+        return undistorted(linear, self.calibrated, self.distortion, camera)
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        """Photographs hold no ground truth."""
+        return {}
+
+
+def read_photograph(path: Path) -> NDArray:
+    """Pixels (H, W, C) as stored, orientation not applied. PNG, JPEG, EXR by ``datagen.images``, TIFF
+    besides."""
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        return read_image(path)
+    import cv2
+
+    data = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.zeros(0, np.uint8)
+    flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+    pixels = cv2.imdecode(data, flags) if data.size else None
+    if pixels is None:
+        raise input_error(path, got="unreadable", expected="a readable TIFF", remedy="export it again")
+    if pixels.ndim == 2:
+        return pixels[..., None]
+    return np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
+
+
+def exif_orientation(path: Path) -> int:
+    """EXIF orientation 1 ... 8; 1 where the file has none."""
+    if path.suffix.lower() == ".exr":
+        return 1
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            value = int(image.getexif().get(_EXIF_ORIENTATION, 1))
+    except (OSError, ValueError, TypeError, UnidentifiedImageError) as error:
+        raise input_error(path, "EXIF", str(error), "a readable image") from None
+    return value if 1 <= value <= 8 else 1
+
+
+def relative_exposure(path: Path) -> float | None:
+    """Light gathered, up to one factor for all: t ISO / N^2 from EXIF; None where a figure is missing."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            tags = image.getexif().get_ifd(_EXIF_IFD)
+            values = [tags.get(tag) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO)]
+            values = [value[0] if isinstance(value, tuple) else value for value in values]
+            time_s, f_number, iso = (float(value) for value in values if value is not None)
+    except (OSError, ValueError, TypeError, ZeroDivisionError, UnidentifiedImageError):
+        return None
+    gathered = time_s * iso / f_number**2 if f_number > 0 else 0.0
+    return gathered if np.isfinite(gathered) and gathered > 0 else None
+
+
+def upright(pixels: NDArray, orientation: int) -> NDArray:
+    """Pixels (H, W, C) turned by an EXIF orientation."""
+    if orientation in (5, 6, 7, 8):
+        pixels = pixels.transpose(1, 0, 2)
+    flips = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}.get(orientation, ())
+    return np.ascontiguousarray(np.flip(pixels, flips)) if flips else np.ascontiguousarray(pixels)
+
+
+def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
+    height, width = pixels.shape[:2]
+    return abs(width * camera.height_px / camera.width_px - height) <= _ASPECT_SLACK_PX
+
+
+def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
+    """The image as stored or, where only that has the camera's shape, upright.
+
+    Calibration tools differ in whether they apply EXIF; the size they write tells. Where both fit, the image
+    is taken as stored, as COLMAP does. Raises :class:`InputError` where neither fits.
+    """
+    if _has_shape_of(pixels, camera):
+        return pixels
+    turned = upright(pixels, exif_orientation(path))
+    if _has_shape_of(turned, camera):
+        return turned
+    got = f"{pixels.shape[1]}x{pixels.shape[0]}"
+    expected = f"the shape of its camera, {camera.width_px}x{camera.height_px}"
+    raise input_error(path, "size", got, expected, "use the images that were calibrated, whole")
+
+
+def linearized(pixels: NDArray, encoding: Encoding) -> NDArray[np.float32]:
+    """Linear Rec.709 (H, W, 3) from stored pixels; grey is repeated and alpha left out."""
+    values = normalized(pixels)
+    values = values[..., :3] if values.shape[2] >= 3 else np.repeat(values[..., :1], 3, axis=2)
+    if encoding == "auto":
+        encoding = "srgb" if pixels.dtype.kind == "u" else "linear"
+    if encoding == "srgb":
+        values = linear_from_srgb(values)
+    elif encoding == "gamma22":
+        values = np.maximum(values, 0.0) ** PAPER_GAMMA
+    return np.ascontiguousarray(np.maximum(values, 0.0), dtype=np.float32)
+
+
+def undistorted(
+    linear: NDArray[np.float32], calibrated: Camera, distortion: Distortion | None, camera: Camera
+) -> ColorImage:
+    """Resample an image of the ``calibrated`` lens to the pinhole ``camera``.
+
+    It is first brought to the camera's size by averaging areas, so that shrinking does not alias.
+    """
+    import cv2
+
+    size = (camera.width_px, camera.height_px)
+    if (linear.shape[1], linear.shape[0]) != size:
+        is_smaller = linear.shape[1] > size[0]
+        how = cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR
+        linear = np.asarray(cv2.resize(linear, size, interpolation=how), np.float32)
+    scaled = calibrated.scaled(*size)
+    same = np.allclose(_intrinsics(scaled), _intrinsics(camera), rtol=0, atol=1e-9)
+    if distortion is None and same:
+        return ColorImage(linear, np.ones(linear.shape[:2], dtype=bool))
+    x, y = _distorted_pixels(scaled, distortion, camera)
+    valid = (x >= -0.5) & (y >= -0.5) & (x <= size[0] - 0.5) & (y <= size[1] - 0.5)
+    color = np.asarray(cv2.remap(linear, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    color[~valid] = 0
+    return ColorImage(color, valid)
+
+
+def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
+    return camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+
+
+def _distorted_pixels(
+    lens: Camera, distortion: Distortion | None, camera: Camera
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Where each pixel of ``camera`` lies in the lens's image, in OpenCV's coordinates, (H, W) twice."""
+    import cv2
+
+    size = (camera.width_px, camera.height_px)
+    matrices = [
+        np.array([[c.fx_px, 0, c.cx_px - 0.5], [0, c.fy_px, c.cy_px - 0.5], [0, 0, 1]])
+        for c in (lens, camera)
+    ]
+    if distortion is not None and distortion.model == "fisheye":
+        k = np.zeros(4)
+        k[: len(distortion.coefficients)] = distortion.coefficients
+        x, y = cv2.fisheye.initUndistortRectifyMap(matrices[0], k, np.eye(3), matrices[1], size, cv2.CV_32FC1)
+        return np.asarray(x, np.float32), np.asarray(y, np.float32)
+    k = np.zeros(8)  # k1 k2 p1 p2 k3 k4 k5 k6
+    if distortion is not None:
+        k[: len(distortion.coefficients)] = distortion.coefficients
+    x, y = cv2.initUndistortRectifyMap(matrices[0], k, np.eye(3), matrices[1], size, cv2.CV_32FC1)
+    folded = _is_beyond_fold(k, matrices[1], size)
+    return np.where(folded, np.float32(-1e6), np.asarray(x, np.float32)), np.asarray(y, np.float32)
+
+
+def _is_beyond_fold(k: NDArray, matrix: NDArray, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(H, W): pixels past the radius where the radial polynomial turns back and would show the image
+    twice."""
+    u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    r = np.hypot((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1])
+    steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)
+    s = steps**2
+    bent = steps * (1 + s * (k[0] + s * (k[1] + s * k[4]))) / (1 + s * (k[5] + s * (k[6] + s * k[7])))
+    turns = np.flatnonzero(np.diff(bent) <= 0)
+    return r > steps[turns[0]] if turns.size else np.zeros(r.shape, dtype=bool)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""The project's own shards as captures: images out of the tar, geometry out of the configuration's
+library."""
+
+from __future__ import annotations
+
+import tarfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, input_error
+from datagen.farm.folder import DatasetFolder
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
+from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
+from datagen.formats.exr import decode_view
+from datagen.formats.shard import ShardReader
+from datagen.library import Library
+from datagen.meshes import Mesh, decode_ply, joined, without_degenerate
+
+
+@dataclass(frozen=True)
+class ShardSource:
+    """One view's EXR inside a shard, at a byte offset."""
+
+    shard: Path
+    member: str
+    offset: int
+    num_bytes: int
+
+    def read(self, camera: Camera) -> ColorImage:
+        """The view's ``beauty``; a smaller ``camera`` gets it averaged over areas."""
+        beauty = self._decode(("beauty",))["beauty"].astype(np.float32)
+        size = (camera.width_px, camera.height_px)
+        if (beauty.shape[1], beauty.shape[0]) != size:
+            import cv2
+
+            beauty = np.asarray(cv2.resize(beauty, size, interpolation=cv2.INTER_AREA), np.float32)
+        return ColorImage(beauty, np.ones(beauty.shape[:2], dtype=bool))
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        """Stored buffers by name."""
+        return self._decode(names)
+
+    def _decode(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        with self.shard.open("rb") as file:
+            file.seek(self.offset)
+            data = file.read(self.num_bytes)
+        try:
+            return decode_view(data, names)
+        except InputError as error:
+            problem = error.problems[0]
+            where = f"{self.shard}:{self.member}"
+            raise input_error(where, problem.field, problem.got, problem.expected, problem.remedy) from None
+
+
+def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
+    """The library of a shard: the given paths, or those that its dataset folder was started with."""
+    if paths:
+        return Library(paths)
+    folder = DatasetFolder(shard.parent.parent)
+    if not folder.record_path.is_file():
+        remedy = "name the library's folders with --library"
+        raise input_error(shard, "", "no dataset folder around it", "a library for its geometry", remedy)
+    return Library(folder.read_record().library_paths)
+
+
+def read_shard(shard: Path, library: Library) -> Capture:
+    """A shard as a capture. The packages must have the hashes that the configuration names."""
+    reader = ShardReader(shard)
+    configuration = reader.configuration()
+    records = {record.name: record for record in reader.records()}
+    with tarfile.open(shard, mode="r:") as tar:
+        members = {Path(info.name).stem: info for info in tar if info.name.endswith(".exr")}
+    views = []
+    for name, record in records.items():
+        info = members[name]
+        source = ShardSource(shard, info.name, info.offset_data, info.size)
+        views.append(CaptureView(name, record.camera.camera(), source))
+    geometry, notes = configuration_geometry(configuration, library)
+    return Capture(configuration.id, tuple(views), geometry, configuration.lights, notes)
+
+
+def configuration_geometry(
+    configuration: Configuration, library: Library
+) -> tuple[CaptureGeometry, tuple[str, ...]]:
+    """Every placed part as one mesh in the world, and notes about what a mesh cannot say."""
+    meshes: list[Mesh] = []
+    parts: list[GeometryPart] = []
+    notes: dict[str, None] = {}
+    first = 0
+    for placed in (configuration.environment, *configuration.objects):
+        package = library.package(placed.asset)
+        expected = configuration.assets.get(placed.asset)
+        if package.sha256 != expected:
+            remedy = "use the library that the capture was rendered with"
+            raise input_error(package.path, "hash", package.sha256, str(expected), remedy)
+        asset = package.asset
+        assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+        for part in asset.parts:
+            name = f"{placed.name}/{part.name}"
+            matrix = np.asarray(placed.world_from_asset) @ np.asarray(part.asset_from_part)
+            mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
+            mesh = without_degenerate(_placed(mesh, matrix))
+            if _has_opacity(placed, asset, part.material, library):
+                notes[f"{name}: its opacity is not part of the geometry; the part counts as solid"] = None
+            meshes.append(mesh)
+            emission = _emission(placed, asset, part.material, library)
+            parts.append(GeometryPart(name, first, len(mesh.faces), emission))
+            first += len(mesh.faces)
+    return CaptureGeometry(joined(meshes), tuple(parts)), tuple(notes)
+
+
+def _placed(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
+    world = mesh.transformed(world_from_part)
+    if np.linalg.det(world_from_part[:3, :3]) < 0:  # mirrored: keep the triangles wound outward
+        return Mesh(world.positions, np.ascontiguousarray(world.faces[:, [0, 2, 1]]), world.normals, world.uv)
+    return world
+
+
+def _material(placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library):
+    assignment = placed.materials.get(slot, MaterialAssignment())
+    if assignment.asset is None:
+        return asset.materials[slot]
+    return library.package(assignment.asset).asset.material  # type: ignore[union-attr]
+
+
+def _has_opacity(
+    placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library
+) -> bool:
+    return _material(placed, asset, slot, library).opacity not in (None, 1.0)
+
+
+def _emission(
+    placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library
+) -> tuple[float, float, float] | None:
+    emission = placed.emission.get(slot, _material(placed, asset, slot, library).emission)
+    return emission if emission is not None and any(c > 0 for c in emission) else None

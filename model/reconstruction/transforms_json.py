@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: MIT
+"""``transforms.json`` (NeRF, instant-ngp, nerfstudio) as posed images.
+
+``transform_matrix`` is world_from_camera of a camera that looks along -z with y up; intrinsics stand at the
+top or with a frame, in pixels with centres at +0.5, or as ``camera_angle_x``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.base import MAX_TEXT_BYTES
+from datagen.formats.capture import Distortion
+from datagen.images import image_size
+from model.reconstruction.colmap import PosedImage
+
+_OURS_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+_MODELS = {
+    "OPENCV": "brown", "PINHOLE": "brown", "SIMPLE_PINHOLE": "brown", "SIMPLE_RADIAL": "brown",
+    "RADIAL": "brown", "FULL_OPENCV": "brown", "OPENCV_FISHEYE": "fisheye",
+}  # fmt: skip
+_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr")
+_RIGID_TOLERANCE = 1e-3
+
+
+def read_transforms(path: Path) -> list[PosedImage]:
+    """Every frame; image paths are made absolute. Raises :class:`InputError` with all faults of the file."""
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise input_error(path, "", "a file of over 256 MB", "transforms.json")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise input_error(path, "", str(error), "valid JSON", "export it again") from None
+    frames = data.get("frames") if isinstance(data, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise input_error(path, "frames", frames, "a list of at least one frame", "export it again")
+    found: list[PosedImage] = []
+    problems: list[Problem] = []
+    for index, frame in enumerate(frames):
+        try:
+            found.append(_posed({**data, **frame}, path, f"frames[{index}]"))
+        except InputError as error:
+            problems.extend(error.problems)
+        except (TypeError, ValueError) as error:
+            problems.append(Problem(path, f"frames[{index}]", str(error), "numbers", "export it again"))
+    if problems:
+        raise InputError(*problems)
+    return found
+
+
+def _posed(values: dict[str, Any], path: Path, field: str) -> PosedImage:
+    image = _image_path(values, path, field)
+    matrix = np.asarray(values.get("transform_matrix"), dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise input_error(path, f"{field}.transform_matrix", matrix.shape, "a 4x4 matrix", "export it again")
+    rotation = matrix[:3, :3]
+    scale = float(np.cbrt(abs(np.linalg.det(rotation))))
+    is_rigid = scale > 0 and np.allclose(
+        rotation.T @ rotation / scale**2, np.eye(3), rtol=0, atol=_RIGID_TOLERANCE
+    )
+    if not is_rigid or np.linalg.det(rotation) < 0:
+        raise input_error(
+            path, f"{field}.transform_matrix", rotation.tolist(), "a rotation", "export it again"
+        )
+    matrix = matrix.copy()
+    u, _, vt = np.linalg.svd(rotation)
+    matrix[:3, :3] = u @ vt  # files round their numbers
+    return PosedImage(
+        str(image), _camera(values, image, path, field, matrix @ _OURS_FROM_OPENGL), _distortion(values, path)
+    )
+
+
+def _image_path(values: dict[str, Any], path: Path, field: str) -> Path:
+    name = values.get("file_path")
+    if not isinstance(name, str) or not name:
+        raise input_error(path, f"{field}.file_path", name, "the image's path", "export it again")
+    for suffix in _SUFFIXES:  # the original NeRF files leave the suffix out
+        candidate = path.parent / f"{name}{suffix}"
+        if candidate.is_file():
+            return candidate
+    raise input_error(path, f"{field}.file_path", name, "a file", "put the images where the file says")
+
+
+def _camera(values: dict[str, Any], image: Path, path: Path, field: str, pose: np.ndarray) -> Camera:
+    if "w" in values and "h" in values:
+        width, height = int(values["w"]), int(values["h"])
+    else:
+        width, height = image_size(image)
+    if "fl_x" in values or "fl_y" in values:
+        fx = float(values["fl_x" if "fl_x" in values else "fl_y"])
+        fy = float(values.get("fl_y", fx))
+    elif "camera_angle_x" in values or "camera_angle_y" in values:
+        has_x = "camera_angle_x" in values
+        angle = float(values["camera_angle_x" if has_x else "camera_angle_y"])
+        fx = 0.5 * (width if has_x else height) / math.tan(0.5 * angle) if 0 < angle < math.pi else 0.0
+        has_both = has_x and "camera_angle_y" in values
+        fy = 0.5 * height / math.tan(0.5 * float(values["camera_angle_y"])) if has_both else fx
+    else:
+        raise input_error(path, field, "no focal length", "fl_x or camera_angle_x", "export it again")
+    if not (fx > 0 and fy > 0 and math.isfinite(fx) and math.isfinite(fy) and min(width, height) > 0):
+        raise input_error(path, f"{field} focal length", (fx, fy), "positive values", "export it again")
+    cx, cy = float(values.get("cx", 0.5 * width)), float(values.get("cy", 0.5 * height))
+    return Camera(width, height, fx, fy, cx, cy, pose)
+
+
+def _distortion(values: dict[str, Any], path: Path) -> Distortion | None:
+    model = str(values.get("camera_model", "OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV"))
+    if model not in _MODELS:
+        raise input_error(path, "camera_model", model, f"one of {', '.join(_MODELS)}", "undistort the images")
+    kind = _MODELS[model]
+    names = (
+        ("k1", "k2", "k3", "k4") if kind == "fisheye" else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    )
+    k = tuple(float(values.get(name, 0.0)) for name in names)
+    return Distortion(model=kind, coefficients=k) if any(k) else None  # type: ignore[arg-type]

@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: MIT
+"""Captures: COLMAP, transforms.json, Mitsuba sensors; lens distortion, encodings, orientation; faults."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image, ImageOps
+
+from datagen.cameras import Camera, look_at
+from datagen.color import linear_from_srgb, srgb_from_linear
+from datagen.errors import InputError
+from datagen.formats.capture import Distortion
+from datagen.images import encode_png
+from datagen.meshes import encode_ply
+from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
+from model.reconstruction.colmap import MODELS, read_colmap
+from model.reconstruction.photographs import fit_orientation, linearized, undistorted, upright
+from tests.datagen.small_library import box, with_uv
+
+SIZE = (64, 40)
+
+
+def make_cameras(num: int = 3) -> list[Camera]:
+    """Cameras around the origin, with intrinsics that no default would give."""
+    poses = [look_at([2.0 * np.cos(a), 2.0 * np.sin(a), 1.0 + 0.1 * a], [0, 0, 0.3]) for a in range(num)]
+    return [Camera(*SIZE, 55.0, 57.0, 31.0, 21.5, pose) for pose in poses]
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """(w, x, y, z) by the eigenvector of Bar-Itzhack's matrix: independent of the reader's formula."""
+    m = rotation
+    k = np.array(
+        [
+            [m[0, 0] + m[1, 1] + m[2, 2], 0, 0, 0],
+            [m[2, 1] - m[1, 2], m[0, 0] - m[1, 1] - m[2, 2], 0, 0],
+            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], 0],
+            [m[1, 0] - m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1]],
+        ]
+    )
+    return np.linalg.eigh(k)[1][:, -1]
+
+
+def write_images(folder: Path, num: int, suffix: str = ".png") -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for index in range(num):
+        pixels = np.random.default_rng(index).integers(0, 256, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
+        (folder / f"img{index}{suffix}").write_bytes(encode_png(pixels))
+
+
+def write_mesh(folder: Path) -> Path:
+    path = folder / "room.ply"
+    path.write_bytes(encode_ply(with_uv(box([-1, -1, 0], [1, 1, 1]))))
+    return path
+
+
+def write_colmap(folder: Path, cameras: list[Camera], form: str, model: str, parameters: list[float]) -> None:
+    """A COLMAP model of one lens, as text or binary, written from the format's description."""
+    folder.mkdir(parents=True)
+    rows = []
+    for index, camera in enumerate(cameras):
+        view = camera.camera_from_world
+        rows.append((index + 1, *quaternion_of(view[:3, :3]), *view[:3, 3], 7, f"img{index}.png"))
+    numbers = " ".join(repr(float(p)) for p in parameters)
+    if form == "text":
+        (folder / "cameras.txt").write_text(f"# head\n7 {model} {SIZE[0]} {SIZE[1]} {numbers}\n")
+        lines = [" ".join(map(str, row)) + "\n1.5 2.5 -1\n" if row[0] == 1 else
+                 " ".join(map(str, row)) + "\n\n" for row in rows]  # fmt: skip
+        (folder / "images.txt").write_text("# head\n" + "".join(lines))
+        return
+    names = [name for name, _ in MODELS]
+    head = struct.pack("<QiiQQ", 1, 7, names.index(model), *SIZE)
+    (folder / "cameras.bin").write_bytes(head + struct.pack(f"<{len(parameters)}d", *parameters))
+    data = struct.pack("<Q", len(rows))
+    for row in rows:
+        data += struct.pack("<i7di", *row[:9]) + row[9].encode() + b"\0"
+        data += struct.pack("<Q", 2) + bytes(48)
+    (folder / "images.bin").write_bytes(data)
+
+
+@pytest.mark.parametrize("form", ["text", "binary"])
+def test_colmap_poses_and_lens(tmp_path: Path, form: str) -> None:
+    cameras = make_cameras()
+    lens = [55.0, 57.0, 31.0, 21.5, -0.12, 0.03, 0.001, -0.002]
+    write_colmap(tmp_path / "m", cameras, form, "OPENCV", lens)
+    posed = read_colmap(tmp_path / "m")
+    assert [p.file for p in posed] == ["img0.png", "img1.png", "img2.png"]
+    for expected, got in zip(cameras, posed, strict=True):
+        np.testing.assert_allclose(got.camera.world_from_camera, expected.world_from_camera, atol=1e-9)
+        assert (got.camera.fx_px, got.camera.fy_px) == (55.0, 57.0)
+        assert got.distortion == Distortion(model="brown", coefficients=tuple(lens[4:]))
+
+
+@pytest.mark.parametrize(
+    ("model", "parameters", "expected"),
+    [
+        ("SIMPLE_PINHOLE", [50, 32, 20], None),
+        ("PINHOLE", [50, 51, 32, 20], None),
+        ("SIMPLE_RADIAL", [50, 32, 20, 0.1], ("brown", (0.1, 0, 0, 0))),
+        ("RADIAL", [50, 32, 20, 0.1, 0.2], ("brown", (0.1, 0.2, 0, 0))),
+        ("OPENCV_FISHEYE", [50, 50, 32, 20, 1e-1, 1e-2, 1e-3, 1e-4], ("fisheye", (1e-1, 1e-2, 1e-3, 1e-4))),
+        ("SIMPLE_RADIAL_FISHEYE", [50, 32, 20, 0.1], ("fisheye", (0.1,))),
+    ],
+)
+def test_colmap_models(tmp_path: Path, model: str, parameters: list[float], expected: tuple | None) -> None:
+    write_colmap(tmp_path / "m", make_cameras(1), "binary", model, parameters)
+    (posed,) = read_colmap(tmp_path / "m")
+    assert posed.camera.cx_px == 32 and posed.camera.cy_px == 20 and posed.camera.fx_px == 50
+    got = posed.distortion
+    assert (None if got is None else (got.model, got.coefficients)) == expected
+
+
+def test_colmap_faults_are_named(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "fov", make_cameras(1), "text", "FOV", [50, 50, 32, 20, 0.5])
+    with pytest.raises(InputError, match=r"FOV.*expected one of PINHOLE"):
+        read_colmap(tmp_path / "fov")
+    write_colmap(tmp_path / "cut", make_cameras(2), "binary", "PINHOLE", [50, 51, 32, 20])
+    images = tmp_path / "cut" / "images.bin"
+    for keep in (0, 30, 100, len(images.read_bytes()) - 1):
+        images.write_bytes(images.read_bytes()[:keep])
+        with pytest.raises(InputError, match="ends early"):
+            read_colmap(tmp_path / "cut")
+        images.write_bytes(b"")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="nothing known in it"):
+        read_capture(tmp_path / "empty")
+
+
+def test_colmap_capture_is_opened_and_round_trips(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "sparse" / "0", make_cameras(), "binary", "PINHOLE", [55, 57, 31, 21.5])
+    write_images(tmp_path / "images", 3)
+    write_mesh(tmp_path)
+    capture = read_capture(tmp_path)
+    assert [view.name for view in capture.views] == ["img0", "img1", "img2"]
+    assert len(capture.geometry.mesh.faces) == 12
+    image = capture.views[1].read()
+    stored = np.random.default_rng(1).integers(0, 256, (SIZE[1], SIZE[0], 3)) / 255
+    np.testing.assert_allclose(image.color, linear_from_srgb(stored), atol=1e-6)
+    assert image.valid_mask.all()
+    record, _ = capture_file(tmp_path, CaptureOptions())
+    write_capture(tmp_path, record)
+    again = read_capture(tmp_path / "capture.json")
+    for a, b in zip(capture.views, again.views, strict=True):
+        np.testing.assert_array_equal(a.camera.world_from_camera, b.camera.world_from_camera)
+        np.testing.assert_array_equal(a.read().color, b.read().color)
+
+
+def test_frames_up_and_unit_apply_to_cameras_and_mesh(tmp_path: Path) -> None:
+    """Y up in centimetres: a mesh point keeps its pixel, and its world position is in metres with Z up."""
+    write_colmap(tmp_path / "sparse", make_cameras(), "text", "PINHOLE", [55, 57, 31, 21.5])
+    write_images(tmp_path / "images", 3)
+    write_mesh(tmp_path)
+    plain = read_capture(tmp_path)
+    turned = read_capture(tmp_path, CaptureOptions(up="y", unit_m=0.01))
+    p, q = plain.geometry.mesh.positions[5], turned.geometry.mesh.positions[5]
+    np.testing.assert_allclose(q, 0.01 * np.array([p[0], -p[2], p[1]]), atol=1e-7)
+    for a, b in zip(plain.views, turned.views, strict=True):
+        np.testing.assert_allclose(a.camera.project(p)[0], b.camera.project(q)[0], atol=1e-4)
+
+
+def test_transforms_json(tmp_path: Path) -> None:
+    write_images(tmp_path / "images", 3)
+    write_mesh(tmp_path)
+    cameras = make_cameras()
+    frames = [
+        {
+            "file_path": f"./images/img{k}" + ("" if k else ".png"),
+            "transform_matrix": (c.world_from_camera @ np.diag([1, -1, -1, 1])).tolist(),
+        }
+        for k, c in enumerate(cameras)
+    ]
+    data = {"fl_x": 55.0, "fl_y": 57.0, "cx": 31.0, "cy": 21.5, "w": SIZE[0], "h": SIZE[1], "frames": frames}
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps(data))
+    for expected, view in zip(cameras, read_capture(tmp_path).views, strict=True):
+        np.testing.assert_allclose(view.camera.world_from_camera, expected.world_from_camera, atol=1e-12)
+        assert (view.camera.fx_px, view.camera.cy_px) == (55.0, 21.5)
+    path.write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
+    view = read_capture(path).views[0]
+    assert view.camera.fov_x_rad == pytest.approx(1.0)
+    frames[1]["transform_matrix"] = np.ones((4, 4)).tolist()
+    frames[2]["file_path"] = "nowhere"
+    path.write_text(json.dumps({**data, "frames": frames}))
+    with pytest.raises(InputError) as caught:
+        read_capture(path)
+    text = str(caught.value)
+    assert "frames[1].transform_matrix" in text and "frames[2].file_path = nowhere" in text
+
+
+def test_mitsuba_sensors_project_as_mitsuba_does(tmp_path: Path) -> None:
+    write_images(tmp_path, 1)
+    write_mesh(tmp_path)
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><sensor type="perspective" id="img0"><float name="fov" value="60"/>'
+        '<transform name="to_world"><lookat origin="2,1,1.5" target="0,0,0.3" up="0,0,1"/></transform>'
+        f'<film type="hdrfilm"><integer name="width" value="{SIZE[0]}"/>'
+        f'<integer name="height" value="{SIZE[1]}"/></film></sensor></scene>'
+    )
+    (view,) = read_capture(tmp_path / "scene.xml").views
+    expected = look_at([2, 1, 1.5], [0, 0, 0.3])
+    np.testing.assert_allclose(view.camera.world_from_camera, expected, atol=1e-9)
+    assert view.camera.fov_x_rad == pytest.approx(np.radians(60), abs=1e-6)
+
+
+def _pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.stack([0.5 + 0.3 * np.sin(3 * x), 0.5 + 0.3 * np.cos(2 * y), 0.5 + 0.2 * x * y], axis=-1)
+
+
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        None,
+        Distortion(model="brown", coefficients=(-0.18, 0.04, 0.003, -0.002, 0.01)),
+        Distortion(model="fisheye", coefficients=(0.05, -0.01, 0.002)),
+    ],
+)
+def test_distortion_is_undone(distortion: Distortion | None) -> None:
+    """A smooth pattern on the plane z = 1 through the lens comes back as the pinhole sees it."""
+    lens = Camera(160, 100, 140.0, 143.0, 79.0, 52.0, np.eye(4))
+    pinhole = Camera(160, 100, 150.0, 150.0, 80.0, 50.0, np.eye(4))
+    matrix = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1]])
+    pixels = lens.pixel_centers().reshape(-1, 1, 2)
+    if distortion is None:
+        ideal = cv2.undistortPoints(pixels, matrix, np.zeros(5))
+    elif distortion.model == "brown":
+        ideal = cv2.undistortPointsIter(
+            pixels, matrix, np.array(distortion.coefficients), None, None,
+            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10),
+        )  # fmt: skip
+    else:
+        ideal = cv2.fisheye.undistortPoints(pixels, matrix, np.array([*distortion.coefficients, 0.0]))
+    seen = _pattern(ideal[:, 0, 0], ideal[:, 0, 1]).reshape(100, 160, 3).astype(np.float32)
+    image = undistorted(seen, lens, distortion, pinhole)
+    x, y = np.moveaxis(pinhole.unproject(pinhole.pixel_centers(), np.ones((100, 160)))[..., :2], -1, 0)
+    error = np.abs(image.color - _pattern(x, y))[image.valid_mask]
+    # Bilinear: at most h^2/8 of a second derivative of 2.7 + 1.2 at 1/140 a pixel, and remap's 1/32 pixel
+    # of 0.9/140 a pixel.
+    limit = 3.9 / 8 / 140**2 + 2 * 0.9 / 140 / 64
+    assert image.valid_mask.mean() > 0.8
+    assert np.quantile(error, 0.99) < limit
+    shifted = Camera(160, 100, 150.0, 150.0, 80.5, 50.0, np.eye(4))  # half a pixel off must show
+    wrong = undistorted(seen, lens, distortion, shifted)
+    assert np.quantile(np.abs(wrong.color - _pattern(x, y))[wrong.valid_mask], 0.5) > 0.1 * limit
+    assert np.quantile(np.abs(wrong.color - _pattern(x, y))[wrong.valid_mask], 0.99) > 2 * limit
+
+
+def test_strong_barrel_distortion_shows_nothing_twice() -> None:
+    lens = Camera(80, 80, 30.0, 30.0, 40.0, 40.0, np.eye(4))
+    distortion = Distortion(model="brown", coefficients=(-0.3,))
+    image = undistorted(np.ones((80, 80, 3), np.float32), lens, distortion, lens)
+    r = np.hypot(*(lens.pixel_centers() - 40.0).transpose(2, 0, 1)) / 30
+    fold = 1 / np.sqrt(3 * 0.3)  # d/dr r (1 - 0.3 r^2) = 0
+    assert not image.valid_mask[r > fold + 0.05].any()
+    assert image.valid_mask[r < fold - 0.05].all()
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation_agrees_with_pillow(tmp_path: Path, orientation: int) -> None:
+    pixels = np.random.default_rng(3).integers(0, 255, (6, 9, 3)).astype(np.uint8)
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    path = tmp_path / "photo.png"
+    Image.fromarray(pixels).save(path, exif=exif)
+    expected = np.asarray(ImageOps.exif_transpose(Image.open(path)))
+    np.testing.assert_array_equal(upright(pixels, orientation), expected)
+    tall = Camera(6, 9, 5.0, 5.0, 3.0, 4.5, np.eye(4))
+    if orientation >= 5:
+        np.testing.assert_array_equal(fit_orientation(pixels, path, tall), expected)
+    else:
+        with pytest.raises(InputError, match="size = 9x6"):
+            fit_orientation(pixels, path, tall)
+
+
+def test_encodings(tmp_path: Path) -> None:
+    linear = np.linspace(0, 1, 24, dtype=np.float32).reshape(2, 4, 3)
+    for dtype in (np.uint8, np.uint16):
+        top = np.iinfo(dtype).max
+        stored = np.round(srgb_from_linear(linear) * top).astype(dtype)
+        np.testing.assert_allclose(linearized(stored, "auto"), linear, atol=1.2 / top * 2)
+        gamma = np.round(linear ** (1 / 2.2) * top).astype(dtype)
+        np.testing.assert_allclose(linearized(gamma, "gamma22"), linear, atol=1.2 / top * 2)
+    np.testing.assert_array_equal(linearized(linear * 7, "auto"), linear * 7)
+    grey = linearized(np.full((2, 2, 1), 255, np.uint8), "srgb")
+    np.testing.assert_array_equal(grey, np.ones((2, 2, 3), np.float32))
+
+
+def test_exr_and_wide_views(tmp_path: Path) -> None:
+    """A wide linear EXR is shrunk by averaging; the camera follows."""
+    write_mesh(tmp_path)
+    pixels = np.random.default_rng(0).random((40, 64, 3)).astype(np.float32)
+    with OpenEXR.File({}, {"RGB": pixels}) as file:
+        file.write(str(tmp_path / "a.exr"))
+    matrix = np.diag([1.0, -1, -1, 1]).tolist()
+    frames = [{"file_path": "a.exr", "transform_matrix": matrix, "fl_x": 50.0, "w": 64, "h": 40}]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    (view,) = read_capture(tmp_path, CaptureOptions(max_width_px=32)).views
+    assert (view.camera.width_px, view.camera.height_px, view.camera.fx_px) == (32, 20, 25.0)
+    expected = pixels.reshape(20, 2, 32, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(view.read().color, expected, atol=1e-6)
+
+
+def test_exif_exposures_are_evened_out(tmp_path: Path) -> None:
+    write_mesh(tmp_path)
+    frames = []
+    for index, time_s in enumerate((0.01, 0.02, 0.04)):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({0x829A: time_s, 0x829D: 4.0, 0x8827: 200})
+        Image.new("RGB", SIZE, (100, 100, 100)).save(tmp_path / f"{index}.jpg", exif=exif)
+        frames.append({"file_path": f"{index}.jpg", "transform_matrix": np.eye(4).tolist(), "fl_x": 50.0})
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    levels = [
+        float(view.read().color.mean())
+        for view in read_capture(tmp_path, CaptureOptions(exposure="exif")).views
+    ]
+    base = float(linear_from_srgb(np.array(100 / 255)))
+    np.testing.assert_allclose(levels, [2 * base, base, base / 2], rtol=1e-4)
+    Image.new("RGB", SIZE).save(tmp_path / "1.jpg")
+    with pytest.raises(InputError, match=r"1\.jpg: EXIF"):
+        read_capture(tmp_path, CaptureOptions(exposure="exif"))
