@@ -42,6 +42,7 @@ _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
 _MIN_LIGHT_CLEARANCE_M = 0.05
+_MAX_BACKS = 0.85  # of all directions: from inside a wall, but not from inside a lampshade of one sheet
 _PANEL_TRIES = 60
 
 
@@ -298,7 +299,7 @@ def _point(
 def _point_fault(position: Floats, room: RoomToLight) -> str:
     directions = fibonacci_sphere(48)
     hits = room.scene.rays.cast(position, directions)
-    if room.has_solid_backs and room.scene.rays.sees_back(hits, directions).mean() > 0.5:
+    if room.has_solid_backs and room.scene.rays.sees_back(hits, directions).mean() > _MAX_BACKS:
         return "inside_solid"
     return "blocked" if float(hits.distance_m.min()) < _MIN_LIGHT_CLEARANCE_M else ""
 

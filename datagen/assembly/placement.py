@@ -244,7 +244,9 @@ def place_things(
     target = draws.integer(*recipe.count)
     if target == 0:
         return []
-    fitting = [t for t in things if surfaces_for(t.asset, room.asset)]
+    fitting = [t for t in things if surfaces_for(t.asset, room.asset) and t.can_stand(CONTACT_TOLERANCE_M)]
+    cannot_stand = sum(not t.can_stand(CONTACT_TOLERANCE_M) for t in things)
+    rejections["placement.cannot_stand"] += cannot_stand
     by_category: dict[str, list[Thing]] = {}
     for thing in sorted(fitting, key=lambda t: t.asset.id):
         by_category.setdefault(thing.asset.category, []).append(thing)

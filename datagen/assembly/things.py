@@ -95,6 +95,13 @@ class Thing:
         stride[:: -(-len(points) // _MAX_UNDERSIDE_POINTS)] = True
         return points[on_rim | stride]
 
+    def can_stand(self, contact_tolerance_m: float) -> bool:
+        """Whether it would stay upright on level ground, at its least scale."""
+        points = self.underside
+        low = float(self.geometry.minimum_m[2])
+        contact = points[points[:, 2] <= low + contact_tolerance_m / self.asset.scale_range[0]]
+        return margin_inside(convex_hull_2d(contact[:, :2]), self.geometry.center_of_mass_m[:2]) > 0
+
     @cached_property
     def _models(self) -> dict[float, CollisionModel]:
         return {}

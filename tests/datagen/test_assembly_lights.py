@@ -286,6 +286,24 @@ def test_lamps_inside_furniture_are_not_used(tmp_path: Path) -> None:
     assert configuration.rejections["light.inside_solid"] == 1
 
 
+def test_a_bulb_in_a_lampshade_is_not_in_a_wall(tmp_path: Path) -> None:
+    """From inside a shade of one sheet most directions meet its back, yet light gets out."""
+    shade = trimesh.creation.cylinder(radius=0.15, height=0.3, sections=32)
+    sides = shade.faces[np.abs(shade.face_normals[:, 2]) < 0.5]  # open at both ends
+    sheet = trimesh.Trimesh(np.array(shade.vertices) + np.array([2.5, 2.0, 2.3]), sides, process=False)
+    shapes = {"shade": sheet, "floor": box([0, 0, -0.1], [5, 4, 0]), "thing": box([1, 1, 0], [2, 2, 0.7])}
+    shapes["ceiling"] = box([0, 0, 2.6], [5, 4, 2.7])
+    slot = LightSlot(name="bulb", kind="point", origin_m=(2.5, 2.0, 2.3))
+    region = Box(minimum_m=(0.3, 0.3, 0), maximum_m=(4.7, 3.7, 2.2))
+    write_package_of(tmp_path, "room", shapes, light_slots=(slot,), camera_regions=(region,))
+    wanted = {**NONE_WANTED, "point_probability": 1}
+    open_sided = {"min_content": 2, "min_overlap": 0.1, "min_luminance": 0.0}
+    configuration = lights_of(
+        Library([tmp_path]), lights=wanted, objects={"count": (0, 0)}, cameras=open_sided, views=1
+    )
+    assert [light.name for light in configuration.lights] == ["point-bulb"]
+
+
 def test_area_lights_stay_in_their_slot(tmp_path: Path) -> None:
     library = Library([write_small_library(tmp_path)])
     for index in range(8):

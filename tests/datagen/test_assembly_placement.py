@@ -188,6 +188,24 @@ def test_what_would_topple_is_refused(tmp_path: Path, room: Room) -> None:
     }
     rejections = placed_on(tmp_path, leaning, room, supports=("table",))
     assert rejections["placement.unstable"] > 0 and not rejections["placed"]
+    (thing,) = things_of(Library([tmp_path]))
+    assert not thing.can_stand(0.002)
+    with pytest.raises(InputError, match="a surface on which some object"):
+        place_things(room, [thing], ObjectRecipe(), (1,), Counter())
+
+
+def test_what_cannot_stand_is_not_drawn(tmp_path: Path, library: Library, room: Room) -> None:
+    leaning = {
+        "foot": box([-0.02, -0.02, 0], [0.02, 0.02, 0.05]),
+        "head": box([0.03, -0.1, 0.05], [0.3, 0.1, 0.1]),
+    }
+    write_object(tmp_path, "leaning", "leaning", leaning, supports=("table",))
+    things = [*things_of(library), *things_of(Library([tmp_path]))]
+    assert [t.asset.id for t in things if not t.can_stand(0.002)] == ["leaning"]
+    rejections: Counter[str] = Counter()
+    placed = place_things(room, things, ObjectRecipe(count=(15, 15)), (2,), rejections)
+    assert "leaning" not in {p.thing.asset.id for p in placed}
+    assert rejections["placement.cannot_stand"] == 1
 
 
 def test_what_fits_only_below_its_scale_is_refused(tmp_path: Path, room: Room) -> None:
