@@ -55,8 +55,7 @@ def check(settings: ExportSettings | None = None) -> list[Problem]:
     with BakeSession() as session:
         reader = _reader(settings, session, problems)
         for target in find_targets(bpy.context.scene, settings, problems):
-            for _ in reader.prepare(target):
-                pass
+            reader.prepare(target)
     return list(problems)
 
 
@@ -72,14 +71,7 @@ def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
         reader = _reader(settings, session, problems)
         for index, target in enumerate(targets):
             yield Progress(0.1 * index / len(targets), f"reading {target.title}")
-            steps = reader.prepare(target)
-            while True:
-                try:
-                    next(steps)
-                except StopIteration as stop:
-                    prepared.append(stop.value)
-                    break
-                yield Progress(0.1 * index / len(targets), f"reading {target.title}")
+            prepared.append(reader.prepare(target))
         if problems.errors:
             raise ExportRefused(problems)
         for index, contents in enumerate(prepared):
@@ -106,4 +98,4 @@ def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
 
 def _reader(settings: ExportSettings, session: BakeSession, problems: ProblemList) -> Reader:
     context = bpy.context
-    return Reader(settings, session, problems, context.scene, context.evaluated_depsgraph_get())
+    return Reader(settings, session, problems, context.scene, context.evaluated_depsgraph_get)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -56,7 +56,7 @@ class Reader:
         session: BakeSession,
         problems: ProblemList,
         scene: bpy.types.Scene,
-        depsgraph: bpy.types.Depsgraph,
+        depsgraph: Callable[[], bpy.types.Depsgraph],
     ):
         self.settings, self.session, self.problems = settings, session, problems
         self.scene, self.depsgraph = scene, depsgraph
@@ -79,7 +79,7 @@ class Reader:
 
     # ---- reading
 
-    def prepare(self, target: Target) -> Generator[None, None, Contents]:
+    def prepare(self, target: Target) -> Contents:
         """Read a target and plan its materials, noting every problem."""
         contents = Contents(target)
         fallback = {
@@ -102,16 +102,16 @@ class Reader:
                 copy.texspace_size = mesh.texspace_size
                 contents.copies[key] = copy
 
-        for gathered in gather_instances(self.depsgraph, target.owners.__contains__, keep, self.problems):
-            contents.gathered = gathered
-            if len(gathered.instances) % 64 == 0:
-                yield
+        depsgraph = (
+            self.depsgraph()
+        )  # asked for anew: between the steps of an export it may be evaluated again
+        contents.gathered = gather_instances(depsgraph, target.owners.__contains__, keep, self.problems)
         self._check_materials(contents)
         if not contents.gathered.instances:
             self.problems.add(
                 ERROR, f"{target.title!r} holds no visible surface", "add a mesh, or correct the tags"
             )
-        self._prepare_lights(contents)
+        self._prepare_lights(contents, depsgraph)
         if target.kind == "object":
             self._prepare_object(contents)
         else:
@@ -147,8 +147,8 @@ class Reader:
                             material=name,
                         )
 
-    def _prepare_lights(self, contents: Contents) -> None:
-        for shown in self.depsgraph.object_instances:
+    def _prepare_lights(self, contents: Contents, depsgraph: bpy.types.Depsgraph) -> None:
+        for shown in depsgraph.object_instances:
             thing = shown.object
             owner = shown.parent.original if shown.is_instance and shown.parent else thing.original
             if thing.type != "LIGHT" or owner.name not in contents.target.owners or owner.hide_render:

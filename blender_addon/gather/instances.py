@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import bpy
@@ -83,8 +83,8 @@ def gather_instances(
     is_wanted: Callable[[str], bool],
     keep: Callable[[int, bpy.types.Mesh, tuple[str | None, ...]], None],
     problems: ProblemList,
-) -> Iterator[Gathered]:
-    """Read all visible surfaces whose owner ``is_wanted``; yields the (growing) result after each instance.
+) -> Gathered:
+    """Read all visible surfaces whose owner ``is_wanted``, in one go: the evaluated data does not outlive it.
 
     ``keep`` is called with the key, the evaluated mesh and the materials of each instance, and may copy the
     mesh: it is gone once the iteration moves on.
@@ -115,8 +115,7 @@ def gather_instances(
                 thing.original.name, owner.name, key, matrix, materials, _object_info(shown, thing, matrix)
             )
         )
-        yield result
-    yield result
+    return result
 
 
 def _mesh_of(

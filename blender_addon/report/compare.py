@@ -18,7 +18,7 @@ from ..bake.execute import BakeSession
 from ..cycles import read_linear, render_linear
 from ..gather.cameras import gather_camera
 from ..problems import ExportRefused, Problem, ProblemList
-from ..reading import Contents, Reader
+from ..reading import Reader
 from ..settings import ExportSettings
 from ..targets import Target
 from ..write import PackageWriter
@@ -96,14 +96,8 @@ def _export_stage(stage: BakeSession, identity: str, settings: ExportSettings, f
         "environment", identity, identity, scene, frozenset(thing.name for thing in scene.objects)
     )
     with BakeSession() as session:
-        reader = Reader(settings, session, problems, scene, layer.depsgraph)
-        steps = reader.prepare(target)
-        contents: Contents | None = None
-        while contents is None:
-            try:
-                next(steps)
-            except StopIteration as stop:
-                contents = stop.value
+        reader = Reader(settings, session, problems, scene, lambda: layer.depsgraph)
+        contents = reader.prepare(target)
         if problems.errors:
             raise ExportRefused(problems)
         with PackageWriter(folder / "packages" / identity) as writer:
