@@ -73,7 +73,7 @@ def measure_steps(
     """Seconds of a step of each phase and of its parts."""
     data = TrainingData((), (), (WIDTH, HEIGHT), ())
     batch = synthetic_batch(config.batch_size, config.data.crop_px, device)
-    results = {}
+    results: dict[str, dict[str, float]] = {}
     for index, phase_config in enumerate(config.phases):
         watch = Stopwatch(device)
         shop = make_workshop(config, data, device, watch)

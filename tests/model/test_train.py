@@ -281,3 +281,16 @@ def test_overfitting_one_view_reaches_near_zero_error(tmp_path):
     for name in ("diffuse_albedo", "specular_albedo", "roughness"):
         assert ours[f"{name}_mse"] < 0.2 * constant[f"{name}_mse"]
         assert ours[f"{name}_mse"] < 1e-3
+
+
+@pytest.mark.slow
+def test_compiled_training_follows_the_eager_curve(dataset, tmp_path):
+    """torch.compile changes the speed, not the curve, and leaves the checkpoint's names alone."""
+    settings = ("phases=[{name: diffuse, steps: 3}]", "network.dropout=0.0", "validation.num_views=0")
+    curves = {}
+    for name, compiled in (("eager", "false"), ("compiled", "true")):
+        out = tmp_path / name
+        Trainer(_config(*settings, f"compile={compiled}"), [dataset], out, device=CPU).run()
+        curves[name] = [value for _, value in read_log(out, "train", "total")]
+    np.testing.assert_allclose(curves["compiled"], curves["eager"], rtol=1e-3)
+    assert set(_weights(tmp_path / "eager")) == set(_weights(tmp_path / "compiled"))

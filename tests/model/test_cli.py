@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""The command ``materials``: help without heavy imports, dry run, training, and what bad input looks like."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from datagen.errors import InputError
+from model.cli import app
+from tests.conftest import REPOSITORY
+from tests.model.training_data import make_dataset
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    splits = {"room-0": ("train", 4), "room-1": ("validation", 1)}
+    return make_dataset(tmp_path_factory.mktemp("data") / "set", splits)
+
+
+def _loaded(module: str, names: set[str]) -> set[str]:
+    """Which of ``names`` a fresh interpreter has loaded after importing ``module``."""
+    code = f"import sys, {module}; print(*sorted(sys.modules))"
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True, text=True)
+    return names & set(result.stdout.split())
+
+
+def test_help_imports_nothing_heavy():
+    assert _loaded("model.cli", {"torch", "mitsuba", "numpy", "bpy"}) == set()
+    result = CliRunner().invoke(app, ["--help"])
+    assert result.exit_code == 0
+    assert "train" in result.output and "fetch-weights" in result.output
+
+
+def test_training_reads_neither_mitsuba_nor_bpy():
+    assert _loaded("model.training.dry_run", {"mitsuba", "bpy", "torch"}) == {"torch"}
+
+
+def test_dry_run_prints_sizes_memory_and_time_and_writes_nothing(dataset, tmp_path):
+    out = tmp_path / "run"
+    arguments = ["train", str(dataset), "--out", str(out), "--preset", "smoke", "--dry-run"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    counts = "4 training and 1 validation views, 64 x 48"
+    for text in ("batch_size: 2", counts, "diffuse track: ", "GiB", "in all about"):
+        assert text in result.output
+    assert not out.exists()
+
+
+def test_train_and_bad_input(dataset, tmp_path):
+    arguments = ["train", str(dataset), "--out", str(tmp_path / "run"), "--preset", "smoke"]
+    arguments += ["--quiet", "--device", "cpu"]
+    short = ["--set", "phases=[{name: diffuse, steps: 1}]", "--set", "validation.num_views=0"]
+    result = CliRunner().invoke(app, arguments + short)
+    assert result.exit_code == 0, result.output
+    assert result.output.strip().endswith("final.safetensors")
+    result = CliRunner().invoke(app, [*arguments, "--set", "batch_size=0"])
+    assert isinstance(result.exception, InputError) and "batch_size" in str(result.exception)
+    result = CliRunner().invoke(
+        app, ["train", str(tmp_path), "--out", str(tmp_path / "b"), "--preset", "smoke"]
+    )
+    assert isinstance(result.exception, InputError) and "index.json" in str(result.exception)
