@@ -315,3 +315,26 @@ def test_caches_share_meshes_and_textures_between_configurations(tmp_path: Path)
     SceneRenderer(configuration, library, RECIPE, caches)
     assert (caches.meshes.num_bytes, caches.textures.num_bytes) == (meshes, textures)
     assert isinstance(library, Library)
+
+
+def test_cut_out_shows_what_is_behind_it(tmp_path: Path) -> None:
+    """An opacity texture: left half a hole, right half solid."""
+    alpha = np.zeros((32, 32, 1), np.uint8)
+    alpha[:, 16:] = 255
+    scene = SmallScene(files={"a.png": encode_png(alpha)})
+    opacity = Texture(texture="a.png", encoding="linear", channel="r")
+    scene.slots["leaf"] = GREY.model_copy(update={"opacity": opacity, "diffuse_albedo": (0.1, 0.6, 0.1)})
+    scene.parts["leaf"] = (quad([-0.5, -0.5, 0.01], [1, 0, 0], [0, 1, 0]), "leaf")
+    view = look_down(scene, tmp_path)
+    left, right = np.s_[16, 4], np.s_[16, 28]
+    assert view.buffers["diffuse_albedo"][left] == pytest.approx(0.5, abs=1e-3)
+    assert view.buffers["diffuse_albedo"][right] == pytest.approx([0.1, 0.6, 0.1], abs=1e-3)
+    assert view.instances[str(view.buffers["instance_id"][left][0])] == "room/floor"
+    assert view.instances[str(view.buffers["instance_id"][right][0])] == "room/leaf"
+    assert view.buffers["beauty"][left].max() > 0.05  # the lamp shines through the hole
+
+
+def test_room_without_lights_is_black_and_valid(tmp_path: Path) -> None:
+    view = renderer(tmp_path, None, [down_camera()], RECIPE).render_view(0)
+    assert view.buffers["beauty"].max() == 0.0
+    assert view.buffers["surface_mask"].min() == 1.0
