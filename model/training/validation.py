@@ -76,12 +76,13 @@ def network_predictor(
     """Prediction by the tracks as they are, in eval mode while it runs."""
 
     def predict(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        was_training = network.training
+        modes = [(module, module.training) for module in network.modules()]
         network.eval()
         device = batch["beauty"].device.type
         with torch.autocast(device, torch.bfloat16, enabled=precision == "bfloat16"):
             maps = network(batch, batch["exposure"], batch["depth_max_m"], tracks)
-        network.train(was_training)
+        for module, was_training in modes:  # one by one: a phase trains one track and not the other
+            module.training = was_training
         return maps
 
     return predict

@@ -133,6 +133,19 @@ def test_a_killed_run_goes_back_to_its_last_state(dataset, whole, tmp_path):
     assert read_log(whole, "train", "total") == read_log(parts, "train", "total")
 
 
+def test_validation_does_not_disturb_training(dataset, tmp_path):
+    """Validating after every step changes neither dropout nor the loss curve, also across an interruption."""
+    settings = ("phases=[{name: diffuse, steps: 4}]", "network.dropout=0.5")
+    curves = []
+    for name, extra in (("often", "validation.every_steps=1"), ("never", "validation.num_views=0")):
+        trainer = Trainer(_config(*settings, extra), [dataset], tmp_path / name, device=CPU)
+        trainer.run()
+        assert trainer.models.network.tracks["diffuse"].dec4.dropout.training
+        assert not trainer.models.network.tracks["specular"].dec4.dropout.training
+        curves.append(read_log(tmp_path / name, "train", "total"))
+    assert curves[0] == curves[1]
+
+
 def test_a_run_is_not_continued_with_other_settings_or_data(dataset, tmp_path):
     out = tmp_path / "run"
     short = ("phases=[{name: diffuse, steps: 1}]",)
