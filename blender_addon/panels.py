@@ -102,7 +102,7 @@ class SCENE_MATERIALS_PT_export(_Panel, bpy.types.Panel):
     @staticmethod
     def _details(layout: bpy.types.UILayout, item: bpy.types.PropertyGroup) -> None:
         box = layout.box()
-        width = 44
+        width = 34
         for text, icon in (
             (item.place, "OBJECT_DATA"),
             (item.message, "INFO"),

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Screenshots of the add-on in a real window, under Xvfb: ``python -m tests.blender_addon.window OUT``.
+
+pip's bpy opens no window. On the pinned wheel (bpy 4.5.15, x86-64) this program turns the one byte of its
+start-up code that says it runs in the background, before importing it, and then runs Blender's main loop. It
+needs Xvfb and ImageMagick's ``import``; it is a trick for pictures and checks, not a way to use Blender.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+DISPLAY, SIZE = ":97", "1280x1080"
+_INSTRUCTION = bytes.fromhex("c683210c000001")  # movb $1, G.background
+_OFFSET, _MAIN_LOOP = 0xD5A637, 0x181B410  # of the instruction, and of WM_main
+_PAGE = 4096
+
+
+def main(out: Path) -> int:
+    """Start Xvfb and, in it, this program again; returns the child's exit code."""
+    out.mkdir(parents=True, exist_ok=True)
+    server = subprocess.Popen(["Xvfb", DISPLAY, "-screen", "0", f"{SIZE}x24"], stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(100):
+            if Path(f"/tmp/.X11-unix/X{DISPLAY[1:]}").exists():
+                break
+            time.sleep(0.05)
+        environment = {**os.environ, "DISPLAY": DISPLAY, "LIBGL_ALWAYS_SOFTWARE": "1"}
+        child = [sys.executable, "-m", "tests.blender_addon.window", str(out), "--inside"]
+        return subprocess.run(child, env=environment, timeout=300, check=False).returncode
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def import_with_window() -> tuple[Any, int]:
+    """Import bpy as a program with a window; returns it and the library's base address."""
+    spec = importlib.util.find_spec("bpy")
+    if spec is None or spec.origin is None:
+        raise RuntimeError("bpy is not installed")
+    ctypes.CDLL(spec.origin, mode=os.RTLD_NOW | os.RTLD_LOCAL)
+    lines = [line for line in Path("/proc/self/maps").read_text().splitlines() if spec.origin in line]
+    base = int(lines[0].split("-")[0], 16)
+    address = base + _OFFSET
+    if ctypes.string_at(address, len(_INSTRUCTION)) != _INSTRUCTION:
+        raise RuntimeError("this is not the wheel of bpy that the trick was made for (4.5.15, x86-64)")
+    start = address // _PAGE * _PAGE
+    protect = ctypes.CDLL(None).mprotect
+    protect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+    if protect(start, 2 * _PAGE, 7) != 0:
+        raise RuntimeError("the code page cannot be made writable")
+    ctypes.memset(address + len(_INSTRUCTION) - 1, 0, 1)
+    import bpy
+
+    return bpy, base
+
+
+def inside(out: Path) -> None:
+    """Runs in the display: opens the window, drives it by timers, takes the pictures."""
+    bpy, base = import_with_window()
+    import blender_addon
+
+    out = out.resolve()
+    os.chdir(out)
+
+    script = _script(bpy, out)
+
+    def tick() -> float | None:
+        try:
+            return next(script)
+        except StopIteration:
+            os._exit(0)
+        except BaseException as error:
+            print(f"{type(error).__name__}: {error}", file=sys.stderr)
+            os._exit(1)
+
+    blender_addon.register()
+    bpy.app.timers.register(tick, first_interval=1.0)
+    loop = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(base + _MAIN_LOOP)
+    loop(bpy.context.as_pointer())
+
+
+def _picture(path: Path) -> None:
+    subprocess.run(["import", "-window", "root", str(path)], check=True)
+
+
+def _view(bpy: Any) -> dict[str, Any]:
+    window = bpy.context.window_manager.windows[0]
+    area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    return {"window": window, "area": area, "region": region}
+
+
+def _script(bpy: Any, out: Path) -> Any:
+    """Yields the seconds to wait before its next step."""
+    bpy.context.preferences.view.show_splash = False
+    cube = bpy.data.objects.get("Cube")
+    glass = bpy.data.materials.new("Glass")
+    glass.use_nodes = True
+    glass.node_tree.nodes["Principled BSDF"].inputs["Transmission Weight"].default_value = 1
+    glass.node_tree.nodes["Principled BSDF"].inputs["Sheen Weight"].default_value = 0.5
+    glass["sm_class"] = "glass"
+    cube.data.materials.clear()
+    cube.data.materials.append(glass)
+    cube["sm_role"], cube["sm_category"] = "object", "paperweight"
+    view = _view(bpy)
+    view["area"].spaces.active.show_region_ui = True
+    view["area"].spaces.active.shading.type = "SOLID"
+    yield 2.0
+    panel = next(r for r in view["area"].regions if r.type == "UI")
+    panel.active_panel_category = "Materials"
+    chosen = bpy.context.window_manager.scene_materials
+    chosen.kind, chosen.max_texture, chosen.directory = "object", "256", "packages"
+    with bpy.context.temp_override(**view):
+        bpy.ops.scene_materials.check()
+    assert any(p.severity == "error" for p in chosen.problems)
+    view["area"].tag_redraw()
+    yield 2.0
+    _picture(out / "problems.png")
+    chosen.problems.clear()
+    shader = glass.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Transmission Weight"].default_value = 0
+    noise, coordinates = (glass.node_tree.nodes.new(f"ShaderNode{n}") for n in ("TexNoise", "TexCoord"))
+    glass.node_tree.links.new(coordinates.outputs["Object"], noise.inputs["Vector"])
+    glass.node_tree.links.new(noise.outputs["Color"], shader.inputs["Base Color"])
+    cube["sm_license"] = "CC0-1.0"
+    cube.data.uv_layers.remove(cube.data.uv_layers[0])  # so that the export has to unwrap it
+    noise.inputs["Detail"].default_value = 0
+    yield 0.5
+    with bpy.context.temp_override(**view):
+        bpy.ops.scene_materials.export("INVOKE_DEFAULT", directory="packages")
+    for _ in range(200):
+        if "packages" in chosen.status:
+            break
+        yield 0.1
+    assert chosen.status.startswith("1 packages"), chosen.status
+    assert (out / "packages" / "cube" / "asset.json").is_file()
+    assert cube.name in bpy.context.view_layer.objects
+    yield 1.0
+    _picture(out / "exported.png")
+    print("done")
+
+
+if __name__ == "__main__":
+    if "--inside" in sys.argv:
+        inside(Path(sys.argv[1]))
+    else:
+        sys.exit(main(Path(sys.argv[1])))
