@@ -11,7 +11,7 @@ from datagen.rendering.error import EPSILON, relative_mse, relative_mse_map
 
 def images(noise: float, count: int) -> list[np.ndarray]:
     rng = np.random.default_rng(4)
-    truth = rng.uniform(0.0, 2.0, (64, 64, 3))
+    truth = rng.uniform(0.0, 2.0, (256, 256, 3))
     return [truth, *(truth + noise * rng.standard_normal(truth.shape) for _ in range(count))]
 
 
