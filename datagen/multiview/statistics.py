@@ -202,6 +202,33 @@ def _view_statistics(
     import drjit as dr
     import mitsuba as mi
 
+    own_pixel, points, selection = choose_for_pixels(view, index, packed, options, scene)
+    own_color = dr.gather(mi.Vector4f, colors, own_pixel)
+    own_view = dr.opaque(mi.UInt32, index)
+    chosen = _fetch_colors(packed, points, selection, colors, options, own_view, own_color)
+    count = selection.num_chosen
+    statistics = [
+        _order_statistics([dr.select(j < count, color[j], np.inf) for j in range(options.best_views)], count)
+        for color in chosen
+    ]
+    has_any = count > 0
+    minimum, median, maximum = (
+        [dr.select(has_any, statistics[c][s], own_color[c]) for c in range(3)] for s in range(3)
+    )
+    return minimum, median, maximum, mi.Float(count)
+
+
+def choose_for_pixels(
+    view: StatisticsView,
+    index: int,
+    packed: PackedViews,
+    options: StatisticsOptions,
+    scene: mi.Scene | None = None,
+) -> tuple[mi.UInt32, mi.Point3f, Selection]:
+    """Packed indices, world points and chosen views of the pixels of view ``index``, row by row (*traced*)."""
+    import drjit as dr
+    import mitsuba as mi
+
     own = OwnView(dr.opaque(mi.UInt32, index), options.include_self)
     first = dr.opaque(mi.UInt32, int(packed.first_pixels[index]))
     pixel = dr.arange(mi.UInt32, view.camera.width_px * view.camera.height_px)
@@ -214,18 +241,7 @@ def _view_statistics(
     selection = select_views(
         packed, points, normals, options.best_views, options.visibility, scene, own, mask
     )
-    own_color = dr.gather(mi.Vector4f, colors, own_pixel)
-    chosen = _fetch_colors(packed, points, selection, colors, options, own.index, own_color)
-    count = selection.num_chosen
-    statistics = [
-        _order_statistics([dr.select(j < count, color[j], np.inf) for j in range(options.best_views)], count)
-        for color in chosen
-    ]
-    has_any = count > 0
-    minimum, median, maximum = (
-        [dr.select(has_any, statistics[c][s], own_color[c]) for c in range(3)] for s in range(3)
-    )
-    return minimum, median, maximum, mi.Float(count)
+    return own_pixel, points, selection
 
 
 def _unproject(packed: PackedViews, view: mi.UInt32, pixel: mi.UInt32, depth: mi.Float) -> mi.Point3f:
