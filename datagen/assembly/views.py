@@ -30,6 +30,7 @@ PREVIEW_WIDTH_PX = 64
 MAX_NEAR_PIXELS = 0.02  # share of the image that may be nearer than min_distance_m
 MAX_OPEN_PIXELS = 0.4  # share of the image that may show nothing, or a light itself
 MIN_THING_PIXELS = 0.04  # share of the image that things (not walls and floor) must fill
+MAX_THREE_PLANES_PIXELS = 0.92  # of what is seen: a corner of the room, the side of a cupboard
 MAX_PLANE_PIXELS = 0.72  # share of the image that a single plane may fill: a bare wall is no picture
 _MIN_INSTANCE_PIXELS = 0.0015  # an instance that covers less is not "seen"
 _BATCH = 16
@@ -203,7 +204,10 @@ class ViewFinder:
             return "faces_light"
         if not self._shows_enough(hits.face[hits.hit_mask], len(directions), subject):
             return "too_little_content"
-        if self._largest_plane(hits.face[hits.hit_mask]) > MAX_PLANE_PIXELS * len(directions):
+        planes = self._planes(hits.face[hits.hit_mask])
+        if planes[:1].sum() > MAX_PLANE_PIXELS * len(directions):
+            return "too_plain"
+        if planes[:3].sum() > MAX_THREE_PLANES_PIXELS * planes.sum():
             return "too_plain"
         seen = np.flatnonzero(hits.hit_mask)
         seen = seen[:: max(1, len(seen) // _OVERLAP_POINTS)]
@@ -220,13 +224,13 @@ class ViewFinder:
             return True
         return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
 
-    def _largest_plane(self, faces: NDArray[np.int64]) -> int:
-        """Most pixels that see one plane, told apart by normal (to 0.1) and offset (to 10 cm)."""
+    def _planes(self, faces: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Pixels of every plane seen, most first; planes are told apart by normal and offset, roughly."""
         normals = self.scene.rays.normals[faces]
         offsets = (normals * self.scene.rays.corners[faces, 0]).sum(axis=1)
         planes = np.round(np.column_stack([normals, offsets]) * 10).astype(np.int64) + 1000
         keys = (planes * [1, 1 << 14, 1 << 28, 1 << 42]).sum(axis=1)
-        return int(np.unique(keys, return_counts=True)[1].max(initial=0))
+        return np.sort(np.unique(keys, return_counts=True)[1])[::-1]
 
     def _aim(self, position: Floats, target: Floats, draws: Draws) -> Camera:
         """A camera at ``position`` with the target somewhere in the middle of its image, held level."""
