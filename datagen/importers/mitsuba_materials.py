@@ -127,8 +127,18 @@ class MaterialConverter:
     # opaque BSDFs
 
     def _diffuse(self, node: SceneNode, name: str) -> Draft:
-        """Exact but for Schlick's rise at grazing angles: S = 0, R = 1."""
-        return Draft(name, diffuse=self._color(node, "reflectance", 0.5))
+        """S = 0, R = 1; D is lowered by the sheen that Schlick's curve has even so: equal albedo."""
+        reflectance = self._color(node, "reflectance", 0.5)
+        if isinstance(reflectance, ImageSource):
+            return Draft(name, diffuse=replace(reflectance, offset=-fresnel.DIFFUSE_SHEEN))
+        lowered = combine(
+            lambda d: d - fresnel.DIFFUSE_SHEEN,
+            self.cache,
+            f"{name}_diffuse_albedo",
+            (reflectance, False),
+            is_scalar=False,
+        )
+        return Draft(name, diffuse=cast(ColorValue, lowered))
 
     def _plastic(self, node: SceneNode, name: str) -> Draft:
         return self._any_plastic(node, name, roughness=0.0)
@@ -171,21 +181,25 @@ class MaterialConverter:
         strength = self._color(node, "specular_reflectance", 1.0)
         if "eta" in node.values or "k" in node.values:
             eta, k = self._constant_color(node, "eta", 0.0), self._constant_color(node, "k", 1.0)
-            f0 = fresnel.conductor_f0(np.array(eta), np.array(k))
+            mean = fresnel.conductor_mean(np.array(eta), np.array(k))
         else:
             try:
-                f0 = np.array(fresnel.conductor_preset_f0(str(node.get("material", "Cu"))))
+                mean = np.array(fresnel.conductor_preset_mean(str(node.get("material", "Cu"))))
             except ValueError as error:
                 self.problem(
                     f"{node.where}: material", str(error), "a conductor of Mitsuba", "give eta and k"
                 )
-                f0 = np.ones(3)
+                mean = np.ones(3)
         specular = combine(
-            lambda s: s * f0, self.cache, f"{name}_specular_albedo", (strength, False), is_scalar=False
+            lambda s: fresnel.schlick_s_of_mean(s * mean),
+            self.cache,
+            f"{name}_specular_albedo",
+            (strength, False),
+            is_scalar=False,
         )
         draft = Draft(name, (0.0, 0.0, 0.0), cast(ColorValue, specular), roughness, fallback_class="metal")
-        if bool((f0 < 1).any()):
-            draft = draft.with_note("conductor Fresnel as Schlick's curve through F0")
+        if bool((mean < 1).any()):
+            draft = draft.with_note("conductor Fresnel as Schlick's curve of equal hemispherical mean")
         return draft
 
     def _principled(self, node: SceneNode, name: str) -> Draft:

@@ -85,23 +85,19 @@ def _disk(_: SceneNode) -> Mesh:
     return Mesh(positions, faces, _f32([[0, 0, 1]] * len(positions)), uv)
 
 
+_CUBE_CORNERS = (  # Mitsuba's own order, since its UVs go with it
+    (1, -1, -1), (1, -1, 1), (-1, -1, 1), (-1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, 1, 1), (1, 1, 1),
+    (1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1), (-1, -1, 1),
+    (-1, -1, 1), (-1, 1, 1), (-1, 1, -1), (-1, -1, -1), (1, 1, -1), (1, -1, -1), (-1, -1, -1), (-1, 1, -1),
+)  # fmt: skip
+_CUBE_NORMALS = ((0, -1, 0), (0, 1, 0), (1, 0, 0), (0, 0, 1), (-1, 0, 0), (0, 0, -1))
+
+
 def _cube(_: SceneNode) -> Mesh:
-    positions: list[NDArray] = []
-    normals: list[NDArray] = []
-    uvs: list[list[float]] = []
-    faces: list[list[int]] = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            normal = np.zeros(3)
-            normal[axis] = sign
-            side_u, side_v = np.roll(normal, 1), np.roll(normal, 2) * sign
-            start = len(positions)
-            for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
-                positions.append(normal + u * side_u + v * side_v)
-                normals.append(normal)
-                uvs.append([(u + 1) / 2, (v + 1) / 2])
-            faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
-    return Mesh(_f32(positions), np.array(faces, np.int32), _f32(normals), _f32(uvs))
+    start = 4 * np.arange(6)[:, None]
+    faces = np.concatenate([start + np.array([0, 1, 2]), start + np.array([3, 0, 2])]).astype(np.int32)
+    uv = _f32([[0, 1], [1, 1], [1, 0], [0, 0]] * 6)
+    return Mesh(_f32(_CUBE_CORNERS), faces, np.repeat(_f32(_CUBE_NORMALS), 4, axis=0), uv)
 
 
 def _grid(columns: int, rows: int) -> NDArray[np.int32]:
@@ -129,10 +125,11 @@ def _sphere(node: SceneNode) -> Mesh:
 def _cylinder(node: SceneNode) -> Mesh:
     start, end = np.asarray(node.get("p0", (0, 0, 0.0))), np.asarray(node.get("p1", (0, 0, 1.0)))
     axis = (end - start) / np.linalg.norm(end - start)
-    helper = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    side = np.cross(helper, axis)
-    side /= np.linalg.norm(side)
-    other = np.cross(axis, side)
+    # Mitsuba's frame around an axis (Duff et al. 2017), which its UVs start from
+    sign = 1.0 if axis[2] >= 0 else -1.0
+    a = -1.0 / (sign + axis[2])
+    side = np.array([1 + sign * axis[0] ** 2 * a, sign * axis[0] * axis[1] * a, -sign * axis[0]])
+    other = np.array([axis[0] * axis[1] * a, axis[1] ** 2 * a + sign, -axis[1]])
     phi = np.arange(_ROUND_SEGMENTS + 1) / _ROUND_SEGMENTS * 2 * math.pi
     normal = np.cos(phi)[:, None] * side + np.sin(phi)[:, None] * other
     ring = normal * float(node.get("radius", 1.0))
