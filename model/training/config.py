@@ -53,6 +53,8 @@ class PerceptualConfig(StrictModel):
     """File of VGG16's weights; None looks in the weights folder and in torch hub's cache."""
     heads: Path | None = None
     """File of E-LPIPS' 14 heads; None looks in the weights folder, then takes the lpips package's five."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of VGG16's activations."""
 
 
 class DataConfig(StrictModel):

@@ -82,7 +82,7 @@ def make_workshop(
     """Models, loss and data of a configuration, without a run's folder."""
     chosen = config.perceptual
     wants = config.loss.perceptual_weight > 0
-    perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads) if wants else None
+    perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads, chosen.precision) if wants else None
     models = Models(config).to(device)
     if config.channels_last:
         models.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

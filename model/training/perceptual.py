@@ -170,7 +170,7 @@ def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor
     total = torch.zeros(a[0].shape[0], device=a[0].device)
     for x, y, vector in zip(a, b, heads.vectors, strict=True):
         difference = (_unit_features(x) - _unit_features(y)).square().mean(dim=(2, 3))
-        total = total + difference @ vector.to(difference)
+        total = total + (difference * vector.to(difference)).sum(dim=1)
     return total
 
 
@@ -178,9 +178,10 @@ class Elpips(nn.Module):
     """E-LPIPS on VGG16: 14 layers and average pooling with its own heads, 5 and max pooling with LPIPS'
     heads."""
 
-    def __init__(self, layers: list[Convolution], heads: Heads):
+    def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):
+        """``precision`` is that of VGG's activations; distances are summed in float32 either way."""
         super().__init__()
-        self.heads = heads
+        self.heads, self.precision = heads, precision
         self.name = f"elpips-vgg16-{heads.name}"
         self.features = VggFeatures(layers, average_pooling=heads.name == "elpips14")
 
@@ -189,9 +190,11 @@ class Elpips(nn.Module):
         transform = sample_transform(batch, height, width, generator)
         transformed = 2.0 * apply_transform(image, transform) - 1.0
         masks = self.features.dropout_masks(transformed, generator)
-        with torch.no_grad():
-            aim = self.features(2.0 * apply_transform(reference, transform) - 1.0, masks)
-        return _weighted_distance(self.features(transformed, masks), aim, self.heads)
+        with torch.autocast(image.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
+            with torch.no_grad():
+                aim = self.features(2.0 * apply_transform(reference, transform) - 1.0, masks)
+            features = self.features(transformed, masks)
+        return _weighted_distance(features, aim, self.heads)
 
 
 def lpips_vgg(layers: list[Convolution], image: Tensor, reference: Tensor) -> Tensor:
@@ -262,9 +265,11 @@ class GradientSsim(nn.Module):
         return total / max(num_scales, 1)
 
 
-def make_perceptual(kind: str, vgg: Path | None = None, heads: Path | None = None) -> nn.Module:
+def make_perceptual(
+    kind: str, vgg: Path | None = None, heads: Path | None = None, precision: str = "float32"
+) -> nn.Module:
     """``elpips`` or ``gradient_ssim``. ``InputError`` where E-LPIPS' weights are absent: never a silent
     swap."""
     if kind == "gradient_ssim":
         return GradientSsim()
-    return Elpips(find_vgg(vgg), find_heads(heads))
+    return Elpips(find_vgg(vgg), find_heads(heads), precision)

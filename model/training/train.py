@@ -69,7 +69,7 @@ class Trainer:
         perceptual = None
         if config.loss.perceptual_weight > 0:
             chosen = config.perceptual
-            perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads)
+            perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads, chosen.precision)
         self.loss = MaterialLoss(config.loss, perceptual).to(self.device)
         self.models = self._make_models()
         self.progress = RunProgress()

@@ -63,6 +63,16 @@ def test_elpips_is_reproducible_and_its_gradient_finite(elpips):
     assert torch.isfinite(black.grad).all()
 
 
+def test_elpips_in_bfloat16_is_close(elpips):
+    images = torch.rand(2, 1, 3, 64, 64, generator=torch.Generator().manual_seed(3))
+    exact = elpips(*images, generator_for(1))
+    elpips.precision = "bfloat16"
+    coarse = elpips(*images, generator_for(1))
+    elpips.precision = "float32"
+    assert coarse.dtype == torch.float32
+    torch.testing.assert_close(coarse, exact, rtol=0.02, atol=0)
+
+
 def test_lpips_heads_serve_as_a_named_fallback(vgg):
     metric = perceptual.Elpips(vgg, weights.load_lpips_heads())
     assert metric.name == "elpips-vgg16-lpips5"

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: MIT
+"""The merge: against brute force on noise, and the atlas of a known textured room back from its own views."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from datagen.errors import InputError
+from datagen.meshes import Mesh
+from datagen.multiview.visibility import VisibilityOptions
+from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides
+from model.reconstruction.merge import MapMerger, MapView, MergeOptions, empty_atlas
+from model.reconstruction.texels import TexelSurface
+from tests.model.textured_room import (
+    geometry_of,
+    materials_at,
+    room_cameras,
+    room_mesh,
+    uv_of_pixels,
+    view_maps,
+)
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+SMALL = (33, 26)
+
+
+def noise_views(mesh: Mesh, num: int) -> list[MapView]:
+    """White noise as maps: a fetch from any wrong place shows."""
+    rng = np.random.default_rng(1)
+    views = []
+    for camera in room_cameras(num, SMALL):
+        shape = (camera.height_px, camera.width_px)
+        maps = {
+            name: rng.random((*shape, c)).astype(np.float32)
+            for name, c in (("diffuse_albedo", 3), ("specular_albedo", 3), ("roughness", 1))
+        }
+        depth = uv_of_pixels(mesh, camera)[1][..., None].astype(np.float32)
+        views.append(MapView(camera, maps, depth))
+    return views
+
+
+def surface_under(mesh: Mesh, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Face (N, N), point and normal (N, N, 3) under each texel's centre, by float64 over all triangles."""
+    assert mesh.uv is not None
+    column, row = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
+    uv = np.stack([column / size, 1 - row / size], axis=-1)
+    face_of = np.full((size, size), -1)
+    points, normals = np.zeros((size, size, 3)), np.zeros((size, size, 3))
+    for index, face in enumerate(mesh.faces):
+        a, b, c = mesh.uv[face].astype(np.float64)
+        matrix = np.linalg.inv(np.stack([b - a, c - a], axis=1))
+        s, t = np.moveaxis((uv - a) @ matrix.T, -1, 0)
+        inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+        p, q, r = mesh.positions[face].astype(np.float64)
+        at = p + s[..., None] * (q - p) + t[..., None] * (r - p)
+        normal = np.cross(q - p, r - p)
+        face_of[inside] = index
+        points[inside] = at[inside]
+        normals[inside] = normal / np.linalg.norm(normal)
+    return face_of, points, normals
+
+
+def brute_force(
+    mesh: Mesh, views: list[MapView], size: int, tolerance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Medians (N, N, 7), counts, faces and a mask of texels where a hair decides, by loops over float64."""
+    face_of, points, normals = surface_under(mesh, size)
+    medians, counts = np.zeros((size, size, 7)), np.zeros((size, size), int)
+    is_close = np.zeros((size, size), bool)
+    for row, column in np.argwhere(face_of >= 0):
+        p, n = points[row, column], normals[row, column]
+        values = []
+        for view in views:
+            camera = view.camera
+            (u, v), z = camera.project(p)
+            facing = float(n @ (camera.position_m - p))
+            if z <= 0 or not (0 <= u < camera.width_px and 0 <= v < camera.height_px):
+                is_close[row, column] |= z > 0 and bool(
+                    min(abs(u), abs(v), abs(u - camera.width_px), abs(v - camera.height_px)) < 1e-3
+                )
+                continue
+            is_close[row, column] |= min(u % 1, 1 - u % 1, v % 1, 1 - v % 1) < 1e-3
+            if facing <= 0:
+                continue
+            seen = float(view.depth_z_m[int(v), int(u), 0])
+            local = camera.camera_from_world[:3, :3] @ n
+            step = abs(local[0]) / camera.fx_px + abs(local[1]) / camera.fy_px
+            gap = abs(seen - z) - z * (tolerance + min(step * z / facing, 0.05))
+            is_close[row, column] |= abs(gap) < 1e-4
+            if gap <= 0:
+                maps = view.maps
+                at = (int(v), int(u))
+                values.append(
+                    np.concatenate([maps[k][at] for k in ("diffuse_albedo", "specular_albedo", "roughness")])
+                )
+        counts[row, column] = len(values)
+        if values:
+            medians[row, column] = np.median(np.array(values, np.float64), axis=0)
+    return medians, counts, face_of, is_close
+
+
+@pytest.mark.parametrize("num_views", [1, 9])
+def test_equals_brute_force(num_views: int) -> None:
+    mesh, size = room_mesh(), 40
+    views = noise_views(mesh, num_views)
+    expected, counts, faces, is_close = brute_force(mesh, views, size, 0.005)
+    merger = MapMerger(views, MergeOptions(fetch="nearest", tile=17))
+    atlas = empty_atlas(size)
+    merger.merge(TexelSurface(mesh, face_normals(mesh), size), atlas)
+    sure = ~is_close
+    assert sure.mean() > 0.9
+    np.testing.assert_array_equal(atlas.face, faces)
+    np.testing.assert_array_equal(atlas.count[sure], counts[sure])
+    got = np.concatenate(list(atlas.maps.values()), axis=-1).astype(np.float64)
+    limit = 2.0**-11  # half floats in [0.5, 1], and the mean of two float32
+    assert np.abs(got - expected)[sure].max() <= limit * 1.001
+    assert len(np.unique(counts[sure])) > num_views / 2  # odd and even counts, none and many
+    wrong = np.abs(got * 1.05 - expected)[sure & (counts > 0)]
+    assert wrong.max() > limit
+
+
+def test_tiles_do_not_matter() -> None:
+    mesh, size = room_mesh(), 30
+    views = noise_views(mesh, 5)
+    surface = TexelSurface(mesh, face_normals(mesh), size)
+    results = []
+    for tile in (7, 64):
+        atlas = empty_atlas(size)
+        MapMerger(views, MergeOptions(tile=tile)).merge(surface, atlas)
+        results.append(atlas)
+    for name, array in results[0].maps.items():
+        np.testing.assert_array_equal(array, results[1].maps[name])
+    np.testing.assert_array_equal(results[0].count, results[1].count)
+
+
+def traced_views(mesh: Mesh, num: int = 10, size: tuple[int, int] = (96, 72)) -> list[MapView]:
+    traced = TracedGeometry(geometry_of(mesh))
+    return [
+        MapView(camera, view_maps(mesh, camera), traced.trace_view(camera).depth_z_m)
+        for camera in room_cameras(num, size)
+    ]
+
+
+def texel_uv(size: int) -> np.ndarray:
+    column, row = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
+    return np.stack([column / size, 1 - row / size], axis=-1)
+
+
+@pytest.mark.parametrize("mode", ["depth", "trace"])
+def test_ground_truth_maps_give_the_atlas_back(mode: str) -> None:
+    """A median over views, each between pixels h apart of a wave of period p = 3.6 m or less:
+    interpolation errs by at most h^2/8 (2 pi/p)^2 A, A = 0.3; where a view grazes, h grows, and the median
+    passes over it. h is 0.05 m for pixels 3 m away at 60 degrees; that is 0.3 * 0.0009 / p^2 * 5 = 1e-3 on
+    the large walls and up to 1/0.7 m of the block's sides 0.008."""
+    mesh, size = room_mesh(), 128
+    views = traced_views(mesh)
+    options = MergeOptions(visibility=VisibilityOptions(mode=mode))  # type: ignore[arg-type]
+    merger = MapMerger(views, options, TracedGeometry(geometry_of(mesh)).scene)
+    atlas = empty_atlas(size)
+    merger.merge(TexelSurface(mesh, face_normals(mesh), size), atlas)
+    truth = materials_at(texel_uv(size))
+    enough = atlas.count >= 3
+    assert enough.sum() > 0.35 * (atlas.face >= 0).sum()
+    for name, array in atlas.maps.items():
+        error = np.abs(array.astype(np.float64) - truth[name])[enough]
+        assert np.median(error) < 1e-3, name
+        assert np.quantile(error, 0.99) < 0.02, name
+        worse = np.abs(array.astype(np.float64) * 1.05 - truth[name])[enough]
+        assert np.median(worse) > 1e-3, name
+    bottom = np.isin(atlas.face, [20, 21])  # the block stands on it
+    assert not atlas.count[bottom].any()
+    assert atlas.unseen_mask[bottom].all()
+
+
+def test_depth_and_traced_visibility_agree_but_for_edges() -> None:
+    mesh, size = room_mesh(), 64
+    views = traced_views(mesh, 8)
+    counts = []
+    for mode in ("depth", "trace"):
+        atlas = empty_atlas(size)
+        options = MergeOptions(visibility=VisibilityOptions(mode=mode))  # type: ignore[arg-type]
+        MapMerger(views, options, TracedGeometry(geometry_of(mesh)).scene).merge(
+            TexelSurface(mesh, face_normals(mesh), size), atlas
+        )
+        counts.append(atlas.count.astype(int))
+    differing = counts[0] != counts[1]
+    assert differing[counts[1] > 0].mean() < 0.12
+
+
+def test_geometry_of_views() -> None:
+    mesh = room_mesh()
+    traced = TracedGeometry(geometry_of(mesh))
+    camera = room_cameras(2)[1]
+    view = traced.trace_view(camera)
+    expected = uv_of_pixels(mesh, camera)[1]
+    np.testing.assert_allclose(view.depth_z_m[..., 0], expected, rtol=2e-5)
+    assert view.is_front.all()
+    toward = (view.normal_world * camera.ray_directions()).sum(axis=-1)
+    assert (toward < 0).all()
+    valid = np.zeros(expected.shape, bool)
+    valid[:10] = True
+    masked = traced.trace_view(camera, valid)
+    assert (masked.depth_z_m[..., 0] > 0)[:10].all() and not masked.depth_z_m[10:].any()
+
+
+def test_wrong_winding_is_recognised() -> None:
+    mesh = room_mesh()
+    faces = mesh.faces.copy()
+    flipped = np.arange(0, len(faces), 3)
+    faces[flipped] = faces[flipped][:, [0, 2, 1]]
+    traced = TracedGeometry(geometry_of(Mesh(mesh.positions, faces, mesh.normals, mesh.uv)))
+    views = [traced.trace_view(camera) for camera in room_cameras(10)]
+    sides = seen_sides(views, len(faces))
+    seen = np.unique(np.concatenate([view.face.ravel() for view in views]))
+    expected = np.ones(len(faces))
+    expected[flipped] = -1
+    np.testing.assert_array_equal(sides[seen], expected[seen])
+    assert len(seen) >= 21
+    turned = face_normals(Mesh(mesh.positions, faces), sides)
+    np.testing.assert_allclose(turned[seen], face_normals(mesh)[seen], atol=1e-6)
+
+
+def test_bad_maps_are_refused() -> None:
+    mesh = room_mesh()
+    (view,) = noise_views(mesh, 1)
+    view.maps["roughness"][3, 3] = np.nan
+    broken = MapView(
+        view.camera, {**view.maps, "diffuse_albedo": view.maps["roughness"]}, view.depth_z_m, "v7"
+    )
+    with pytest.raises(InputError) as caught:
+        MapMerger([broken])
+    assert "v7: diffuse_albedo" in str(caught.value) and "roughness = NaN" in str(caught.value)
