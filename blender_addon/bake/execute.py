@@ -27,6 +27,9 @@ _VECTOR_MATH = {
 }  # fmt: skip
 _SCALAR_MATH = {**_VECTOR_MATH, "sqrt": "SQRT"}
 Array = NDArray[np.float32]
+_NOT_BAKED = -1.0
+"""What texels hold that the bake leaves alone; an EMIT or NORMAL bake never gives it. (A bake that clears its
+image sets alpha to 1 everywhere, so that alpha does not tell which texels were hit.)"""
 
 
 @dataclass(frozen=True)
@@ -248,17 +251,17 @@ class BakeSession:
         )
         self.own(bpy.data.images, image)
         try:
-            image.generated_color = (0, 0, 0, 0)
+            pixels = np.full(size * size * 4, _NOT_BAKED, np.float32)
+            image.pixels.foreach_set(pixels)
             working.target.image = image
             with self.only(thing):
-                bpy.ops.object.bake(type=kind, uv_layer=uv_layer, margin=0, use_clear=True)
-            pixels = np.empty(size * size * 4, np.float32)
+                bpy.ops.object.bake(type=kind, uv_layer=uv_layer, margin=0, use_clear=False)
             image.pixels.foreach_get(pixels)
         finally:
             working.target.image = None
             self.discard(image)
         pixels = pixels.reshape(size, size, 4)
-        return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3] > 0.5
+        return np.ascontiguousarray(pixels[..., :3]), (pixels[..., :3] != _NOT_BAKED).any(axis=2)
 
 
 UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+_NUM_RINGS = 2
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,43 @@ def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> 
     return rows[:, low] * (1 - t)[None, :, None] + rows[:, high] * t[None, :, None]
 
 
+def _shifted(values: NDArray, rows: int, columns: int) -> NDArray:
+    """``values`` moved by whole texels, zeros moving in."""
+    result = np.zeros_like(values)
+    height, width = values.shape[:2]
+    if abs(rows) < height and abs(columns) < width:
+        result[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)] = values[
+            max(-rows, 0) : height + min(-rows, 0), max(-columns, 0) : width + min(-columns, 0)
+        ]
+    return result
+
+
+def dilate(image: Image, mask: Mask) -> tuple[Image, Mask]:
+    """Give the texels around the mask the mean of their covered neighbours, one ring."""
+    covered = np.where(mask[..., None], image, 0)
+    total = np.zeros_like(image)
+    count = np.zeros((*mask.shape, 1), np.float32)
+    weight = mask.astype(np.float32)[..., None]
+    for rows in (-1, 0, 1):
+        for columns in (-1, 0, 1):
+            if rows or columns:
+                total += _shifted(covered, rows, columns)
+                count += _shifted(weight, rows, columns)
+    is_new = ~mask & (count[..., 0] > 0)
+    return np.where(is_new[..., None], total / np.maximum(count, 1), image), mask | is_new
+
+
 def fill(image: Image, mask: Mask) -> Image:
-    """Give texels outside the mask the colour of the nearest coarser level that has any (push-pull)."""
+    """Colour the texels outside the mask: two rings from their neighbours, the rest by push-pull.
+
+    The rings are what a lookup at the border of a chart meets; coarser levels would mix in other charts.
+    """
     if mask.all():
         return image
     if not mask.any():
         return np.zeros_like(image)
+    for _ in range(_NUM_RINGS):
+        image, mask = dilate(image, mask)
     levels: list[tuple[Image, Image]] = [(image, mask.astype(np.float32)[..., None])]
     while levels[-1][0].shape[0] > 1 or levels[-1][0].shape[1] > 1:
         current, weight = levels[-1]

@@ -11,6 +11,7 @@ import pytest
 from datagen.asset_check import check_package
 from datagen.formats.asset import ObjectAsset, Texture
 from datagen.formats.package import Package, open_package
+from datagen.images import read_image
 from datagen.meshes import decode_ply
 from tests.blender_addon.graphs import CASES, Case
 from tests.blender_addon.surface import channel_at, surface_samples
@@ -75,3 +76,13 @@ def test_wrong_closed_form_is_detected(graphs_folder: Path) -> None:
     )
     errors = _errors(open_package(graphs_folder / "packages" / case.name), wrong, "diffuse_albedo", seed=7)
     assert errors.mean() > TOLERANCE
+
+
+@pytest.mark.parametrize("name", ["generated_coordinates_of_a_box", "object_coordinates_under_modifiers"])
+def test_smooth_values_on_charts_need_few_texels(graphs_folder: Path, name: str) -> None:
+    """Only texels that the surface covers count, so that the gaps between charts cost no resolution."""
+    package = open_package(graphs_folder / "packages" / name)
+    assert isinstance(package.asset, ObjectAsset)
+    (material,) = package.asset.materials.values()
+    assert isinstance(material.diffuse_albedo, Texture)
+    assert max(read_image(package.path / material.diffuse_albedo.texture).shape[:2]) <= 256
