@@ -129,8 +129,9 @@ def compute_statistics(
     options: StatisticsOptions | None = None,
     scene: mi.Scene | None = None,
     progress: Callable[[int, int], Any] | None = None,
+    only: Sequence[int] | None = None,
 ) -> Iterator[dict[str, NDArray[np.float32]]]:
-    """Statistics of each view in turn, as float32 arrays by buffer name.
+    """Statistics of each view in turn, or of the views ``only``, as float32 arrays by buffer name.
 
     ``color_min``, ``color_median``, ``color_max`` are (H, W, 3) scene-linear, ``observation_count`` is
     (H, W, 1). ``scene`` is needed for traced visibility only: a ``mi.Scene``, or any object whose
@@ -147,7 +148,9 @@ def compute_statistics(
         raise InputError(*problems)
     select_variant()
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
-    return _statistics_of_all(views, packed, options, scene, progress)
+    return _statistics_of_all(
+        views, packed, options, scene, progress, range(len(views)) if only is None else only
+    )
 
 
 def _statistics_of_all(
@@ -156,6 +159,7 @@ def _statistics_of_all(
     options: StatisticsOptions,
     scene: mi.Scene | None,
     progress: Callable[[int, int], Any] | None,
+    wanted: Sequence[int],
 ) -> Iterator[dict[str, NDArray[np.float32]]]:
     import drjit as dr
 
@@ -166,15 +170,16 @@ def _statistics_of_all(
         dr.eval(result)  # asynchronous: the next view is computed while the caller writes this one
         return result
 
-    pending = launch(0)
-    for index, view in enumerate(views):
-        result, pending = pending, launch(index + 1) if index + 1 < len(views) else ()
+    pending = launch(wanted[0]) if wanted else ()
+    for done, index in enumerate(wanted, start=1):
+        view = views[index]
+        result, pending = pending, launch(wanted[done]) if done < len(wanted) else ()
         shape = (view.camera.height_px, view.camera.width_px, -1)
         arrays = [np.stack([channel.numpy() for channel in color], axis=-1) for color in result[:3]]
         arrays.append(result[3].numpy()[:, None])
         yield {name: array.reshape(shape) for name, array in zip(STATISTICS_BUFFERS, arrays, strict=True)}
         if progress is not None:
-            progress(index + 1, len(views))
+            progress(done, len(wanted))
 
 
 def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Float:

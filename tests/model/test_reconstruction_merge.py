@@ -9,7 +9,7 @@ import pytest
 from datagen.errors import InputError
 from datagen.meshes import Mesh
 from datagen.multiview.visibility import VisibilityOptions
-from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides
+from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides, smooth_regions
 from model.reconstruction.merge import MapMerger, MapView, MergeOptions, empty_atlas
 from model.reconstruction.texels import TexelSurface
 from tests.model.textured_room import (
@@ -136,10 +136,11 @@ def test_tiles_do_not_matter() -> None:
 
 def traced_views(mesh: Mesh, num: int = 10, size: tuple[int, int] = (96, 72)) -> list[MapView]:
     traced = TracedGeometry(geometry_of(mesh))
-    return [
-        MapView(camera, view_maps(mesh, camera), traced.trace_view(camera).depth_z_m)
-        for camera in room_cameras(num, size)
-    ]
+    views = []
+    for camera in room_cameras(num, size):
+        seen = traced.trace_view(camera)
+        views.append(MapView(camera, view_maps(mesh, camera), seen.depth_z_m, seen.face))
+    return views
 
 
 def texel_uv(size: int) -> np.ndarray:
@@ -156,7 +157,7 @@ def test_ground_truth_maps_give_the_atlas_back(mode: str) -> None:
     mesh, size = room_mesh(), 128
     views = traced_views(mesh)
     options = MergeOptions(visibility=VisibilityOptions(mode=mode))  # type: ignore[arg-type]
-    merger = MapMerger(views, options, TracedGeometry(geometry_of(mesh)).scene)
+    merger = MapMerger(views, options, TracedGeometry(geometry_of(mesh)).scene, smooth_regions(mesh))
     atlas = empty_atlas(size)
     merger.merge(TexelSurface(mesh, face_normals(mesh), size), atlas)
     truth = materials_at(texel_uv(size))
@@ -180,7 +181,7 @@ def test_depth_and_traced_visibility_agree_but_for_edges() -> None:
     for mode in ("depth", "trace"):
         atlas = empty_atlas(size)
         options = MergeOptions(visibility=VisibilityOptions(mode=mode))  # type: ignore[arg-type]
-        MapMerger(views, options, TracedGeometry(geometry_of(mesh)).scene).merge(
+        MapMerger(views, options, TracedGeometry(geometry_of(mesh)).scene, smooth_regions(mesh)).merge(
             TexelSurface(mesh, face_normals(mesh), size), atlas
         )
         counts.append(atlas.count.astype(int))
@@ -226,7 +227,7 @@ def test_bad_maps_are_refused() -> None:
     (view,) = noise_views(mesh, 1)
     view.maps["roughness"][3, 3] = np.nan
     broken = MapView(
-        view.camera, {**view.maps, "diffuse_albedo": view.maps["roughness"]}, view.depth_z_m, "v7"
+        view.camera, {**view.maps, "diffuse_albedo": view.maps["roughness"]}, view.depth_z_m, name="v7"
     )
     with pytest.raises(InputError) as caught:
         MapMerger([broken])

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""What each view sees of a capture's mesh: depth, normals and faces through the pixels' centres, by ray
+tracing.
+
+The same for rendered and photographed rooms: nothing is taken from stored buffers, so the geometry may be
+coarser than the room, as a retopologised mesh is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.formats.capture import CaptureGeometry
+from datagen.meshes import Mesh, vertex_normals, welded
+from datagen.multiview.visibility import aligned, vectors_from_rows
+from mitsuba_plugins.variant import select_variant
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+
+@dataclass(frozen=True)
+class ViewGeometry:
+    """The mesh as a view sees it. ``depth_z_m`` (H, W, 1), 0 where nothing is hit; ``normal_world`` (H, W,
+    3), unit, facing the camera, 0 where nothing is hit; ``surface_mask`` (H, W, 1), 1 on surface that does
+    not emit; ``face`` (H, W), -1 where nothing is hit; ``is_front`` (H, W), whether the face's outer side is
+    seen."""
+
+    depth_z_m: NDArray[np.float32]
+    normal_world: NDArray[np.float32]
+    surface_mask: NDArray[np.float32]
+    face: NDArray[np.int32]
+    is_front: NDArray[np.bool_]
+
+
+def mesh_scene(mesh: Mesh) -> mi.Scene:
+    """A Mitsuba scene of one mesh, for rays only."""
+    select_variant()
+    import mitsuba as mi
+
+    has_normals = mesh.normals is not None
+    props = mi.Properties()
+    if not has_normals:
+        props["face_normals"] = True
+    shape = mi.Mesh("geometry", len(mesh.positions), len(mesh.faces), props, has_normals, False)
+    parameters = mi.traverse(shape)
+    parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(mesh.positions, np.float32).ravel())
+    if mesh.normals is not None:
+        parameters["vertex_normals"] = mi.Float(np.ascontiguousarray(mesh.normals, np.float32).ravel())
+    parameters["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
+    parameters.update()
+    return mi.load_dict({"type": "scene", "geometry": shape}, optimize=False)
+
+
+class TracedGeometry:
+    """A capture's mesh, ready to be looked at. ``scene`` serves shadow rays as well."""
+
+    def __init__(self, geometry: CaptureGeometry):
+        mesh = geometry.mesh
+        if mesh.normals is None:
+            mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
+        self.mesh = mesh
+        self.scene = mesh_scene(mesh)
+        self._emits = geometry.emitter_mask()
+
+    def trace_view(self, camera: Camera, valid_mask: NDArray[np.bool_] | None = None) -> ViewGeometry:
+        """The view through ``camera``; pixels outside ``valid_mask`` (H, W) count as empty."""
+        import drjit as dr
+        import mitsuba as mi
+
+        directions = camera.ray_directions().reshape(-1, 3)
+        origin = mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in camera.position_m))
+        direction: Any = vectors_from_rows(directions)
+        ray = mi.Ray3f(origin, direction)
+        si = self.scene.ray_intersect(ray)
+        valid = si.is_valid()
+        outside = dr.dot(si.n, direction) < 0
+        shading = dr.select(dr.dot(si.sh_frame.n, direction) < 0, si.sh_frame.n, -si.sh_frame.n)
+        dr.eval(si.t, valid, outside, shading, si.prim_index)
+        hit = np.asarray(valid.numpy(), dtype=bool)
+        t = np.where(hit, np.asarray(si.t.numpy(), dtype=np.float64), 0.0)
+        face = np.where(hit, np.asarray(si.prim_index.numpy()).astype(np.int64), -1)
+        normal = np.where(hit, np.asarray(shading.numpy()).reshape(3, -1), 0.0).T
+        if valid_mask is not None:
+            hit &= valid_mask.ravel()
+        shape = (camera.height_px, camera.width_px)
+        surface = hit & ~self._emits[np.maximum(face, 0)]
+        return ViewGeometry(
+            np.where(hit, t * (directions @ camera.forward), 0.0).astype(np.float32).reshape(*shape, 1),
+            np.where(hit[:, None], normal, 0.0).astype(np.float32).reshape(*shape, 3),
+            surface.astype(np.float32).reshape(*shape, 1),
+            np.where(hit, face, -1).astype(np.int32).reshape(shape),
+            (hit & np.asarray(outside.numpy(), dtype=bool)).reshape(shape),
+        )
+
+
+def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
+    """(M,) 1, or -1 for triangles that the views see mostly from behind: a mesh's winding may be wrong.
+
+    Triangles that no pixel's centre meets keep the side of most others of the mesh.
+    """
+    balance = np.zeros(num_faces, dtype=np.int64)
+    for view in views:
+        hit = view.face >= 0
+        balance += np.bincount(view.face[hit & view.is_front], minlength=num_faces)
+        balance -= np.bincount(view.face[hit & ~view.is_front], minlength=num_faces)
+    usual = -1.0 if int(np.sign(balance).sum()) < 0 else 1.0
+    return np.where(balance == 0, usual, np.sign(balance)).astype(np.float32)
+
+
+def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Unit normals (M, 3) of the triangles, turned by ``sides`` (M,)."""
+    corners = mesh.triangles()
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+    if sides is not None:
+        normal *= sides[:, None]
+    return normal.astype(np.float32)
+
+
+def copied(array: NDArray, dtype: Any = None) -> NDArray:
+    """A flat aligned copy for a Dr.Jit array."""
+    return aligned(np.asarray(array), dtype)
+
+
+def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.int32]:
+    """(M,) index of each triangle's smooth region: triangles are joined over edges that bend less than the
+    angle.
+
+    Vertices at equal positions count as one. The two sides of a sharp edge are different regions, and so are
+    things that do not touch.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    corners = welded(mesh)[1][mesh.faces]
+    num = len(corners)
+    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    keys = edges[:, 0].astype(np.int64) * (int(corners.max(initial=0)) + 1) + edges[:, 1]
+    order = np.argsort(keys, kind="stable")
+    face = np.tile(np.arange(num), 3)[order]
+    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    a, b = face[same], face[same + 1]
+    normals = face_normals(mesh).astype(np.float64)
+    smooth = np.abs((normals[a] * normals[b]).sum(axis=1)) > np.cos(max_angle_rad)  # either winding
+    graph = coo_array((np.ones(int(smooth.sum())), (a[smooth], b[smooth])), shape=(num, num))
+    return connected_components(graph, directed=False)[1].astype(np.int32)
