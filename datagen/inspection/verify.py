@@ -192,7 +192,7 @@ def verify_command(
     from datagen.library import Library
 
     if library_paths is None:
-        library_paths = _library_of(path)
+        library_paths = library_of(path)
     if not library_paths:
         report = _verify_with_progress(path, None, workers, as_json)
     else:
@@ -205,7 +205,8 @@ def verify_command(
     return report.exit_code(strict)
 
 
-def _library_of(path: Path) -> list[Path] | None:
+def library_of(path: Path) -> list[Path] | None:
+    """Library folders that a dataset folder was made from, or None where they are not there any more."""
     from datagen.farm.folder import DatasetFolder
 
     try:
