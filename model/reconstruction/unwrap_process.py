@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""xatlas in a process of its own: it may crash on large or broken meshes, and then takes nothing with it.
+
+``python -m model.reconstruction.unwrap_process IN.npz OUT.npz``: IN holds ``positions`` (N, 3) and ``faces``
+(M, 3); OUT gets ``corners`` (M, 3, 2), positions of every triangle's corners on the sheet in metres, and
+``size_m`` (2,).
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+PACK_RESOLUTION, PADDING = 1024, 2
+
+
+def main(source: str, target: str) -> None:
+    """Unwrap one mesh."""
+    import xatlas
+
+    with np.load(source) as data:
+        positions, faces = data["positions"], data["faces"]
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(positions.astype(np.float32), faces.astype(np.uint32))
+    options = xatlas.PackOptions()
+    options.resolution, options.padding, options.bilinear = PACK_RESOLUTION, PADDING, True
+    options.create_image = False
+    atlas.generate(xatlas.ChartOptions(), options)
+    sheet, _ = atlas.get_mesh_vertex_assignment(0)
+    vertex, indices, uv = atlas.get_mesh(0)
+    indices = indices.reshape(-1, 3)
+    if len(indices) != len(faces) or not np.array_equal(vertex[indices], faces):
+        raise SystemExit("xatlas changed the order of the triangles")
+    used = sheet[indices.ravel()]
+    is_placed = used < atlas.atlas_count
+    shift = np.where(is_placed, used, 0)[:, None] * [float(atlas.width), 0.0]  # several sheets: side by side
+    texels = uv[indices.ravel()] * [float(atlas.width), float(atlas.height)] + shift
+    corners = (texels / atlas.texels_per_unit).reshape(-1, 3, 2)
+    size = np.array([atlas.width * atlas.atlas_count, atlas.height]) / atlas.texels_per_unit
+    np.savez(target, corners=corners, size_m=size, is_placed=is_placed.reshape(-1, 3).all(axis=1))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""Unwraps: which of a mesh's own are taken, and what new ones are worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from datagen.meshes import Mesh
+from model.reconstruction import uv as uv_module
+from model.reconstruction.geometry import face_normals
+from model.reconstruction.texels import TexelSurface
+from model.reconstruction.uv import own_uv_fault, shelf_packed, triangle_sheet, unwrapped
+from tests.datagen.small_library import room_shapes, with_uv
+from tests.model.textured_room import room_mesh
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+
+
+def tiled_room() -> Mesh:
+    """A furnished room whose UVs repeat: no unwrap."""
+    return with_uv(trimesh.util.concatenate(list(room_shapes(5, 4, 2.7).values())))
+
+
+def overlap(mesh: Mesh, size: int = 512) -> float:
+    covered, several = TexelSurface(mesh, face_normals(mesh), size).overlap_mask((0.513, 0.487))
+    return several.sum() / covered.sum()
+
+
+def corner_positions(mesh: Mesh) -> np.ndarray:
+    return mesh.positions[mesh.faces]
+
+
+def test_a_valid_unwrap_is_kept() -> None:
+    mesh = room_mesh()
+    assert own_uv_fault(mesh) == ""
+    kept, report = unwrapped(mesh)
+    assert kept is mesh
+    assert report.source == "mesh" and report.rejected == ""
+    assert report.coverage == pytest.approx(0.88**2, rel=1e-5)
+
+
+def test_invalid_unwraps_are_named() -> None:
+    mesh = room_mesh()
+    assert mesh.uv is not None
+    outside = Mesh(mesh.positions, mesh.faces, mesh.normals, mesh.uv * 1.2)
+    assert "outside [0, 1]" in own_uv_fault(outside)
+    moved = mesh.uv.copy()
+    moved[:4] = moved[4:8]  # two walls on one place
+    assert "9.1% of the layout overlaps itself" in own_uv_fault(Mesh(mesh.positions, mesh.faces, None, moved))
+    flat = mesh.uv.copy()
+    flat[:4] = 0.5
+    assert "UVs without area" in own_uv_fault(Mesh(mesh.positions, mesh.faces, None, flat))
+
+
+def test_xatlas_gives_a_valid_unwrap_that_keeps_triangles_and_density() -> None:
+    mesh = tiled_room()
+    made, report = unwrapped(mesh)
+    assert report.source == "xatlas" and "outside" in report.rejected
+    assert report.num_fallback_faces == 0
+    np.testing.assert_array_equal(corner_positions(made), corner_positions(mesh))
+    assert made.normals is not None and mesh.normals is not None
+    np.testing.assert_array_equal(made.normals[made.faces], mesh.normals[mesh.faces])
+    assert own_uv_fault(made) == ""
+    assert report.stretch < 1.3
+    assert report.coverage > 0.4
+
+
+def test_pieces_and_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small pieces share one density; pieces on which xatlas dies are laid out triangle by triangle."""
+    mesh = tiled_room()
+    monkeypatch.setattr(uv_module, "PIECE_FACES", 70)
+    made, report = unwrapped(mesh)
+    assert own_uv_fault(made) == "" and report.stretch < 1.3
+    monkeypatch.setattr(uv_module, "PIECE_TIMEOUT_S", 0.01)
+    made, report = unwrapped(mesh)
+    assert report.num_fallback_faces == len(mesh.faces)
+    assert own_uv_fault(made) == ""
+    assert report.stretch == pytest.approx(1, abs=0.01)
+    assert report.coverage > 0.2  # half of each triangle's box stays empty
+
+
+def test_triangle_sheet_is_isometric() -> None:
+    mesh = trimesh.creation.icosphere(2)
+    corners, size = triangle_sheet(mesh.vertices, mesh.faces)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        flat = np.linalg.norm(corners[:, a] - corners[:, b], axis=1)
+        solid = np.linalg.norm(mesh.vertices[mesh.faces[:, a]] - mesh.vertices[mesh.faces[:, b]], axis=1)
+        np.testing.assert_allclose(flat, solid, rtol=1e-6)
+    assert (corners >= 0).all() and (corners <= size).all()
+
+
+def test_shelves_do_not_overlap() -> None:
+    boxes = np.random.default_rng(0).uniform(0.05, 1, (60, 2))
+    places, side = shelf_packed(boxes)
+    ends = places + boxes
+    assert (places >= 0).all() and ends.max() <= side * (1 + 1e-9)
+    apart = (places[:, None] >= ends[None] - 1e-9) | (ends[:, None] <= places[None] + 1e-9)
+    assert (apart.any(axis=-1) | np.eye(60, dtype=bool)).all()
+    assert boxes.prod(axis=1).sum() / side**2 > 0.6
