@@ -2,13 +2,11 @@
 """Finds, in the bare triangles of a room, where things may stand, cameras may be and lamps may hang.
 
 The heuristics are set out in docs/importing.md; a YAML file of :class:`Annotations` overrides each of them.
-Frame: metres, Z up. Grids are indexed [x, y, z]; a *cell* is a small cube of the room grid (``RoomGrid``) or
-a small square of a surface (``_SQUARE_M``).
+Frame: metres, Z up. Surfaces are rastered in small squares of side ``square_m``.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,21 +22,15 @@ from datagen.formats.asset import (
     SupportKind,
     SupportSurface,
 )
-from datagen.formats.base import StrictModel, Vector3, quantized, read_yaml
+from datagen.formats.base import StrictModel, quantized, read_yaml
 from datagen.formats.lights import AreaLight, Light
+from datagen.importers.room_grid import MIN_CELL_M, RoomGrid, rectangles, short_vector, surface_points
 from datagen.meshes import Mesh
 
-_MAX_POINTS = 6_000_000  # sampled surface points; coarser sampling beyond keeps the memory below 100 MB
-_SQUARE_M = 0.025
-_MAX_GRID_CELLS = 6_000_000
-_MIN_CELL_M = 0.06
-_CAMERA_BAND_M = (0.7, 1.9)  # heights above the floor that a camera region must be free in
-_CAMERA_MARGIN_M = 0.2
 _STANDING_ROOM_M = 0.12  # a support needs this much free height
 _LEVEL_M = 0.012  # horizontal triangles within this height belong to one surface
 _MIN_SIDE_M = 0.15
 _MAX_SURFACES = 40
-_SLOT_SIDE_M = 0.6
 
 
 class Annotations(StrictModel):
@@ -81,8 +73,8 @@ def find_places(
     ``classes`` (M,) is an index a triangle, those in ``seat_classes`` are upholstery; ``seeds`` (K, 3) are
     points known to be inside (cameras), and may be empty.
     """
-    points, owner, spacing = _surface_points(triangles)
-    grid = RoomGrid.build(points, seeds, max(_MIN_CELL_M, 1.4 * spacing))
+    points, owner, spacing = surface_points(triangles)
+    grid = RoomGrid.build(points, seeds, max(MIN_CELL_M, 1.4 * spacing))
     if grid is None:
         return RoomPlaces(None)
     near = [h for h in _levels(triangles, grid) if abs(h - grid.floor_m) < 0.15]
@@ -128,154 +120,6 @@ def slots_of(lights: tuple[Light, ...]) -> tuple[LightSlot, ...]:
     )
 
 
-def _vector(values: NDArray | list[float]) -> Vector3:
-    x, y, z = (quantized(float(v), 6) for v in values)
-    return x, y, z
-
-
-def _surface_points(
-    triangles: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
-    """Points spread over the triangles (P, 3), their triangles (P,), and the distance that none exceeds.
-
-    The distance is ``0.8 * _SQUARE_M``, more where that would give too many points.
-    """
-    lengths = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)  # edge k: corner k to k + 1
-    turn = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
-    a, b, c = np.take_along_axis(triangles, turn[:, :, None], axis=1).transpose(1, 0, 2)
-    base = lengths.max(axis=1)
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    height = 2 * area / np.maximum(base, 1e-30)
-    spacing = 0.8 * _SQUARE_M
-    while (area / spacing**2 + base / spacing + 1).sum() > _MAX_POINTS:
-        spacing *= 1.1
-    num_rows = np.maximum(1, np.ceil(height / spacing)).astype(np.int64)  # rows run along the longest edge
-    row_owner = np.repeat(np.arange(len(triangles)), num_rows)
-    row_v = (_counted(num_rows) + 0.5) / num_rows[row_owner]
-    num_columns = np.maximum(1, np.ceil(base[row_owner] * (1 - row_v) / spacing)).astype(np.int64)
-    row = np.repeat(np.arange(len(row_owner)), num_columns)
-    owner, v = row_owner[row], row_v[row][:, None]
-    u = ((_counted(num_columns) + 0.5) / num_columns[row])[:, None] * (1 - v)
-    points = a[owner] * (1 - u - v) + b[owner] * u + c[owner] * v
-    return points.astype(np.float32), owner, spacing
-
-
-def _counted(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """0 .. counts[0] - 1, 0 .. counts[1] - 1, ... in one array."""
-    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-
-
-@dataclass(frozen=True)
-class RoomGrid:
-    """Cubes of side ``cell_m`` from ``origin_m``, ``occupied`` or ``interior`` (free and enclosed)."""
-
-    origin_m: NDArray[np.float64]
-    cell_m: float
-    occupied: NDArray[np.bool_]
-    interior: NDArray[np.bool_]
-    floor_m: float
-
-    @classmethod
-    def build(
-        cls, points: NDArray[np.float32], seeds: NDArray[np.float64], min_cell_m: float
-    ) -> RoomGrid | None:
-        """The grid of the room that holds most seeds (or is largest); None if no space is enclosed.
-
-        ``min_cell_m`` must exceed the distance between points, else walls have holes.
-        """
-        from scipy import ndimage
-
-        lower, upper = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
-        extent = np.maximum(upper - lower, 1e-3)
-        cell = max(min_cell_m, float(np.cbrt(np.prod(extent) / _MAX_GRID_CELLS)))
-        origin = lower - 1.5 * cell
-        shape = tuple(int(n) for n in np.ceil(extent / cell) + 3)
-        occupied = np.zeros(shape, dtype=bool)
-        index = ((points - origin) / cell).astype(np.int64)
-        occupied[index[:, 0], index[:, 1], index[:, 2]] = True
-        walls = np.zeros(shape, dtype=np.int8)
-        for axis in range(3):
-            walls += np.logical_or.accumulate(occupied, axis=axis)
-            walls += np.flip(np.logical_or.accumulate(np.flip(occupied, axis), axis=axis), axis)
-        inside = ((seeds - origin) / cell).astype(np.int64) if len(seeds) else np.zeros((0, 3), np.int64)
-        inside = inside[((inside >= 0) & (inside < shape)).all(axis=1)]
-        for num_sides in (5, 4):  # of six; film sets lack a wall, or a wall and the ceiling
-            labels, count = ndimage.label(~occupied & (walls >= num_sides))
-            hits = labels[tuple(inside.T)]
-            hits = hits[hits > 0]
-            if len(hits) or (count and not len(inside)):
-                break
-        else:
-            return None
-        sizes = np.bincount(labels.ravel())
-        sizes[0] = 0
-        interior = labels == (int(np.bincount(hits).argmax()) if len(hits) else int(sizes.argmax()))
-        lowest = np.where(interior.any(axis=2), interior.argmax(axis=2), -1)
-        levels = np.bincount(lowest[lowest >= 0])
-        floor_cell = int(levels.argmax())
-        edge = origin[2] + floor_cell * cell
-        near = points[np.abs(points[:, 2] - edge) < 1.5 * cell][:, 2]
-        if len(near):  # the height that most points share, rather than the edge of a cube
-            bins = np.round(near / 0.005).astype(np.int64)
-            values, counts = np.unique(bins, return_counts=True)
-            edge = float(near[bins == values[counts.argmax()]].mean())
-        return cls(origin, cell, occupied, interior, float(edge))
-
-    def is_interior(self, points: NDArray) -> NDArray[np.bool_]:
-        """Whether points (P, 3) lie in the free space of the room."""
-        index = ((points - self.origin_m) / self.cell_m).astype(np.int64)
-        valid = ((index >= 0) & (index < self.interior.shape)).all(axis=1)
-        result = np.zeros(len(points), dtype=bool)
-        result[valid] = self.interior[tuple(index[valid].T)]
-        return result
-
-    def _layer(self, height_m: float) -> int:
-        return int(np.clip((height_m - self.origin_m[2]) / self.cell_m, 0, self.interior.shape[2] - 1))
-
-    def camera_regions(self) -> Iterator[Box]:
-        """Up to four boxes that are free from knee to head height, standing on the floor."""
-        from scipy import ndimage
-
-        low, high = (
-            self._layer(self.floor_m + _CAMERA_BAND_M[0]),
-            self._layer(self.floor_m + _CAMERA_BAND_M[1]),
-        )
-        band = self.interior[:, :, low : high + 1].all(axis=2)
-        margin = max(1, math.ceil(_CAMERA_MARGIN_M / self.cell_m))
-        free = ndimage.binary_erosion(band, iterations=margin)
-        for x0, x1, y0, y1 in _rectangles(free, 4, max(2, math.ceil(0.3 / self.cell_m))):
-            column = self.interior[x0:x1, y0:y1, low:].all(axis=(0, 1))
-            free_layers = len(column) if column.all() else int(np.argmin(column))
-            top = self.origin_m[2] + (low + max(free_layers - 1, high + 1 - low)) * self.cell_m
-            minimum = [*(self.origin_m[:2] + np.array([x0, y0]) * self.cell_m), self.floor_m]
-            maximum = [*(self.origin_m[:2] + np.array([x1, y1]) * self.cell_m), top]
-            yield Box(minimum_m=_vector(minimum), maximum_m=_vector(maximum))
-
-    def ceiling_slots(self, regions: tuple[Box, ...]) -> Iterator[LightSlot]:
-        """A square lamp below the ceiling over the middle of each camera region."""
-        for number, region in enumerate(regions[:2]):
-            x, y = ((a + b) / 2 for a, b in zip(region.minimum_m[:2], region.maximum_m[:2], strict=True))
-            start = self._layer((region.minimum_m[2] + region.maximum_m[2]) / 2)
-            cell = ((np.array([x, y]) - self.origin_m[:2]) / self.cell_m).astype(int)
-            reach = max(1, round(_SLOT_SIDE_M / 2 / self.cell_m))
-            block = self.occupied[
-                max(0, cell[0] - reach) : cell[0] + reach + 1,
-                max(0, cell[1] - reach) : cell[1] + reach + 1,
-                start:,
-            ].any(axis=(0, 1))
-            if not block.any():
-                continue
-            height = self.origin_m[2] + (start + int(block.argmax())) * self.cell_m - 0.05
-            half = _SLOT_SIDE_M / 2
-            yield LightSlot(
-                name=f"ceiling_{number}",
-                kind="area",
-                origin_m=_vector([x - half, y - half, height]),
-                edge_u_m=(0.0, _SLOT_SIDE_M, 0.0),
-                edge_v_m=(_SLOT_SIDE_M, 0.0, 0.0),  # u x v points down
-            )
-
-
 def _support_surfaces(
     triangles: NDArray[np.float64],
     points: NDArray[np.float32],
@@ -306,7 +150,7 @@ def _support_surfaces(
         free = covered & ~ndimage.binary_dilation(_raster(near, corner, shape, square_m))
         is_floor = abs(above) <= 0.04
         minimum = max(3, round((0.5 if is_floor else _MIN_SIDE_M) / square_m))
-        for x0, x1, y0, y1 in _rectangles(free, 6 if is_floor else 2, minimum):
+        for x0, x1, y0, y1 in rectangles(free, 6 if is_floor else 2, minimum):
             origin = corner + np.array([x0, y0]) * square_m
             size = np.array([x1 - x0, y1 - y0]) * square_m
             if any(_is_same(height, origin, size, *other) for other in found):
@@ -318,9 +162,9 @@ def _support_surfaces(
             yield SupportSurface(
                 name=f"{kind}_{len(found)}",
                 kind=kind,
-                origin_m=_vector([*origin, height]),
-                edge_u_m=_vector([size[0], 0.0, 0.0]),
-                edge_v_m=_vector([0.0, size[1], 0.0]),
+                origin_m=short_vector([*origin, height]),
+                edge_u_m=short_vector([size[0], 0.0, 0.0]),
+                edge_v_m=short_vector([0.0, size[1], 0.0]),
                 clearance_m=quantized(clearance, 4),
             )
             found.append((height, origin, size))
@@ -408,41 +252,6 @@ def _raster(
     return mask
 
 
-def _rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
-    """Largest free rectangles (x0, x1, y0, y1), one after the other, none overlapping another."""
-    mask = mask.copy()
-    for _ in range(count):
-        x0, x1, y0, y1 = largest_rectangle(mask, min_side)
-        if x1 <= x0:
-            return
-        yield x0, x1, y0, y1
-        mask[x0:x1, y0:y1] = False
-
-
-def largest_rectangle(mask: NDArray[np.bool_], min_side: int = 1) -> tuple[int, int, int, int]:
-    """The all-True rectangle of greatest area with both sides at least ``min_side``; (0, 0, 0, 0) if none.
-
-    Row by row over the heights of the columns of True above (the largest rectangle in a histogram).
-    """
-    best, result = 0, (0, 0, 0, 0)
-    heights = np.zeros(mask.shape[1] + 1, dtype=np.int64)  # the last stays 0 and closes every open column
-    for row in range(mask.shape[0]):
-        heights[:-1] = np.where(mask[row], heights[:-1] + 1, 0)
-        if heights.max() * mask.shape[1] <= best:
-            continue
-        stack: list[tuple[int, int]] = []  # (start, height), heights increasing
-        for column, height in enumerate(heights.tolist()):
-            start = column
-            while stack and stack[-1][1] > height:
-                start, tall = stack.pop()
-                if tall >= min_side and column - start >= min_side and tall * (column - start) > best:
-                    best = tall * (column - start)
-                    result = (row + 1 - tall, row + 1, start, column)
-            if height and (not stack or stack[-1][1] < height):
-                stack.append((start, height))
-    return result
-
-
 def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
     """The upright rectangle that frames a mesh (a window pane), pointing to the side of ``inside_m``."""
     points = mesh.positions.astype(np.float64)
@@ -456,4 +265,6 @@ def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
     if float(np.cross(edge_u, edge_v) @ (inside_m - center)) < 0:
         edge_u = -edge_u
     origin = center - 0.5 * (edge_u + edge_v)
-    return Opening(name=name, origin_m=_vector(origin), edge_u_m=_vector(edge_u), edge_v_m=_vector(edge_v))
+    return Opening(
+        name=name, origin_m=short_vector(origin), edge_u_m=short_vector(edge_u), edge_v_m=short_vector(edge_v)
+    )

@@ -15,7 +15,7 @@ from datagen.formats.lights import AreaLight, EnvironmentLight
 from datagen.formats.package import open_package
 from datagen.images import encode_png, read_image
 from datagen.importers import fresnel
-from datagen.importers.annotate import find_places, largest_rectangle
+from datagen.importers.annotate import find_places
 from datagen.importers.channels import BakedSource, ImageCache, ImageSource
 from datagen.importers.common import Findings, ImportedAsset, ImportOptions, detect_origin
 from datagen.importers.mitsuba_lights import emitter_shape_light
@@ -25,6 +25,7 @@ from datagen.importers.mitsuba_shapes import shape_mesh, transformed_uv
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.importers.obj import read_obj
 from datagen.importers.reference import agreement, native_configuration
+from datagen.importers.room_grid import largest_rectangle
 from datagen.meshes import Mesh, encode_ply
 
 LICENSED = ImportOptions(license="CC0-1.0")
