@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-slow lint format library clean
+.PHONY: help setup setup-dev demo test test-slow lint format library extension clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -28,6 +28,7 @@ $(VENV)/.dev: pyproject.toml $(VENV)/.base
 	@echo "installing what the tests need into $(VENV)"
 	@$(PIP) -e '.[train,blender,dev]'
 	@.ci/ensure_system.sh blender
+	@.ci/ensure_system.sh tests
 	@touch $@
 
 setup: $(VENV)/.base ## Create the environment that runs `datagen`
@@ -56,6 +57,9 @@ format: setup-dev ## Format the code
 
 library: setup-dev ## Rebuild the bundled library from its sources
 	@$(BIN)/python -m scenes.sources build --out scenes/library
+
+extension: setup-dev ## Build and validate the Blender extension into dist/
+	@$(BIN)/python .ci/build_extension.py dist
 
 clean: ## Remove the environment and caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache build dist *.egg-info

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT
-# Brings what pip cannot: usage `ensure_system.sh llvm|blender`.
+# Brings what pip cannot: usage `ensure_system.sh llvm|blender|tests`.
 #   llvm     LLVM 19 or later, which Mitsuba compiles its kernels with
 #   blender  the shared libraries that Blender's Python module links to
+#   tests    a real Slurm and a real browser; without root those tests skip and say so
 # Uses apt-get as root or through password-less sudo; else says exactly which package to install.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -86,8 +87,23 @@ ensure_blender() {
     install_packages "${missing[@]}"
 }
 
+ensure_tests() {
+    local missing=()
+    { command -v slurmctld || [ -x /usr/sbin/slurmctld ]; } >/dev/null 2>&1 || missing+=(slurm-wlm)
+    { command -v munged || [ -x /usr/sbin/munged ]; } >/dev/null 2>&1 || missing+=(munge)
+    command -v chromium >/dev/null 2>&1 || missing+=(chromium)
+    command -v chromedriver >/dev/null 2>&1 || missing+=(chromium-driver)
+    [ ${#missing[@]} = 0 ] && return
+    if [ $can_install = no ]; then
+        echo "some tests will skip; they need: apt-get install ${missing[*]}" >&2
+        return
+    fi
+    install_packages "${missing[@]}" || echo "some tests will skip: apt-get could not install ${missing[*]}" >&2
+}
+
 case "${1:-}" in
     llvm) ensure_llvm ;;
     blender) ensure_blender ;;
-    *) echo "usage: $0 llvm|blender" >&2; exit 2 ;;
+    tests) ensure_tests ;;
+    *) echo "usage: $0 llvm|blender|tests" >&2; exit 2 ;;
 esac
