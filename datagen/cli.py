@@ -472,6 +472,33 @@ def verify(
 
 
 @app.command()
+def report(
+    folder: FolderArgument,
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="Folder for the page; report/ inside the dataset if left out."),
+    ] = None,
+    pixels: Annotated[str, typer.Option(help="Views whose pixels the viewer gets: a number, or all.")] = "400",
+    sources: Annotated[bool, typer.Option(help="Also the source views of each pixel's statistics.")] = True,
+    check: Annotated[bool, typer.Option("--verify/--no-verify", help="Verify the dataset first.")] = True,
+    cost: Annotated[float, typer.Option(min=0, help="Price of an hour of a unit's resources.")] = 0.0,
+    workers: WorkersOption = 1,
+    library: LibraryOption = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be written and stop.")] = False,
+) -> None:
+    """Write a page that shows what a dataset holds, with a viewer; it opens from disk in any browser.
+
+    Example: datagen report smoke --workers 2
+    """
+    from datagen.inspection.report.writing import ReportOptions, parse_pixels, report_command
+    from datagen.library import resolve_library_paths
+
+    options = ReportOptions(parse_pixels(pixels), sources, check, cost, workers)
+    paths = resolve_library_paths(library, Path.cwd()) if library else None
+    raise typer.Exit(report_command(folder, out, options, paths, dry_run))
+
+
+@app.command()
 def sheet(folder: FolderArgument) -> None:
     """Write a contact sheet for each finished configuration.
 

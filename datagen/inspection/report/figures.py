@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""What is counted: histograms over fixed bins, so that the counts of shards add up to those of the dataset.
+
+Values beyond a histogram's ends are counted in its outermost bins. Only pixels with a surface are counted:
+those that a ray hit and that reflecting surface covers at least half. Luminance is Rec.709 of linear colour.
+The chroma of a colour is max(R, G, B) - min(R, G, B), its hue the usual hexagon's in degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import luminance
+
+MIN_COVERAGE = 0.5
+_MIN_CHROMA = 0.02  # the hue of a grey is noise
+NUM_COVERAGE_BINS = 32
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Bins of a histogram: ``edges`` rise, ``scale`` says how they are spaced."""
+
+    title: str
+    unit: str
+    edges: tuple[float, ...]
+    scale: Literal["linear", "log"] = "linear"
+
+    @classmethod
+    def linear(cls, title: str, unit: str, low: float, high: float, num: int) -> Axis:
+        return cls(title, unit, tuple(np.linspace(low, high, num + 1).tolist()))
+
+    @classmethod
+    def log(cls, title: str, unit: str, low: float, high: float, num: int) -> Axis:
+        return cls(title, unit, tuple(np.geomspace(low, high, num + 1).tolist()), "log")
+
+    def count(self, values: NDArray | Sequence[float]) -> NDArray[np.int64]:
+        """How many of ``values`` fall into each bin; NaN are left out."""
+        flat = np.asarray(values, dtype=np.float64).ravel()
+        flat = flat[~np.isnan(flat)]
+        return np.histogram(np.clip(flat, self.edges[0], self.edges[-1]), self.edges)[0]
+
+
+PIXEL_AXES: dict[str, Axis] = {
+    "diffuse_luminance": Axis.linear("Luminance of D", "1", 0, 1, 64),
+    "diffuse_chroma": Axis.linear("Chroma of D", "1", 0, 1, 64),
+    "diffuse_hue": Axis.linear("Hue of D", "degrees", 0, 360, 36),
+    "specular_luminance": Axis.log("Luminance of S (F0)", "1", 0.01, 1, 50),
+    "roughness": Axis.linear("Roughness R", "1", 0, 1, 64),
+    "depth": Axis.log("Depth", "m", 0.1, 100, 60),
+    "observation_count": Axis.linear("Views behind a pixel's statistics", "views", -0.5, 24.5, 25),
+}
+"""Histograms over surface pixels."""
+
+
+def surface_pixels(view: Mapping[str, NDArray]) -> NDArray[np.bool_]:
+    """Mask (H, W) of the pixels that are counted."""
+    shape = next(iter(view.values())).shape[:2]
+    mask = np.ones(shape, dtype=bool)
+    if "depth_z_m" in view:
+        mask &= view["depth_z_m"][..., 0] > 0
+    if "surface_mask" in view:
+        mask &= view["surface_mask"][..., 0] >= MIN_COVERAGE
+    return mask
+
+
+def hue_deg(colors: NDArray) -> NDArray:
+    """Hue of (N, 3) colours in [0, 360); NaN where the chroma is too small to have one."""
+    largest, chroma = colors.max(axis=-1), np.ptp(colors, axis=-1)
+    red, green, blue = np.moveaxis(colors, -1, 0)
+    safe = np.where(chroma > _MIN_CHROMA, chroma, 1)
+    sextant = np.select(
+        [largest == red, largest == green],
+        [((green - blue) / safe) % 6, (blue - red) / safe + 2],
+        (red - green) / safe + 4,
+    )
+    return np.where(chroma > _MIN_CHROMA, (60 * sextant) % 360, np.nan)
+
+
+def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.int64]]:
+    """Histograms of a view's surface pixels, by the names of :data:`PIXEL_AXES`, and its coverage counts.
+
+    Coverage is (R, luminance of D): row r, column l counts pixels with R in [r, r+1]/32 and the luminance in
+    [l, l+1]/32. Buffers that the view lacks are left out.
+    """
+    mask = surface_pixels(view)
+    values: dict[str, NDArray] = {}
+    if "diffuse_albedo" in view:
+        diffuse = view["diffuse_albedo"][mask].astype(np.float64)
+        values["diffuse_luminance"] = luminance(diffuse)
+        values["diffuse_chroma"] = np.ptp(diffuse, axis=-1)
+        values["diffuse_hue"] = hue_deg(diffuse)
+    if "specular_albedo" in view:
+        values["specular_luminance"] = luminance(view["specular_albedo"][mask].astype(np.float64))
+    for name, buffer in (
+        ("roughness", "roughness"),
+        ("depth", "depth_z_m"),
+        ("observation_count", "observation_count"),
+    ):
+        if buffer in view:
+            values[name] = view[buffer][..., 0][mask].astype(np.float64)
+    coverage = np.zeros((NUM_COVERAGE_BINS, NUM_COVERAGE_BINS), dtype=np.int64)
+    if "roughness" in values and "diffuse_luminance" in values:
+        pairs = np.stack([values["roughness"], values["diffuse_luminance"]])
+        is_finite = np.isfinite(pairs).all(axis=0)
+        cells = np.clip((pairs[:, is_finite] * NUM_COVERAGE_BINS).astype(int), 0, NUM_COVERAGE_BINS - 1)
+        np.add.at(coverage, tuple(cells), 1)
+    return {name: PIXEL_AXES[name].count(found) for name, found in values.items()}, coverage
+
+
+def nice_axis(title: str, unit: str, values: Sequence[float], num: int = 24, log: bool = False) -> Axis:
+    """An axis that spans ``values``, for figures that are counted once, over the whole dataset."""
+    finite = [v for v in values if np.isfinite(v) and (v > 0 or not log)]
+    low, high = (min(finite), max(finite)) if finite else (0.1, 1.0)
+    if log:
+        low, high = 10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high * 1.0001))
+        return Axis.log(title, unit, float(low), float(high), num)
+    if high - low < 1e-9:
+        low, high = low - 0.5, high + 0.5
+    return Axis.linear(title, unit, low, high, num)

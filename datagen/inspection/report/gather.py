@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: MIT
+"""Walks one shard: counts what its views hold, draws thumbnails, writes the pixels that the viewer shows.
+
+What was counted is kept beside the page, under a key that names the shard's content and what was asked for;
+a report that is made again takes it from there, so that one that was interrupted goes on.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import luminance, srgb_from_linear
+from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.formats.configuration import Configuration, PlacedAsset
+from datagen.formats.lights import Light
+from datagen.formats.shard import ShardReader, ShardRecord, View
+from datagen.formats.view import ViewRecord
+from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_view, surface_pixels
+from datagen.inspection.report.tiles import write_tile
+
+REVISION = 1
+"""Part of the key of what is kept: raise it when the form of the gathered figures or tiles changes."""
+SHOWN_BUFFERS = (
+    "beauty",
+    "diffuse_albedo",
+    "specular_albedo",
+    "roughness",
+    "normal_world",
+    "depth_z_m",
+    "color_min",
+    "color_median",
+    "color_max",
+    "observation_count",
+)
+"""What the viewer offers, in its order."""
+_LOOKED_UP = ("surface_mask", "instance_id", "material_id")
+_THUMBNAIL_WIDTH_PX = 160
+_INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
+
+
+@dataclass(frozen=True)
+class GatherJob:
+    """A shard to walk. ``with_pixels`` writes tiles, ``with_sources`` the source views of each pixel too."""
+
+    shard: Path
+    record: ShardRecord
+    out: Path
+    with_pixels: bool
+    with_sources: bool
+
+    @property
+    def key(self) -> str:
+        """Names what the result depends on."""
+        parts = [REVISION, self.record.sha256, self.with_pixels, self.with_pixels and self.with_sources]
+        return sha256_hex(canonical_json(parts))
+
+    @property
+    def kept_path(self) -> Path:
+        return self.out / "gathered" / f"{self.record.configuration}.json"
+
+
+def kept_result(job: GatherJob) -> dict[str, Any] | None:
+    """What an earlier report gathered from the same shard, or None."""
+    try:
+        kept = json.loads(job.kept_path.read_bytes())
+    except (OSError, ValueError):
+        return None
+    return kept if isinstance(kept, dict) and kept.get("key") == job.key else None
+
+
+def gather_shard(job: GatherJob) -> dict[str, Any]:
+    """Figures of one shard as plain data; writes thumbnails, tiles and the configuration's script.
+
+    Raises :class:`InputError` where the shard is damaged.
+    """
+    kept = kept_result(job)
+    if kept is not None:
+        return kept
+    identity = job.record.configuration
+    reader = ShardReader(job.shard)
+    configuration = reader.configuration()
+    counts = {name: np.zeros(len(axis.edges) - 1, np.int64) for name, axis in PIXEL_AXES.items()}
+    coverage = np.zeros((NUM_COVERAGE_BINS, NUM_COVERAGE_BINS), np.int64)
+    materials: dict[str, int] = {}
+    views, records, geometry = [], [], []
+    tile_bytes = 0
+    for view in reader:
+        record = view.record
+        mine, cells = count_view(view.buffers)
+        for name, found in mine.items():
+            counts[name] += found
+        coverage += cells
+        for name, pixels in _pixels_by_name(view, "material_id", record.materials).items():
+            materials[name] = materials.get(name, 0) + pixels
+        views.append(_view_figures(view))
+        records.append(record)
+        _write_thumbnail(job.out / "thumbnails" / identity / f"{record.name}.jpg", view)
+        if job.with_pixels:
+            tile_bytes += _write_tiles(job.out / "tiles" / identity / record.name, view)
+            if job.with_sources and record.statistics is not None:
+                geometry.append(_geometry(view))
+    if job.with_pixels and job.with_sources and len(geometry) == len(records) > 0:
+        tile_bytes += _write_sources(job.out / "tiles" / identity, records, geometry)
+    _write_configuration(job.out / "configurations" / f"{identity}.js", configuration, records)
+    result = {
+        "key": job.key,
+        "id": identity,
+        "split": job.record.split,
+        "has_pixels": job.with_pixels,
+        "tile_bytes": tile_bytes,
+        "counts": {name: found.tolist() for name, found in counts.items()},
+        "coverage": coverage.tolist(),
+        "materials": materials,
+        "views": views,
+        "placed": [_placed(p) for p in (configuration.environment, *configuration.objects)],
+        "lights": [light_intensity(light) for light in configuration.lights],
+        "rejections": configuration.rejections,
+    }
+    job.kept_path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(job.kept_path, canonical_json(result))
+    return result
+
+
+def _placed(placed: PlacedAsset) -> dict[str, Any]:
+    worn = sorted({m.asset for m in placed.materials.values() if m.asset is not None})
+    return {"asset": placed.asset, "materials": worn}
+
+
+def light_intensity(light: Light) -> dict[str, Any]:
+    """Type of a light and the luminance of what it emits, in its type's unit."""
+    units = {"intensity": "W/sr", "irradiance": "W/m^2", "radiance": "W/(m^2 sr)"}
+    if light.type == "sky":
+        return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}
+    if light.type == "environment" and light.image is not None:
+        return {"type": "environment image", "unit": "times the image's", "value": light.scale}
+    field = next(name for name in _INTENSITY_FIELDS if hasattr(light, name))
+    value = float(luminance(np.array(getattr(light, field), dtype=np.float64)))
+    return {"type": light.type, "unit": units[field], "value": value}
+
+
+def _pixels_by_name(view: View, buffer: str, names: dict[str, str]) -> dict[str, int]:
+    if buffer not in view.buffers:
+        return {}
+    ids, pixels = np.unique(view.buffers[buffer][surface_pixels(view.buffers)], return_counts=True)
+    found: dict[str, int] = {}
+    for identity, count in zip(ids.tolist(), pixels.tolist(), strict=True):
+        name = names.get(str(identity))
+        if name is not None:
+            found[name] = found.get(name, 0) + count
+    return found
+
+
+def _view_figures(view: View) -> dict[str, Any]:
+    """One line about a view: what its page in the report's list shows and is sorted by."""
+    record, buffers = view.record, view.buffers
+    camera = record.camera.camera()
+    mask = surface_pixels(buffers)
+    forward = camera.forward
+    counts = buffers["observation_count"][..., 0][mask] if "observation_count" in buffers else None
+    return {
+        "name": record.name,
+        "samples": record.render.path_samples,
+        "rel_mse": record.render.estimated_rel_mse,
+        "clipped_pixels": record.render.clipped_pixels,
+        "exposure": record.exposure,
+        "height_m": round(float(camera.position_m[2]), 4),
+        "pitch_deg": round(float(np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))), 2),
+        "heading_deg": round(float(np.degrees(np.arctan2(forward[1], forward[0]))) % 360, 2),
+        "fov_x_deg": round(float(np.degrees(camera.fov_x_rad)), 2),
+        "surface_share": round(float(mask.mean()), 4),
+        "mean_count": round(float(counts.mean()), 3) if counts is not None and counts.size else None,
+    }
+
+
+def _write_thumbnail(path: Path, view: View) -> None:
+    from PIL import Image
+
+    beauty = view.buffers["beauty"].astype(np.float32)
+    beauty = np.where(np.isfinite(beauty), beauty, 0)
+    height, width = beauty.shape[:2]
+    size = (_THUMBNAIL_WIDTH_PX, max(1, round(height * _THUMBNAIL_WIDTH_PX / width)))
+    screen = (np.clip(srgb_from_linear(beauty * view.record.exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
+    stream = io.BytesIO()
+    Image.fromarray(screen).resize(size, Image.Resampling.BOX).save(stream, "JPEG", quality=82)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(path, stream.getvalue())
+
+
+def _write_tiles(folder: Path, view: View) -> int:
+    stem = f"{view.record.configuration}/{view.record.name}"
+    return sum(
+        write_tile(folder / f"{name}.js", f"{stem}/{name}", view.buffers[name])
+        for name in (*SHOWN_BUFFERS, *_LOOKED_UP)
+        if name in view.buffers
+    )
+
+
+def _geometry(view: View) -> Any:
+    from datagen.multiview.statistics import StatisticsView
+
+    buffers: dict[str, NDArray] = {**view.buffers, "beauty": np.zeros((0,))}  # the choice needs no colours
+    return StatisticsView.from_buffers(view.record.camera.camera(), buffers, view.record.name)
+
+
+def _write_sources(folder: Path, records: list[ViewRecord], geometry: list[Any]) -> int:
+    from datagen.inspection.report.sources import options_of, source_views
+
+    assert records[0].statistics is not None
+    written = 0
+    options = options_of(records[0].statistics)
+    for record, chosen in zip(records, source_views(geometry, options), strict=True):
+        key = f"{record.configuration}/{record.name}/sources"
+        written += write_tile(folder / record.name / "sources.js", key, chosen)
+    return written
+
+
+def _write_configuration(path: Path, configuration: Configuration, records: list[ViewRecord]) -> None:
+    """What the viewer needs of a configuration: cameras, exposures, names of ids, how it was rendered."""
+    tables: list[dict[str, dict[str, str]]] = []
+    views = []
+    for record in records:
+        table = {"instances": record.instances, "materials": record.materials}
+        if table not in tables:
+            tables.append(table)
+        views.append(
+            {
+                "name": record.name,
+                "camera": record.camera.model_dump(mode="json"),
+                "exposure": record.exposure,
+                "buffers": record.buffers,
+                "names": tables.index(table),
+                "render": record.render.model_dump(mode="json"),
+                "statistics": record.statistics.model_dump(mode="json") if record.statistics else None,
+            }
+        )
+    data = {"id": configuration.id, "views": views, "names": tables}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(data, separators=(",", ":"), sort_keys=True)
+    write_bytes_atomically(path, f"REPORT.configuration({text});\n".encode())

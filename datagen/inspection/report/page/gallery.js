@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: MIT
+// Every view as a thumbnail. Only rows near the window exist, so thousands of views cost nothing.
+"use strict";
+
+REPORT.gallery = (() => {
+  const { element } = REPORT;
+  const CARD_WIDTH = 176, CARD_HEIGHT = 158, EXTRA_ROWS = 2;
+  let rows = [], shown = [], scroller, canvas, status, faults;
+
+  const ORDERS = {
+    "as planned": null,
+    "most findings first": (v) => -v.faults,
+    "largest estimated error first": (v) => -(v.rel_mse ?? -1),
+    "fewest observations first": (v) => v.mean_count ?? 1e9,
+    "most samples first": (v) => -v.samples,
+  };
+
+  function readTable(data, found) {
+    faults = new Map(found.views.map((v) => [`${v.configuration}/${v.view}`, v.errors * 1000 + v.warnings]));
+    return data.rows.map((cells, order) => {
+      const row = { order };
+      data.columns.forEach((name, i) => { row[name] = cells[i]; });
+      const [id, split, hasPixels] = data.configurations[row.configuration];
+      Object.assign(row, { id, split, hasPixels, key: `${id}/${row.name}` });
+      row.faults = faults.get(row.key) || 0;
+      return row;
+    });
+  }
+
+  function choose() {
+    const split = document.getElementById("by-split").value;
+    const text = document.getElementById("by-name").value.trim().toLowerCase();
+    const rank = ORDERS[document.getElementById("by-order").value];
+    shown = rows.filter((v) => (!split || v.split === split) && (!text || v.key.toLowerCase().includes(text)));
+    if (rank) shown.sort((a, b) => rank(a) - rank(b) || a.order - b.order);
+    status.textContent = `${shown.length.toLocaleString("en-GB")} of ${rows.length.toLocaleString("en-GB")} views`;
+    scroller.scrollTop = 0;
+    draw(true);
+  }
+
+  let first = -1, last = -1, perRow = 0;
+
+  function draw(isForced = false) {
+    const columns = Math.max(1, Math.floor(scroller.clientWidth / CARD_WIDTH));
+    const numRows = Math.ceil(shown.length / columns);
+    canvas.style.height = `${numRows * CARD_HEIGHT}px`;
+    const from = Math.max(0, Math.floor(scroller.scrollTop / CARD_HEIGHT) - EXTRA_ROWS);
+    const to = Math.min(numRows, Math.ceil((scroller.scrollTop + scroller.clientHeight) / CARD_HEIGHT) + EXTRA_ROWS);
+    if (!isForced && from === first && to === last && columns === perRow) return;
+    [first, last, perRow] = [from, to, columns];
+    canvas.replaceChildren(...shown.slice(from * columns, to * columns).map((view, i) => {
+      const index = from * columns + i;
+      const more = [view.split, view.mean_count === null ? null : `${view.mean_count.toFixed(1)} obs.`, view.hasPixels ? null : "no pixels"].filter(Boolean).join(", ");
+      return element("li", { "aria-setsize": shown.length, "aria-posinset": index + 1, style: `top:${Math.floor(index / columns) * CARD_HEIGHT}px;left:${(index % columns) * CARD_WIDTH}px` },
+        element("a", { href: `#view/${view.key}`, class: view.faults >= 1000 ? "error" : view.faults ? "warning" : null }, REPORT.overview.thumbnail(view.id, view.name),
+          element("span", { text: `${view.id} / ${view.name}` }), element("small", { text: view.faults ? `${more}, has findings` : more })));
+    }));
+  }
+
+  function fill(data, found) {
+    rows = readTable(data, found);
+    status = element("output", { "aria-live": "polite" });
+    canvas = element("ul", { class: "cards-of-views" });
+    scroller = element("div", { class: "gallery", tabindex: "0", role: "region", "aria-label": "All views" }, canvas);
+    const splits = [...new Set(rows.map((v) => v.split))];
+    document.getElementById("views").append(
+      element("form", { class: "controls", onsubmit: (event) => event.preventDefault() },
+        element("label", {}, "split ", element("select", { id: "by-split", onchange: choose }, element("option", { value: "", text: "all" }), ...splits.map((text) => element("option", { text })))),
+        element("label", {}, "order ", element("select", { id: "by-order", onchange: choose }, ...Object.keys(ORDERS).map((text) => element("option", { text })))),
+        element("label", {}, "name holds ", element("input", { id: "by-name", type: "search", size: 16, oninput: choose })), status),
+      scroller);
+    scroller.addEventListener("scroll", () => requestAnimationFrame(() => draw()));
+    new ResizeObserver(() => draw()).observe(scroller);
+    choose();
+  }
+
+  return { fill, all: () => rows };
+})();

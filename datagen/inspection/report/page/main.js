@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: MIT
+// Fills the page and goes where the address says: #views, #view/CONFIGURATION/VIEW, #view/CONFIGURATION/VIEW@X,Y
+"use strict";
+
+(() => {
+  const report = document.getElementById("report"), viewer = document.getElementById("viewer");
+  if (!REPORT.summary || !REPORT.views) {
+    report.prepend(REPORT.element("p", { class: "notice", text: "data/summary.js or data/views.js is missing: write the report again." }));
+    return;
+  }
+  REPORT.overview.fill(REPORT.summary);
+  REPORT.gallery.fill(REPORT.views, REPORT.summary.findings);
+
+  let scrolled = 0;
+  function go() {
+    const match = /^#view\/([^/]+)\/([^@]+?)(?:@(\d+),(\d+))?$/.exec(decodeURIComponent(location.hash));
+    if (!match) {
+      const wasViewer = !viewer.hidden;
+      viewer.hidden = true;
+      report.hidden = document.getElementById("top").hidden = false;
+      REPORT.viewer.close();
+      const target = document.getElementById(location.hash.slice(1));
+      if (target && location.hash !== "#report") target.scrollIntoView();
+      else if (wasViewer) window.scrollTo(0, scrolled);
+      return;
+    }
+    if (viewer.hidden) scrolled = window.scrollY;
+    report.hidden = document.getElementById("top").hidden = true;
+    viewer.hidden = false;
+    window.scrollTo(0, 0);
+    REPORT.viewer.open(match[1], match[2], match[3] === undefined ? null : { x: Number(match[3]), y: Number(match[4]) });
+  }
+  window.addEventListener("hashchange", go);
+  go();
+  document.documentElement.dataset.ready = "true";
+})();

@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: MIT
+// The report's sections, from data/summary.js.
+"use strict";
+
+REPORT.overview = (() => {
+  const { element } = REPORT;
+  const { table, number, percent, bytes, histogram, heatMap } = REPORT.charts;
+  const section = (id) => document.getElementById(id);
+
+  function duration(seconds) {
+    if (seconds === null || seconds === undefined) return "unknown";
+    if (seconds < 1) return `${(seconds * 1000).toPrecision(2)} ms`;
+    if (seconds < 90) return `${seconds.toPrecision(3)} s`;
+    return seconds < 5400 ? `${(seconds / 60).toFixed(1)} min` : `${(seconds / 3600).toFixed(1)} h`;
+  }
+
+  function cards(pairs) {
+    return element("dl", { class: "cards" }, ...pairs.map(([name, value, more]) =>
+      element("div", {}, element("dt", { text: name }), element("dd", {}, element("b", { text: value }), more ? element("span", { text: more }) : null))));
+  }
+
+  function viewLink(configuration, view, text) {
+    return element("a", { href: `#view/${configuration}/${view}`, text: text || `${configuration} / ${view}` });
+  }
+
+  function thumbnail(configuration, view) {
+    return element("img", { src: `thumbnails/${configuration}/${view}.jpg`, loading: "lazy", decoding: "async", width: 160, alt: `${configuration}, ${view}` });
+  }
+
+  function fillOverview(data) {
+    const e = data.effort;
+    const errors = data.findings.views.reduce((a, v) => a + v.errors, 0);
+    const warnings = data.findings.views.reduce((a, v) => a + v.warnings, 0);
+    section("overview").append(
+      data.is_complete ? "" : element("p", { class: "notice", text: `${data.missing.length} configurations are missing: ${data.missing.slice(0, 8).join(", ")}${data.missing.length > 8 ? " ..." : ""}` }),
+      ...data.unreadable.map(([file, why]) => element("p", { class: "notice", text: `${file} cannot be read and is left out of every figure: ${why}` })),
+      cards([
+        ["Views", number(data.num_views), `${data.num_configurations} configurations, ${data.resolution.join(" × ")} pixels`],
+        ["Disk", bytes(e.num_bytes), e.bytes_per_view ? `${bytes(e.bytes_per_view)} a view` : ""],
+        ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `of all units together, ${number(e.views_per_hour)} views an hour a unit`],
+        ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "state the price of an hour with --cost" : `at ${number(e.price_per_hour)} an hour of a unit`],
+        ["Peak memory", e.peak_memory_mb ? bytes(e.peak_memory_mb * 1e6) : "unknown", e.hosts ? `${e.hosts.length} host${e.hosts.length === 1 ? "" : "s"}` : ""],
+        ["Findings", data.findings.is_checked ? `${errors} errors` : "not verified", data.findings.is_checked ? `${warnings} warnings` : ""],
+        ["Leakage", data.splits.shared.length ? `${data.splits.shared.length} shared assets` : "none", `${data.splits.rows.length} split${data.splits.rows.length === 1 ? "" : "s"}; disjoint splits were ${data.splits.is_disjoint_asked ? "" : "not "}asked for`],
+      ]));
+    if (!e.why_not) {
+      section("overview").append(element("h3", { text: "Time by stage" }), table(["stage", "sum over units", "median a view"],
+        [...Object.entries(e.stages).map(([name, s]) => [name, duration(s), ""]), ...Object.entries(e.view_stages).map(([name, s]) => [`render: ${name}`, "", duration(s)])], "Time by stage"));
+    }
+    section("overview").append(element("details", {}, element("summary", { text: "recipe and versions" }),
+      element("p", { text: `Report made ${data.made}; rendered with ${data.variant}.` }),
+      element("pre", { text: JSON.stringify({ versions: data.versions, recipe: data.recipe }, null, 1) })));
+  }
+
+  function fillFindings(data) {
+    const found = data.findings, home = section("findings");
+    if (!found.is_checked) home.append(element("p", { text: "The dataset was not verified for this report." }));
+    else {
+      home.append(table(["check", "asserts", "looked at", "errors", "warnings"], found.checks, "Checks"));
+      for (const note of found.notes) home.append(element("p", { class: "note", text: `Note: ${note}` }));
+      home.append(element("h3", { text: found.views.length ? "Worst first" : "Nothing was found" }));
+      const list = element("ol", { class: "worst" });
+      let shown = 0;
+      const more = element("button", { type: "button", text: "show more", onclick: () => show(50) });
+      function show(count) {
+        for (const item of found.views.slice(shown, shown + count)) {
+          const where = item.view ? viewLink(item.configuration, item.view) : element("span", { text: item.configuration || "the dataset" });
+          list.append(element("li", {},
+            item.view ? element("a", { href: `#view/${item.configuration}/${item.view}` }, thumbnail(item.configuration, item.view)) : element("span", { class: "blank" }),
+            element("div", {}, element("b", {}, where), ` ${item.errors} errors, ${item.warnings} warnings`,
+              element("ul", {}, ...item.faults.map(([severity, check, , got, expected]) => element("li", { class: severity }, element("b", { text: `${severity}: ${check}: ` }), `${got}; expected ${expected}`))),
+              item.errors + item.warnings > item.faults.length ? element("p", { class: "note", text: `and ${item.errors + item.warnings - item.faults.length} more: datagen verify --json lists all` }) : null)));
+        }
+        shown += count;
+        more.hidden = shown >= found.views.length;
+      }
+      show(12);
+      home.append(list, more);
+    }
+    for (const strip of found.stand_out) {
+      home.append(element("h3", { text: `Views with the ${strip.title}`.replace("the fewest", "the fewest") }),
+        element("ul", { class: "strip" }, ...strip.rows.map(([configuration, view, value]) => element("li", {},
+          element("a", { href: `#view/${configuration}/${view}` }, thumbnail(configuration, view), element("span", { text: `${configuration} / ${view}: ${number(value)}` }))))));
+    }
+  }
+
+  function fillAssets(data) {
+    const assets = data.assets, home = section("assets");
+    home.append(element("h3", { text: "Surface pixels by material class" }),
+      element("ul", { class: "shares" }, ...assets.class_shares.map(([name, share]) => element("li", {},
+        element("span", { text: name }), element("span", { class: "track" }, element("span", { class: "fill", style: `width:${Math.max(100 * share, 0.3)}%` })), element("span", { text: percent(share) })))));
+    for (const [what, names] of Object.entries(assets.never_used)) {
+      if (names.length) home.append(element("p", {}, element("b", { text: `Never used, ${what}: ` }), names.join(", ")));
+    }
+    home.append(element("h3", { text: `Assets (${assets.rows.length})` }),
+      table(["asset", "kind", "class or category", "configurations", "times placed", "share of pixels", "licence", "author"],
+        assets.rows.map((row) => [row.id, row.kind, row.class, row.configurations, row.placed, row.pixel_share === null ? "" : percent(row.pixel_share), row.license, row.author]), "Assets by use"),
+      element("details", {}, element("summary", { text: `materials by share of pixels (${assets.num_materials})` }), table(["material", "share of pixels"], assets.materials.map(([name, share]) => [name, percent(share)]), "Materials by share of pixels")));
+  }
+
+  function fillSplits(data) {
+    const splits = data.splits;
+    section("splits").append(table(["split", "configurations", "views", "assets"], splits.rows, "Splits"));
+    if (!splits.shared.length) {
+      section("splits").append(element("p", { text: splits.rows.length > 1 ? "No asset is used by more than one split." : "There is one split only, so nothing can leak." }));
+    } else {
+      section("splits").append(
+        element("p", { class: splits.is_disjoint_asked ? "notice" : "note", text: `${splits.shared.length} assets are used by more than one split${splits.is_disjoint_asked ? ", although the recipe asks for disjoint splits" : "; the recipe does not ask for disjoint splits"}.` }),
+        table(["asset", "kind", "splits"], splits.shared.map((s) => [s.asset, s.kind, s.splits.join(", ")]), "Assets that several splits share"));
+    }
+  }
+
+  function fill(data) {
+    document.title = `${data.name}: dataset report`;
+    document.getElementById("title").textContent = `${data.name}: dataset report`;
+    fillOverview(data);
+    fillFindings(data);
+    section("distributions").append(
+      element("p", { class: "note", text: "Pixels are those with a surface. Values beyond an axis are counted in its outermost bars. Colours are linear Rec.709." }),
+      element("div", { class: "charts" }, ...data.distributions.map(histogram)));
+    const coverage = data.coverage;
+    section("coverage").append(element("div", { class: "beside" }, heatMap(coverage), element("div", {},
+      element("p", { text: `${percent(coverage.filled_share)} of the fine cells hold pixels. Of ${coverage.coarse_total} coarse cells, ${coverage.coarse_filled} hold at least ${percent(coverage.threshold)} of all surface pixels.` }),
+      element("h3", { text: coverage.missing.length ? "Missing" : "Nothing is missing" }),
+      element("ul", { class: "missing" }, ...coverage.missing.map((text) => element("li", { text }))))));
+    fillAssets(data);
+    fillSplits(data);
+  }
+
+  return { fill, thumbnail };
+})();

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+"""The views behind a pixel's statistics, found again by the kernel that gathered them (method 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.view import StatisticsRecord
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, choose_for_pixels
+from datagen.multiview.visibility import PackedViews, VisibilityOptions
+from mitsuba_plugins.variant import select_variant
+
+NO_VIEW = 65535
+"""Marks the end of a pixel's list."""
+
+
+def options_of(record: StatisticsRecord) -> StatisticsOptions:
+    """What the statistics were gathered with, but for visibility: a page has no geometry to trace."""
+    return StatisticsOptions(
+        best_views=record.best_views,
+        include_self=record.include_self,
+        visibility=VisibilityOptions(mode="depth"),
+    )
+
+
+def source_views(
+    views: Sequence[StatisticsView], options: StatisticsOptions, wanted: Sequence[int] | None = None
+) -> Iterator[NDArray[np.uint16]]:
+    """For each view in ``wanted`` (None = all), (H, W, k) indices of the views chosen for each pixel.
+
+    The best comes first; :data:`NO_VIEW` fills the rest. Raises :class:`InputError` where LLVM is missing.
+    """
+    select_variant()
+    import drjit as dr
+    import mitsuba as mi
+
+    packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
+    for index in range(len(views)) if wanted is None else wanted:
+        view = views[index]
+        _, _, selection = choose_for_pixels(view, index, packed, options)
+        count = selection.num_chosen
+        rows = [
+            dr.select(mi.UInt32(j) < count, selection.views[mi.UInt32(j)], mi.UInt32(NO_VIEW))
+            for j in range(options.best_views)
+        ]
+        dr.eval(rows)
+        shape = (view.camera.height_px, view.camera.width_px, options.best_views)
+        yield np.stack([row.numpy() for row in rows], axis=-1).astype(np.uint16).reshape(shape)

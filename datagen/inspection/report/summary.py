@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: MIT
+"""Draws the figures of all shards together: what the page's sections show, as plain data."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from datagen.errors import InputError
+from datagen.farm.folder import DatasetFolder, UnitManifest
+from datagen.formats.asset import MATERIAL_CLASSES, EnvironmentAsset, ObjectAsset
+from datagen.formats.shard import DatasetIndex
+from datagen.inspection.findings import CHECKS, Report
+from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, nice_axis
+from datagen.library import Library, asset_classes
+
+_COARSE = 8  # cells a side in which "missing" is told in words
+_MISSING_SHARE = 1e-3
+"""A coarse cell with a smaller share of all surface pixels than this is called missing."""
+_UNKNOWN = "unknown (library not at hand)"
+MAX_LISTED_FAULTS = 20
+
+
+def histogram(axis: Axis, counts: Sequence[int], what: str) -> dict[str, Any]:
+    """A figure as the page takes it; ``what`` says what is counted."""
+    return {
+        "title": axis.title,
+        "unit": axis.unit,
+        "scale": axis.scale,
+        "edges": [float(f"{edge:.6g}") for edge in axis.edges],
+        "counts": [int(count) for count in counts],
+        "what": what,
+    }
+
+
+def _histogram_of(axis: Axis, values: Sequence[float], what: str) -> dict[str, Any]:
+    return histogram(axis, axis.count(values).tolist(), what)
+
+
+def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every distribution of the page, in its order."""
+    figures = [
+        histogram(axis, np.sum([shard["counts"][name] for shard in gathered], axis=0).tolist(), "pixels")
+        for name, axis in PIXEL_AXES.items()
+    ]
+    by_type: dict[tuple[str, str], list[float]] = {}
+    for shard in gathered:
+        for light in shard["lights"]:
+            by_type.setdefault((light["type"], light["unit"]), []).append(light["value"])
+    for (kind, unit), values in sorted(by_type.items()):
+        axis = nice_axis(f"Intensity of {kind} lights", unit, values, 20, log=True)
+        figures.append(_histogram_of(axis, values, "lights"))
+    views = [view for shard in gathered for view in shard["views"]]
+    for name, title, unit, log in (
+        ("exposure", "Exposure", "factor on linear radiance", True),
+        ("samples", "Light paths a pixel", "samples", False),
+        ("rel_mse", "Estimated error (relMSE)", "1", True),
+        ("height_m", "Camera height (z)", "m", False),
+        ("pitch_deg", "Camera pitch (up is positive)", "degrees", False),
+        ("heading_deg", "Camera heading (from +X towards +Y)", "degrees", False),
+        ("fov_x_deg", "Horizontal field of view", "degrees", False),
+    ):
+        values = [view[name] for view in views if view[name] is not None]
+        if values:
+            figures.append(_histogram_of(nice_axis(title, unit, values, 24, log), values, "views"))
+    return figures
+
+
+def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Counts over R x luminance of D, and what is missing, in words."""
+    cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
+    total = max(int(cells.sum()), 1)
+    size = NUM_COVERAGE_BINS // _COARSE
+    coarse = cells.reshape(_COARSE, size, _COARSE, size).sum(axis=(1, 3)) / total
+    missing = []
+    for r in range(_COARSE):
+        empty = [c for c in range(_COARSE) if coarse[r, c] < _MISSING_SHARE]
+        for first, last in _runs(empty):
+            rough = f"R {r / _COARSE:.3g} to {(r + 1) / _COARSE:.3g}"
+            missing.append(f"{rough}, luminance of D {first / _COARSE:.3g} to {(last + 1) / _COARSE:.3g}")
+    return {
+        "cells": cells.tolist(),
+        "filled_share": float((cells > 0).mean()),
+        "coarse_filled": int((coarse >= _MISSING_SHARE).sum()),
+        "coarse_total": _COARSE * _COARSE,
+        "threshold": _MISSING_SHARE,
+        "missing": missing,
+    }
+
+
+def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    runs: list[tuple[int, int]] = []
+    for number in numbers:
+        if runs and runs[-1][1] == number - 1:
+            runs[-1] = (runs[-1][0], number)
+        else:
+            runs.append((number, number))
+    return runs
+
+
+def assets(
+    gathered: Sequence[dict[str, Any]], index: DatasetIndex, library: Library | None
+) -> dict[str, Any]:
+    """Every asset with class, use and licence; pixels by material class; what was never used."""
+    placed: Counter[str] = Counter()
+    used_in: Counter[str] = Counter()
+    pixels: Counter[str] = Counter()
+    for shard in gathered:
+        here: set[str] = set()
+        for thing in shard["placed"]:
+            placed.update([thing["asset"], *thing["materials"]])
+            here.update([thing["asset"], *thing["materials"]])
+        used_in.update(here)
+        pixels.update(shard["materials"])
+    total = max(sum(pixels.values()), 1)
+    by_class: Counter[str] = Counter()
+    for name, count in pixels.items():
+        by_class[_class_of(name, library)] += count
+    rows = []
+    for identity in sorted(placed.keys() | index.assets.keys()):
+        record = index.assets.get(identity)
+        rows.append(
+            {
+                "id": identity,
+                "kind": record.kind if record else "?",
+                "class": _detail(identity, library),
+                "configurations": used_in[identity],
+                "placed": placed[identity],
+                "pixel_share": pixels[identity] / total if identity in pixels else None,
+                "license": record.license if record else "",
+                "author": record.author if record else "",
+            }
+        )
+    never: dict[str, list[str]] = {"material classes": [], "assets of the library": []}
+    if library is not None:
+        never["material classes"] = [c for c in MATERIAL_CLASSES if c not in by_class and c != "other"]
+        offered = {p.id for p in library if p.asset.provenance.usage != "evaluation_only"}
+        never["assets of the library"] = sorted(offered - index.assets.keys())
+    return {
+        "rows": rows,
+        "class_shares": [[name, count / total] for name, count in by_class.most_common()],
+        "materials": [[name, count / total] for name, count in pixels.most_common(100)],
+        "num_materials": len(pixels),
+        "never_used": never,
+    }
+
+
+def _class_of(material: str, library: Library | None) -> str:
+    """Main class of a material as the views' records name it: its asset's id, or ``asset/slot``."""
+    if library is None:
+        return _UNKNOWN
+    identity, _, slot = material.partition("/")
+    if identity not in library:
+        return _UNKNOWN
+    asset = library.package(identity).asset
+    if isinstance(asset, ObjectAsset | EnvironmentAsset):
+        found = asset.materials.get(slot)
+        return found.classes[0] if found else "other"
+    return asset_classes(asset)[0]
+
+
+def _detail(identity: str, library: Library | None) -> str:
+    if library is None or identity not in library:
+        return _UNKNOWN
+    asset = library.package(identity).asset
+    return asset.category if isinstance(asset, ObjectAsset) else ", ".join(asset_classes(asset))
+
+
+def splits(index: DatasetIndex) -> dict[str, Any]:
+    """Configurations and views a split, and every asset that more than one split uses."""
+    used: dict[str, set[str]] = {}
+    views: Counter[str] = Counter()
+    for shard in index.shards:
+        used.setdefault(shard.split, set()).update(shard.assets)
+        views[shard.split] += shard.num_views
+    names = [split for split in ("train", "validation", "test") if split in used]
+    shared = [
+        {"asset": asset, "kind": index.assets[asset].kind if asset in index.assets else "?", "splits": homes}
+        for asset in sorted(set().union(*used.values()) if used else ())
+        if len(homes := [split for split in names if asset in used[split]]) > 1
+    ]
+    contents: dict[str, set[str]] = {}
+    for asset, record in index.assets.items():
+        contents.setdefault(record.sha256, set()).add(asset)
+    for same in contents.values():
+        homes = [split for split in names if used[split] & same]
+        if len(same) > 1 and len(homes) > 1:
+            shared.append({"asset": " = ".join(sorted(same)), "kind": "equal content", "splits": homes})
+    return {
+        "rows": [[name, index.splits.get(name, 0), views[name], len(used[name])] for name in names],  # type: ignore[call-overload]
+        "is_disjoint_asked": index.recipe.splits.disjoint,
+        "shared": shared,
+    }
+
+
+def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) -> dict[str, Any]:
+    """Time, memory and cost from the units' manifests; what is not known is None, with the reason."""
+    size = {
+        "num_bytes": index.num_bytes,
+        "bytes_per_view": index.num_bytes / index.num_views if index.num_views else None,
+    }
+    manifests: list[UnitManifest] = []
+    try:
+        for unit in folder.read_plan().units:
+            manifest = folder.read_manifest(unit)
+            if manifest is not None:
+                manifests.append(manifest)
+    except InputError as error:
+        return {**size, "why_not": f"no times: {error}", "stages": {}, "view_stages": {}}
+    stages: Counter[str] = Counter()
+    view_stages: dict[str, list[float]] = {}
+    for manifest in manifests:
+        stages.update(manifest.seconds)
+        for timing in manifest.views:
+            for stage, seconds in timing.seconds.items():
+                view_stages.setdefault(stage, []).append(seconds)
+    hours = sum(stages.values()) / 3600
+    return {
+        **size,
+        "why_not": "" if manifests else "no times: no unit has a manifest",
+        "stages": dict(stages),
+        "view_stages": {name: float(np.median(values)) for name, values in view_stages.items()},
+        "hours": hours,
+        "views_per_hour": sum(m.num_views for m in manifests) / hours if hours else None,
+        "hosts": sorted({m.host for m in manifests}),
+        "peak_memory_mb": max((m.peak_memory_mb for m in manifests), default=None),
+        "price_per_hour": price_per_hour or None,
+        "cost": hours * price_per_hour if price_per_hour else None,
+    }
+
+
+def findings(
+    report: Report | None, index: DatasetIndex, gathered: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """What the verification found, views with the most errors first, and views that stand out otherwise."""
+    stand_out = _stand_out(gathered)
+    if report is None:
+        return {"is_checked": False, "checks": [], "views": [], "notes": [], "stand_out": stand_out}
+    files = {shard.file: shard.configuration for shard in index.shards}
+    names = {shard["id"]: {view["name"] for view in shard["views"]} for shard in gathered}
+    grouped: dict[tuple[str, str], list[Any]] = {}
+    for fault in report.faults:
+        grouped.setdefault(place_of(fault.where, files, names), []).append(fault)
+    order = sorted(grouped, key=lambda place: (*_badness(grouped[place]), place))
+    views = [
+        {
+            "configuration": configuration,
+            "view": view,
+            "errors": sum(f.severity == "error" for f in grouped[configuration, view]),
+            "warnings": sum(f.severity == "warning" for f in grouped[configuration, view]),
+            "faults": [
+                [f.severity, f.check, f.where, f.got, f.expected]
+                for f in grouped[configuration, view][:MAX_LISTED_FAULTS]
+            ],
+        }
+        for configuration, view in order
+    ]
+    checks = [
+        [
+            check,
+            asserts,
+            report.applied[check],
+            sum(f.check == check and f.severity == "error" for f in report.faults),
+            sum(f.check == check and f.severity == "warning" for f in report.faults),
+        ]
+        for check, asserts in CHECKS.items()
+    ]
+    return {
+        "is_checked": True,
+        "checks": checks,
+        "views": views,
+        "notes": report.notes,
+        "stand_out": stand_out,
+    }
+
+
+def _badness(faults: Sequence[Any]) -> tuple[int, int]:
+    errors = sum(fault.severity == "error" for fault in faults)
+    return -errors, errors - len(faults)
+
+
+def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> tuple[str, str]:
+    """(configuration, view) that a fault's ``where`` points at; "" where it points at more than a view."""
+    for file, configuration in files.items():
+        at = where.find(file)
+        if at >= 0:
+            rest = re.sub(r"\.(exr|json)$", "", where[at + len(file) :].lstrip(":/"))
+            view = rest.rpartition("/")[2]
+            return configuration, view if view in names.get(configuration, set()) else ""
+    return "", ""
+
+
+def _stand_out(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Views at the ends of a few scales: where to look even though nothing is wrong."""
+    views = [(shard["id"], view) for shard in gathered for view in shard["views"]]
+    found = []
+    for title, name, sign in (
+        ("largest estimated error", "rel_mse", -1),
+        ("most pixels clipped to the range of half floats", "clipped_pixels", -1),
+        ("fewest views behind a surface pixel, on average", "mean_count", 1),
+        ("least surface", "surface_share", 1),
+    ):
+        ranked = [(c, v) for c, v in views if v[name] is not None and (sign > 0 or v[name] > 0)]
+        ranked.sort(key=lambda item: (sign * item[1][name], item[0], item[1]["name"]))
+        if ranked:
+            rows = [[c, v["name"], v[name]] for c, v in ranked[:6]]
+            found.append({"title": title, "rows": rows})
+    return found

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Pixels for a page that opens from disk: one buffer of one view a file, lossless, loaded when it is shown.
+
+A page opened from disk may load scripts but not read files, so a tile is a script that hands its bytes to the
+viewer. The bytes are, in this order: planes (channel by channel, rows top-down) of the stored numbers; each
+row as differences to the left neighbour, modulo the word's size; all first (lowest) bytes of the words, then
+all second bytes and so on; deflate with a zlib header; base64.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.formats.base import write_bytes_atomically
+
+_WORDS = {"float16": "half", "float32": "float", "uint32": "uint", "uint16": "ushort"}
+_TYPES = {word: name for name, word in _WORDS.items()}
+_LEVEL = 4  # level 9 takes ten times as long for 3 % less
+_CALL = re.compile(r'^REPORT\.tile\((\{.*?\}),"([A-Za-z0-9+/=]*)"\);\n$', re.DOTALL)
+
+
+def encode_tile(array: NDArray) -> bytes:
+    """Compress an (H, W, C) array of half, float, 32-bit or 16-bit unsigned numbers."""
+    word = np.dtype(f"<u{array.dtype.itemsize}")
+    planes = np.ascontiguousarray(np.moveaxis(array, -1, 0)).astype(array.dtype.newbyteorder("<")).view(word)
+    differences = planes.copy()
+    differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned: wraps, and the sum wraps back
+    by_byte = differences.reshape(-1, 1).view(np.uint8).T
+    return zlib.compress(np.ascontiguousarray(by_byte).tobytes(), _LEVEL)
+
+
+def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int) -> NDArray:
+    """Inverse of :func:`encode_tile`, as the viewer computes it; (H, W, C)."""
+    name = np.dtype(_TYPES[dtype])
+    by_byte = np.frombuffer(zlib.decompress(data), np.uint8).reshape(name.itemsize, -1)
+    word = np.dtype(f"<u{name.itemsize}")
+    differences = np.ascontiguousarray(by_byte.T).view(word).reshape(channels, height, width)
+    planes = np.cumsum(differences, axis=2, dtype=word).view(name.newbyteorder("<"))
+    return np.moveaxis(planes, 0, -1).astype(name)
+
+
+def write_tile(path: Path, key: str, array: NDArray) -> int:
+    """Write ``array`` as the tile ``key`` (``configuration/view/buffer``); returns the file's size."""
+    height, width, channels = array.shape
+    head = {
+        "key": key,
+        "dtype": _WORDS[array.dtype.name],
+        "width": width,
+        "height": height,
+        "channels": channels,
+    }
+    text = base64.b64encode(encode_tile(array)).decode()
+    content = f'REPORT.tile({json.dumps(head, separators=(",", ":"))},"{text}");\n'.encode()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(path, content)
+    return len(content)
+
+
+def read_tile(path: Path) -> NDArray:
+    """The array of a tile's file; raises :class:`InputError` where it is not one."""
+    match = _CALL.match(path.read_text(encoding="utf-8"))
+    if match is None:
+        raise input_error(path, "", "no tile", "a script of one REPORT.tile call", "write the report again")
+    head = json.loads(match[1])
+    return decode_tile(
+        base64.b64decode(match[2]), head["dtype"], head["width"], head["height"], head["channels"]
+    )

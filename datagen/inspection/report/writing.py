@@ -1,0 +1,365 @@
+# SPDX-License-Identifier: MIT
+"""Makes the report's folder: verification, figures of every shard, the page.
+
+index.html report.css *.js    the page
+data/summary.js data/views.js figures, and one line a view
+configurations/<id>.js        cameras and names, loaded when a view of that configuration is opened
+thumbnails/<id>/<view>.jpg
+tiles/<id>/<view>/<buffer>.js pixels, loaded when they are shown
+gathered/<id>.json            what was counted, so that the next report takes it from there
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from importlib.resources import files
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from datagen.buffers import BUFFERS
+from datagen.errors import InputError, input_error
+from datagen.farm.folder import DatasetFolder
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.shard import Dataset, DatasetIndex
+from datagen.inspection.report import summary
+from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
+
+if TYPE_CHECKING:
+    from datagen.inspection.findings import Report
+    from datagen.library import Library
+
+PAGE_FILES = (
+    "index.html",
+    "report.css",
+    "store.js",
+    "charts.js",
+    "overview.js",
+    "gallery.js",
+    "panels.js",
+    "viewer.js",
+    "sources.js",
+    "main.js",
+)
+_LABELS = {
+    "beauty": "beauty",
+    "diffuse_albedo": "D, diffuse albedo",
+    "specular_albedo": "S, specular albedo",
+    "roughness": "R, roughness",
+    "normal_world": "normal (world)",
+    "depth_z_m": "depth",
+    "color_min": "minimum",
+    "color_median": "median",
+    "color_max": "maximum",
+    "observation_count": "observation count",
+}
+Progress = Callable[[str, int, int], object]
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What is written. ``max_pixel_views``: of how many views pixels are written for the viewer, by whole
+    configurations (None = of all); ``with_sources``: the source views of every pixel too; ``price_per_hour``
+    of a unit's resources, 0 = unknown."""
+
+    max_pixel_views: int | None = 400
+    with_sources: bool = True
+    with_verify: bool = True
+    price_per_hour: float = 0.0
+    workers: int = 1
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What was written: the page, how many views have pixels, and how many bytes these take."""
+
+    page: Path
+    num_views: int
+    num_pixel_views: int
+    tile_bytes: int
+    num_faults: int | None
+
+
+def choose_configurations(index: DatasetIndex, max_views: int | None, first: Iterable[str] = ()) -> set[str]:
+    """Configurations whose pixels are written: those in ``first``, then evenly spread over the dataset, as
+    long as their views stay within ``max_views`` (None = all configurations)."""
+    if max_views is None:
+        return {shard.configuration for shard in index.shards}
+    views = {shard.configuration: shard.num_views for shard in index.shards}
+    count = len(index.shards)
+    # bit-reversed order: every prefix of it is spread evenly
+    bits = max(count - 1, 1).bit_length()
+    spread = sorted(range(count), key=lambda i: int(f"{i:0{bits}b}"[::-1], 2))
+    order = [*dict.fromkeys([*first, *(index.shards[i].configuration for i in spread)])]
+    chosen: set[str] = set()
+    left = max_views
+    for identity in order:
+        if identity in views and views[identity] <= left:
+            chosen.add(identity)
+            left -= views[identity]
+    return chosen
+
+
+def parse_pixels(text: str) -> int | None:
+    """The option ``--pixels``: a number of views, or None for "all". Raises :class:`InputError`."""
+    if text == "all":
+        return None
+    if not text.isdecimal():
+        raise input_error("--pixels", "", repr(text), 'a number of views, or "all"', "correct it")
+    return int(text)
+
+
+def estimate_tile_bytes(index: DatasetIndex, chosen: set[str]) -> int:
+    """About how much the pixels of ``chosen`` will take: base64 makes the shards a third larger, and the
+    source views add about as much again as a few buffers."""
+    return int(1.55 * sum(shard.num_bytes for shard in index.shards if shard.configuration in chosen))
+
+
+def write_report(
+    folder: Path,
+    out: Path,
+    options: ReportOptions,
+    library: Library | None = None,
+    progress: Progress | None = None,
+) -> ReportResult:
+    """Write the report of a dataset folder into ``out``; an earlier one there is brought up to date.
+
+    ``progress(stage, done, total)`` counts shards. Raises :class:`InputError` where the folder has no index,
+    ``out`` holds something else, no shard can be read, or LLVM is missing and source views are asked for.
+    """
+    index = Dataset(folder).index
+    _check_out(out)
+    out.mkdir(parents=True, exist_ok=True)
+    found = _verify(folder, library, options, progress) if options.with_verify else None
+    worst = summary.findings(found, index, [])["views"]
+    chosen = choose_configurations(index, options.max_pixel_views, [w["configuration"] for w in worst])
+    jobs = [
+        GatherJob(folder / shard.file, shard, out, shard.configuration in chosen, options.with_sources)
+        for shard in index.shards
+    ]
+    gathered, unreadable = _gather(jobs, options.workers, progress)
+    if not gathered:
+        raise InputError(*(unreadable[0][1].problems if unreadable else ()))
+    data = {
+        **_head(index, folder),
+        "distributions": summary.distributions(gathered),
+        "coverage": summary.coverage(gathered),
+        "assets": summary.assets(gathered, index, library),
+        "splits": summary.splits(index),
+        "effort": summary.effort(DatasetFolder(folder), index, options.price_per_hour),
+        "findings": summary.findings(found, index, gathered),
+        "unreadable": [[job.record.file, str(error)] for job, error in unreadable],
+    }
+    _write_script(out / "data" / "summary.js", "summary", data)
+    _write_script(out / "data" / "views.js", "views", view_table(gathered))
+    _write_page(out)
+    return ReportResult(
+        page=out / "index.html",
+        num_views=sum(len(shard["views"]) for shard in gathered),
+        num_pixel_views=sum(len(shard["views"]) for shard in gathered if shard["has_pixels"]),
+        tile_bytes=sum(shard["tile_bytes"] for shard in gathered),
+        num_faults=len(found.faults) if found is not None else None,
+    )
+
+
+def _check_out(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise input_error(out, "--out", "a file", "a folder", "choose another --out")
+    if out.is_dir() and any(out.iterdir()) and not (out / "gathered").is_dir():
+        expected = "an empty folder, or an earlier report"
+        raise input_error(out, "--out", "a folder with other files", expected, "choose another --out")
+    (out / "gathered").mkdir(parents=True, exist_ok=True)
+
+
+def _verify(
+    folder: Path, library: Library | None, options: ReportOptions, progress: Progress | None
+) -> Report:
+    from datagen.inspection.verify import verify_dataset
+
+    def tell(done: int, total: int) -> None:
+        if progress is not None:
+            progress("verify", done, total)
+
+    return verify_dataset(folder, library, options.workers, tell)
+
+
+def _gather(
+    jobs: list[GatherJob], workers: int, progress: Progress | None
+) -> tuple[list[dict[str, Any]], list[tuple[GatherJob, InputError]]]:
+    """Results in the order of ``jobs``, and the jobs whose shards cannot be read."""
+    results: dict[int, dict[str, Any]] = {}
+    failures: dict[int, InputError] = {}
+
+    def take(position: int, call: Callable[[], dict[str, Any]]) -> None:
+        try:
+            results[position] = call()
+        except InputError as error:
+            failures[position] = error
+        if progress is not None:
+            progress("figures", len(results) + len(failures), len(jobs))
+
+    if workers <= 1 or len(jobs) <= 1:
+        for position, job in enumerate(jobs):
+            take(position, lambda job=job: gather_shard(job))  # type: ignore[misc]
+    else:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            futures = {pool.submit(gather_shard, job): position for position, job in enumerate(jobs)}
+            for future in as_completed(futures):
+                take(futures[future], future.result)
+    ordered = [results[position] for position in sorted(results)]
+    return ordered, [(jobs[position], failures[position]) for position in sorted(failures)]
+
+
+def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
+    """Counts, the registry's buffers, and the numbers that the viewer must share with the kernels."""
+    from datagen.color import LUMINANCE_WEIGHTS
+    from datagen.multiview.statistics import MIN_COVERAGE
+    from datagen.multiview.visibility import VisibilityOptions
+
+    visibility = VisibilityOptions()
+    shown = [name for name in SHOWN_BUFFERS if name in index.buffers]
+    return {
+        "name": index.recipe.name,
+        "folder": folder.resolve().name,
+        "made": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
+        "variant": index.variant,
+        "versions": index.versions,
+        "num_configurations": index.num_configurations,
+        "num_views": index.num_views,
+        "resolution": index.recipe.resolution,
+        "is_complete": index.is_complete,
+        "missing": index.missing,
+        "recipe": index.recipe.model_dump(mode="json"),
+        "buffers": [
+            {
+                **{k: v for k, v in asdict(BUFFERS[name]).items() if k in ("name", "channels", "unit")},
+                "label": _LABELS[name],
+                "description": BUFFERS[name].description,
+                "is_radiance": BUFFERS[name].unit.startswith("W"),
+            }
+            for name in shown
+        ],
+        "min_coverage": MIN_COVERAGE,
+        "depth_agreement": visibility.depth_tolerance + visibility.slope_limit,
+        "luminance_weights": LUMINANCE_WEIGHTS.tolist(),
+        "color_map": _color_map(),
+    }
+
+
+def _color_map() -> list[list[int]]:
+    """Cividis as 256 sRGB colours: colour-blind readers see it as others do."""
+    from matplotlib import colormaps
+
+    colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]
+    return (colors * 255 + 0.5).astype(int).tolist()
+
+
+VIEW_COLUMNS = (
+    "name",
+    "samples",
+    "rel_mse",
+    "clipped_pixels",
+    "exposure",
+    "height_m",
+    "surface_share",
+    "mean_count",
+)
+
+
+def view_table(gathered: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """One row a view, without its keys: thousands of views stay small."""
+    configurations, rows = [], []
+    for number, shard in enumerate(gathered):
+        configurations.append([shard["id"], shard["split"], shard["has_pixels"]])
+        rows += [[number, *(view[name] for name in VIEW_COLUMNS)] for view in shard["views"]]
+    return {"configurations": configurations, "columns": ["configuration", *VIEW_COLUMNS], "rows": rows}
+
+
+def _write_script(path: Path, name: str, data: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(data, separators=(",", ":"), sort_keys=True, allow_nan=False)
+    write_bytes_atomically(path, f"REPORT.{name} = {text};\n".encode())
+
+
+def _write_page(out: Path) -> None:
+    page = files("datagen.inspection.report") / "page"
+    for name in PAGE_FILES:
+        write_bytes_atomically(out / name, (page / name).read_bytes())
+
+
+def report_command(
+    folder: Path,
+    out: Path | None,
+    options: ReportOptions,
+    library_paths: Iterable[Path] | None = None,
+    is_dry_run: bool = False,
+) -> int:
+    """Write the report with a progress bar and say where it is; returns the exit code."""
+    from datagen.inspection.verify import library_of
+    from datagen.library import Library
+
+    index = Dataset(folder).index
+    target = out if out is not None else folder / "report"
+    chosen = choose_configurations(index, options.max_pixel_views)
+    num_bytes = estimate_tile_bytes(index, chosen)
+    num_views = sum(shard.num_views for shard in index.shards if shard.configuration in chosen)
+    print(
+        f"{target}: {index.num_views} views; pixels of {num_views} views in {len(chosen)} configurations, "
+        f"about {num_bytes / 1e6:,.0f} MB",
+        flush=True,
+    )
+    if is_dry_run:
+        return 0
+    existing = next(p for p in (target.absolute(), *target.absolute().parents) if p.exists())
+    free = shutil.disk_usage(existing).free
+    if num_bytes > free:
+        remedy = "write fewer pixels with --pixels, or choose another --out"
+        raise input_error(target, "--pixels", f"{num_bytes / 1e9:.1f} GB", f"{free / 1e9:.1f} GB", remedy)
+    paths = list(library_paths) if library_paths is not None else library_of(folder)
+    with _Bar() as bar:
+        if paths:
+            with Library(paths) as library:
+                result = write_report(folder, target, options, library, bar.set)
+        else:
+            result = write_report(folder, target, options, None, bar.set)
+    faults = "not verified" if result.num_faults is None else f"{result.num_faults} findings"
+    print(f"{result.num_views} views, {faults}, {result.tile_bytes / 1e6:,.0f} MB of pixels")
+    print(f"open {result.page.absolute().as_uri()}")
+    return 0
+
+
+class _Bar:
+    """A progress bar for the two stages."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("shards"),
+            TimeRemainingColumn(),
+        )
+        self.progress = Progress(*columns, console=Console(stderr=True))
+        self.tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> _Bar:
+        self.progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.progress.stop()
+
+    def set(self, stage: str, done: int, total: int) -> None:
+        if stage not in self.tasks:
+            self.tasks[stage] = self.progress.add_task(stage, total=total)
+        self.progress.update(self.tasks[stage], completed=done)
