@@ -16,9 +16,13 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(dest="verb", required=True)
     build = verbs.add_parser("build", help="model and export packages")
     build.add_argument("--out", type=Path, required=True, help="the library's folder")
-    build.add_argument("--only", action="append", default=[], metavar="ID", help="this asset only (repeatable)")
+    build.add_argument(
+        "--only", action="append", default=[], metavar="ID", help="this asset only (repeatable)"
+    )
     build.add_argument("--kind", action="append", default=[], choices=("material", "object", "environment"))
-    build.add_argument("--quality", type=int, default=1, choices=(1, 2, 4, 8), help="textures this many times finer")
+    build.add_argument(
+        "--quality", type=int, default=1, choices=(1, 2, 4, 8), help="textures this many times finer"
+    )
     build.add_argument("--verbose", action="store_true", help="print what the export approximated")
     preview = verbs.add_parser("preview", help="render a source with Cycles")
     preview.add_argument("id")
@@ -26,6 +30,9 @@ def _parser() -> argparse.ArgumentParser:
     preview.add_argument("--samples", type=int, default=24)
     preview.add_argument("--width", type=int, default=480)
     preview.add_argument("--camera", type=float, nargs=6, metavar=("X", "Y", "Z", "TX", "TY", "TZ"))
+    gallery = verbs.add_parser("gallery", help="render one picture a kind with every asset")
+    gallery.add_argument("--out", type=Path, required=True, help="folder for the pictures")
+    gallery.add_argument("--kind", action="append", default=[], choices=("material", "object", "environment"))
     verbs.add_parser("list", help="list ids by kind")
     return parser
 
@@ -44,6 +51,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         from scenes.sources.preview import render_preview
 
         render_preview(arguments.id, arguments.out, arguments.samples, arguments.width, arguments.camera)
+        return 0
+    if arguments.verb == "gallery":
+        from scenes.sources.gallery import write_gallery
+
+        for path in write_gallery(
+            arguments.out, tuple(arguments.kind) or ("environment", "object", "material")
+        ):
+            print(path)
         return 0
     unknown = sorted(set(arguments.only) - set(known))
     if unknown:
@@ -73,7 +88,10 @@ def _build(arguments: argparse.Namespace, known: dict[str, str]) -> int:
             print(f"{name}: refused\n{refused}", file=sys.stderr)
             continue
         size = sum(f.stat().st_size for f in package.rglob("*") if f.is_file())
-        print(f"[{index + 1}/{len(names)} {time.monotonic() - started:4.0f} s] {name} {size // 1024} KB", flush=True)
+        print(
+            f"[{index + 1}/{len(names)} {time.monotonic() - started:4.0f} s] {name} {size // 1024} KB",
+            flush=True,
+        )
         if arguments.verbose:
             for problem in problems:
                 print("   ", problem)

@@ -137,7 +137,13 @@ class Workshop:
 
 
 def rectangle_marker(
-    collection: bpy.types.Collection, role: str, name: str, origin: Point, edge_u: Point, edge_v: Point, **tags: object
+    collection: bpy.types.Collection,
+    role: str,
+    name: str,
+    origin: Point,
+    edge_u: Point,
+    edge_v: Point,
+    **tags: object,
 ) -> bpy.types.Object:
     """A marker mesh whose +Z is edge_u x edge_v (the edges must be perpendicular)."""
     u, v = np.array(edge_u, dtype=float), np.array(edge_v, dtype=float)
@@ -157,7 +163,9 @@ def box_marker(collection: bpy.types.Collection, name: str, low: Point, high: Po
     """A camera region."""
     corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    mesh.from_pydata(
+        corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    )
     return _tagged(collection, bpy.data.objects.new(name, mesh), "camera_region", {})
 
 
@@ -184,7 +192,13 @@ def tagged_collection(role: str, identity: str, title: str, **tags: object) -> b
     """A collection that the add-on exports as one package."""
     collection = bpy.data.collections.new(identity)
     bpy.context.scene.collection.children.link(collection)
-    values = {"sm_role": role, "sm_id": identity, "sm_title": title, "sm_license": LICENSE, "sm_author": AUTHOR}
+    values = {
+        "sm_role": role,
+        "sm_id": identity,
+        "sm_title": title,
+        "sm_license": LICENSE,
+        "sm_author": AUTHOR,
+    }
     for key, value in {**values, **tags}.items():
         collection[key] = value
     return collection

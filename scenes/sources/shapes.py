@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import bmesh
 import numpy as np
@@ -124,7 +125,11 @@ def from_bmesh(mesh: bmesh.types.BMesh, grain: int | None = None) -> Shape:
 
 
 def box(
-    size: Point, at: Point = (0.0, 0.0, 0.0), bevel: float = 0.003, segments: int = 1, grain: int | None = None
+    size: Point,
+    at: Point = (0.0, 0.0, 0.0),
+    bevel: float = 0.003,
+    segments: int = 1,
+    grain: int | None = None,
 ) -> Shape:
     """A block of ``size`` whose bottom centre stands at ``at``, its edges bevelled."""
     mesh = bmesh.new()
@@ -197,7 +202,7 @@ def _without_degenerate(shape: Shape) -> Shape:
     return Shape(shape.points[first], faces, np.concatenate(uvs), shape.unit_uv)
 
 
-def lathe(profile: Sequence[Sequence[float]], segments: int = 40, smooth: int = 0) -> Shape:
+def lathe(profile: Sequence[Sequence[float]], segments: int = 36, smooth: int = 0) -> Shape:
     """Turned about z: ``profile`` rows (radius, z) from the bottom outside to the top, then down the inside.
 
     Points on the axis close the shape. ``smooth`` > 0 puts a curve through the profile's points.
@@ -218,7 +223,7 @@ def outward(shape: Shape) -> Shape:
     volume = 0.0
     for face in shape.faces:
         a = points[face[0]]
-        for i, j in zip(face[1:-1], face[2:], strict=True):
+        for i, j in pairwise(face[1:]):
             volume += float(np.dot(a, np.cross(points[i], points[j])))
     return shape if volume >= 0 else shape.flipped()
 
@@ -303,7 +308,9 @@ def loft(sections: NDArray, capped: bool = True) -> Shape:
     return outward(_without_degenerate(grid(rings, closed_u=True)))
 
 
-def extrude(outline: Sequence[Sequence[float]], height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
+def extrude(
+    outline: Sequence[Sequence[float]], height: float, bevel: float = 0.001, segments: int = 1
+) -> Shape:
     """A plate: ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``, its edges bevelled."""
     mesh = bmesh.new()
     bottom = mesh.faces.new([mesh.verts.new((x, y, 0.0)) for x, y in outline])

@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Environment sources; importing this package fills :data:`ENVIRONMENTS`."""
 
-from scenes.sources.environments import kitchen, living_room  # noqa: F401
+from scenes.sources.environments import (  # noqa: F401
+    bathroom,
+    dining_room,
+    kitchen,
+    living_room,
+    study,
+)
 from scenes.sources.environments.registry import ENVIRONMENTS, EnvironmentSource
 
 __all__ = ["ENVIRONMENTS", "EnvironmentSource"]

@@ -29,7 +29,9 @@ def _slots() -> dict[str, Slot]:
         "dark_glass": Slot(("glass",), (), color=srgb("0b0b0c"), roughness=0.06),
         "hob_marks": Slot(("painted",), (), color=srgb("8f9092"), roughness=0.3),
         "knobs": Slot(("plastic",), ("plastic", "metal"), color=srgb("1d1d1f"), roughness=0.4),
-        "sink": Slot(("metal",), ("metal", "ceramic"), color=(0.56, 0.57, 0.58), roughness=0.24, metallic=1.0),
+        "sink": Slot(
+            ("metal",), ("metal", "ceramic"), color=(0.56, 0.57, 0.58), roughness=0.24, metallic=1.0
+        ),
         "table": Slot(("wood",), ("wood", "painted", "stone"), "pine"),
         "chairs": Slot(("wood",), ("wood", "painted"), color=srgb("b98a58"), roughness=0.42),
         "chair_seats": Slot(("fabric",), ("fabric", "leather"), color=srgb("7c8f86"), roughness=0.9),
@@ -49,7 +51,9 @@ def kitchen(collection: bpy.types.Collection) -> None:
     furniture.radiator(w, "radiator", width=0.8, height=0.6)
     room.place("west", "radiator", 0.2)
     for k, (s, z, art) in enumerate(((-0.55, 1.55, "art_blocks"), (0.15, 1.6, "art_landscape"))):
-        furniture.picture(w, f"picture_{k}", size=(0.4, 0.52), frame="picture_frames", mount="mounts", art=art)
+        furniture.picture(
+            w, f"picture_{k}", size=(0.4, 0.52), frame="picture_frames", mount="mounts", art=art
+        )
         room.place("south", f"picture_{k}", s - 0.2, z=z)
     low = furniture.pendant(w, "pendant", ceiling=2.55, drop=0.85, radius=0.2)
     w.place("pendant", -0.35, -0.55)
@@ -59,25 +63,56 @@ def kitchen(collection: bpy.types.Collection) -> None:
     room.area_slot("ceiling light", (0.5, 0.65, fitting - 0.004), (0.22, 0.22))
     _shelves(room)
     w.build(collection)
-    room.surface_at("floor", "floor", (1.45, -0.7), (0.9, 1.4), 0.0, 2.2)
-    room.camera_region("between", (-1.9, 0.2, 0.02), (1.35, 0.95, 1.95))
+    room.surface_at("floor", "floor", (1.4, -0.7), (0.8, 1.4), 0.0, 2.2)
+    room.camera_region("between", (-1.9, 0.4, 0.02), (1.35, 0.95, 1.95))
     room.camera_region("door side", (0.95, -1.7, 0.02), (1.75, 0.2, 2.3))
     room.camera_region("west side", (-1.8, -1.7, 0.02), (-1.45, 0.6, 2.3))
-    room.camera_region("over the table", (-1.5, -1.3, 0.86), (1.3, 0.6, 1.62))
+    room.camera_region("over the table", (-1.5, -1.3, 0.93), (1.3, 0.95, 1.62))
 
 
 def _units(room: Room) -> None:
     w = room.workshop
     # from the left: drawers, sink unit, oven, cupboard; the fridge stands by itself on the right
-    layout = (("drawers", -1.75, 0.7, 1, (0.3, 0.33, 0.37)), ("sink_unit", -0.95, 0.9, 2, (1.0,)), ("cupboard", 0.75, 1.3, 3, (0.26, 0.74)))
+    layout = (
+        ("drawers", -1.75, 0.7, 1, (0.3, 0.33, 0.37)),
+        ("sink_unit", -0.95, 0.9, 2, (1.0,)),
+        ("cupboard", 0.75, 1.3, 3, (0.26, 0.74)),
+    )
     for name, s, width, columns, rows in layout:
-        furniture.cabinet(w, name, width=width, height=TOP - 0.038, depth=0.58, columns=columns, rows=rows, slot="units", plinth=0.1, top_thick=0)
+        furniture.cabinet(
+            w,
+            name,
+            width=width,
+            height=TOP - 0.038,
+            depth=0.58,
+            columns=columns,
+            rows=rows,
+            slot="units",
+            plinth=0.1,
+            top_thick=0,
+        )
         room.place("north", name, s)
-    w.add("oven_case", "units", box((0.6, 0.54, 0.24), (0, -0.27, 0.1), 0.002), box((0.58, 0.5, 0.1), (0, -0.25, 0), 0.001), box((0.6, 0.53, TOP - 0.038 - 0.34), (0, -0.265, 0.34), 0.002))
-    kitchen_furniture.oven(w, "oven", steel="appliances", glass="dark_glass", knob="knobs", height=TOP - 0.038 - 0.245, depth=0.56)
+    w.add(
+        "oven_case",
+        "units",
+        box((0.6, 0.54, 0.24), (0, -0.27, 0.1), 0.002),
+        box((0.58, 0.5, 0.1), (0, -0.25, 0), 0.001),
+        box((0.6, 0.53, TOP - 0.038 - 0.34), (0, -0.265, 0.34), 0.002),
+    )
+    kitchen_furniture.oven(
+        w,
+        "oven",
+        steel="appliances",
+        glass="dark_glass",
+        knob="knobs",
+        height=TOP - 0.038 - 0.245,
+        depth=0.56,
+    )
     room.place("north", "oven_case", -0.2)
     room.place("north", "oven", -0.2, z=0.243)
-    kitchen_furniture.worktop(w, "worktop", "worktop", width=3.52, depth=DEEP, height=TOP, holes=((-0.61, -0.32, 0.5, 0.38),))
+    kitchen_furniture.worktop(
+        w, "worktop", "worktop", width=3.52, depth=DEEP, height=TOP, holes=((-0.61, -0.32, 0.5, 0.38),)
+    )
     room.place("north", "worktop", -0.34)
     sink = kitchen_furniture.basin_shape(0.5, 0.38, 0.17)
     w.add("sink", "sink", sink)
@@ -89,14 +124,20 @@ def _units(room: Room) -> None:
     w.add("splashback", "splashback", box((3.52, 0.012, 0.16 - 0.002), (0, -0.006, TOP), 0.001, grain=0))
     room.place("north", "splashback", -0.34)
     for left, right in ((-2.1, -0.75), (0.95, 1.42)):
-        w.add("splash_high", "splashback", box((right - left, 0.012, 0.42), ((left + right) / 2, -0.006, TOP + 0.16), 0.001, grain=0))
+        w.add(
+            "splash_high",
+            "splashback",
+            box((right - left, 0.012, 0.42), ((left + right) / 2, -0.006, TOP + 0.16), 0.001, grain=0),
+        )
     room.place("north", "splash_high", 0.0)
     kitchen_furniture.fridge(w, "fridge", body="fridge", handle="hardware")
     room.place("north", "fridge", 1.76, gap=0.02)
-    kitchen_furniture.wall_cupboard(w, "upper_left", width=1.3, height=0.72, depth=0.34, columns=3, slot="upper_units", handle="hardware")
+    kitchen_furniture.wall_cupboard(
+        w, "upper_left", width=1.3, height=0.72, depth=0.34, columns=3, slot="upper_units", handle="hardware"
+    )
     room.place("north", "upper_left", -1.43, z=1.48)
     for name, s, width in (("counter left", -1.66, 0.78), ("counter right", 0.78, 1.15)):
-        room.surface(name, "counter", "north", s, width, 0.05, 0.56, TOP, 0.5)
+        room.surface(name, "counter", "north", s, width, 0.09, 0.56, TOP, 0.5)
     room.surface("fridge top", "shelf", "north", 1.76, 0.5, 0.06, 0.5, 1.87, 0.5)
 
 
@@ -115,13 +156,40 @@ def _shelves(room: Room) -> None:
     for k, z in enumerate((1.35, 1.7)):
         w.add(f"shelf_{k}", "shelf", box((1.0, 0.22, 0.026), (0, -0.11, -0.026), 0.004, 2, grain=0))
         for x in (-0.38, 0.38):
-            w.add(f"shelf_{k}", "hardware", tube([(x, -0.006, -0.16), (x, -0.006, -0.03), (x, -0.19, -0.03)], 0.006, 8), tube([(x, -0.006, -0.14), (x, -0.15, -0.03)], 0.005, 8))
+            w.add(
+                f"shelf_{k}",
+                "hardware",
+                tube([(x, -0.006, -0.16), (x, -0.006, -0.03), (x, -0.19, -0.03)], 0.006, 8),
+                tube([(x, -0.006, -0.14), (x, -0.15, -0.03)], 0.005, 8),
+            )
         room.place("east", f"shelf_{k}", 0.55, z=z)
         room.surface(f"wall shelf {k}", "shelf", "east", 0.55, 0.92, 0.02, 0.2, z, 0.3)
-    clock = lathe([(0, -0.03), (0.14, -0.03), (0.155, -0.024), (0.16, -0.012), (0.152, 0.002), (0.142, 0.004), (0.138, -0.012), (0, -0.014)], 48).turned("x", 90)
+    clock = lathe(
+        [
+            (0, -0.03),
+            (0.14, -0.03),
+            (0.155, -0.024),
+            (0.16, -0.012),
+            (0.152, 0.002),
+            (0.142, 0.004),
+            (0.138, -0.012),
+            (0, -0.014),
+        ],
+        48,
+    ).turned("x", 90)
     w.add("wall_clock", "mounts", clock.moved(0, -0.03, 0))
     for angle, length, width in ((52.0, 0.075, 0.008), (-76.0, 0.11, 0.005)):
-        w.add("wall_clock", "knobs", box((width, 0.003, length), (0, 0, -0.012), 0.001).turned("y", angle).moved(0, -0.0195, 0))
+        w.add(
+            "wall_clock",
+            "knobs",
+            box((width, 0.003, length), (0, 0, -0.012), 0.001).turned("y", angle).moved(0, -0.0195, 0),
+        )
     room.place("east", "wall_clock", -0.75, z=1.85)
-    w.add("blind", "blind", box((1.46, 0.004, 0.34), (0, -0.055, 2.05), 0.001, grain=2), tube([(-0.73, -0.055, 2.05), (0.73, -0.055, 2.05)], 0.011, 10), tube([(-0.74, -0.055, 2.39), (0.74, -0.055, 2.39)], 0.024, 16))
+    w.add(
+        "blind",
+        "blind",
+        box((1.46, 0.004, 0.34), (0, -0.055, 2.05), 0.001, grain=2),
+        tube([(-0.73, -0.055, 2.05), (0.73, -0.055, 2.05)], 0.011, 10),
+        tube([(-0.74, -0.055, 2.39), (0.74, -0.055, 2.39)], 0.024, 16),
+    )
     room.place("north", "blind", 0.1)

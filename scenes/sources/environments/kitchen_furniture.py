@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from scenes.sources.modelling import Workshop
@@ -20,20 +22,42 @@ from scenes.sources.shapes import (
 )
 
 
-def basin_shape(width: float, depth: float, deep: float, wall: float = 0.004, corner: float = 0.05, taper: float = 0.88) -> Shape:
+def basin_shape(
+    width: float, depth: float, deep: float, wall: float = 0.004, corner: float = 0.05, taper: float = 0.88
+) -> Shape:
     """An open rectangular bowl hanging from z = 0 with a rolled rim, about the origin."""
     rings = []
     for scale, z, extra in ((1.0, -0.001, 0.014), (1.0, 0.0025, 0.012), (1.0, 0.0025, 0.0), (0.985, -0.012, 0.0), (taper + 0.02, -0.85 * deep, 0.0),
                             (taper - 0.03, -0.97 * deep, 0.0), (0.55, -deep, 0.0), (0.1, -deep - 0.002, 0.0)):  # fmt: skip
-        outline = np.array(rounded_rectangle(width * scale + 2 * extra, depth * scale + 2 * extra, min(corner * max(scale, 0.5), 0.45 * depth * scale), 5))
+        outline = np.array(
+            rounded_rectangle(
+                width * scale + 2 * extra,
+                depth * scale + 2 * extra,
+                min(corner * max(scale, 0.5), 0.45 * depth * scale),
+                5,
+            )
+        )
         rings.append(np.column_stack([outline, np.full(len(outline), z)]))
     inside = loft(np.array(rings)[::-1], capped=False)
-    outer = [np.column_stack([ring[:, :2] * (1 + wall / max(width, depth) * 2), ring[:, 2] - wall]) for ring in rings[3:]]
+    outer = [
+        np.column_stack([ring[:, :2] * (1 + wall / max(width, depth) * 2), ring[:, 2] - wall])
+        for ring in rings[3:]
+    ]
     outside = loft(np.array([rings[0], *outer])[::-1], capped=False)
     # seen from above the inside must face up, the outside down
     inside = inside if _faces_up(inside) else inside.flipped()
     outside = outside.flipped() if _faces_up(outside) else outside
-    plug = lathe([(0, -deep - 0.001), (0.024, -deep - 0.001), (0.03, -deep + 0.001), (0.03, -deep + 0.003), (0.02, -deep + 0.0015), (0, -deep + 0.001)], 24)
+    plug = lathe(
+        [
+            (0, -deep - 0.001),
+            (0.024, -deep - 0.001),
+            (0.03, -deep + 0.001),
+            (0.03, -deep + 0.003),
+            (0.02, -deep + 0.0015),
+            (0, -deep + 0.001),
+        ],
+        24,
+    )
     return inside + outside + plug
 
 
@@ -43,41 +67,143 @@ def _faces_up(shape: Shape) -> bool:
     return float(face_normals(shape.points, shape.faces)[:, 2].sum()) > 0
 
 
-def worktop(w: Workshop, part: str, slot: str, *, width: float, depth: float, height: float, holes: tuple[tuple[float, float, float, float], ...] = (), thick: float = 0.038) -> None:
+def worktop(
+    w: Workshop,
+    part: str,
+    slot: str,
+    *,
+    width: float,
+    depth: float,
+    height: float,
+    holes: tuple[tuple[float, float, float, float], ...] = (),
+    thick: float = 0.038,
+) -> None:
     """A worktop with its upper side at ``height``; ``holes`` are (x, y, width, depth) cut through."""
     xs = sorted({-width / 2, width / 2, *(v for x, _, hw, _ in holes for v in (x - hw / 2, x + hw / 2))})
-    for left, right in zip(xs[:-1], xs[1:], strict=True):
+    for left, right in pairwise(xs):
         middle = (left + right) / 2
         hole = next((h for h in holes if abs(h[0] - middle) < h[2] / 2), None)
-        bands = [(-depth, 0.0)] if hole is None else [(-depth, hole[1] - hole[3] / 2), (hole[1] + hole[3] / 2, 0.0)]
+        bands = (
+            [(-depth, 0.0)]
+            if hole is None
+            else [(-depth, hole[1] - hole[3] / 2), (hole[1] + hole[3] / 2, 0.0)]
+        )
         for low, high in bands:
             bevel = 0.0 if len(xs) > 2 else 0.003
-            w.add(part, slot, box((right - left, high - low, thick), (middle, (low + high) / 2, height - thick), bevel, grain=0))
+            w.add(
+                part,
+                slot,
+                box(
+                    (right - left, high - low, thick),
+                    (middle, (low + high) / 2, height - thick),
+                    bevel,
+                    grain=0,
+                ),
+            )
 
 
 def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float = 0.2) -> None:
     """Swan-neck mixer standing on z = 0, spout towards -y."""
-    w.add(part, slot, lathe([(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24))
-    w.add(part, slot, tube([(0, 0, 0.09), (0, 0, height * 0.75), (0, -0.25 * reach, height), (0, -0.75 * reach, height), (0, -reach, height * 0.8), (0, -reach, height * 0.62)], 0.0115, 14, smooth=5))
-    w.add(part, slot, tube([(0.015, 0, 0.06), (0.05, 0, 0.068), (0.085, -0.01, 0.09)], [0.009, 0.006, 0.005], 10, smooth=3))
+    w.add(
+        part,
+        slot,
+        lathe([(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24),
+    )
+    w.add(
+        part,
+        slot,
+        tube(
+            [
+                (0, 0, 0.09),
+                (0, 0, height * 0.75),
+                (0, -0.25 * reach, height),
+                (0, -0.75 * reach, height),
+                (0, -reach, height * 0.8),
+                (0, -reach, height * 0.62),
+            ],
+            0.0115,
+            14,
+            smooth=5,
+        ),
+    )
+    w.add(
+        part,
+        slot,
+        tube([(0.015, 0, 0.06), (0.05, 0, 0.068), (0.085, -0.01, 0.09)], [0.009, 0.006, 0.005], 10, smooth=3),
+    )
 
 
 def hob(w: Workshop, part: str, *, glass: str, mark: str, width: float = 0.58, depth: float = 0.5) -> None:
     """Glass-ceramic hob on z = 0 about the origin, zones drawn as fine rings."""
     w.add(part, glass, extrude(rounded_rectangle(width, depth, 0.012, 3), 0.006, 0.0015))
     for x, y, r in ((-0.15, -0.11, 0.09), (-0.15, 0.12, 0.075), (0.14, -0.11, 0.075), (0.14, 0.12, 0.1)):
-        w.add(part, mark, lathe([(r - 0.0015, 0.0055), (r + 0.0015, 0.0055), (r + 0.0015, 0.0063), (r - 0.0015, 0.0063), (r - 0.0015, 0.0055)], 40).moved(x, y))
+        w.add(
+            part,
+            mark,
+            lathe(
+                [
+                    (r - 0.0015, 0.0055),
+                    (r + 0.0015, 0.0055),
+                    (r + 0.0015, 0.0063),
+                    (r - 0.0015, 0.0063),
+                    (r - 0.0015, 0.0055),
+                ],
+                40,
+            ).moved(x, y),
+        )
 
 
-def oven(w: Workshop, part: str, *, steel: str, glass: str, knob: str, width: float = 0.594, height: float = 0.595, depth: float = 0.56) -> None:
+def oven(
+    w: Workshop,
+    part: str,
+    *,
+    steel: str,
+    glass: str,
+    knob: str,
+    width: float = 0.594,
+    height: float = 0.595,
+    depth: float = 0.56,
+) -> None:
     """Built-in oven front: control panel with knobs, dark window, bar handle. Bottom at z = 0, front at -depth."""
     y = -depth
-    w.add(part, steel, box((width, 0.03, 0.105), (0, y + 0.005, height - 0.105), 0.003, 2, grain=0), box((width, 0.035, height - 0.112), (0, y + 0.005, 0), 0.004, 2, grain=0))
-    w.add(part, glass, box((width - 0.12, 0.006, height - 0.26), (0, y - 0.014, 0.06), 0.002), box((0.12, 0.004, 0.045), (0, y - 0.0105, height - 0.075), 0.001))
+    w.add(
+        part,
+        steel,
+        box((width, 0.03, 0.105), (0, y + 0.005, height - 0.105), 0.003, 2, grain=0),
+        box((width, 0.035, height - 0.112), (0, y + 0.005, 0), 0.004, 2, grain=0),
+    )
+    w.add(
+        part,
+        glass,
+        box((width - 0.12, 0.006, height - 0.26), (0, y - 0.014, 0.06), 0.002),
+        box((0.12, 0.004, 0.045), (0, y - 0.0105, height - 0.075), 0.001),
+    )
     for x in (-0.23, -0.16, 0.16, 0.23):
-        w.add(part, knob, lathe([(0, 0), (0.021, 0), (0.021, 0.004), (0.017, 0.007), (0.016, 0.024), (0.013, 0.026), (0, 0.0262)], 24).turned("x", 90).moved(x, y - 0.009, height - 0.052))
+        w.add(
+            part,
+            knob,
+            lathe(
+                [
+                    (0, 0),
+                    (0.021, 0),
+                    (0.021, 0.004),
+                    (0.017, 0.007),
+                    (0.016, 0.024),
+                    (0.013, 0.026),
+                    (0, 0.0262),
+                ],
+                24,
+            )
+            .turned("x", 90)
+            .moved(x, y - 0.009, height - 0.052),
+        )
     z = height - 0.155
-    w.add(part, steel, tube([(-0.24, y - 0.05, z), (0.24, y - 0.05, z)], 0.009, 12), *[tube([(x, y - 0.01, z), (x, y - 0.05, z)], 0.006, 8) for x in (-0.21, 0.21)])
+    w.add(
+        part,
+        steel,
+        tube([(-0.24, y - 0.05, z), (0.24, y - 0.05, z)], 0.009, 12),
+        *[tube([(x, y - 0.01, z), (x, y - 0.05, z)], 0.006, 8) for x in (-0.21, 0.21)],
+    )
 
 
 def hood(w: Workshop, part: str, slot: str, *, width: float = 0.6, height: float = 0.9) -> None:
@@ -91,31 +217,75 @@ def hood(w: Workshop, part: str, slot: str, *, width: float = 0.6, height: float
     w.add(part, slot, box((width * 0.44, 0.26, height - 0.23), (0, -0.13, 0.23), 0.003, 2, grain=2))
 
 
-def fridge(w: Workshop, part: str, *, body: str, handle: str, width: float = 0.6, height: float = 1.86, depth: float = 0.64) -> None:
+def fridge(
+    w: Workshop,
+    part: str,
+    *,
+    body: str,
+    handle: str,
+    width: float = 0.6,
+    height: float = 1.86,
+    depth: float = 0.64,
+) -> None:
     """Fridge with a freezer drawer below."""
     w.add(part, body, box((width, depth - 0.07, height), (0, -(depth - 0.07) / 2, 0.01), 0.006, 2))
     for low, high in ((0.04, 0.62), (0.63, height)):
         w.add(part, body, soft_box((width, 0.062, high - low), (0, -depth + 0.031, low), 0.014, (0, 0, 0), 7))
         z = (high - 0.36, high - 0.08) if low < 0.3 else (low + 0.1, low + 0.5)
         x = -width / 2 + 0.05
-        w.add(part, handle, tube([(x, -depth - 0.045, z[0]), (x, -depth - 0.045, z[1])], 0.009, 10), *[tube([(x, -depth + 0.004, z[0] + o), (x, -depth - 0.045, z[0] + o)], 0.006, 8) for o in (0.03, z[1] - z[0] - 0.03)])
+        w.add(
+            part,
+            handle,
+            tube([(x, -depth - 0.045, z[0]), (x, -depth - 0.045, z[1])], 0.009, 10),
+            *[
+                tube([(x, -depth + 0.004, z[0] + o), (x, -depth - 0.045, z[0] + o)], 0.006, 8)
+                for o in (0.03, z[1] - z[0] - 0.03)
+            ],
+        )
 
 
-def wall_cupboard(w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, slot: str, handle: str) -> None:
+def wall_cupboard(
+    w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, slot: str, handle: str
+) -> None:
     """Upper cupboard with its underside at z = 0."""
     w.add(part, slot, box((width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0))
     each = width / columns
     for k in range(columns):
         x = -width / 2 + each * (k + 0.5)
-        w.add(part, slot, box((each - 0.003, 0.02, height - 0.004), (x, -depth + 0.011, 0.002), 0.003, 2, grain=2))
+        w.add(
+            part,
+            slot,
+            box((each - 0.003, 0.02, height - 0.004), (x, -depth + 0.011, 0.002), 0.003, 2, grain=2),
+        )
         side = 1 if k % 2 == 0 else -1
         px = x + side * (each / 2 - 0.035)
         y = -depth + 0.001
-        w.add(part, handle, join([tube([(px, y, 0.05), (px, y - 0.028, 0.05)], 0.005, 8), tube([(px, y - 0.028, 0.05), (px, y - 0.028, 0.2)], 0.006, 8), tube([(px, y - 0.028, 0.2), (px, y, 0.2)], 0.005, 8)]))
+        w.add(
+            part,
+            handle,
+            join(
+                [
+                    tube([(px, y, 0.05), (px, y - 0.028, 0.05)], 0.005, 8),
+                    tube([(px, y - 0.028, 0.05), (px, y - 0.028, 0.2)], 0.006, 8),
+                    tube([(px, y - 0.028, 0.2), (px, y, 0.2)], 0.005, 8),
+                ]
+            ),
+        )
 
 
-def bathtub(w: Workshop, part: str, *, enamel: str, apron: str, metal: str, length: float = 1.7, width: float = 0.75, height: float = 0.56) -> None:
+def bathtub(
+    w: Workshop,
+    part: str,
+    *,
+    enamel: str,
+    apron: str,
+    metal: str,
+    length: float = 1.7,
+    width: float = 0.75,
+    height: float = 0.56,
+) -> None:
     """Built-in bath along x with a tiled apron, its rear side at y = 0."""
+
     def ring(sx: float, sy: float, z: float, corner: float) -> np.ndarray:
         outline = np.array(rounded_rectangle(sx, sy, corner, 6))
         return np.column_stack([outline[:, 0], outline[:, 1] - width / 2, np.full(len(outline), z)])
@@ -129,18 +299,43 @@ def bathtub(w: Workshop, part: str, *, enamel: str, apron: str, metal: str, leng
     lid = Shape(centre, [tuple(range(len(centre)))], centre[:, :2].copy())
     w.add(part, enamel, shape, lid)
     w.add(part, apron, _apron(length, width, height))
-    w.add(part, metal, cylinder(0.03, 0.006, (length / 2 - 0.45, -width / 2, height - 0.425), 0.002), lathe([(0, 0), (0.032, 0), (0.034, 0.006), (0.028, 0.01), (0, 0.011)], 24).turned("y", -90).moved(length / 2 - 0.105, -width / 2, height - 0.15))
+    w.add(
+        part,
+        metal,
+        cylinder(0.03, 0.006, (length / 2 - 0.45, -width / 2, height - 0.425), 0.002),
+        lathe([(0, 0), (0.032, 0), (0.034, 0.006), (0.028, 0.01), (0, 0.011)], 24)
+        .turned("y", -90)
+        .moved(length / 2 - 0.105, -width / 2, height - 0.15),
+    )
 
 
 def _apron(length: float, width: float, height: float) -> Shape:
     t = 0.02
     walls = [box((length - 0.004, t, height - 0.028), (0, -width + t / 2 + 0.002, 0), 0.001, grain=0)]
-    walls += [box((t, width - 0.03, height - 0.028), (side * (length / 2 - t / 2 - 0.002), -width / 2 + 0.01, 0), 0.001, grain=1) for side in (-1, 1)]
+    walls += [
+        box(
+            (t, width - 0.03, height - 0.028),
+            (side * (length / 2 - t / 2 - 0.002), -width / 2 + 0.01, 0),
+            0.001,
+            grain=1,
+        )
+        for side in (-1, 1)
+    ]
     return join(walls)
 
 
-def washbasin(w: Workshop, part: str, *, ceramic: str, metal: str, width: float = 0.56, depth: float = 0.42, height: float = 0.86) -> None:
+def washbasin(
+    w: Workshop,
+    part: str,
+    *,
+    ceramic: str,
+    metal: str,
+    width: float = 0.56,
+    depth: float = 0.42,
+    height: float = 0.86,
+) -> None:
     """Wall-hung basin with its rim at ``height``."""
+
     def ring(sx: float, sy: float, z: float, corner: float, shift: float = 0.0) -> np.ndarray:
         outline = np.array(rounded_rectangle(sx, sy, corner, 6))
         return np.column_stack([outline[:, 0], outline[:, 1] - depth / 2 + shift, np.full(len(outline), z)])
@@ -149,23 +344,85 @@ def washbasin(w: Workshop, part: str, *, ceramic: str, metal: str, width: float 
              ring(width - 0.006, depth - 0.006, height, 0.1), ring(width - 0.07, depth - 0.17, height, 0.1, -0.045), ring(width - 0.09, depth - 0.19, height - 0.012, 0.1, -0.045),
              ring(width - 0.2, depth - 0.26, height - 0.09, 0.07, -0.045), ring(width - 0.4, depth - 0.34, height - 0.12, 0.03, -0.045)]  # fmt: skip
     w.add(part, ceramic, loft(np.array(rings)))
-    w.add(part, metal, cylinder(0.022, 0.004, (0, -depth / 2 - 0.045, height - 0.122), 0.001), tube([(0, -depth / 2, height - 0.16), (0, -depth / 2, height - 0.32), (0, -depth / 2 + 0.05, height - 0.38), (0, -0.005, height - 0.38)], 0.016, 12, smooth=4))
+    w.add(
+        part,
+        metal,
+        cylinder(0.022, 0.004, (0, -depth / 2 - 0.045, height - 0.122), 0.001),
+        tube(
+            [
+                (0, -depth / 2, height - 0.16),
+                (0, -depth / 2, height - 0.32),
+                (0, -depth / 2 + 0.05, height - 0.38),
+                (0, -0.005, height - 0.38),
+            ],
+            0.016,
+            12,
+            smooth=4,
+        ),
+    )
 
 
 def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> None:
     """Close-coupled toilet with its lid down."""
+
     def ring(sx: float, sy: float, z: float, y: float) -> np.ndarray:
         angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
         front = np.where(np.sin(angle) < 0, 1.12, 0.88)
         return np.column_stack([sx / 2 * np.cos(angle), y + sy / 2 * np.sin(angle) * front, np.full(32, z)])
 
-    w.add(part, ceramic, loft(np.array([ring(0.21, 0.34, 0, -0.36), ring(0.22, 0.35, 0.02, -0.36), ring(0.2, 0.34, 0.12, -0.36), ring(0.28, 0.4, 0.27, -0.4), ring(0.36, 0.46, 0.38, -0.42), ring(0.365, 0.465, 0.395, -0.42)])))
-    w.add(part, seat, loft(np.array([ring(0.37, 0.47, 0.397, -0.42), ring(0.38, 0.48, 0.403, -0.42), ring(0.378, 0.478, 0.423, -0.42), ring(0.36, 0.46, 0.431, -0.42)])))
-    w.add(part, ceramic, soft_box((0.38, 0.18, 0.36), (0, -0.095, 0.39), 0.025, (0, 0, 0), 7), soft_box((0.4, 0.2, 0.035), (0, -0.1, 0.752), 0.014, (0, 0, 0.003), 7))
-    w.add(part, metal, lathe([(0, 0), (0.022, 0), (0.024, 0.003), (0.02, 0.007), (0, 0.008)], 20).moved(0, -0.1, 0.787))
+    w.add(
+        part,
+        ceramic,
+        loft(
+            np.array(
+                [
+                    ring(0.21, 0.34, 0, -0.36),
+                    ring(0.22, 0.35, 0.02, -0.36),
+                    ring(0.2, 0.34, 0.12, -0.36),
+                    ring(0.28, 0.4, 0.27, -0.4),
+                    ring(0.36, 0.46, 0.38, -0.42),
+                    ring(0.365, 0.465, 0.395, -0.42),
+                ]
+            )
+        ),
+    )
+    w.add(
+        part,
+        seat,
+        loft(
+            np.array(
+                [
+                    ring(0.37, 0.47, 0.397, -0.42),
+                    ring(0.38, 0.48, 0.403, -0.42),
+                    ring(0.378, 0.478, 0.423, -0.42),
+                    ring(0.36, 0.46, 0.431, -0.42),
+                ]
+            )
+        ),
+    )
+    w.add(
+        part,
+        ceramic,
+        soft_box((0.38, 0.18, 0.36), (0, -0.095, 0.39), 0.025, (0, 0, 0), 7),
+        soft_box((0.4, 0.2, 0.035), (0, -0.1, 0.752), 0.014, (0, 0, 0.003), 7),
+    )
+    w.add(
+        part,
+        metal,
+        lathe([(0, 0), (0.022, 0), (0.024, 0.003), (0.02, 0.007), (0, 0.008)], 20).moved(0, -0.1, 0.787),
+    )
 
 
-def towel(w: Workshop, part: str, slot: str, *, width: float = 0.5, front: float = 0.55, back: float = 0.4, thick: float = 0.007) -> None:
+def towel(
+    w: Workshop,
+    part: str,
+    slot: str,
+    *,
+    width: float = 0.5,
+    front: float = 0.55,
+    back: float = 0.4,
+    thick: float = 0.007,
+) -> None:
     """A towel folded over a bar along x at the origin."""
     from scenes.sources.shapes import sheet
 
@@ -174,5 +431,12 @@ def towel(w: Workshop, part: str, slot: str, *, width: float = 0.5, front: float
     z = np.concatenate([np.linspace(-front, 0, 10), 0.016 * np.sin(turn[1:-1]), np.linspace(0, -back, 10)])
     x = np.linspace(-width / 2, width / 2, 19)
     sag = 0.004 * np.sin(11 * x)[None, :] * np.clip(-z / front, 0, 1)[:, None]
-    points = np.stack([np.broadcast_to(x, (len(y), len(x))), y[:, None] + sag * np.sign(y)[:, None], np.broadcast_to(z[:, None], (len(y), len(x)))], axis=-1)
+    points = np.stack(
+        [
+            np.broadcast_to(x, (len(y), len(x))),
+            y[:, None] + sag * np.sign(y)[:, None],
+            np.broadcast_to(z[:, None], (len(y), len(x))),
+        ],
+        axis=-1,
+    )
     w.add(part, slot, sheet(points, thick))

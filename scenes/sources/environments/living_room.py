@@ -23,14 +23,14 @@ def _slots() -> dict[str, Slot]:
         "sofa_legs": Slot(("wood",), ("wood", "metal"), color=srgb("4a3322"), roughness=0.4),
         "armchair": Slot(("leather",), ("leather", "fabric"), "leather_brown"),
         "cushion_a": Slot(("fabric",), ("fabric", "leather"), color=srgb("b9783c"), roughness=0.9),
-        "cushion_b": Slot(("fabric",), ("fabric", "leather"), "linen_blue"),
+        "cushion_b": Slot(("fabric",), ("fabric", "leather"), color=srgb("4e6784"), roughness=0.88, ior=1.45),
         "coffee_table": Slot(("wood",), ("wood", "stone", "painted"), "oak"),
         "side_table": Slot(("painted",), ("painted", "wood", "metal"), color=srgb("2c2e30"), roughness=0.4),
         "sideboard": Slot(("wood",), ("wood", "painted"), "walnut_lacquered"),
         "shelves": Slot(("painted",), ("painted", "wood"), color=srgb("dcdad2"), roughness=0.4),
         "rug": Slot(("fabric",), ("fabric",), "wool_carpet_cream"),
         "rug_border": Slot(("fabric",), ("fabric", "leather"), color=srgb("5c5348"), roughness=0.9),
-        "curtains": Slot(("fabric",), ("fabric",), "linen_natural"),
+        "curtains": Slot(("fabric",), ("fabric",), color=srgb("b3a58a"), roughness=0.9, ior=1.45),
         "tv_case": Slot(("plastic",), (), color=srgb("17181a"), roughness=0.35),
         "tv_screen": Slot(("glass",), (), color=srgb("08090a"), roughness=0.08),
     }
@@ -60,14 +60,25 @@ def living_room(collection: bpy.types.Collection) -> None:
     lamp = furniture.floor_lamp(w, "floor_lamp")
     w.place("floor_lamp", -2.2, -1.72)
     room.point_slot("floor lamp", (-2.2, -1.72, lamp))
-    furniture.plant(w, "plant", height=1.3, pot="pot", leaf="leaves", stem="stems", soil="soil", seed=2, pot_radius=0.17, leaves=30)
+    furniture.plant(
+        w,
+        "plant",
+        height=1.3,
+        pot="pot",
+        leaf="leaves",
+        stem="stems",
+        soil="soil",
+        seed=2,
+        pot_radius=0.17,
+        leaves=30,
+    )
     w.place("plant", 2.1, 1.8)
     w.build(collection)
-    room.surface_at("floor east", "floor", (1.25, 0.0), (0.8, 1.5), 0.0, 2.2)
-    room.surface_at("floor west", "floor", (-2.15, -0.3), (0.7, 1.3), 0.0, 2.2)
+    room.surface_at("floor east", "floor", (1.3, 0.0), (0.8, 1.5), 0.0, 2.2)
+    room.surface_at("floor west", "floor", (-2.15, -0.5), (0.7, 1.1), 0.0, 2.2)
     room.camera_region("middle", (0.75, -0.95, 0.02), (1.95, 0.75, 2.2))
     room.camera_region("before the sideboard", (-1.75, 0.55, 0.02), (0.75, 1.5, 2.2))
-    room.camera_region("by the door", (-2.4, -1.25, 0.02), (-1.75, 1.0, 2.2))
+    room.camera_region("by the door", (-2.4, -1.25, 0.02), (-1.75, 0.05, 2.2))
     room.camera_region("over the table", (-1.7, -0.95, 0.62), (1.9, 0.75, 1.9))
 
 
@@ -83,21 +94,56 @@ def _seating(room: Room) -> None:
 
 def _tables(room: Room) -> None:
     w = room.workshop
-    furniture.table(w, "coffee_table", size=(1.15, 0.62), height=0.42, top="coffee_table", legs="coffee_table", leg=0.055, shelf=0.16, round_corner=0.05)
+    furniture.table(
+        w,
+        "coffee_table",
+        size=(1.15, 0.62),
+        height=0.42,
+        top="coffee_table",
+        legs="coffee_table",
+        leg=0.055,
+        shelf=0.16,
+        round_corner=0.05,
+    )
     w.place("coffee_table", -0.5, -0.3, 0.011)
     room.surface_at("coffee table", "table", (-0.5, -0.3), (1.05, 0.54), 0.431, 1.0)
     room.surface_at("coffee table shelf", "shelf", (-0.5, -0.3), (0.8, 0.34), 0.171, 0.13)
-    w.add("side_table", "side_table", extrude(rounded_rectangle(0.46, 0.46, 0.22, 10), 0.022, 0.006, 2).moved(z=0.5))
-    w.add("side_table", "side_table", box((0.05, 0.05, 0.5), (0, 0, 0.01), 0.01, 2), extrude(rounded_rectangle(0.34, 0.34, 0.165, 10), 0.015, 0.004))
+    w.add(
+        "side_table",
+        "side_table",
+        extrude(rounded_rectangle(0.46, 0.46, 0.22, 10), 0.022, 0.006, 2).moved(z=0.5),
+    )
+    w.add(
+        "side_table",
+        "side_table",
+        box((0.05, 0.05, 0.5), (0, 0, 0.01), 0.01, 2),
+        extrude(rounded_rectangle(0.34, 0.34, 0.165, 10), 0.015, 0.004),
+    )
     w.place("side_table", 0.85, -1.72)
     room.surface_at("side table", "table", (0.85, -1.72), (0.3, 0.3), 0.522, 1.2)
 
 
 def _storage(room: Room) -> None:
     w = room.workshop
-    furniture.cabinet(w, "sideboard", width=1.9, height=0.55, depth=0.42, columns=3, rows=(0.4, 0.6), slot="sideboard", plinth=0.1)
+    furniture.cabinet(
+        w,
+        "sideboard",
+        width=1.9,
+        height=0.55,
+        depth=0.42,
+        columns=3,
+        rows=(0.4, 0.6),
+        slot="sideboard",
+        plinth=0.1,
+    )
     room.place("north", "sideboard", -0.5, gap=0.005)
-    w.add("tv", "tv_case", box((1.12, 0.035, 0.645), (0, -0.2, 0.05), 0.006, 2), box((0.5, 0.2, 0.012), (0, -0.2, 0), 0.004, 2), box((0.1, 0.04, 0.1), (0, -0.185, 0.005), 0.005))
+    w.add(
+        "tv",
+        "tv_case",
+        box((1.12, 0.035, 0.645), (0, -0.2, 0.05), 0.006, 2),
+        box((0.5, 0.2, 0.012), (0, -0.2, 0), 0.004, 2),
+        box((0.1, 0.04, 0.1), (0, -0.185, 0.005), 0.005),
+    )
     w.add("tv", "tv_screen", box((1.1, 0.004, 0.62), (0, -0.2185, 0.064), 0.001))
     room.place("north", "tv", -0.62, z=0.55)
     for name, s, width in (("left", -1.32, 0.2), ("right", 0.22, 0.4)):
@@ -111,10 +157,23 @@ def _storage(room: Room) -> None:
             left = -0.85 + 0.022 + column * step
             share = (0.92, 0.55, 0.0, 0.7, 0.45)[(k + 2 * column) % 5]
             if share:
-                furniture.book_row(w, "books", slots.BOOKS, "pages", x=left + 0.005, width=share * bay, y=-0.285 + 0.19, z=z + 0.0005, height=0.33, seed=10 * k + column)
+                furniture.book_row(
+                    w,
+                    "books",
+                    slots.BOOKS,
+                    "pages",
+                    x=left + 0.005,
+                    width=share * bay,
+                    y=-0.285 + 0.19,
+                    z=z + 0.0005,
+                    height=0.33,
+                    seed=10 * k + column,
+                )
             free = bay * (1 - share) - 0.09
             if free > 0.15:
                 centre = left + bay - free / 2 - 0.015
-                room.surface(f"bookcase {k}.{column}", "shelf", "west", 0.95 + centre, free - 0.02, 0.03, 0.28, z, 0.31)
+                room.surface(
+                    f"bookcase {k}.{column}", "shelf", "west", 0.95 + centre, free - 0.02, 0.03, 0.28, z, 0.31
+                )
     room.place("west", "books", 0.95, gap=0.004)
     room.surface("bookcase top", "shelf", "west", 0.95, 1.6, 0.03, 0.28, 1.9, 0.6)

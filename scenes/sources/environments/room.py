@@ -70,7 +70,9 @@ class Room:
         x, y, degrees = self.frame(wall)
         return shape.moved(s, -gap, z).turned("z", degrees).moved(x, y)
 
-    def place(self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0) -> tuple[float, float, float]:
+    def place(
+        self, wall: str, part: str, s: float, gap: float = 0.0, z: float = 0.0
+    ) -> tuple[float, float, float]:
         """Show a part whose back is y = 0 against a wall; returns its x, y and degrees."""
         x, y, degrees = self.frame(wall)
         c, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -85,7 +87,11 @@ class Room:
         self.workshop.add("floor", "floor", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0))
         self.workshop.add("ceiling", "ceiling", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0))
         for wall in _WALLS:
-            holes = [(o.s - o.width / 2, o.s + o.width / 2, o.sill, o.sill + o.height) for o in self.windows if o.wall == wall]
+            holes = [
+                (o.s - o.width / 2, o.s + o.width / 2, o.sill, o.sill + o.height)
+                for o in self.windows
+                if o.wall == wall
+            ]
             self.workshop.add("walls", "walls", self._wall(wall, holes))
             if skirting:
                 self._skirting(wall, skirting)
@@ -93,6 +99,23 @@ class Room:
             self._window(window, number)
         for door in self.doors:
             self._door(door)
+        self._outside()
+
+    def _outside(self) -> None:
+        """A lawn and a hedge all around, so that windows do not look into the void below the horizon."""
+        reach, level = 20.0, -0.35
+        self.workshop.add(
+            "outside", "lawn", box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), bevel=0, grain=0)
+        )
+        rng = np.random.default_rng(12)
+        s = np.linspace(-reach, reach, 61)
+        for degrees in (0.0, 90.0, 180.0, 270.0):
+            top = 2.1 + 0.25 * np.sin(1.7 * s + degrees) + rng.uniform(-0.12, 0.12, len(s))
+            belly = -reach + rng.uniform(-0.2, 0.2, (5, len(s)))
+            heights = level + np.linspace(-0.05, 1, 5)[:, None] * (top - level)
+            points = np.stack([np.broadcast_to(s, belly.shape), belly, heights], axis=-1)
+            # seen from inside: columns to the right are -s
+            self.workshop.add("outside", "hedge", sheet(points[:, ::-1], 0.6).turned("z", degrees))
 
     def _wall(self, wall: str, holes: list[tuple[float, float, float, float]]) -> Shape:
         # north and south walls also fill the corners; all reach into floor and ceiling, so that nothing leaks
@@ -124,12 +147,16 @@ class Room:
 
     def _skirting(self, wall: str, height: float) -> None:
         half = self.length(wall) / 2
-        gaps = sorted((d.s - d.width / 2 - 0.08, d.s + d.width / 2 + 0.08) for d in self.doors if d.wall == wall)
+        gaps = sorted(
+            (d.s - d.width / 2 - 0.08, d.s + d.width / 2 + 0.08) for d in self.doors if d.wall == wall
+        )
         start = -half
         for low, high in [*gaps, (half, half)]:
             if low - start > 0.02:
                 board = box((low - start, 0.014, height), ((low + start) / 2, -0.007, 0), 0.004, grain=0)
-                lip = box((low - start, 0.008, 0.012), ((low + start) / 2, -0.004, height - 0.002), 0.003, grain=0)
+                lip = box(
+                    (low - start, 0.008, 0.012), ((low + start) / 2, -0.004, height - 0.002), 0.003, grain=0
+                )
                 self.workshop.add("skirting", "trim", self.on_wall(wall, board + lip))
             start = high
 
@@ -137,8 +164,14 @@ class Room:
         w, h, z = window.width, window.height, window.sill
         depth = THICKNESS * 0.55
         frame = 0.055
-        bars = [box((w, 0.06, frame), (0, depth, z), 0.004, grain=0), box((w, 0.06, frame), (0, depth, z + h - frame), 0.004, grain=0)]
-        bars += [box((frame, 0.06, h - 2 * frame), (side * (w - frame) / 2, depth, z + frame), 0.004, grain=2) for side in (-1, 1)]
+        bars = [
+            box((w, 0.06, frame), (0, depth, z), 0.004, grain=0),
+            box((w, 0.06, frame), (0, depth, z + h - frame), 0.004, grain=0),
+        ]
+        bars += [
+            box((frame, 0.06, h - 2 * frame), (side * (w - frame) / 2, depth, z + frame), 0.004, grain=2)
+            for side in (-1, 1)
+        ]
         columns, rows = window.panes
         inner_w, inner_h = w - 2 * frame, h - 2 * frame
         for k in range(columns):
@@ -146,30 +179,87 @@ class Room:
             left = -inner_w / 2 + k * inner_w / columns
             cw = inner_w / columns
             x = left + cw / 2
-            bars += [box((cw - 0.004, 0.045, 0.05), (x, depth - 0.012, z + frame + dz), 0.004, grain=0) for dz in (0.002, inner_h - 0.052)]
-            bars += [box((0.05, 0.045, inner_h - 0.104), (x + side * (cw / 2 - 0.027), depth - 0.012, z + frame + 0.052), 0.004, grain=2) for side in (-1, 1)]
+            bars += [
+                box((cw - 0.004, 0.045, 0.05), (x, depth - 0.012, z + frame + dz), 0.004, grain=0)
+                for dz in (0.002, inner_h - 0.052)
+            ]
+            bars += [
+                box(
+                    (0.05, 0.045, inner_h - 0.104),
+                    (x + side * (cw / 2 - 0.027), depth - 0.012, z + frame + 0.052),
+                    0.004,
+                    grain=2,
+                )
+                for side in (-1, 1)
+            ]
             for r in range(1, rows):
-                bars.append(box((cw - 0.104, 0.03, 0.022), (x, depth - 0.012, z + frame + r * inner_h / rows - 0.011), 0.003, grain=0))
+                bars.append(
+                    box(
+                        (cw - 0.104, 0.03, 0.022),
+                        (x, depth - 0.012, z + frame + r * inner_h / rows - 0.011),
+                        0.003,
+                        grain=0,
+                    )
+                )
         self.workshop.add("windows", "trim", self.on_wall(window.wall, join(bars), window.s))
         handle = cylinder(0.011, 0.02).turned("x", 90).moved(0, depth - 0.034, z + 0.45 * h)
-        lever = tube([(0, depth - 0.05, z + 0.45 * h), (0, depth - 0.055, z + 0.45 * h - 0.05), (0, depth - 0.05, z + 0.45 * h - 0.11)], 0.008, 8, smooth=3)
+        lever = tube(
+            [
+                (0, depth - 0.05, z + 0.45 * h),
+                (0, depth - 0.055, z + 0.45 * h - 0.05),
+                (0, depth - 0.05, z + 0.45 * h - 0.11),
+            ],
+            0.008,
+            8,
+            smooth=3,
+        )
         offset = inner_w / columns / 2 if columns == 1 else 0.0
-        self.workshop.add("window_handles", "hardware", self.on_wall(window.wall, (handle + lever).moved(x=-offset + (0.025 if columns > 1 else 0.027)), window.s))
+        self.workshop.add(
+            "window_handles",
+            "hardware",
+            self.on_wall(
+                window.wall, (handle + lever).moved(x=-offset + (0.025 if columns > 1 else 0.027)), window.s
+            ),
+        )
         if z > 0.3:
-            board = box((w + 0.12, depth + 0.005, 0.028), (0, depth / 2 - 0.0325 - 0.04, z - 0.026), 0.008, 2, grain=0)
-            board = box((w + 0.12, 0.10, 0.03), (0, -0.022 + 0.0, z - 0.029), 0.008, 2, grain=0) + box((w - 0.002, depth - 0.03, 0.0305), (0, (depth - 0.03) / 2 - 0.001, z - 0.029), 0.001, grain=0)
+            board = box(
+                (w + 0.12, depth + 0.005, 0.028), (0, depth / 2 - 0.0325 - 0.04, z - 0.026), 0.008, 2, grain=0
+            )
+            board = box((w + 0.12, 0.10, 0.03), (0, -0.022 + 0.0, z - 0.029), 0.008, 2, grain=0) + box(
+                (w - 0.002, depth - 0.03, 0.0305), (0, (depth - 0.03) / 2 - 0.001, z - 0.029), 0.001, grain=0
+            )
             self.workshop.add("sills", "sill", self.on_wall(window.wall, board, window.s))
-            self.surface(f"sill {number}", "sill", window.wall, window.s, w - 0.12, 0.022, -depth + 0.075, z + 0.0015, 0.45)
+            self.surface(
+                f"sill {number}",
+                "sill",
+                window.wall,
+                window.s,
+                w - 0.12,
+                0.022,
+                -depth + 0.075,
+                z + 0.0015,
+                0.45,
+            )
         # architrave around the opening
-        casing = [box((0.07, 0.018, h + 0.07), (side * (w / 2 + 0.03), -0.009, z + (0.001 if z > 0.3 else 0.0)), 0.005, grain=2) for side in (-1, 1)]
+        casing = [
+            box(
+                (0.07, 0.018, h + 0.07),
+                (side * (w / 2 + 0.03), -0.009, z + (0.001 if z > 0.3 else 0.0)),
+                0.005,
+                grain=2,
+            )
+            for side in (-1, 1)
+        ]
         casing.append(box((w + 0.20, 0.022, 0.08), (0, -0.011, z + h + 0.012), 0.006, grain=0))
         self.workshop.add("windows", "trim", self.on_wall(window.wall, join(casing), window.s))
         x, y, degrees = self.frame(window.wall)
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         right, out = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
-        origin = np.array([x, y, 0]) + right * (window.s + w / 2 - frame) + out * (THICKNESS + 0.005) + [0, 0, z + frame]
-        # edges chosen so that their cross product points into the room
-        modelling.rectangle_marker(self.collection, "opening", f"window {number}", tuple(origin), tuple(-right * (w - 2 * frame)), (0, 0, h - 2 * frame))
+        origin = np.array([x, y, 0]) + right * (window.s - w / 2) + out * (THICKNESS + 0.005) + [0, 0, z]
+        # right x up points into the room
+        modelling.rectangle_marker(
+            self.collection, "opening", f"window {number}", tuple(origin), tuple(right * w), (0, 0, h)
+        )
 
     def _door(self, door: Door) -> None:
         w, h = door.width, door.height
@@ -180,12 +270,20 @@ class Room:
                 x = side * (pw / 2 + 0.06)
                 leaf.append(box((pw, 0.012, high - low), (x, -0.019, low), 0.011, grain=2))
         self.workshop.add("doors", "door", self.on_wall(door.wall, join(leaf), door.s))
-        casing = [box((0.085, 0.03, h + 0.01), (side * (w / 2 + 0.044), -0.015, 0), 0.006, 2, grain=2) for side in (-1, 1)]
+        casing = [
+            box((0.085, 0.03, h + 0.01), (side * (w / 2 + 0.044), -0.015, 0), 0.006, 2, grain=2)
+            for side in (-1, 1)
+        ]
         casing.append(box((w + 0.19, 0.034, 0.085), (0, -0.017, h + 0.01), 0.006, 2, grain=0))
         self.workshop.add("doors", "trim", self.on_wall(door.wall, join(casing), door.s))
         x = w / 2 - 0.07
         plate = box((0.042, 0.006, 0.2), (x, -0.021, 0.94), 0.003, 2)
-        lever = tube([(x, -0.02, 1.06), (x, -0.062, 1.06), (x - 0.02, -0.068, 1.06), (x - 0.12, -0.066, 1.058)], 0.009, 10, smooth=4)
+        lever = tube(
+            [(x, -0.02, 1.06), (x, -0.062, 1.06), (x - 0.02, -0.068, 1.06), (x - 0.12, -0.066, 1.058)],
+            0.009,
+            10,
+            smooth=4,
+        )
         self.workshop.add("door_handles", "hardware", self.on_wall(door.wall, plate + lever, door.s))
 
     # markers ---------------------------------------------------------------------------------------------
@@ -209,16 +307,33 @@ class Room:
         origin = np.array([*centre, z]) - right * size[0] / 2 - back * size[1] / 2
         self._support(name, kind, origin, right * size[0], back * size[1], clearance)
 
-    def _support(self, name: str, kind: str, origin: np.ndarray, u: np.ndarray, v: np.ndarray, clearance: float) -> None:
+    def _support(
+        self, name: str, kind: str, origin: np.ndarray, u: np.ndarray, v: np.ndarray, clearance: float
+    ) -> None:
         modelling.rectangle_marker(
-            self.collection, "support_surface", name, tuple(origin), tuple(u), tuple(v), sm_kind=kind, sm_clearance_m=clearance
+            self.collection,
+            "support_surface",
+            name,
+            tuple(origin),
+            tuple(u),
+            tuple(v),
+            sm_kind=kind,
+            sm_clearance_m=clearance,
         )
 
     def area_slot(self, name: str, centre: Point, size: tuple[float, float]) -> None:
         """A lamp that would shine down from a rectangle about ``centre``."""
         x, y, z = centre
         # u = +x, v = -y: their cross product points down
-        modelling.rectangle_marker(self.collection, "light_slot", name, (x - size[0] / 2, y + size[1] / 2, z), (size[0], 0, 0), (0, -size[1], 0), sm_kind="area")
+        modelling.rectangle_marker(
+            self.collection,
+            "light_slot",
+            name,
+            (x - size[0] / 2, y + size[1] / 2, z),
+            (size[0], 0, 0),
+            (0, -size[1], 0),
+            sm_kind="area",
+        )
 
     def point_slot(self, name: str, at: Point) -> None:
         modelling.point_marker(self.collection, name, at)
@@ -227,7 +342,9 @@ class Room:
         modelling.box_marker(self.collection, name, low, high)
 
     # soft furnishing that belongs to the shell -----------------------------------------------------------
-    def curtains(self, window: Window, slot: str, *, drop: float | None = None, open_share: float = 0.62, seed: int = 0) -> None:
+    def curtains(
+        self, window: Window, slot: str, *, drop: float | None = None, open_share: float = 0.62, seed: int = 0
+    ) -> None:
         """A pair of curtains on a rail above a window, drawn back so that ``open_share`` stays clear."""
         rng = np.random.default_rng(seed)
         top = window.sill + window.height + 0.16
@@ -235,19 +352,30 @@ class Room:
         full = window.width + 0.5
         cloth_width = full * (1 - open_share) / 2
         rail = tube([(-full / 2 - 0.08, -0.1, top), (full / 2 + 0.08, -0.1, top)], 0.012, 12)
-        ends = [cylinder(0.02, 0.05, (0, 0, -0.025), 0.008).turned("y", 90).moved(side * (full / 2 + 0.1), -0.1, top) for side in (-1, 1)]
+        ends = [
+            cylinder(0.02, 0.05, (0, 0, -0.025), 0.008)
+            .turned("y", 90)
+            .moved(side * (full / 2 + 0.1), -0.1, top)
+            for side in (-1, 1)
+        ]
         brackets = [box((0.02, 0.1, 0.02), (side * full / 2, -0.05, top - 0.03), 0.003) for side in (-1, 1)]
-        self.workshop.add("curtain_rails", "hardware", self.on_wall(window.wall, join([rail, *ends, *brackets]), window.s))
+        self.workshop.add(
+            "curtain_rails", "hardware", self.on_wall(window.wall, join([rail, *ends, *brackets]), window.s)
+        )
         for side in (-1, 1):
-            columns, rows = 73, 15
+            columns, rows = 61, 7
             u, v = np.linspace(0, 1, columns), np.linspace(0, 1, rows)[:, None]
-            folds = 6 + rng.integers(0, 2)
+            folds = 4 + rng.integers(0, 2)
             phase = rng.uniform(0, 6.28)
             wobble = 0.25 * np.sin(2 * np.pi * (u * 2.3 + 0.4 * v) + phase)
             amplitude = (0.026 + 0.016 * (1 - v)) * (1 + 0.3 * np.sin(5 * u + phase))
             y = -0.1 + amplitude * np.sin(2 * np.pi * folds * u + wobble * (1 - v) * 2)
             spread = 1.0 + 0.10 * (1 - v)
-            x = side * (full / 2 - cloth_width * (1 - u) * spread) if side > 0 else side * full / 2 + cloth_width * u * spread
+            x = (
+                side * (full / 2 - cloth_width * (1 - u) * spread)
+                if side > 0
+                else side * full / 2 + cloth_width * u * spread
+            )
             z = bottom + (top - 0.02 - bottom) * v + 0 * u
             points = np.stack([np.broadcast_to(x, z.shape), y, z], axis=-1)
-            self.workshop.add("curtains", slot, self.on_wall(window.wall, sheet(points, 0.002), window.s))
+            self.workshop.add("curtains", slot, self.on_wall(window.wall, sheet(points, 0.0016), window.s))

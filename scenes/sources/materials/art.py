@@ -10,12 +10,20 @@ from scenes.sources.materials.graph import Color, Graph, Socket, Value, srgb
 Material = bpy.types.Material
 
 
-def landscape(g: Graph, sky: tuple[Color, Color], hills: tuple[Color, ...], seed: float = 1.0, rough: float = 0.55) -> Material:
+def landscape(
+    g: Graph, sky: tuple[Color, Color], hills: tuple[Color, ...], seed: float = 1.0, rough: float = 0.55
+) -> Material:
     """Hills in layers under a sky with a pale sun, in brush strokes."""
     u, v = g.uv()
     stroke = g.noise(14, 60, detail=3, seed=seed, spread=0.3)
     color: Value | Color = g.mix(g.add(v, g.mul(g.math("SUBTRACT", stroke, 0.5), 0.25)), sky[1], sky[0])
-    sun = g.math("SQRT", g.add(g.math("POWER", g.math("SUBTRACT", u, 0.68), 2.0), g.math("POWER", g.math("SUBTRACT", v, 0.72), 2.0)))
+    sun = g.math(
+        "SQRT",
+        g.add(
+            g.math("POWER", g.math("SUBTRACT", u, 0.68), 2.0),
+            g.math("POWER", g.math("SUBTRACT", v, 0.72), 2.0),
+        ),
+    )
     color = g.mix(g.line(sun, 0.08, 0.085, 0.9, 0.0), color, srgb("f3e3c0"))
     for k, hill in enumerate(hills):
         ridge = g.noise(1.5 + k, 0.01, detail=3, seed=seed + 3 * k)
@@ -26,14 +34,20 @@ def landscape(g: Graph, sky: tuple[Color, Color], hills: tuple[Color, ...], seed
     return g.finish(color, g.line(stroke, 0, 1, rough - 0.1, rough + 0.12))
 
 
-def blocks(g: Graph, ground: Color, colors: tuple[Color, ...], seed: float = 1.0, grid: tuple[int, int] = (3, 4)) -> Material:
+def blocks(
+    g: Graph, ground: Color, colors: tuple[Color, ...], seed: float = 1.0, grid: tuple[int, int] = (3, 4)
+) -> Material:
     """Geometric print: quarter discs and squares in a grid."""
     cell = g.cells(*grid)
     pick = g.random(cell.number, seed)
     corner = g.random(cell.number, seed + 1)
     x = g.math("ABSOLUTE", g.math("SUBTRACT", cell.x, g.math("GREATER_THAN", corner, 0.5)))
-    y = g.math("ABSOLUTE", g.math("SUBTRACT", cell.y, g.math("GREATER_THAN", g.random(cell.number, seed + 2), 0.5)))
-    disc = g.line(g.math("SQRT", g.add(g.math("POWER", x, 2.0), g.math("POWER", y, 2.0))), 0.97, 0.99, 1.0, 0.0)
+    y = g.math(
+        "ABSOLUTE", g.math("SUBTRACT", cell.y, g.math("GREATER_THAN", g.random(cell.number, seed + 2), 0.5))
+    )
+    disc = g.line(
+        g.math("SQRT", g.add(g.math("POWER", x, 2.0), g.math("POWER", y, 2.0))), 0.97, 0.99, 1.0, 0.0
+    )
     inked = g.mul(disc, g.math("GREATER_THAN", g.random(cell.number, seed + 3), 0.15))
     color: Value | Color = colors[0]
     for k, other in enumerate(colors[1:], 1):
@@ -49,7 +63,10 @@ def cover(g: Graph, ground: Color, ink: Color, seed: float = 1.0, rough: float =
     row = g.math("FLOOR", g.mul(v, 16.0))
     width = g.line(g.random(row, seed), 0, 1, 0.35, 0.8)
     is_title = g.mul(g.math("GREATER_THAN", v, 0.70), g.math("LESS_THAN", v, 0.94))
-    bar = g.mul(g.math("LESS_THAN", g.math("ABSOLUTE", g.math("SUBTRACT", u, 0.5)), g.mul(width, 0.5)), g.math("GREATER_THAN", rows.y, 0.45))
+    bar = g.mul(
+        g.math("LESS_THAN", g.math("ABSOLUTE", g.math("SUBTRACT", u, 0.5)), g.mul(width, 0.5)),
+        g.math("GREATER_THAN", rows.y, 0.45),
+    )
     letters = g.math("GREATER_THAN", g.noise(60, 34, detail=0, seed=seed, spread=0.3), 0.3)
     ink_mask = g.mul(g.mul(is_title, bar), letters)
     field = _field(g, u, v)
@@ -71,9 +88,13 @@ def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.
     def ellipse(cx: float, cy: float, rx: float, ry: float) -> Socket:
         dx = g.mul(g.math("SUBTRACT", u, cx), 1 / rx)
         dy = g.mul(g.math("SUBTRACT", v, cy), 1 / ry)
-        return g.fit(g.math("SQRT", g.add(g.math("POWER", dx, 2.0), g.math("POWER", dy, 2.0))), 0.94, 1.04, 1.0, 0.0)
+        return g.fit(
+            g.math("SQRT", g.add(g.math("POWER", dx, 2.0), g.math("POWER", dy, 2.0))), 0.94, 1.04, 1.0, 0.0
+        )
 
-    color: Value | Color = g.mix(g.noise(2.5, detail=3, seed=seed), g.shade(ground, 0.6), g.shade(ground, 1.4))
+    color: Value | Color = g.mix(
+        g.noise(2.5, detail=3, seed=seed), g.shade(ground, 0.6), g.shade(ground, 1.4)
+    )
     color = g.mix(ellipse(0.5, 0.02, 0.36, 0.34), color, coat)
     color = g.mix(ellipse(0.5, 0.63, 0.185, 0.24), color, g.shade(coat, 0.3))
     color = g.mix(ellipse(0.5, 0.40, 0.075, 0.14), color, g.shade(skin, 0.8))
@@ -89,8 +110,14 @@ def dial(g: Graph, ground: Color, ink: Color, seed: float = 0.0) -> Material:
     angle = g.mul(g.math("ARCTAN2", y, x), 0.15915494)
     color: Value | Color = ground
     for count, low, high, half in ((60.0, 0.435, 0.455, 0.06), (12.0, 0.375, 0.455, 0.045)):
-        turn = g.math("ABSOLUTE", g.math("SUBTRACT", g.math("FRACT", g.math("MULTIPLY_ADD", angle, count, 0.5)), 0.5))
-        mark = g.math("LESS_THAN", g.mul(turn, radius), half * 0.455 * (12 / count if count > 12 else 1.0) * (5 if count > 12 else 1))
+        turn = g.math(
+            "ABSOLUTE", g.math("SUBTRACT", g.math("FRACT", g.math("MULTIPLY_ADD", angle, count, 0.5)), 0.5)
+        )
+        mark = g.math(
+            "LESS_THAN",
+            g.mul(turn, radius),
+            half * 0.455 * (12 / count if count > 12 else 1.0) * (5 if count > 12 else 1),
+        )
         ring = g.mul(g.math("GREATER_THAN", radius, low), g.math("LESS_THAN", radius, high))
         color = g.mix(g.mul(mark, ring), color, ink)
     return g.finish(color, 0.45)

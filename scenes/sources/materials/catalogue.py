@@ -37,11 +37,14 @@ def _add(
     MATERIALS[name] = MaterialSource(title, tuple(classes.split()), tile, px, build)
 
 
-def _call(family: Callable[..., bpy.types.Material], arguments: tuple, options: dict, graph: Graph) -> bpy.types.Material:
+def _call(
+    family: Callable[..., bpy.types.Material], arguments: tuple, options: dict, graph: Graph
+) -> bpy.types.Material:
     return family(graph, *arguments, **options)
 
 
 c = srgb
+# fmt: off
 
 # wood ------------------------------------------------------------------------------------------------------
 _add("oak_planks", "Oak floorboards", "wood", natural.wood, c("8a6238"), c("c49a66"), planks=(2, 12), rings=2,
@@ -210,3 +213,4 @@ _add("wicker", "Wicker", "organic", natural.wicker, c("ad8350"), c("3c2812"), ti
 _add("seagrass", "Seagrass matting", "organic", natural.wicker, c("9a9060"), c("4a4426"), strands=12, tile=0.3, seed=4.0)
 _add("soil", "Potting soil", "organic", natural.soil, c("1d140d"), c("3f2d1e"), tile=0.3)
 _add("rattan_white", "White painted rattan", "organic", natural.wicker, c("c4bfb2"), c("5d584e"), strands=10, tile=0.3, seed=6.0)
+# fmt: on

@@ -90,7 +90,9 @@ class Graph:
             self.feed(node.inputs[name], item)
         return node.outputs["Result"]
 
-    def line(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
+    def line(
+        self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0
+    ) -> Socket:
         """Map [low, high] to [to_low, to_high], clamped, linearly."""
         node = self.node("ShaderNodeMapRange", interpolation_type="LINEAR")
         for name, item in (
@@ -224,7 +226,9 @@ class Graph:
             distance = self.periodic_distance(centre, rng.uniform(0.65, 0.9))
             lines = self.math("MULTIPLY_ADD", distance, 2 * math.pi * 9 / size, self.mul(warp, 9.0))
             lines = self.math("MULTIPLY_ADD", self.math("SINE", lines), 0.5, 0.5)
-            print_mask = self.mul(self.fit(distance, 0.35 * size, size, 1.0, 0.0), self.line(lines, 0.2, 0.8, 0.25, 1.0))
+            print_mask = self.mul(
+                self.fit(distance, 0.35 * size, size, 1.0, 0.0), self.line(lines, 0.2, 0.8, 0.25, 1.0)
+            )
             mask = self.math("MAXIMUM", mask, self.mul(print_mask, rng.uniform(0.5, 1.0)))
         return mask  # type: ignore[return-value]
 

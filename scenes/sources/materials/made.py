@@ -39,10 +39,15 @@ def worn_metal(
         value = g.add(value, g.mul(g.voronoi(12, feature="SMOOTH_F1", seed=seed).outputs["Distance"], dent))
     if grime is None:
         return g.finish(color, value, 1.0)
-    edge = g.add(g.mul(g.noise(scale * 0.8, detail=6, seed=seed + 9, roughness=0.62), 0.8), g.mul(g.noise(40, detail=2, seed=seed + 4), 0.2))
+    edge = g.add(
+        g.mul(g.noise(scale * 0.8, detail=6, seed=seed + 9, roughness=0.62), 0.8),
+        g.mul(g.noise(40, detail=2, seed=seed + 4), 0.2),
+    )
     mask = g.fit(edge, 0.86 - amount * 0.7, 1.02 - amount * 0.7)
     tint = g.shade(grime, g.line(g.noise(18, detail=4, seed=seed + 13), 0, 1, 0.55, 1.4))
-    return g.finish(g.mix(mask, color, tint), g.math("MAXIMUM", value, g.mul(mask, 0.86)), g.math("SUBTRACT", 1.0, mask))
+    return g.finish(
+        g.mix(mask, color, tint), g.math("MAXIMUM", value, g.mul(mask, 0.86)), g.math("SUBTRACT", 1.0, mask)
+    )
 
 
 def galvanised(g: Graph, color: Color, *, seed: float = 1.0) -> Material:
@@ -50,7 +55,11 @@ def galvanised(g: Graph, color: Color, *, seed: float = 1.0) -> Material:
     node = g.voronoi(9, seed=seed, warp=g.mul(g.noise(6, detail=3, seed=seed), 0.8))
     pick = g.node("ShaderNodeSeparateColor")
     g.feed(pick.inputs[0], node.outputs["Color"])
-    return g.finish(g.shade(color, g.line(pick.outputs[0], 0, 1, 0.82, 1.08)), g.line(pick.outputs[1], 0, 1, 0.3, 0.5), 1.0)
+    return g.finish(
+        g.shade(color, g.line(pick.outputs[0], 0, 1, 0.82, 1.08)),
+        g.line(pick.outputs[1], 0, 1, 0.3, 0.5),
+        1.0,
+    )
 
 
 def moulded(
@@ -61,7 +70,9 @@ def moulded(
 
     ``tint`` > 0 lets the colour vary too.
     """
-    value: Value = g.line(g.noise(cells, detail=2, seed=seed, spread=0.3), 0, 1, rough - grain / 2, rough + grain / 2)
+    value: Value = g.line(
+        g.noise(cells, detail=2, seed=seed, spread=0.3), 0, 1, rough - grain / 2, rough + grain / 2
+    )
     if scratched:
         value = g.add(value, g.mul(g.scratches(seed, 0.4 + scratched), 0.3 * scratched + 0.1))
     if prints:
@@ -76,12 +87,21 @@ def moulded(
 def studs(g: Graph, color: Color, *, count: int = 10, rough: float = 0.7, seed: float = 1.0) -> Material:
     """Round-studded rubber flooring; stud tops are rubbed smoother and greyer."""
     cell = g.cells(count, count)
-    away = g.math("SQRT", g.add(g.math("POWER", g.math("SUBTRACT", cell.x, 0.5), 2.0), g.math("POWER", g.math("SUBTRACT", cell.y, 0.5), 2.0)))
+    away = g.math(
+        "SQRT",
+        g.add(
+            g.math("POWER", g.math("SUBTRACT", cell.x, 0.5), 2.0),
+            g.math("POWER", g.math("SUBTRACT", cell.y, 0.5), 2.0),
+        ),
+    )
     top = g.line(away, 0.30, 0.34, 1.0, 0.0)
     rim = g.mul(g.line(away, 0.34, 0.38, 1, 0), g.math("SUBTRACT", 1.0, top))
     dust = g.noise(7, detail=5, seed=seed)
     tone = g.add(g.line(top, 0, 1, 0.85, 1.25), g.mul(rim, -0.35))
-    return g.finish(g.shade(color, g.mul(tone, g.line(dust, 0, 1, 0.85, 1.35))), g.line(top, 0, 1, rough + 0.12, rough - 0.08))
+    return g.finish(
+        g.shade(color, g.mul(tone, g.line(dust, 0, 1, 0.85, 1.35))),
+        g.line(top, 0, 1, rough + 0.12, rough - 0.08),
+    )
 
 
 def speckled(
@@ -101,13 +121,19 @@ def speckled(
     return g.finish(shaded, value, ior=ior)
 
 
-def crackle(g: Graph, color: Color, crack: Color, *, rough: float = 0.1, cells: float = 12.0, seed: float = 1.0) -> Material:
+def crackle(
+    g: Graph, color: Color, crack: Color, *, rough: float = 0.1, cells: float = 12.0, seed: float = 1.0
+) -> Material:
     """Glaze with a net of stained cracks."""
     warp = g.mul(g.noise(8, detail=3, seed=seed), 0.5)
     edge = g.voronoi(cells, feature="DISTANCE_TO_EDGE", seed=seed, warp=warp).outputs["Distance"]
     line = g.fit(edge, 0.0, 0.035, 0.8, 0.0)
     pool = g.noise(3, detail=4, seed=seed + 2)
-    return g.finish(g.mix(line, g.shade(color, g.line(pool, 0, 1, 0.88, 1.06)), crack), g.add(g.mul(line, 0.3), rough), ior=1.55)
+    return g.finish(
+        g.mix(line, g.shade(color, g.line(pool, 0, 1, 0.88, 1.06)), crack),
+        g.add(g.mul(line, 0.3), rough),
+        ior=1.55,
+    )
 
 
 def tiles(
@@ -129,7 +155,9 @@ def tiles(
             pick = g.random(cell.number, seed + 5)
         color = g.mix(pick, glaze, second)
     pool = g.noise(9, detail=4, seed=seed + 2)
-    color = g.shade(color, g.mul(g.line(tone, 0, 1, 1 - vary, 1 + vary), g.line(pool, 0, 1, 1 - cloud, 1 + cloud)))
+    color = g.shade(
+        color, g.mul(g.line(tone, 0, 1, 1 - vary, 1 + vary), g.line(pool, 0, 1, 1 - cloud, 1 + cloud))
+    )
     border = g.line(cell.edge, joint * 0.38, joint * 0.5, 1.0, 0.0)
     rim = g.mul(g.line(cell.edge, joint * 0.5, joint * 1.4, 1.0, 0.0), 0.10)
     sand = g.noise(90, detail=2, seed=seed + 4)
@@ -144,29 +172,49 @@ def paint(
     under_metal: float = 0.0, prints: bool = False, cells: float = 50.0, seed: float = 1.0,
 ) -> Material:  # fmt: skip
     """Paint with roller stipple in its roughness, ``chips`` down to what is ``under``, fingerprints if asked."""
-    value: Value = g.line(g.noise(cells, detail=3, seed=seed, spread=0.28), 0, 1, rough - stipple / 2, rough + stipple / 2)
+    value: Value = g.line(
+        g.noise(cells, detail=3, seed=seed, spread=0.28), 0, 1, rough - stipple / 2, rough + stipple / 2
+    )
     if prints:
         value = g.add(value, g.mul(g.fingerprints(9, 0.07, int(seed) + 5), 0.25))
     if not chips:
         return g.finish(color, value)
-    edge = g.add(g.mul(g.noise(5, detail=6, seed=seed + 9, roughness=0.62), 0.85), g.mul(g.noise(36, detail=2, seed=seed + 3), 0.15))
+    edge = g.add(
+        g.mul(g.noise(5, detail=6, seed=seed + 9, roughness=0.62), 0.85),
+        g.mul(g.noise(36, detail=2, seed=seed + 3), 0.15),
+    )
     mask = g.fit(edge, 0.93 - 0.5 * chips, 0.96 - 0.5 * chips)
     fade = g.line(g.noise(4, detail=3, seed=seed + 17), 0, 1, 0.9, 1.08)
     bottom = g.shade(under, g.line(g.noise(12, 60, detail=3, seed=seed + 21), 0, 1, 0.8, 1.15))
-    return g.finish(g.mix(mask, g.shade(color, fade), bottom), g.add(value, g.mul(mask, 0.2)), g.mul(mask, under_metal))
+    return g.finish(
+        g.mix(mask, g.shade(color, fade), bottom), g.add(value, g.mul(mask, 0.2)), g.mul(mask, under_metal)
+    )
 
 
-def plaster(g: Graph, color: Color, *, rough: float = 0.88, trowel: float = 0.08, polish: float = 0.0, seed: float = 1.0) -> Material:
+def plaster(
+    g: Graph,
+    color: Color,
+    *,
+    rough: float = 0.88,
+    trowel: float = 0.08,
+    polish: float = 0.0,
+    seed: float = 1.0,
+) -> Material:
     """Plaster and stucco: trowel clouds; ``polish`` > 0 gives Venetian stucco its shine."""
     arc = g.noise(3, detail=5, seed=seed, roughness=0.6)
     sweep = g.noise(4, 11, detail=4, seed=seed + 4)
     body = g.add(g.mul(arc, 0.6), g.mul(sweep, 0.4))
-    tone = g.add(g.line(body, 0, 1, 1 - trowel, 1 + trowel), g.line(g.noise(70, detail=2, seed=seed + 2), 0, 1, -trowel / 3, trowel / 3))
+    tone = g.add(
+        g.line(body, 0, 1, 1 - trowel, 1 + trowel),
+        g.line(g.noise(70, detail=2, seed=seed + 2), 0, 1, -trowel / 3, trowel / 3),
+    )
     low = rough - 0.5 * polish
     return g.finish(g.shade(color, tone), g.line(body, 0, 1, low + 0.06 + 0.12 * polish, low - 0.06))
 
 
-def brick(g: Graph, clay: Color, second: Color, mortar: Color, *, grid: tuple[int, int] = (4, 12), seed: float = 1.0) -> Material:
+def brick(
+    g: Graph, clay: Color, second: Color, mortar: Color, *, grid: tuple[int, int] = (4, 12), seed: float = 1.0
+) -> Material:
     """Brickwork, stretcher bond."""
     cell = g.cells(*grid, shift="half")
     ragged = g.mul(g.math("SUBTRACT", g.noise(40, detail=3, seed=seed), 0.5), 0.003)

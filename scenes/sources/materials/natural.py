@@ -26,7 +26,9 @@ def wood(
     warp = g.noise(1.6, 5, detail=2, seed=shift, spread=0.3)
     figure = g.wave(0, rings * (planks[1] if planks else 1), warp, 9.0 if planks else 6.5 * contrast)
     fibre = g.noise(9, 190, detail=2, seed=shift, spread=0.3)
-    cathedral = g.add(g.mul(figure, 0.45 * contrast), g.mul(g.noise(2.5, 22, 3, seed=g.add(shift, 8.0)), 0.55))
+    cathedral = g.add(
+        g.mul(figure, 0.45 * contrast), g.mul(g.noise(2.5, 22, 3, seed=g.add(shift, 8.0)), 0.55)
+    )
     amount = g.add(g.mul(cathedral, 0.75), g.mul(fibre, 0.25))
     pores = g.fit(g.noise(26, 260, detail=1, seed=g.add(shift, 3.0), spread=0.3), 0.70, 0.86)
     color = g.mix(amount, dark, light)
@@ -54,18 +56,24 @@ def marble(
     """Polished marble: warped thin veins of two sizes over clouds; veins are a little duller."""
     warp = g.noise(scale, detail=5, seed=seed, spread=0.25)
     big = g.math("ABSOLUTE", g.math("SUBTRACT", g.wave(1, 2, warp, 11.0), 0.5))
-    small = g.math("ABSOLUTE", g.math("SUBTRACT", g.wave(-3, 2, g.noise(2 * scale, detail=6, seed=seed + 7), 9.0), 0.5))
+    small = g.math(
+        "ABSOLUTE", g.math("SUBTRACT", g.wave(-3, 2, g.noise(2 * scale, detail=6, seed=seed + 7), 9.0), 0.5)
+    )
     fade = g.noise(scale + 1, detail=3, seed=seed + 3)
     vein = g.math("MAXIMUM", g.mul(g.fit(big, 0.0, sharp * 2.2, 1, 0), fade),
                   g.mul(g.fit(small, 0.0, sharp, 0.7, 0), g.math("SUBTRACT", 1.0, fade)))  # fmt: skip
     cloud = g.noise(scale * 1.5, detail=4, seed=seed + 11)
     color = g.mix(g.mul(cloud, clouds), ground, g.shade(veins, 1.3))
     color = g.mix(vein, color, veins)
-    rough = g.add(g.mul(vein, 0.10), g.line(g.noise(5, detail=3, seed=seed + 15), 0, 1, gloss - 0.03, gloss + 0.05))
+    rough = g.add(
+        g.mul(vein, 0.10), g.line(g.noise(5, detail=3, seed=seed + 15), 0, 1, gloss - 0.03, gloss + 0.05)
+    )
     return g.finish(color, rough, ior=1.52)
 
 
-def granite(g: Graph, *colors: Color, gloss: float = 0.15, cells: float = 22.0, seed: float = 1.0) -> Material:
+def granite(
+    g: Graph, *colors: Color, gloss: float = 0.15, cells: float = 22.0, seed: float = 1.0
+) -> Material:
     """Polished granite: three grains of feldspar, quartz and mica; mica shines more."""
     grain = g.voronoi(cells, seed=seed, warp=g.mul(g.noise(9, detail=3, seed=seed), 0.6)).outputs["Color"]
     pick = g.node("ShaderNodeSeparateColor")
@@ -76,7 +84,9 @@ def granite(g: Graph, *colors: Color, gloss: float = 0.15, cells: float = 22.0, 
     return g.finish(color, g.line(amount, 0.1, 0.9, gloss - 0.05, gloss + 0.09), ior=1.53)
 
 
-def terrazzo(g: Graph, binder: Color, *chips: Color, gloss: float = 0.22, cells: float = 9.0, seed: float = 1.0) -> Material:
+def terrazzo(
+    g: Graph, binder: Color, *chips: Color, gloss: float = 0.22, cells: float = 9.0, seed: float = 1.0
+) -> Material:
     """Stone chips in cement, ground flat."""
     node = g.voronoi(cells, seed=seed)
     pick = g.node("ShaderNodeSeparateColor")
@@ -106,8 +116,16 @@ def leather(
 ) -> Material:  # fmt: skip
     """Grained leather: creases between pebbles are darker and duller, rubbed places lighter and smoother."""
     warp = g.mul(g.noise(pebble / 3, detail=2, seed=seed), 0.7)
-    crease = g.fit(g.voronoi(pebble, feature="DISTANCE_TO_EDGE", seed=seed, warp=warp).outputs["Distance"], 0.02, 0.22, 1, 0)
-    folds = g.fit(g.math("ABSOLUTE", g.math("SUBTRACT", g.noise(4, detail=4, seed=seed + 2), 0.5)), 0, 0.05, 0.6, 0)
+    crease = g.fit(
+        g.voronoi(pebble, feature="DISTANCE_TO_EDGE", seed=seed, warp=warp).outputs["Distance"],
+        0.02,
+        0.22,
+        1,
+        0,
+    )
+    folds = g.fit(
+        g.math("ABSOLUTE", g.math("SUBTRACT", g.noise(4, detail=4, seed=seed + 2), 0.5)), 0, 0.05, 0.6, 0
+    )
     lines = g.math("MAXIMUM", crease, folds)
     rubbed = g.noise(3, detail=4, seed=seed + 5)
     tone = g.mul(g.line(rubbed, 0, 1, 1 - wear, 1 + 0.9 * wear), g.line(lines, 0, 1, 1.0, 0.62))
@@ -143,10 +161,14 @@ def weave(
     warp_c: Value | Color = warp_color
     weft_c: Value | Color = weft_color
     if warp_stripe:
-        group = g.math("LESS_THAN", g.math("MODULO", g.math("FLOOR", g.mul(column, 1 / warp_stripe[0])), 2.0), 0.5)
+        group = g.math(
+            "LESS_THAN", g.math("MODULO", g.math("FLOOR", g.mul(column, 1 / warp_stripe[0])), 2.0), 0.5
+        )
         warp_c = g.mix(group, warp_color, warp_stripe[1])
     if weft_stripe:
-        group = g.math("LESS_THAN", g.math("MODULO", g.math("FLOOR", g.mul(row, 1 / weft_stripe[0])), 2.0), 0.5)
+        group = g.math(
+            "LESS_THAN", g.math("MODULO", g.math("FLOOR", g.mul(row, 1 / weft_stripe[0])), 2.0), 0.5
+        )
         weft_c = g.mix(group, weft_color, weft_stripe[1])
     color = g.mix(across, weft_c, warp_c)
     hair = g.noise(threads * 2.5, detail=2, seed=seed, spread=0.3)
@@ -163,7 +185,9 @@ def _grey(g: Graph, value: Value) -> Value:
     return node.outputs[0]
 
 
-def pile(g: Graph, color: Color, second: Color, *, tufts: float = 60.0, seed: float = 1.0, rows: int = 0) -> Material:
+def pile(
+    g: Graph, color: Color, second: Color, *, tufts: float = 60.0, seed: float = 1.0, rows: int = 0
+) -> Material:
     """Velvet, felt, wool and carpet pile; ``rows`` > 0: corduroy ribs."""
     clump = g.noise(6, detail=4, seed=seed)
     tuft = g.noise(tufts, detail=2, seed=seed + 3, spread=0.3)
@@ -180,13 +204,18 @@ def knit(g: Graph, color: Color, *, loops: int = 14, seed: float = 1.0) -> Mater
     stitch = g.cells(loops, loops)
     side = g.math("ABSOLUTE", g.math("SUBTRACT", stitch.x, 0.5))
     vee = g.math("FRACT", g.add(stitch.y, g.mul(side, 1.1)))
-    body = g.mul(g.math("SINE", g.mul(vee, 3.14159265)), g.math("SINE", g.mul(g.math("FRACT", g.mul(stitch.x, 2.0)), 3.14159265)))
+    body = g.mul(
+        g.math("SINE", g.mul(vee, 3.14159265)),
+        g.math("SINE", g.mul(g.math("FRACT", g.mul(stitch.x, 2.0)), 3.14159265)),
+    )
     hair = g.noise(90, detail=2, seed=seed, spread=0.3)
     tone = g.mul(g.line(body, 0, 0.8, 0.32, 1.08), g.line(hair, 0, 1, 0.75, 1.2))
     return g.finish(g.shade(color, tone), g.line(body, 0, 1, 0.98, 0.86), ior=1.4)
 
 
-def paper(g: Graph, color: Color, *, fibre: float = 0.06, rough: float = 0.88, seed: float = 1.0, flute: int = 0) -> Material:
+def paper(
+    g: Graph, color: Color, *, fibre: float = 0.06, rough: float = 0.88, seed: float = 1.0, flute: int = 0
+) -> Material:
     """Uncoated paper and board; ``flute`` > 0: corrugations that show through."""
     flock = g.noise(14, detail=5, seed=seed)
     strand = g.noise(40, 90, detail=2, seed=seed + 2)
@@ -196,7 +225,9 @@ def paper(g: Graph, color: Color, *, fibre: float = 0.06, rough: float = 0.88, s
     return g.finish(g.shade(color, tone), g.line(flock, 0, 1, rough + 0.05, rough - 0.05), ior=1.45)
 
 
-def print_lines(g: Graph, ground: Color, ink: Color, *, rows: int = 26, gloss: float = 0.6, seed: float = 1.0) -> Material:
+def print_lines(
+    g: Graph, ground: Color, ink: Color, *, rows: int = 26, gloss: float = 0.6, seed: float = 1.0
+) -> Material:
     """Printed text seen from reading distance: words of random length in two columns; ink is glossier."""
     column = g.cells(2, 1)
     margin = g.math("GREATER_THAN", g.math("MINIMUM", column.x, g.math("SUBTRACT", 1.0, column.x)), 0.07)
@@ -206,10 +237,14 @@ def print_lines(g: Graph, ground: Color, ink: Color, *, rows: int = 26, gloss: f
     blank = g.math("LESS_THAN", word.x, g.line(g.random(word.number, seed), 0, 1, 0.10, 0.26))
     glyph = g.math("GREATER_THAN", g.noise(190, rows * 7, detail=0, seed=seed, spread=0.3), 0.36)
     inked = g.mul(g.mul(g.mul(body, margin), g.math("SUBTRACT", 1.0, blank)), glyph)
-    paragraph = g.math("GREATER_THAN", g.random(g.math("FLOOR", g.mul(letters.number, 1 / 150)), seed + 2), 0.10)
+    paragraph = g.math(
+        "GREATER_THAN", g.random(g.math("FLOOR", g.mul(letters.number, 1 / 150)), seed + 2), 0.10
+    )
     inked = g.mul(inked, paragraph)
     tone = g.line(g.noise(10, detail=4, seed=seed + 5), 0, 1, 0.95, 1.03)
-    return g.finish(g.mix(inked, g.shade(ground, tone), ink), g.line(inked, 0, 1, gloss + 0.25, gloss), ior=1.45)
+    return g.finish(
+        g.mix(inked, g.shade(ground, tone), ink), g.line(inked, 0, 1, gloss + 0.25, gloss), ior=1.45
+    )
 
 
 def wallpaper(
@@ -221,7 +256,11 @@ def wallpaper(
     x, y = g.math("SUBTRACT", cell.x, 0.5), g.math("SUBTRACT", cell.y, 0.5)
     if kind == "stripe":
         mask = g.line(g.math("ABSOLUTE", x), 0.235, 0.25, 1.0, 0.0)
-        mask = g.math("MAXIMUM", mask, g.line(g.math("ABSOLUTE", g.math("SUBTRACT", g.math("ABSOLUTE", x), 0.33)), 0.012, 0.02, 1, 0))
+        mask = g.math(
+            "MAXIMUM",
+            mask,
+            g.line(g.math("ABSOLUTE", g.math("SUBTRACT", g.math("ABSOLUTE", x), 0.33)), 0.012, 0.02, 1, 0),
+        )
     else:
         stretch = 2.3 if kind == "leaf" else 1.0
         pinch = g.math("POWER", g.math("ABSOLUTE", y), 2.0)
@@ -243,7 +282,9 @@ def cork(g: Graph, color: Color, dark: Color, *, seed: float = 1.0) -> Material:
     node = g.voronoi(26, seed=seed, warp=g.mul(g.noise(14, detail=3, seed=seed), 0.8))
     pick = g.node("ShaderNodeSeparateColor")
     g.feed(pick.inputs[0], node.outputs["Color"])
-    tone = g.mul(g.line(pick.outputs[0], 0, 1, 0.6, 1.2), g.line(node.outputs["Distance"], 0.2, 0.9, 1.08, 0.75))
+    tone = g.mul(
+        g.line(pick.outputs[0], 0, 1, 0.6, 1.2), g.line(node.outputs["Distance"], 0.2, 0.9, 1.08, 0.75)
+    )
     spot = g.fit(pick.outputs[1], 0.86, 0.9)
     return g.finish(g.mix(spot, g.shade(color, tone), dark), g.line(tone, 0.5, 1.2, 0.9, 0.72))
 

@@ -33,17 +33,37 @@ def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
     return place[0], place[1]
 
 
-@thing("book_single", "Book", "book", cover=Slot(("leather",), ("leather", "paper", "fabric"), "leather_red"), pages=_PAGES)
+@thing(
+    "book_single",
+    "Book",
+    "book",
+    cover=Slot(("leather",), ("leather", "paper", "fabric"), "leather_red"),
+    pages=_PAGES,
+)
 def book_single(w: Workshop) -> None:
     cover, pages = lying_book(0.034, 0.22, 0.15)
     w.add("book", "cover", cover)
     w.add("book", "pages", pages)
 
 
-@thing("book_stack", "Stack of books", "book", first=_cover("38475c"), second=_cover("a5482f"), third=_cover("cdbf9d"), fourth=_cover("2e4a3a"), pages=_PAGES)
+@thing(
+    "book_stack",
+    "Stack of books",
+    "book",
+    first=_cover("38475c"),
+    second=_cover("a5482f"),
+    third=_cover("cdbf9d"),
+    fourth=_cover("2e4a3a"),
+    pages=_PAGES,
+)
 def book_stack(w: Workshop) -> None:
     z = 0.0
-    for slot, thick, length, deep, angle in (("first", 0.036, 0.26, 0.19, 4), ("second", 0.028, 0.235, 0.165, -9), ("third", 0.041, 0.215, 0.15, 6), ("fourth", 0.02, 0.18, 0.12, -22)):
+    for slot, thick, length, deep, angle in (
+        ("first", 0.036, 0.26, 0.19, 4),
+        ("second", 0.028, 0.235, 0.165, -9),
+        ("third", 0.041, 0.215, 0.15, 6),
+        ("fourth", 0.02, 0.18, 0.12, -22),
+    ):
         for name, shape in zip((slot, "pages"), lying_book(thick, length, deep), strict=True):
             w.add("books", name, shape.turned("z", angle).moved(0.004 * angle / 9, 0, z))
         z += thick + 0.0003
@@ -52,13 +72,36 @@ def book_stack(w: Workshop) -> None:
 @thing("book_row", "Books between bookends", "book", supports="shelf, table, counter", yaw=60, first=_cover("6d2b2b"), second=_cover("2b4a5e"), third=_cover("b89a52"), fourth=_cover("47503f"),
        pages=_PAGES, iron=painted("222325", 0.45))  # fmt: skip
 def book_row(w: Workshop) -> None:
-    furniture.book_row(w, "books", ("first", "second", "third", "fourth"), "pages", x=-0.12, width=0.225, y=0.09, z=0.0, height=0.28, seed=19)
+    furniture.book_row(
+        w,
+        "books",
+        ("first", "second", "third", "fourth"),
+        "pages",
+        x=-0.12,
+        width=0.225,
+        y=0.09,
+        z=0.0,
+        height=0.28,
+        seed=19,
+    )
     for side in (-1, 1):
         x = side * (0.122 if side < 0 else 0.126)
-        w.add("ends", "iron", box((0.003, 0.09, 0.15), (x, 0.0, 0), 0.001), box((0.05, 0.09, 0.0018), (x + side * 0.025, 0, 0), 0.0005))
+        w.add(
+            "ends",
+            "iron",
+            box((0.003, 0.09, 0.15), (x, 0.0, 0), 0.001),
+            box((0.05, 0.09, 0.0018), (x + side * 0.025, 0, 0), 0.0005),
+        )
 
 
-@thing("book_open", "Open book", "book", cover=_cover("34302c"), page=Slot(("paper",), (), graph=_page), edge=_PAGES)
+@thing(
+    "book_open",
+    "Open book",
+    "book",
+    cover=_cover("34302c"),
+    page=Slot(("paper",), (), graph=_page),
+    edge=_PAGES,
+)
 def book_open(w: Workshop) -> None:
     t = np.linspace(0, 1, 14)
     for side in (-1, 1):
@@ -76,20 +119,38 @@ def book_open(w: Workshop) -> None:
             upper = np.array([(xx, y, zz) for xx, zz in outline])
             wall = grid(np.stack([lower, upper]))
             w.add("pages", "edge", wall.flipped() if flip != (side < 0) else wall)
-        end = np.stack([np.array([[x[-1], y, 0.003] for y in (-0.105, 0.105)]), np.array([[x[-1], y, rise[-1]] for y in (-0.105, 0.105)])])
+        end = np.stack(
+            [
+                np.array([[x[-1], y, 0.003] for y in (-0.105, 0.105)]),
+                np.array([[x[-1], y, rise[-1]] for y in (-0.105, 0.105)]),
+            ]
+        )
         wall = grid(end)
         w.add("pages", "edge", wall if side > 0 else wall.flipped())
     w.add("cover", "cover", box((0.295, 0.22, 0.003), bevel=0.001))
 
 
 def _magazine(ground: str, ink: str, seed: float) -> Slot:
-    return Slot(("paper",), (), graph=partial(art.cover, ground=srgb(ground), ink=srgb(ink), seed=seed, rough=0.3))
+    return Slot(
+        ("paper",), (), graph=partial(art.cover, ground=srgb(ground), ink=srgb(ink), seed=seed, rough=0.3)
+    )
 
 
-@thing("magazines", "Magazines", "book", front=_magazine("c9bfa8", "7a2620", 3.0), second=_cover("4f6a78", 0.3), third=_cover("b7a16a", 0.3))
+@thing(
+    "magazines",
+    "Magazines",
+    "book",
+    front=_magazine("c9bfa8", "7a2620", 3.0),
+    second=_cover("4f6a78", 0.3),
+    third=_cover("b7a16a", 0.3),
+)
 def magazines(w: Workshop) -> None:
     for k, (slot, angle) in enumerate((("second", 7.0), ("third", -12.0), ("second", 3.0))):
-        w.add("magazines", slot, _limp(0.21, 0.28, 0.005).turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026))
+        w.add(
+            "magazines",
+            slot,
+            _limp(0.21, 0.28, 0.005).turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026),
+        )
     w.add("magazines", "third", _limp(0.21, 0.28, 0.005).turned("z", -5).moved(z=0.0052 * 3 + 0.0026))
     front = panel(0.208, 0.278).turned("x", -90).moved(0, -0.139, 0.0208 + 0.0026 - 0.0026 + 0.0004)
     w.add("magazines", "front", front.turned("z", -5))
@@ -101,37 +162,104 @@ def _limp(sx: float, sy: float, thick: float) -> Shape:
 
 
 # boxes -------------------------------------------------------------------------------------------------------
-@thing("box_cardboard", "Cardboard box", "box", supports="table, shelf, counter, floor", scale=(0.8, 1.25), board=Slot(("paper",), ("paper",), "cardboard"), tape=plastic("b08a54", 0.25))
+@thing(
+    "box_cardboard",
+    "Cardboard box",
+    "box",
+    supports="table, shelf, counter, floor",
+    scale=(0.8, 1.25),
+    board=Slot(("paper",), ("paper",), "cardboard"),
+    tape=plastic("b08a54", 0.25),
+)
 def box_cardboard(w: Workshop) -> None:
     t, x, y, h = 0.004, 0.3, 0.22, 0.2
-    walls = [box((x, t, h), (0, s * (y / 2 - t / 2), 0), 0.0012, grain=0) for s in (-1, 1)] + [box((t, y - 2 * t, h), (s * (x / 2 - t / 2), 0, 0), 0.0012, grain=1) for s in (-1, 1)]
-    flaps = [box((x - 0.004, y / 2 - 0.001, t), (0, s * y / 4, h), 0.0012, grain=0).bent(lambda p, s=s: p + np.column_stack([0 * p[:, 0], 0 * p[:, 0], 0.012 * np.clip(1 - np.abs(p[:, 1]) / (y / 2), 0, 1) * (s > 0)])) for s in (-1, 1)]
+    walls = [box((x, t, h), (0, s * (y / 2 - t / 2), 0), 0.0012, grain=0) for s in (-1, 1)] + [
+        box((t, y - 2 * t, h), (s * (x / 2 - t / 2), 0, 0), 0.0012, grain=1) for s in (-1, 1)
+    ]
+    flaps = [
+        box((x - 0.004, y / 2 - 0.001, t), (0, s * y / 4, h), 0.0012, grain=0).bent(
+            lambda p, s=s: (
+                p
+                + np.column_stack(
+                    [0 * p[:, 0], 0 * p[:, 0], 0.012 * np.clip(1 - np.abs(p[:, 1]) / (y / 2), 0, 1) * (s > 0)]
+                )
+            )
+        )
+        for s in (-1, 1)
+    ]
     w.add("box", "board", *walls, box((x - 0.002, y - 0.002, t), (0, 0, 0), 0.001), *flaps)
-    w.add("tape", "tape", box((x + 0.0008, 0.05, 0.0006), (0, -0.03, h + t), 0.0001), *[box((0.0006, 0.05, 0.06), (s * (x / 2 + 0.0002), -0.03, h + t - 0.06), 0.0001) for s in (-1, 1)])
+    w.add(
+        "tape",
+        "tape",
+        box((x + 0.0008, 0.05, 0.0006), (0, -0.03, h + t), 0.0001),
+        *[box((0.0006, 0.05, 0.06), (s * (x / 2 + 0.0002), -0.03, h + t - 0.06), 0.0001) for s in (-1, 1)],
+    )
 
 
-@thing("box_wooden", "Wooden box with a lid", "box", wood=wood("walnut_lacquered"), brass=metal((0.86, 0.70, 0.38), 0.25))
+@thing(
+    "box_wooden",
+    "Wooden box with a lid",
+    "box",
+    wood=wood("walnut_lacquered"),
+    brass=metal((0.86, 0.70, 0.38), 0.25),
+)
 def box_wooden(w: Workshop) -> None:
-    w.add("box", "wood", box((0.24, 0.16, 0.07), bevel=0.003, segments=2, grain=0), box((0.246, 0.166, 0.03), (0, 0, 0.0715), 0.005, 2, grain=0))
-    w.add("box", "brass", box((0.026, 0.004, 0.03), (0, -0.0835, 0.056), 0.0015, 2), cylinder(0.0045, 0.006, segments=16, bevel=0.001).turned("x", 90).moved(0, -0.085, 0.066))
+    w.add(
+        "box",
+        "wood",
+        box((0.24, 0.16, 0.07), bevel=0.003, segments=2, grain=0),
+        box((0.246, 0.166, 0.03), (0, 0, 0.0715), 0.005, 2, grain=0),
+    )
+    w.add(
+        "box",
+        "brass",
+        box((0.026, 0.004, 0.03), (0, -0.0835, 0.056), 0.0015, 2),
+        cylinder(0.0045, 0.006, segments=16, bevel=0.001).turned("x", 90).moved(0, -0.085, 0.066),
+    )
     for x in (-0.07, 0.07):
         w.add("box", "brass", tube([(x - 0.014, 0.084, 0.071), (x + 0.014, 0.084, 0.071)], 0.004, 8))
 
 
-@thing("basket", "Wicker basket", "box", supports="floor, table, counter, shelf", weave=Slot(("organic",), ("organic", "fabric"), "wicker"), lining=cloth("d3c9b2"))
+@thing(
+    "basket",
+    "Wicker basket",
+    "box",
+    supports="floor, table, counter, shelf",
+    weave=Slot(("organic",), ("organic", "fabric"), "wicker"),
+    lining=cloth("d3c9b2"),
+)
 def basket(w: Workshop) -> None:
     from scenes.sources.objects.crockery import vessel
 
-    w.add("basket", "weave", vessel([(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3))
-    ring = [(0.155 * np.cos(a), 0.155 * np.sin(a), 0.152) for a in np.linspace(0, 2 * np.pi, 40, endpoint=False)]
+    w.add(
+        "basket",
+        "weave",
+        vessel([(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3),
+    )
+    ring = [
+        (0.155 * np.cos(a), 0.155 * np.sin(a), 0.152) for a in np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ]
     w.add("basket", "weave", tube(ring, 0.0085, 8, closed=True))
     for side in (-1, 1):
-        arch = [(side * 0.158, 0.045 * np.cos(a), 0.15 + 0.055 * np.sin(a)) for a in np.linspace(0, np.pi, 13)]
+        arch = [
+            (side * 0.158, 0.045 * np.cos(a), 0.15 + 0.055 * np.sin(a)) for a in np.linspace(0, np.pi, 13)
+        ]
         w.add("basket", "weave", tube(arch, 0.0065, 8))
-    w.add("lining", "lining", vessel([(0.112, 0.013), (0.127, 0.02), (0.139, 0.08), (0.1465, 0.148)], 0.003, smooth=3))
+    w.add(
+        "lining",
+        "lining",
+        vessel([(0.112, 0.013), (0.127, 0.02), (0.139, 0.08), (0.1465, 0.148)], 0.003, smooth=3),
+    )
 
 
-@thing("box_shoe", "Shoe box", "box", supports="floor, shelf, table, counter", body=paper("b8b0a0"), lid=paper("3e5560", 0.5))
+@thing(
+    "box_shoe",
+    "Shoe box",
+    "box",
+    supports="floor, shelf, table, counter",
+    body=paper("b8b0a0"),
+    lid=paper("3e5560", 0.5),
+)
 def box_shoe(w: Workshop) -> None:
     w.add("box", "body", box((0.325, 0.195, 0.11), bevel=0.0012))
     w.add("box", "lid", box((0.331, 0.201, 0.036), (0, 0, 0.079), 0.0015, 2))
@@ -141,18 +269,64 @@ def box_shoe(w: Workshop) -> None:
 def box_tin(w: Workshop) -> None:
     from scenes.sources.shapes import lathe
 
-    w.add("tin", "tin", lathe([(0, 0), (0.087, 0), (0.09, 0.003), (0.09, 0.06), (0.0925, 0.0605), (0.0925, 0.085), (0.088, 0.0905), (0.08, 0.0905), (0.078, 0.088), (0, 0.089)], 48))
-    w.add("tin", "rim", *[tube([(r * np.cos(a), r * np.sin(a), z) for a in np.linspace(0, 2 * np.pi, 48, endpoint=False)], 0.0016, 6, closed=True) for r, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))])
+    w.add(
+        "tin",
+        "tin",
+        lathe(
+            [
+                (0, 0),
+                (0.087, 0),
+                (0.09, 0.003),
+                (0.09, 0.06),
+                (0.0925, 0.0605),
+                (0.0925, 0.085),
+                (0.088, 0.0905),
+                (0.08, 0.0905),
+                (0.078, 0.088),
+                (0, 0.089),
+            ],
+            48,
+        ),
+    )
+    w.add(
+        "tin",
+        "rim",
+        *[
+            tube(
+                [(r * np.cos(a), r * np.sin(a), z) for a in np.linspace(0, 2 * np.pi, 48, endpoint=False)],
+                0.0016,
+                6,
+                closed=True,
+            )
+            for r, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))
+        ],
+    )
 
 
-@thing("bag_paper", "Paper bag", "box", supports="table, counter, floor", paper=Slot(("paper",), ("paper",), "paper_kraft"), handle=paper("8a6a44"))
+@thing(
+    "bag_paper",
+    "Paper bag",
+    "box",
+    supports="table, counter, floor",
+    paper=Slot(("paper",), ("paper",), "paper_kraft"),
+    handle=paper("8a6a44"),
+)
 def bag_paper(w: Workshop) -> None:
     x, y, h, t = 0.11, 0.06, 0.3, 0.0012
     rings = []
     for k, z in enumerate(np.linspace(0, h, 9)):
         s = z / h
         pinch = 0.18 * s**2
-        corners = [(-x, -y * (1 - pinch)), (0, -y * (1 - pinch) - 0.004 * np.sin(3 * s)), (x, -y * (1 - pinch)), (x * (1 - 0.14 * s**2), 0), (x, y * (1 - pinch)), (0, y * (1 - pinch) + 0.003), (-x, y * (1 - pinch)), (-x * (1 - 0.14 * s**2), 0)]
+        corners = [
+            (-x, -y * (1 - pinch)),
+            (0, -y * (1 - pinch) - 0.004 * np.sin(3 * s)),
+            (x, -y * (1 - pinch)),
+            (x * (1 - 0.14 * s**2), 0),
+            (x, y * (1 - pinch)),
+            (0, y * (1 - pinch) + 0.003),
+            (-x, y * (1 - pinch)),
+            (-x * (1 - 0.14 * s**2), 0),
+        ]
         wobble = 0.0018 * np.sin(1.7 * k + np.arange(8) * 2.1) * s
         rings.append([(cx + wb, cy + wb, z) for (cx, cy), wb in zip(corners, wobble, strict=True)])
     lattice = np.array(rings)
@@ -160,6 +334,20 @@ def bag_paper(w: Workshop) -> None:
     w.add("bag", "paper", sheet(closed, t), box((2 * x - 0.004, 2 * y - 0.004, t), bevel=0))
     for side in (-1, 1):
         yy = side * y * 0.8
-        w.add("bag", "handle", tube([(-0.045, yy, h - 0.03), (-0.043, yy, h + 0.04), (-0.025, yy * 0.9, h + 0.075), (0.025, yy * 0.9, h + 0.075), (0.043, yy, h + 0.04), (0.045, yy, h - 0.03)], 0.0028, 8, smooth=4))
-
-
+        w.add(
+            "bag",
+            "handle",
+            tube(
+                [
+                    (-0.045, yy, h - 0.03),
+                    (-0.043, yy, h + 0.04),
+                    (-0.025, yy * 0.9, h + 0.075),
+                    (0.025, yy * 0.9, h + 0.075),
+                    (0.043, yy, h + 0.04),
+                    (0.045, yy, h - 0.03),
+                ],
+                0.0028,
+                8,
+                smooth=4,
+            ),
+        )

@@ -16,7 +16,9 @@ from scenes.sources.shapes import box, cylinder, extrude, lathe, panel, rounded_
 
 def _screen(g: Graph, seed: float = 1.0) -> bpy.types.Material:
     """A switched-off screen with smears."""
-    return g.finish(srgb("0a0b0d"), g.add(0.07, g.mul(g.fit(g.noise(4, detail=3, seed=seed), 0.5, 1.0), 0.12)))
+    return g.finish(
+        srgb("0a0b0d"), g.add(0.07, g.mul(g.fit(g.noise(4, detail=3, seed=seed), 0.5, 1.0), 0.12))
+    )
 
 
 SCREEN = Slot(("glass",), (), graph=_screen)
@@ -24,7 +26,13 @@ SCREEN = Slot(("glass",), (), graph=_screen)
 
 def _grille(g: Graph, count: int = 24, color: str = "26282a") -> bpy.types.Material:
     cell = g.cells(count, count, shift="half")
-    away = g.math("SQRT", g.add(g.math("POWER", g.math("SUBTRACT", cell.x, 0.5), 2.0), g.math("POWER", g.math("SUBTRACT", cell.y, 0.5), 2.0)))
+    away = g.math(
+        "SQRT",
+        g.add(
+            g.math("POWER", g.math("SUBTRACT", cell.x, 0.5), 2.0),
+            g.math("POWER", g.math("SUBTRACT", cell.y, 0.5), 2.0),
+        ),
+    )
     hole = g.line(away, 0.27, 0.33, 1.0, 0.0)
     return g.finish(g.mix(hole, srgb(color), srgb("050505")), g.line(hole, 0, 1, 0.4, 0.9))
 
@@ -33,61 +41,194 @@ def _grille(g: Graph, count: int = 24, color: str = "26282a") -> bpy.types.Mater
        knob=metal((0.86, 0.72, 0.42), 0.25), dial=fixed("33261a", 0.15, "glass"))  # fmt: skip
 def radio(w: Workshop) -> None:
     w.add("radio", "case", soft_box((0.3, 0.13, 0.17), (0, 0, 0.008), 0.022, (0, 0, 0), 8))
-    w.add("radio", "front", extrude(rounded_rectangle(0.272, 0.142, 0.014, 5), 0.006, 0.002).turned("x", 90).moved(0, -0.0625, 0.093))
+    w.add(
+        "radio",
+        "front",
+        extrude(rounded_rectangle(0.272, 0.142, 0.014, 5), 0.006, 0.002)
+        .turned("x", 90)
+        .moved(0, -0.0625, 0.093),
+    )
     w.add("radio", "grille", panel(0.145, 0.115, (-0.052, -0.0688, 0.036)))
-    w.add("radio", "dial", extrude(rounded_rectangle(0.085, 0.036, 0.004, 3), 0.002, 0.0006).turned("x", 90).moved(0.077, -0.068, 0.134))
+    w.add(
+        "radio",
+        "dial",
+        extrude(rounded_rectangle(0.085, 0.036, 0.004, 3), 0.002, 0.0006)
+        .turned("x", 90)
+        .moved(0.077, -0.068, 0.134),
+    )
     for x in (0.052, 0.102):
-        w.add("radio", "knob", lathe([(0, 0), (0.016, 0), (0.0165, 0.003), (0.014, 0.005), (0.0135, 0.016), (0.011, 0.018), (0, 0.0182)], 28).turned("x", 90).moved(x, -0.0685, 0.075))
+        w.add(
+            "radio",
+            "knob",
+            lathe(
+                [
+                    (0, 0),
+                    (0.016, 0),
+                    (0.0165, 0.003),
+                    (0.014, 0.005),
+                    (0.0135, 0.016),
+                    (0.011, 0.018),
+                    (0, 0.0182),
+                ],
+                28,
+            )
+            .turned("x", 90)
+            .moved(x, -0.0685, 0.075),
+        )
     for x in (-0.12, 0.12):
         for y in (-0.04, 0.04):
             w.add("radio", "front", cylinder(0.009, 0.01, (x, y, 0), 0.002, 16))
-    w.add("radio", "knob", tube([(-0.1, 0, 0.176), (-0.1, 0, 0.2), (-0.085, 0, 0.212), (0.085, 0, 0.212), (0.1, 0, 0.2), (0.1, 0, 0.176)], 0.0045, 10, smooth=3))
+    w.add(
+        "radio",
+        "knob",
+        tube(
+            [
+                (-0.1, 0, 0.176),
+                (-0.1, 0, 0.2),
+                (-0.085, 0, 0.212),
+                (0.085, 0, 0.212),
+                (0.1, 0, 0.2),
+                (0.1, 0, 0.176),
+            ],
+            0.0045,
+            10,
+            smooth=3,
+        ),
+    )
 
 
-@thing("headphones", "Headphones", "electronics", pads=leather("leather_black"), shell=plastic("2a2b2e", 0.35), steel=metal(rough=0.2))
+@thing(
+    "headphones",
+    "Headphones",
+    "electronics",
+    pads=leather("leather_black"),
+    shell=plastic("2a2b2e", 0.35),
+    steel=metal(rough=0.2),
+)
 def headphones(w: Workshop) -> None:
     # lying on the cups, as they are put down
     arch = [(0.083 * np.cos(a), 0.02 + 0.1 * np.sin(a), 0.0) for a in np.linspace(0.06, np.pi - 0.06, 15)]
     band = tube(arch, 0.006, 10).scaled(1, 1, 2.2)
-    pad = tube([(0.079 * np.cos(a), 0.021 + 0.093 * np.sin(a), 0.0) for a in np.linspace(0.9, np.pi - 0.9, 11)], 0.0065, 10).scaled(1, 1, 2.3)
+    pad = tube(
+        [(0.079 * np.cos(a), 0.021 + 0.093 * np.sin(a), 0.0) for a in np.linspace(0.9, np.pi - 0.9, 11)],
+        0.0065,
+        10,
+    ).scaled(1, 1, 2.3)
     w.add("band", "steel", band.moved(z=0.034))
     w.add("band", "pads", pad.moved(z=0.034))
     for side in (-1, 1):
         cup = lathe([(0, 0.0), (0.03, 0.001), (0.037, 0.007), (0.038, 0.02), (0.034, 0.024), (0, 0.024)], 36)
-        ring = tube([(0.026 * np.cos(a), 0.026 * np.sin(a), 0.031) for a in np.linspace(0, 2 * np.pi, 32, endpoint=False)], 0.0125, 12, closed=True)
+        ring = tube(
+            [
+                (0.026 * np.cos(a), 0.026 * np.sin(a), 0.031)
+                for a in np.linspace(0, 2 * np.pi, 32, endpoint=False)
+            ],
+            0.0125,
+            12,
+            closed=True,
+        )
         turn = 62 * side
-        for slot, shape in (("shell", cup), ("pads", ring), ("shell", lathe([(0, 0.024), (0.02, 0.025), (0.02, 0.027), (0, 0.027)], 24))):
+        for slot, shape in (
+            ("shell", cup),
+            ("pads", ring),
+            ("shell", lathe([(0, 0.024), (0.02, 0.025), (0.02, 0.027), (0, 0.027)], 24)),
+        ):
             w.add("cups", slot, shape.moved(z=-0.02).turned("y", -turn).moved(side * 0.082, 0.0, 0.034))
-        w.add("cups", "steel", tube([(side * 0.083, 0.03, 0.034), (side * 0.09, 0.012, 0.034), (side * 0.092, 0.0, 0.034)], 0.004, 8, smooth=3))
+        w.add(
+            "cups",
+            "steel",
+            tube(
+                [(side * 0.083, 0.03, 0.034), (side * 0.09, 0.012, 0.034), (side * 0.092, 0.0, 0.034)],
+                0.004,
+                8,
+                smooth=3,
+            ),
+        )
 
 
-@thing("speaker", "Loudspeaker", "electronics", supports="table, shelf, counter, floor", yaw=40, case=wood("oak"), cloth=cloth("4a4a4c"), cone=plastic("18181a", 0.5), ring=metal(rough=0.3))
+@thing(
+    "speaker",
+    "Loudspeaker",
+    "electronics",
+    supports="table, shelf, counter, floor",
+    yaw=40,
+    case=wood("oak"),
+    cloth=cloth("4a4a4c"),
+    cone=plastic("18181a", 0.5),
+    ring=metal(rough=0.3),
+)
 def speaker(w: Workshop) -> None:
     w.add("speaker", "case", box((0.18, 0.22, 0.3), (0, 0, 0.006), 0.006, 2, grain=2))
-    w.add("speaker", "cone", extrude(rounded_rectangle(0.168, 0.288, 0.008, 3), 0.003, 0.001).turned("x", 90).moved(0, -0.1095, 0.156))
+    w.add(
+        "speaker",
+        "cone",
+        extrude(rounded_rectangle(0.168, 0.288, 0.008, 3), 0.003, 0.001)
+        .turned("x", 90)
+        .moved(0, -0.1095, 0.156),
+    )
     for z, r in ((0.105, 0.068), (0.235, 0.034)):
-        rim = lathe([(r - 0.008, 0), (r, 0), (r, 0.004), (r - 0.004, 0.006), (r - 0.008, 0.003), (r - 0.008, 0)], 44)
+        rim = lathe(
+            [(r - 0.008, 0), (r, 0), (r, 0.004), (r - 0.004, 0.006), (r - 0.008, 0.003), (r - 0.008, 0)], 44
+        )
         w.add("speaker", "ring", rim.turned("x", 90).moved(0, -0.1115, z))
-        cone = lathe([(0, -0.012), (0.3 * r, -0.008), (0.32 * r, -0.014), (0.72 * r, -0.002), (0.8 * r, 0.004), (0.9 * r, 0.001), (0.92 * r, -0.004), (0, -0.02)], 40)
+        cone = lathe(
+            [
+                (0, -0.012),
+                (0.3 * r, -0.008),
+                (0.32 * r, -0.014),
+                (0.72 * r, -0.002),
+                (0.8 * r, 0.004),
+                (0.9 * r, 0.001),
+                (0.92 * r, -0.004),
+                (0, -0.02),
+            ],
+            40,
+        )
         w.add("speaker", "cone", cone.moved(z=0.004).turned("x", 90).moved(0, -0.1115, z))
     for x in (-0.07, 0.07):
         for y in (-0.09, 0.09):
             w.add("speaker", "cloth", cylinder(0.01, 0.007, (x, y, 0), 0.002, 14))
 
 
-@thing("laptop", "Laptop", "electronics", supports="table, counter", yaw=70, case=Slot(("metal",), ("metal", "plastic", "painted"), color=(0.70, 0.71, 0.72), roughness=0.38, metallic=1.0), keys=plastic("1c1d1f", 0.5), screen=SCREEN)
+@thing(
+    "laptop",
+    "Laptop",
+    "electronics",
+    supports="table, counter",
+    yaw=70,
+    case=Slot(
+        ("metal",), ("metal", "plastic", "painted"), color=(0.70, 0.71, 0.72), roughness=0.38, metallic=1.0
+    ),
+    keys=plastic("1c1d1f", 0.5),
+    screen=SCREEN,
+)
 def laptop(w: Workshop) -> None:
     w.add("base", "case", extrude(rounded_rectangle(0.32, 0.22, 0.012, 5), 0.013, 0.003, 2).moved(z=0.001))
     for row in range(5):
         count = 12
         for k in range(count):
-            w.add("base", "keys", box((0.0195, 0.0165, 0.0018), (-0.136 + k * 0.0247, 0.085 - row * 0.0205, 0.0137), 0.0006))
-    w.add("base", "keys", box((0.11, 0.0165, 0.0018), (0, 0.085 - 5 * 0.0205, 0.0137), 0.0006), box((0.1, 0.065, 0.0006), (0, -0.066, 0.0138), 0.0002))
+            w.add(
+                "base",
+                "keys",
+                box((0.0195, 0.0165, 0.0018), (-0.136 + k * 0.0247, 0.085 - row * 0.0205, 0.0137), 0.0006),
+            )
+    w.add(
+        "base",
+        "keys",
+        box((0.11, 0.0165, 0.0018), (0, 0.085 - 5 * 0.0205, 0.0137), 0.0006),
+        box((0.1, 0.065, 0.0006), (0, -0.066, 0.0138), 0.0002),
+    )
     lid = extrude(rounded_rectangle(0.32, 0.21, 0.012, 5), 0.006, 0.002, 2).moved(0, 0.105, -0.003)
     lean = 72
     w.add("lid", "case", lid.turned("x", lean).moved(0, 0.108, 0.0155))
     glass = panel(0.306, 0.19, (0, 0, 0.01)).moved(0, -0.0003, 0)
-    w.add("lid", "screen", glass.turned("x", lean - 90).moved(0, 0.108, 0.0155).moved(0, -0.0032 * np.sin(np.radians(lean)), 0.0032 * np.cos(np.radians(lean))))
+    w.add(
+        "lid",
+        "screen",
+        glass.turned("x", lean - 90)
+        .moved(0, 0.108, 0.0155)
+        .moved(0, -0.0032 * np.sin(np.radians(lean)), 0.0032 * np.cos(np.radians(lean))),
+    )
     w.add("base", "case", tube([(-0.13, 0.108, 0.0135), (0.13, 0.108, 0.0135)], 0.0045, 10))
 
 
@@ -97,46 +238,143 @@ def phone(w: Workshop) -> None:
     w.add("phone", "screen", panel(0.0655, 0.1405).turned("x", -90).moved(0, -0.07025, 0.00795))
 
 
-@thing("camera", "Camera", "electronics", yaw=70, body=plastic("1b1b1c", 0.55), top=metal((0.56, 0.57, 0.58), 0.32), skin=leather("leather_black"), glass=fixed("0a0c12", 0.04, "glass"))
+@thing(
+    "camera",
+    "Camera",
+    "electronics",
+    yaw=70,
+    body=plastic("1b1b1c", 0.55),
+    top=metal((0.56, 0.57, 0.58), 0.32),
+    skin=leather("leather_black"),
+    glass=fixed("0a0c12", 0.04, "glass"),
+)
 def camera(w: Workshop) -> None:
     outline = rounded_rectangle(0.132, 0.036, 0.012, 5)
     w.add("camera", "skin", extrude(outline, 0.05, 0.002).moved(z=0.01))
     w.add("camera", "body", extrude(outline, 0.0105, 0.002))
-    w.add("camera", "top", extrude(outline, 0.018, 0.003, 2).moved(z=0.06), box((0.034, 0.034, 0.014), (-0.004, 0, 0.076), 0.005, 2))
-    lens = [(0, 0), (0.03, 0), (0.03, 0.008), (0.0275, 0.01), (0.0275, 0.022), (0.0295, 0.024), (0.0295, 0.036), (0.027, 0.038), (0.024, 0.038), (0.0215, 0.032), (0, 0.031)]
+    w.add(
+        "camera",
+        "top",
+        extrude(outline, 0.018, 0.003, 2).moved(z=0.06),
+        box((0.034, 0.034, 0.014), (-0.004, 0, 0.076), 0.005, 2),
+    )
+    lens = [
+        (0, 0),
+        (0.03, 0),
+        (0.03, 0.008),
+        (0.0275, 0.01),
+        (0.0275, 0.022),
+        (0.0295, 0.024),
+        (0.0295, 0.036),
+        (0.027, 0.038),
+        (0.024, 0.038),
+        (0.0215, 0.032),
+        (0, 0.031),
+    ]
     w.add("camera", "body", lathe(lens, 40).turned("x", 90).moved(-0.004, -0.016, 0.037))
-    w.add("camera", "glass", lathe([(0, 0.0365), (0.012, 0.0352), (0.021, 0.0318), (0.0213, 0.031), (0, 0.031)], 32).turned("x", 90).moved(-0.004, -0.016, 0.037))
-    w.add("camera", "top", cylinder(0.0085, 0.008, (0.042, 0, 0.077), 0.001, 24), cylinder(0.0045, 0.006, (0.056, -0.004, 0.077), 0.001, 16), cylinder(0.0095, 0.007, (-0.045, 0, 0.077), 0.001, 24))
+    w.add(
+        "camera",
+        "glass",
+        lathe([(0, 0.0365), (0.012, 0.0352), (0.021, 0.0318), (0.0213, 0.031), (0, 0.031)], 32)
+        .turned("x", 90)
+        .moved(-0.004, -0.016, 0.037),
+    )
+    w.add(
+        "camera",
+        "top",
+        cylinder(0.0085, 0.008, (0.042, 0, 0.077), 0.001, 24),
+        cylinder(0.0045, 0.006, (0.056, -0.004, 0.077), 0.001, 16),
+        cylinder(0.0095, 0.007, (-0.045, 0, 0.077), 0.001, 24),
+    )
     w.add("camera", "glass", box((0.016, 0.002, 0.009), (-0.004, -0.0172, 0.078), 0.0006))
 
 
-@thing("keyboard", "Keyboard", "electronics", supports="table", yaw=30, case=plastic("d3cdc0", 0.45), keys=plastic("e6e1d4", 0.4), dark=plastic("8b8779", 0.42))
+@thing(
+    "keyboard",
+    "Keyboard",
+    "electronics",
+    supports="table",
+    yaw=30,
+    case=plastic("d3cdc0", 0.45),
+    keys=plastic("e6e1d4", 0.4),
+    dark=plastic("8b8779", 0.42),
+)
 def keyboard(w: Workshop) -> None:
     slope = 5.0
-    w.add("board", "case", box((0.36, 0.135, 0.016), bevel=0.004, segments=2).bent(lambda p: p + np.column_stack([0 * p[:, 0], 0 * p[:, 0], np.where(p[:, 2] > 0.006, (p[:, 1] + 0.0675) * np.tan(np.radians(slope)), 0)])))
+    w.add(
+        "board",
+        "case",
+        box((0.36, 0.135, 0.016), bevel=0.004, segments=2).bent(
+            lambda p: (
+                p
+                + np.column_stack(
+                    [
+                        0 * p[:, 0],
+                        0 * p[:, 0],
+                        np.where(p[:, 2] > 0.006, (p[:, 1] + 0.0675) * np.tan(np.radians(slope)), 0),
+                    ]
+                )
+            )
+        ),
+    )
     for row in range(5):
         for k in range(14):
             x, y = -0.162 + 0.0192 * k + 0.0048 * ((row * 7) % 3), 0.048 - 0.0212 * row
             if x > 0.105 and row != 0 and k == 13:
                 continue
             z = 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))
-            slot = "dark" if k in (0, 12, 13) or row == 0 and k % 5 == 0 else "keys"
-            w.add("keys", slot, extrude(rounded_rectangle(0.0168, 0.0185, 0.0022, 2), 0.0075, 0.0018).moved(x, y, z))
+            slot = "dark" if k in (0, 12, 13) or (row == 0 and k % 5 == 0) else "keys"
+            w.add("keys", slot, box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(x, y, z))
     for k in range(3):
         for row in range(5):
             y = 0.048 - 0.0212 * row
-            w.add("keys", "keys", extrude(rounded_rectangle(0.0168, 0.0185, 0.0022, 2), 0.0075, 0.0018).moved(0.125 + 0.0192 * k, y, 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))))
+            w.add(
+                "keys",
+                "keys",
+                box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(
+                    0.125 + 0.0192 * k, y, 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))
+                ),
+            )
 
 
-@thing("game_controller", "Game controller", "electronics", body=plastic("dcdcdc", 0.38), dark=rubber("222324", 0.6), red=plastic("b3352c", 0.3), blue=plastic("2f5fa8", 0.3))
+@thing(
+    "game_controller",
+    "Game controller",
+    "electronics",
+    body=plastic("dcdcdc", 0.38),
+    dark=rubber("222324", 0.6),
+    red=plastic("b3352c", 0.3),
+    blue=plastic("2f5fa8", 0.3),
+)
 def game_controller(w: Workshop) -> None:
     w.add("pad", "body", soft_box((0.145, 0.07, 0.03), (0, 0.01, 0.016), 0.014, (0, 0.002, 0.004), 8))
     for side in (-1, 1):
-        w.add("pad", "body", tube([(side * 0.055, 0.012, 0.03), (side * 0.066, -0.02, 0.027), (side * 0.07, -0.052, 0.018)], [0.0185, 0.0185, 0.0145], 18, smooth=4))
-        w.add("pad", "dark", cylinder(0.0085, 0.012, (side * 0.027, -0.012, 0.045), 0.001, 20), lathe([(0, 0), (0.012, 0), (0.0125, 0.003), (0.009, 0.004), (0, 0.0028)], 24).moved(side * 0.027, -0.012, 0.056))
-        w.add("pad", "dark", soft_box((0.036, 0.016, 0.012), (side * 0.05, 0.044, 0.022), 0.005, (0, 0, 0), 6))
+        w.add(
+            "pad",
+            "body",
+            tube(
+                [(side * 0.055, 0.012, 0.03), (side * 0.066, -0.02, 0.027), (side * 0.07, -0.052, 0.018)],
+                [0.0185, 0.0185, 0.0145],
+                18,
+                smooth=4,
+            ),
+        )
+        w.add(
+            "pad",
+            "dark",
+            cylinder(0.0085, 0.012, (side * 0.027, -0.012, 0.045), 0.001, 20),
+            lathe([(0, 0), (0.012, 0), (0.0125, 0.003), (0.009, 0.004), (0, 0.0028)], 24).moved(
+                side * 0.027, -0.012, 0.056
+            ),
+        )
+        w.add(
+            "pad", "dark", soft_box((0.036, 0.016, 0.012), (side * 0.05, 0.044, 0.022), 0.005, (0, 0, 0), 6)
+        )
     for dx, dy, slot in ((0, 0.012, "blue"), (0, -0.012, "blue"), (0.012, 0, "red"), (-0.012, 0, "red")):
         w.add("pad", slot, cylinder(0.0048, 0.005, (0.053 + dx, 0.02 + dy, 0.047), 0.0012, 16))
-    w.add("pad", "dark", box((0.026, 0.0085, 0.006), (-0.053, 0.02, 0.0465), 0.001), box((0.0085, 0.026, 0.006), (-0.053, 0.02, 0.0465), 0.001))
-
-
+    w.add(
+        "pad",
+        "dark",
+        box((0.026, 0.0085, 0.006), (-0.053, 0.02, 0.0465), 0.001),
+        box((0.0085, 0.026, 0.006), (-0.053, 0.02, 0.0465), 0.001),
+    )

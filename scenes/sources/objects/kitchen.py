@@ -9,8 +9,28 @@ import numpy as np
 from scenes.sources.materials.graph import Graph, srgb
 from scenes.sources.modelling import Slot, Workshop
 from scenes.sources.objects.crockery import vessel
-from scenes.sources.objects.registry import clay, glaze, metal, organic, painted, plastic, thing, wood, wood_tone
-from scenes.sources.shapes import Shape, cylinder, extrude, join, lathe, rounded_rectangle, smooth_curve, sphere, tube
+from scenes.sources.objects.registry import (
+    clay,
+    glaze,
+    metal,
+    organic,
+    painted,
+    plastic,
+    thing,
+    wood,
+    wood_tone,
+)
+from scenes.sources.shapes import (
+    Shape,
+    cylinder,
+    extrude,
+    join,
+    lathe,
+    rounded_rectangle,
+    smooth_curve,
+    sphere,
+    tube,
+)
 
 
 def _apple_skin(g: Graph) -> bpy.types.Material:
@@ -24,7 +44,9 @@ def _apple_skin(g: Graph) -> bpy.types.Material:
 
 def _orange_skin(g: Graph) -> bpy.types.Material:
     pore = g.fit(g.voronoi(34, seed=5.0).outputs["Distance"], 0.05, 0.4)
-    return g.finish(g.shade(srgb("d9781a"), g.line(pore, 0, 1, 0.7, 1.08)), g.line(pore, 0, 1, 0.55, 0.36), ior=1.45)
+    return g.finish(
+        g.shade(srgb("d9781a"), g.line(pore, 0, 1, 0.7, 1.08)), g.line(pore, 0, 1, 0.55, 0.36), ior=1.45
+    )
 
 
 APPLE = Slot(("organic",), (), graph=_apple_skin)
@@ -39,11 +61,35 @@ def unit(shape: Shape) -> Shape:
 
 def apple(size: float = 0.037) -> tuple[Shape, Shape]:
     """(fruit, stalk) standing on z = 0."""
-    profile = [(0, 0.22), (0.2, 0.06), (0.42, 0.0), (0.66, 0.14), (0.92, 0.6), (1.0, 1.05), (0.9, 1.5), (0.6, 1.76), (0.32, 1.74), (0.12, 1.55), (0, 1.45)]
+    profile = [
+        (0, 0.22),
+        (0.2, 0.06),
+        (0.42, 0.0),
+        (0.66, 0.14),
+        (0.92, 0.6),
+        (1.0, 1.05),
+        (0.9, 1.5),
+        (0.6, 1.76),
+        (0.32, 1.74),
+        (0.12, 1.55),
+        (0, 1.45),
+    ]
     body = lathe(np.array(profile) * size, 32, smooth=3)
-    lumps = body.bent(lambda p: p * (1 + 0.025 * np.cos(5 * np.arctan2(p[:, 1], p[:, 0])) * np.clip(p[:, 2] / size, 0.2, 1))[:, None])
+    lumps = body.bent(
+        lambda p: (
+            p
+            * (1 + 0.025 * np.cos(5 * np.arctan2(p[:, 1], p[:, 0])) * np.clip(p[:, 2] / size, 0.2, 1))[
+                :, None
+            ]
+        )
+    )
     lumps = lumps.moved(z=-lumps.points[:, 2].min())
-    stalk = tube([(0, 0, 1.4 * size), (0.004, 0, 1.75 * size), (0.012, 0.002, 2.05 * size)], [0.0012, 0.001, 0.0016], 6, smooth=2)
+    stalk = tube(
+        [(0, 0, 1.4 * size), (0.004, 0, 1.75 * size), (0.012, 0.002, 2.05 * size)],
+        [0.0012, 0.001, 0.0016],
+        6,
+        smooth=2,
+    )
     return unit(lumps), stalk
 
 
@@ -56,15 +102,57 @@ def apple_alone(w: Workshop) -> None:
 
 @thing("pear", "Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
 def pear(w: Workshop) -> None:
-    body = lathe([(0, 0.004), (0.012, 0.0), (0.024, 0.005), (0.0345, 0.025), (0.033, 0.045), (0.024, 0.066), (0.0175, 0.084), (0.012, 0.094), (0, 0.096)], 32, smooth=3)
-    w.add("pear", "skin", body.bent(lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])))
-    w.add("pear", "stalk", tube([(0.004, 0, 0.093), (0.007, 0, 0.105), (0.014, 0.002, 0.115)], [0.0014, 0.0012, 0.0018], 6, smooth=2))
+    body = lathe(
+        [
+            (0, 0.004),
+            (0.012, 0.0),
+            (0.024, 0.005),
+            (0.0345, 0.025),
+            (0.033, 0.045),
+            (0.024, 0.066),
+            (0.0175, 0.084),
+            (0.012, 0.094),
+            (0, 0.096),
+        ],
+        32,
+        smooth=3,
+    )
+    w.add(
+        "pear",
+        "skin",
+        body.bent(lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])),
+    )
+    w.add(
+        "pear",
+        "stalk",
+        tube(
+            [(0.004, 0, 0.093), (0.007, 0, 0.105), (0.014, 0.002, 0.115)],
+            [0.0014, 0.0012, 0.0018],
+            6,
+            smooth=2,
+        ),
+    )
 
 
 @thing("lemons", "Lemons", "fruit", skin=organic("d9b823", 0.4))
 def lemons(w: Workshop) -> None:
     for angle, x, y in ((15, 0.0, 0.0), (105, 0.062, 0.018), (-40, -0.012, 0.066)):
-        body = lathe([(0, -0.046), (0.005, -0.0435), (0.009, -0.037), (0.021, -0.027), (0.0285, -0.01), (0.0285, 0.01), (0.022, 0.026), (0.011, 0.035), (0.007, 0.041), (0, 0.044)], 28, smooth=3)
+        body = lathe(
+            [
+                (0, -0.046),
+                (0.005, -0.0435),
+                (0.009, -0.037),
+                (0.021, -0.027),
+                (0.0285, -0.01),
+                (0.0285, 0.01),
+                (0.022, 0.026),
+                (0.011, 0.035),
+                (0.007, 0.041),
+                (0, 0.044),
+            ],
+            28,
+            smooth=3,
+        )
         body = body.turned("y", 90).turned("z", angle)
         w.add("lemons", "skin", body.moved(x, y, -body.points[:, 2].min()))
 
@@ -85,9 +173,24 @@ def bananas(w: Workshop) -> None:
     w.add("bananas", "tip", sphere(0.011, (-0.018, 0.012, 0.012), 12, 1.0))
 
 
-@thing("fruit_bowl", "Bowl of fruit", "fruit", bowl=glaze("36566b", 0.15), apple=APPLE, orange=ORANGE, pear=organic("a2a545", 0.42), stalk=organic("4a3521", 0.8))
+@thing(
+    "fruit_bowl",
+    "Bowl of fruit",
+    "fruit",
+    bowl=glaze("36566b", 0.15),
+    apple=APPLE,
+    orange=ORANGE,
+    pear=organic("a2a545", 0.42),
+    stalk=organic("4a3521", 0.8),
+)
 def fruit_bowl(w: Workshop) -> None:
-    w.add("bowl", "bowl", vessel([(0.05, 0.004), (0.053, 0.009), (0.09, 0.03), (0.125, 0.06), (0.137, 0.08)], 0.005, foot=0.005))
+    w.add(
+        "bowl",
+        "bowl",
+        vessel(
+            [(0.05, 0.004), (0.053, 0.009), (0.09, 0.03), (0.125, 0.06), (0.137, 0.08)], 0.005, foot=0.005
+        ),
+    )
     orange = unit(sphere(0.037, segments=28, squash=0.95))
     fruit, stalk = apple(0.036)
     for x, y, z in ((0.058, 0.01, 0.062), (-0.03, 0.055, 0.062), (0.002, 0.002, 0.108)):
@@ -95,28 +198,118 @@ def fruit_bowl(w: Workshop) -> None:
     for x, y, z, lean in ((-0.042, -0.034, 0.026, 14), (0.025, -0.066, 0.03, -18)):
         for slot, shape in (("apple", fruit), ("stalk", stalk)):
             w.add("fruit", slot, shape.turned("y", lean).moved(x, y, z))
-    pear_body = lathe([(0, 0.004), (0.012, 0.0), (0.024, 0.005), (0.0345, 0.025), (0.033, 0.045), (0.024, 0.066), (0.0175, 0.084), (0.012, 0.094), (0, 0.096)], 28, smooth=3)
+    pear_body = lathe(
+        [
+            (0, 0.004),
+            (0.012, 0.0),
+            (0.024, 0.005),
+            (0.0345, 0.025),
+            (0.033, 0.045),
+            (0.024, 0.066),
+            (0.0175, 0.084),
+            (0.012, 0.094),
+            (0, 0.096),
+        ],
+        28,
+        smooth=3,
+    )
     w.add("fruit", "pear", pear_body.turned("x", 74).turned("z", 30).moved(0.055, 0.062, 0.064))
 
 
 # kitchenware -------------------------------------------------------------------------------------------------
-@thing("saucepan", "Saucepan with a lid", "kitchenware", supports="counter, table, shelf", steel=metal(rough=0.2), grip=plastic("1a1a1c", 0.4))
+@thing(
+    "saucepan",
+    "Saucepan with a lid",
+    "kitchenware",
+    supports="counter, table, shelf",
+    steel=metal(rough=0.2),
+    grip=plastic("1a1a1c", 0.4),
+)
 def saucepan(w: Workshop) -> None:
-    w.add("pan", "steel", vessel([(0.084, 0.002), (0.09, 0.006), (0.091, 0.05), (0.0915, 0.1), (0.0945, 0.104)], 0.0022, smooth=3))
-    lid = lathe([(0.0, 0.1035), (0.088, 0.1035), (0.0945, 0.106), (0.0935, 0.1085), (0.085, 0.112), (0.04, 0.123), (0, 0.1255)], 44)
+    w.add(
+        "pan",
+        "steel",
+        vessel(
+            [(0.084, 0.002), (0.09, 0.006), (0.091, 0.05), (0.0915, 0.1), (0.0945, 0.104)], 0.0022, smooth=3
+        ),
+    )
+    lid = lathe(
+        [
+            (0.0, 0.1035),
+            (0.088, 0.1035),
+            (0.0945, 0.106),
+            (0.0935, 0.1085),
+            (0.085, 0.112),
+            (0.04, 0.123),
+            (0, 0.1255),
+        ],
+        44,
+    )
     w.add("lid", "steel", lid)
-    w.add("lid", "grip", lathe([(0, 0.124), (0.008, 0.125), (0.008, 0.133), (0.019, 0.138), (0.02, 0.144), (0.014, 0.149), (0, 0.15)], 24))
+    w.add(
+        "lid",
+        "grip",
+        lathe(
+            [
+                (0, 0.124),
+                (0.008, 0.125),
+                (0.008, 0.133),
+                (0.019, 0.138),
+                (0.02, 0.144),
+                (0.014, 0.149),
+                (0, 0.15),
+            ],
+            24,
+        ),
+    )
     w.add("pan", "steel", tube([(0.088, 0, 0.078), (0.115, 0, 0.084), (0.14, 0, 0.09)], 0.0055, 10, smooth=3))
-    w.add("pan", "grip", tube([(0.13, 0, 0.088), (0.17, 0, 0.097), (0.23, 0, 0.106), (0.262, 0, 0.109)], [0.0085, 0.0105, 0.0115, 0.009], 14, smooth=4).scaled(1, 1.25, 1))
+    w.add(
+        "pan",
+        "grip",
+        tube(
+            [(0.13, 0, 0.088), (0.17, 0, 0.097), (0.23, 0, 0.106), (0.262, 0, 0.109)],
+            [0.0085, 0.0105, 0.0115, 0.009],
+            14,
+            smooth=4,
+        ).scaled(1, 1.25, 1),
+    )
 
 
-@thing("frying_pan", "Frying pan", "kitchenware", supports="counter, table", iron=Slot(("metal",), ("metal",), "iron_cast"))
+@thing(
+    "frying_pan",
+    "Frying pan",
+    "kitchenware",
+    supports="counter, table",
+    iron=Slot(("metal",), ("metal",), "iron_cast"),
+)
 def frying_pan(w: Workshop) -> None:
-    w.add("pan", "iron", vessel([(0.1, 0.002), (0.106, 0.006), (0.122, 0.036), (0.128, 0.045)], 0.004, smooth=3))
-    w.add("pan", "iron", tube([(0.12, 0, 0.036), (0.16, 0, 0.045), (0.22, 0, 0.054), (0.27, 0, 0.056)], [0.011, 0.0095, 0.011, 0.012], 12, smooth=4).scaled(1, 1.2, 1).bent(lambda p: p * [1, 1, 1.0]))
+    w.add(
+        "pan", "iron", vessel([(0.1, 0.002), (0.106, 0.006), (0.122, 0.036), (0.128, 0.045)], 0.004, smooth=3)
+    )
+    w.add(
+        "pan",
+        "iron",
+        tube(
+            [(0.12, 0, 0.036), (0.16, 0, 0.045), (0.22, 0, 0.054), (0.27, 0, 0.056)],
+            [0.011, 0.0095, 0.011, 0.012],
+            12,
+            smooth=4,
+        )
+        .scaled(1, 1.2, 1)
+        .bent(lambda p: p * [1, 1, 1.0]),
+    )
 
 
-@thing("knife_block", "Knife block", "kitchenware", supports="counter, table", yaw=70, wood=wood("beech"), grip=plastic("191919", 0.35), steel=metal(rough=0.18))
+@thing(
+    "knife_block",
+    "Knife block",
+    "kitchenware",
+    supports="counter, table",
+    yaw=70,
+    wood=wood("beech"),
+    grip=plastic("191919", 0.35),
+    steel=metal(rough=0.18),
+)
 def knife_block(w: Workshop) -> None:
     side = [(-0.075, 0.0), (0.075, 0.0), (0.075, 0.13), (-0.02, 0.215), (-0.075, 0.155)]
     block = extrude(side, 0.1, 0.004, 2).turned("x", 90).moved(0, 0.05, 0).turned("z", 90)
@@ -124,13 +317,39 @@ def knife_block(w: Workshop) -> None:
     # the slanted face runs from (-0.02, 0.215) to (0.075, 0.13) in the side view; after the turn that is along y
     normal, along = np.array([0.0, 0.667, 0.745]), np.array([0.0, 0.745, -0.667])
     start = np.array([0.0, -0.02, 0.215])
-    for x, d, length, thick in ((-0.03, 0.03, 0.12, 0.011), (0.0, 0.03, 0.115, 0.011), (0.03, 0.03, 0.11, 0.01), (-0.024, 0.085, 0.1, 0.009), (0.006, 0.085, 0.095, 0.009), (0.033, 0.085, 0.08, 0.0075)):
+    for x, d, length, thick in (
+        (-0.03, 0.03, 0.12, 0.011),
+        (0.0, 0.03, 0.115, 0.011),
+        (0.03, 0.03, 0.11, 0.01),
+        (-0.024, 0.085, 0.1, 0.009),
+        (0.006, 0.085, 0.095, 0.009),
+        (0.033, 0.085, 0.08, 0.0075),
+    ):
         foot = start + along * d + [x, 0, 0]
         w.add("knives", "steel", tube([foot - 0.01 * normal, foot + 0.012 * normal], thick * 0.8, 10))
-        w.add("knives", "grip", tube([foot + 0.012 * normal, foot + 0.35 * length * normal + 0.002 * along, foot + length * normal + 0.006 * along], [thick, thick * 0.9, thick * 1.05], 12, smooth=3))
+        w.add(
+            "knives",
+            "grip",
+            tube(
+                [
+                    foot + 0.012 * normal,
+                    foot + 0.35 * length * normal + 0.002 * along,
+                    foot + length * normal + 0.006 * along,
+                ],
+                [thick, thick * 0.9, thick * 1.05],
+                12,
+                smooth=3,
+            ),
+        )
 
 
-@thing("chopping_board", "Chopping board", "kitchenware", supports="counter, table", wood=Slot(("wood",), ("wood", "stone"), "teak_oiled"))
+@thing(
+    "chopping_board",
+    "Chopping board",
+    "kitchenware",
+    supports="counter, table",
+    wood=Slot(("wood",), ("wood", "stone"), "teak_oiled"),
+)
 def chopping_board(w: Workshop) -> None:
     outline = rounded_rectangle(0.36, 0.22, 0.02, 5)
     w.add("board", "wood", extrude(outline, 0.02, 0.003, 2))
@@ -138,43 +357,182 @@ def chopping_board(w: Workshop) -> None:
     w.add("board", "wood", extrude(grip, 0.0199, 0.003, 2).moved(z=0.00005))
 
 
-@thing("kettle", "Kettle", "kitchenware", supports="counter, table", body=painted("b9c4bd", 0.22), grip=wood_tone("6b4528", 0.45), steel=metal(rough=0.18))
+@thing(
+    "kettle",
+    "Kettle",
+    "kitchenware",
+    supports="counter, table",
+    body=painted("b9c4bd", 0.22),
+    grip=wood_tone("6b4528", 0.45),
+    steel=metal(rough=0.18),
+)
 def kettle(w: Workshop) -> None:
-    w.add("kettle", "body", lathe([(0, 0.002), (0.088, 0.002), (0.098, 0.01), (0.102, 0.035), (0.092, 0.085), (0.06, 0.125), (0.046, 0.132), (0, 0.132)], 44, smooth=0))
-    w.add("kettle", "steel", lathe([(0, 0), (0.09, 0), (0.094, 0.003), (0.09, 0.006), (0, 0.006)], 44), lathe([(0, 0.131), (0.045, 0.131), (0.047, 0.135), (0.03, 0.143), (0, 0.146)], 36))
+    w.add(
+        "kettle",
+        "body",
+        lathe(
+            [
+                (0, 0.002),
+                (0.088, 0.002),
+                (0.098, 0.01),
+                (0.102, 0.035),
+                (0.092, 0.085),
+                (0.06, 0.125),
+                (0.046, 0.132),
+                (0, 0.132),
+            ],
+            44,
+            smooth=0,
+        ),
+    )
+    w.add(
+        "kettle",
+        "steel",
+        lathe([(0, 0), (0.09, 0), (0.094, 0.003), (0.09, 0.006), (0, 0.006)], 44),
+        lathe([(0, 0.131), (0.045, 0.131), (0.047, 0.135), (0.03, 0.143), (0, 0.146)], 36),
+    )
     w.add("kettle", "grip", sphere(0.013, (0, 0, 0.156), 18))
-    w.add("kettle", "body", tube([(-0.08, 0, 0.055), (-0.115, 0, 0.075), (-0.13, 0, 0.105), (-0.147, 0, 0.128)], [0.022, 0.017, 0.013, 0.0105], 16, smooth=4))
-    w.add("kettle", "steel", tube([(0.062, 0, 0.118), (0.078, 0, 0.16), (0.06, 0, 0.2)], 0.0045, 10, smooth=4), tube([(-0.062, 0, 0.118), (-0.078, 0, 0.16), (-0.06, 0, 0.2)], 0.0045, 10, smooth=4))
-    w.add("kettle", "grip", tube([(-0.066, 0, 0.193), (-0.035, 0, 0.215), (0.0, 0, 0.22), (0.035, 0, 0.215), (0.066, 0, 0.193)], [0.008, 0.011, 0.012, 0.011, 0.008], 12, smooth=4))
+    w.add(
+        "kettle",
+        "body",
+        tube(
+            [(-0.08, 0, 0.055), (-0.115, 0, 0.075), (-0.13, 0, 0.105), (-0.147, 0, 0.128)],
+            [0.022, 0.017, 0.013, 0.0105],
+            16,
+            smooth=4,
+        ),
+    )
+    w.add(
+        "kettle",
+        "steel",
+        tube([(0.062, 0, 0.118), (0.078, 0, 0.16), (0.06, 0, 0.2)], 0.0045, 10, smooth=4),
+        tube([(-0.062, 0, 0.118), (-0.078, 0, 0.16), (-0.06, 0, 0.2)], 0.0045, 10, smooth=4),
+    )
+    w.add(
+        "kettle",
+        "grip",
+        tube(
+            [(-0.066, 0, 0.193), (-0.035, 0, 0.215), (0.0, 0, 0.22), (0.035, 0, 0.215), (0.066, 0, 0.193)],
+            [0.008, 0.011, 0.012, 0.011, 0.008],
+            12,
+            smooth=4,
+        ),
+    )
 
 
-@thing("utensil_jar", "Jar of wooden spoons", "kitchenware", supports="counter, table, shelf", jar=clay("c9bda6", 0.6), wood=wood_tone("b98d5c", 0.6), dark=wood_tone("7c532f", 0.55), steel=metal(rough=0.2))
+@thing(
+    "utensil_jar",
+    "Jar of wooden spoons",
+    "kitchenware",
+    supports="counter, table, shelf",
+    jar=clay("c9bda6", 0.6),
+    wood=wood_tone("b98d5c", 0.6),
+    dark=wood_tone("7c532f", 0.55),
+    steel=metal(rough=0.2),
+)
 def utensil_jar(w: Workshop) -> None:
-    w.add("jar", "jar", vessel([(0.05, 0.002), (0.056, 0.008), (0.058, 0.08), (0.055, 0.13), (0.058, 0.14)], 0.005, smooth=3))
-    for slot, angle, lean, head in (("wood", 20, 12, "spoon"), ("dark", 140, 14, "spoon"), ("wood", 255, 15, "paddle"), ("steel", 80, 10, "ladle"), ("dark", 200, 9, "paddle")):
+    w.add(
+        "jar",
+        "jar",
+        vessel([(0.05, 0.002), (0.056, 0.008), (0.058, 0.08), (0.055, 0.13), (0.058, 0.14)], 0.005, smooth=3),
+    )
+    for slot, angle, lean, head in (
+        ("wood", 20, 12, "spoon"),
+        ("dark", 140, 14, "spoon"),
+        ("wood", 255, 15, "paddle"),
+        ("steel", 80, 10, "ladle"),
+        ("dark", 200, 9, "paddle"),
+    ):
         stick = tube([(0, 0, 0), (0, 0, 0.14), (0, 0, 0.23)], [0.005, 0.0055, 0.005], 8)
         if head == "spoon":
             top = sphere(0.026, (0, 0, 0), 18).scaled(0.9, 0.32, 1.35).moved(0, 0, 0.255)
         elif head == "paddle":
-            top = extrude(rounded_rectangle(0.05, 0.08, 0.014, 4), 0.006, 0.002).moved(0, 0, -0.003).turned("x", 90).moved(0, 0, 0.26)
+            top = (
+                extrude(rounded_rectangle(0.05, 0.08, 0.014, 4), 0.006, 0.002)
+                .moved(0, 0, -0.003)
+                .turned("x", 90)
+                .moved(0, 0, 0.26)
+            )
         else:
-            top = lathe([(0, 0), (0.02, 0.004), (0.034, 0.02), (0.037, 0.035), (0.0355, 0.035), (0.0325, 0.021), (0.019, 0.006), (0, 0.002)], 28).turned("x", 60).moved(0, -0.02, 0.235)
+            top = (
+                lathe(
+                    [
+                        (0, 0),
+                        (0.02, 0.004),
+                        (0.034, 0.02),
+                        (0.037, 0.035),
+                        (0.0355, 0.035),
+                        (0.0325, 0.021),
+                        (0.019, 0.006),
+                        (0, 0.002),
+                    ],
+                    28,
+                )
+                .turned("x", 60)
+                .moved(0, -0.02, 0.235)
+            )
         tool = join([stick, top]).turned("y", lean).turned("z", angle)
         out = 0.014
-        w.add("tools", slot, tool.moved(-out * np.cos(np.radians(angle)), -out * np.sin(np.radians(angle)), 0.0115))
+        w.add(
+            "tools",
+            slot,
+            tool.moved(-out * np.cos(np.radians(angle)), -out * np.sin(np.radians(angle)), 0.0115),
+        )
 
 
 @thing("egg_cup", "Egg cup with egg", "kitchenware", cup=glaze("d3c7a8", 0.15), egg=organic("d9b899", 0.5))
 def egg_cup(w: Workshop) -> None:
-    w.add("cup", "cup", vessel([(0.02, 0.001), (0.021, 0.004), (0.011, 0.014), (0.012, 0.022), (0.0225, 0.036), (0.0245, 0.048)], 0.0025, smooth=4))
-    curve = smooth_curve([(0, 0.028), (0.013, 0.032), (0.0208, 0.046), (0.0205, 0.058), (0.014, 0.075), (0.006, 0.082), (0, 0.084)], 3)
+    w.add(
+        "cup",
+        "cup",
+        vessel(
+            [(0.02, 0.001), (0.021, 0.004), (0.011, 0.014), (0.012, 0.022), (0.0225, 0.036), (0.0245, 0.048)],
+            0.0025,
+            smooth=4,
+        ),
+    )
+    curve = smooth_curve(
+        [
+            (0, 0.028),
+            (0.013, 0.032),
+            (0.0208, 0.046),
+            (0.0205, 0.058),
+            (0.014, 0.075),
+            (0.006, 0.082),
+            (0, 0.084),
+        ],
+        3,
+    )
     w.add("egg", "egg", lathe(curve, 28))
 
 
 @thing("peppermill", "Pepper mill", "kitchenware", wood=wood("walnut_lacquered"), steel=metal(rough=0.15))
 def peppermill(w: Workshop) -> None:
-    w.add("mill", "wood", lathe([(0, 0), (0.028, 0), (0.03, 0.004), (0.029, 0.02), (0.02, 0.05), (0.017, 0.08), (0.022, 0.115), (0.021, 0.13), (0.012, 0.1345), (0, 0.1345)], 32, smooth=0).uv_turned())
-    w.add("mill", "wood", lathe([(0, 0.136), (0.018, 0.136), (0.0225, 0.142), (0.024, 0.155), (0.018, 0.17), (0, 0.176)], 32).uv_turned())
+    w.add(
+        "mill",
+        "wood",
+        lathe(
+            [
+                (0, 0),
+                (0.028, 0),
+                (0.03, 0.004),
+                (0.029, 0.02),
+                (0.02, 0.05),
+                (0.017, 0.08),
+                (0.022, 0.115),
+                (0.021, 0.13),
+                (0.012, 0.1345),
+                (0, 0.1345),
+            ],
+            32,
+            smooth=0,
+        ).uv_turned(),
+    )
+    w.add(
+        "mill",
+        "wood",
+        lathe(
+            [(0, 0.136), (0.018, 0.136), (0.0225, 0.142), (0.024, 0.155), (0.018, 0.17), (0, 0.176)], 32
+        ).uv_turned(),
+    )
     w.add("mill", "steel", cylinder(0.0115, 0.003, (0, 0, 0.134), 0.0006), sphere(0.007, (0, 0, 0.179), 16))
-
-

@@ -66,12 +66,19 @@ def wood_tone(code: str, rough: float = 0.45) -> Slot:
     return Slot(("wood",), ("wood", "painted"), color=srgb(code), roughness=rough)
 
 
-def metal(code: tuple[float, float, float] = (0.56, 0.57, 0.58), rough: float = 0.25, source: str = "") -> Slot:
+def metal(
+    code: tuple[float, float, float] = (0.56, 0.57, 0.58), rough: float = 0.25, source: str = ""
+) -> Slot:
     return Slot(("metal",), ("metal",), source, code, rough, 1.0)
 
 
 def painted(code: str, rough: float = 0.35, metal_too: bool = True) -> Slot:
-    return Slot(("painted",), ("painted", "metal", "plastic") if metal_too else ("painted", "wood"), color=srgb(code), roughness=rough)
+    return Slot(
+        ("painted",),
+        ("painted", "metal", "plastic") if metal_too else ("painted", "wood"),
+        color=srgb(code),
+        roughness=rough,
+    )
 
 
 def plastic(code: str, rough: float = 0.4) -> Slot:

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A bathroom of 3.0 x 2.6 m: bath under a high window, tiles to 1.3 m, washbasin with mirror, shelves."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from scenes.sources.environments import furniture, kitchen_furniture, slots
+from scenes.sources.environments.registry import environment
+from scenes.sources.environments.room import Door, Room, Window
+from scenes.sources.materials.graph import srgb
+from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.shapes import Shape, box, lathe, loft, rounded_rectangle, soft_box, tube
+
+TILED = 1.3
+
+
+def _slots() -> dict[str, Slot]:
+    return {
+        **slots.shell(floor="slate_tiles", wall_color="b9c6c4"),
+        **slots.greenery(),
+        "tiles": Slot(("glazed", "ceramic"), ("glazed", "stone"), "tiles_metro_green"),
+        "tile_edge": Slot(
+            ("glazed", "ceramic"),
+            ("glazed", "stone", "ceramic"),
+            color=srgb("2a4f42"),
+            roughness=0.12,
+            ior=1.55,
+        ),
+        "enamel": Slot(
+            ("glazed", "ceramic"), ("glazed", "ceramic"), color=srgb("e8e7e2"), roughness=0.08, ior=1.55
+        ),
+        "seat": Slot(("plastic",), ("plastic", "wood", "painted"), color=srgb("e3e2dd"), roughness=0.2),
+        "chrome": Slot(("metal",), ("metal",), color=(0.55, 0.556, 0.554), roughness=0.08, metallic=1.0),
+        "mirror": Slot(("metal",), (), color=(0.9, 0.9, 0.9), roughness=0.04, metallic=1.0),
+        "vanity": Slot(("wood",), ("wood", "painted"), "oak"),
+        "shelves": Slot(("wood",), ("wood", "painted", "stone"), "teak_oiled"),
+        "towels": Slot(("fabric",), ("fabric",), color=srgb("c9a25f"), roughness=0.95),
+        "towel_white": Slot(("fabric",), ("fabric",), color=srgb("d9d6cc"), roughness=0.95),
+        "mat": Slot(("fabric",), ("fabric", "organic"), "knit_cream"),
+        "stool": Slot(("wood",), ("wood", "painted"), "pine"),
+        "laundry": Slot(("organic",), ("organic", "fabric"), "wicker"),
+    }
+
+
+@environment("bathroom", "Bathroom")
+def bathroom(collection: bpy.types.Collection) -> None:
+    w = Workshop(_slots())
+    windows = (Window("north", 0.0, 1.1, 1.35, 0.85, (2, 1)),)
+    room = Room(w, collection, 3.0, 2.6, 2.5, windows, (Door("south", 0.85, 0.8),))
+    room.build_shell(skirting=0.0)
+    _tiling(room)
+    kitchen_furniture.bathtub(w, "bathtub", enamel="enamel", apron="tiles", metal="chrome", length=1.75)
+    room.place("north", "bathtub", -0.607, gap=0.014)
+    kitchen_furniture.tap(w, "bath_tap", "chrome", height=0.2, reach=0.14)
+    w.place("bath_tap", 0.31, 0.9, 0.56, -90)
+    # a low wall with a shelf closes the bath's foot
+    w.add("pier", "tiles", box((0.2, 0.78, 0.75), (0, 0, 0), 0.002, grain=1))
+    w.add("pier", "shelves", box((0.24, 0.82, 0.025), (0, 0, 0.75), 0.004, 2, grain=1))
+    w.place("pier", 0.375, 0.895)
+    room.surface_at("pier", "shelf", (0.375, 0.9), (0.2, 0.74), 0.775, 0.5)
+    _washing(room)
+    kitchen_furniture.toilet(w, "toilet", ceramic="enamel", seat="seat", metal="chrome")
+    room.place("north", "toilet", 1.05, gap=0.014)
+    _storage(room)
+    furniture.rug(w, "mat", "mat", (0.8, 0.5), (-0.5, 0.15), seed=2)
+    fitting = furniture.ceiling_light(w, "ceiling_light", ceiling=2.5, radius=0.19, metal="chrome")
+    w.place("ceiling_light", 0.1, -0.2)
+    room.area_slot("ceiling light", (0.1, -0.2, fitting - 0.004), (0.25, 0.25))
+    w.build(collection)
+    room.surface_at("floor", "floor", (-0.85, -0.8), (0.5, 0.5), 0.0, 2.0)
+    room.camera_region("middle", (-0.5, -1.1, 0.02), (0.75, 0.3, 2.25))
+    room.camera_region("west", (-1.0, -0.5, 0.02), (0.75, 0.3, 2.25))
+
+
+def _tiling(room: Room) -> None:
+    w, t = room.workshop, 0.012
+    for wall in ("north", "east", "west", "south"):
+        half = room.length(wall) / 2
+        gaps = [(d.s - d.width / 2 - 0.09, d.s + d.width / 2 + 0.09) for d in room.doors if d.wall == wall]
+        start = -half
+        for low, high in [*gaps, (half, half)]:
+            if low - start > 0.03:
+                middle, length = (low + start) / 2, low - start
+                w.add(
+                    "wall_tiles",
+                    "tiles",
+                    room.on_wall(wall, box((length, t, TILED), (middle, -t / 2, 0), 0.001, grain=0)),
+                )
+                w.add(
+                    "wall_tiles",
+                    "tile_edge",
+                    room.on_wall(
+                        wall, box((length, 0.018, 0.03), (middle, -0.009, TILED), 0.006, 3, grain=0)
+                    ),
+                )
+            start = high
+
+
+def _washing(room: Room) -> None:
+    w = room.workshop
+    furniture.cabinet(
+        w,
+        "vanity",
+        width=0.9,
+        height=0.62,
+        depth=0.44,
+        columns=2,
+        slot="vanity",
+        handle="chrome",
+        plinth=0.0,
+        top_thick=0.025,
+    )
+    room.place("east", "vanity", 0.35, gap=0.014, z=0.2)
+    basin = lathe(
+        [
+            (0, 0),
+            (0.1, 0),
+            (0.125, 0.01),
+            (0.185, 0.075),
+            (0.205, 0.125),
+            (0.206, 0.131),
+            (0.2, 0.132),
+            (0.196, 0.126),
+            (0.176, 0.078),
+            (0.115, 0.022),
+            (0.03, 0.014),
+            (0, 0.012),
+        ],
+        48,
+        smooth=0,
+    )
+    w.add("basin", "enamel", basin.scaled(1, 0.9, 1))
+    w.add(
+        "basin",
+        "chrome",
+        lathe([(0, 0.012), (0.022, 0.0145), (0.024, 0.017), (0.016, 0.0185), (0, 0.018)], 24),
+    )
+    room.place("east", "basin", 0.35, gap=0.24, z=0.82)
+    kitchen_furniture.tap(w, "basin_tap", "chrome", height=0.27, reach=0.15)
+    room.place("east", "basin_tap", 0.35, gap=0.045, z=0.82)
+    for k, s in enumerate((0.02, 0.69)):
+        room.surface(f"vanity {k}", "counter", "east", s, 0.16, 0.06, 0.42, 0.82, 0.5)
+    w.add("mirror", "mirror", box((0.7, 0.006, 0.85), (0, -0.004, 0), 0.002, 1))
+    w.add("mirror", "chrome", box((0.716, 0.004, 0.866), (0, -0.002, -0.008), 0.001))
+    room.place("east", "mirror", 0.35, z=1.38)
+    w.add("mirror_shelf", "shelves", box((0.7, 0.12, 0.018), (0, -0.06, 0), 0.003, 2, grain=0))
+    # the lamp bar over the mirror
+    w.add("lamp_bar", "chrome", box((0.6, 0.03, 0.03), (0, -0.015, 0), 0.004, 2))
+    w.add("lamp_bar", "lamp_shade", tube([(-0.27, -0.06, 0.015), (0.27, -0.06, 0.015)], 0.024, 16))
+    room.place("east", "lamp_bar", 0.35, z=2.29)
+    w.add(
+        "mirror_shelf",
+        "chrome",
+        *[tube([(x, -0.002, -0.01), (x, -0.1, -0.004)], 0.005, 8) for x in (-0.28, 0.28)],
+    )
+    room.place("south", "mirror_shelf", -0.6, z=1.45, gap=0.0)
+    room.surface("wall shelf", "shelf", "south", -0.6, 0.64, 0.02, 0.11, 1.468, 0.4)
+
+
+def _storage(room: Room) -> None:
+    w = room.workshop
+    bar = tube([(-0.32, -0.08, 0), (0.32, -0.08, 0)], 0.009, 12)
+    ends = [tube([(x, -0.002, 0), (x, -0.08, 0)], 0.008, 10) for x in (-0.3, 0.3)]
+    w.add("towel_rail", "chrome", bar, *ends)
+    room.place("west", "towel_rail", 0.35, z=1.15, gap=0.014)
+    kitchen_furniture.towel(w, "towel", "towels", width=0.46)
+    room.place("west", "towel", 0.35, z=1.149, gap=0.094)
+    furniture.shelf_unit(
+        w,
+        "tall_shelf",
+        width=0.5,
+        height=1.7,
+        depth=0.28,
+        levels=(0.12, 0.5, 0.88, 1.26),
+        slot="shelves",
+        back=False,
+    )
+    room.place("west", "tall_shelf", -0.85, gap=0.02)
+    for k, z in enumerate((0.5, 1.26)):
+        room.surface(f"tall shelf {k}", "shelf", "west", -0.85, 0.42, 0.04, 0.27, z, 0.34)
+    room.surface("tall shelf top", "shelf", "west", -0.85, 0.44, 0.04, 0.27, 1.7, 0.5)
+    for k, z in enumerate((0.12, 0.88)):
+        for j in range(3):
+            roll = soft_box(
+                (0.36, 0.24, 0.075),
+                (0, -0.15, z + 0.001 + 0.076 * j),
+                0.034,
+                (0.004, 0.006, 0.004),
+                9,
+                0.001,
+                5 * k + j,
+            )
+            w.add("folded_towels", "towels" if (j + k) % 2 else "towel_white", roll)
+    room.place("west", "folded_towels", -0.85, gap=0.02)
+    w.add("laundry", "laundry", _basket())
+    w.place("laundry", 1.2, -0.85)
+    # stool
+    w.add(
+        "stool",
+        "stool",
+        lathe([(0, 0.42), (0.155, 0.42), (0.165, 0.428), (0.165, 0.445), (0.155, 0.452), (0, 0.452)], 40),
+    )
+    for k in range(4):
+        a = np.pi / 4 + k * np.pi / 2
+        w.add(
+            "stool",
+            "stool",
+            tube(
+                [(0.15 * np.cos(a), 0.15 * np.sin(a), 0.003), (0.1 * np.cos(a), 0.1 * np.sin(a), 0.425)],
+                [0.012, 0.016],
+                10,
+            ),
+        )
+    w.place("stool", -1.2, -0.25)
+    room.surface_at("stool", "seat", (-1.2, -0.25), (0.2, 0.2), 0.452, 0.8)
+
+
+def _basket() -> Shape:
+    rings = []
+    for scale, z in (
+        (0.92, 0.0),
+        (0.95, 0.006),
+        (1.0, 0.25),
+        (1.04, 0.5),
+        (1.05, 0.507),
+        (1.06, 0.51),
+        (1.06, 0.535),
+        (0.9, 0.55),
+        (0.3, 0.556),
+    ):
+        outline = np.array(rounded_rectangle(0.38 * scale, 0.3 * scale, 0.07 * scale, 5))
+        rings.append(np.column_stack([outline, np.full(len(outline), z)]))
+    return loft(np.array(rings))

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A dining room of 4.6 x 3.8 m: table for six, sideboard, glazed-looking cabinet, tall windows to the south."""
+
+from __future__ import annotations
+
+import bpy
+
+from scenes.sources.environments import furniture, slots
+from scenes.sources.environments.registry import environment
+from scenes.sources.environments.room import Door, Room, Window
+from scenes.sources.materials.graph import srgb
+from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.shapes import box, lathe, tube
+
+
+def _slots() -> dict[str, Slot]:
+    return {
+        **slots.shell(floor="parquet_mahogany", walls="wallpaper_leaf", trim="d9d4c8"),
+        **slots.pictures(),
+        **slots.greenery(),
+        **slots.books(),
+        "panelling": Slot(("painted",), ("painted", "wood"), color=srgb("b9b8a8"), roughness=0.35),
+        "table": Slot(("wood",), ("wood", "stone"), "walnut_lacquered"),
+        "chairs": Slot(("wood",), ("wood", "painted"), color=srgb("4a2c1a"), roughness=0.3),
+        "chair_seats": Slot(("fabric",), ("fabric", "leather"), color=srgb("8c3b32"), roughness=0.9),
+        "sideboard": Slot(("wood",), ("wood", "painted"), "cherry"),
+        "top": Slot(("stone",), ("stone", "wood"), "marble_white"),
+        "dresser": Slot(("painted",), ("painted", "wood"), color=srgb("56707a"), roughness=0.38),
+        "rug": Slot(("fabric",), ("fabric",), "tweed"),
+        "rug_border": Slot(("fabric",), ("fabric", "leather"), color=srgb("3a2f28"), roughness=0.9),
+        "curtains": Slot(("fabric",), ("fabric",), color=srgb("23483a"), roughness=0.92, ior=1.4),
+        "brass": Slot(("metal",), ("metal",), color=(0.89, 0.74, 0.42), roughness=0.25, metallic=1.0),
+        "mirror": Slot(("metal",), (), color=(0.9, 0.9, 0.9), roughness=0.04, metallic=1.0),
+    }
+
+
+@environment("dining_room", "Dining room")
+def dining_room(collection: bpy.types.Collection) -> None:
+    w = Workshop(_slots())
+    windows = (
+        Window("south", 1.05, 1.2, 0.45, 1.85, (2, 3)),
+        Window("south", -1.05, 1.2, 0.45, 1.85, (2, 3)),
+    )
+    room = Room(w, collection, 4.6, 3.8, 2.75, windows, (Door("west", -1.1, 0.9, 2.08),))
+    room.build_shell(skirting=0.14)
+    _panelling(room)
+    for k, window in enumerate(windows):
+        room.curtains(window, "curtains", open_share=0.66, seed=30 + k)
+    furniture.rug(w, "rug", "rug", (3.0, 2.1), (0.0, 0.05), border="rug_border", seed=6)
+    furniture.table(w, "table", size=(1.9, 0.95), height=0.75, leg=0.085, thick=0.036)
+    w.place("table", 0.0, 0.05, 0.0115)
+    room.surface_at("table", "table", (0.0, 0.05), (1.8, 0.86), 0.7615, 0.85)
+    furniture.chair(w, "chair")
+    places = (
+        (-0.55, -0.62, 178.0),
+        (0.1, -0.6, 183.0),
+        (0.68, -0.63, 174.0),
+        (-0.5, 0.74, -3.0),
+        (0.12, 0.72, 2.0),
+        (0.62, 0.9, -24.0),
+    )
+    for x, y, degrees in places:
+        w.place("chair", x, y, 0.0115, degrees)
+    furniture.cabinet(
+        w,
+        "sideboard",
+        width=1.7,
+        height=0.88,
+        depth=0.46,
+        columns=3,
+        rows=(0.28, 0.72),
+        slot="sideboard",
+        top="top",
+        handle="brass",
+        plinth=0.1,
+        panel=True,
+        knobs=True,
+        top_thick=0.022,
+    )
+    room.place("north", "sideboard", 0.2, gap=0.02)
+    room.surface("sideboard", "table", "north", 0.2, 1.6, 0.06, 0.44, 0.88, 0.42)
+    _dresser(room)
+    # a round mirror over the sideboard
+    w.add(
+        "mirror",
+        "brass",
+        lathe(
+            [(0.3, 0), (0.345, 0.002), (0.35, 0.012), (0.335, 0.026), (0.312, 0.022), (0.3, 0.01), (0.3, 0)],
+            56,
+        ).turned("x", 90),
+    )
+    w.add(
+        "mirror", "mirror", lathe([(0, 0.008), (0.31, 0.008), (0.31, 0.012), (0, 0.012)], 48).turned("x", 90)
+    )
+    room.place("north", "mirror", 0.2, z=1.75, gap=0.002)
+    furniture.picture(
+        w, "picture", size=(0.55, 0.7), frame="picture_frames", mount="mounts", art="art_landscape"
+    )
+    room.place("east", "picture", 0.65, z=1.72, gap=0.004)
+    low = furniture.pendant(w, "pendant", ceiling=2.75, drop=1.0, metal="brass", radius=0.26)
+    w.place("pendant", 0.0, 0.05)
+    room.area_slot("pendant", (0.0, 0.05, low + 0.02), (0.3, 0.3))
+    for k, s in enumerate((-0.55, 0.95)):
+        _sconce(room, k, s)
+    furniture.plant(
+        w,
+        "plant",
+        height=1.15,
+        pot="pot",
+        leaf="leaves",
+        stem="stems",
+        soil="soil",
+        seed=21,
+        pot_radius=0.15,
+        leaves=26,
+    )
+    w.place("plant", -1.98, 1.55)
+    w.build(collection)
+    room.surface_at("floor", "floor", (-1.85, 0.2), (0.6, 1.2), 0.0, 2.2)
+    room.camera_region("south side", (-2.1, -1.65, 0.02), (2.1, -1.05, 2.3))
+    room.camera_region("west side", (-2.2, -1.65, 0.02), (-1.25, 0.95, 2.3))
+    room.camera_region("over the table", (-2.1, -1.5, 0.95), (1.75, 1.05, 1.7))
+
+
+def _panelling(room: Room) -> None:
+    """A dado rail on every wall, interrupted by the door and the windows."""
+    w, z = room.workshop, 0.92
+    for wall in ("north", "east", "west", "south"):
+        half = room.length(wall) / 2
+        blocked = [(d.s - d.width / 2 - 0.09, d.s + d.width / 2 + 0.09) for d in room.doors if d.wall == wall]
+        blocked += [
+            (o.s - o.width / 2 - 0.07, o.s + o.width / 2 + 0.07) for o in room.windows if o.wall == wall
+        ]
+        start = -half
+        for low, high in [*sorted(blocked), (half, half)]:
+            if low - start > 0.03:
+                rail = box((low - start, 0.024, 0.05), ((low + start) / 2, -0.012, z), 0.008, 2, grain=0)
+                w.add("panelling", "panelling", room.on_wall(wall, rail))
+            start = high
+
+
+def _dresser(room: Room) -> None:
+    w = room.workshop
+    furniture.cabinet(
+        w,
+        "dresser",
+        width=1.1,
+        height=0.9,
+        depth=0.42,
+        columns=2,
+        rows=(0.3, 0.7),
+        slot="dresser",
+        handle="brass",
+        panel=True,
+        knobs=True,
+    )
+    room.place("east", "dresser", -0.75, gap=0.025)
+    furniture.shelf_unit(
+        w, "dresser_shelves", width=1.06, height=1.15, depth=0.24, levels=(0.03, 0.38, 0.73), slot="dresser"
+    )
+    room.place("east", "dresser_shelves", -0.75, gap=0.025, z=0.9)
+    for k, z in enumerate((0.93, 1.28, 1.63)):
+        room.surface(f"dresser shelf {k}", "shelf", "east", -0.75, 0.96, 0.05, 0.24, z, 0.31)
+    room.surface("dresser", "table", "east", -0.75, 1.0, 0.28, 0.43, 0.9, 0.9)
+    room.surface("dresser top", "shelf", "east", -0.75, 0.98, 0.05, 0.24, 2.05, 0.5)
+
+
+def _sconce(room: Room, number: int, s: float) -> None:
+    """Wall lamp beside the mirror."""
+    w = room.workshop
+    part = f"sconce_{number}"
+    w.add(
+        part,
+        "brass",
+        lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28).turned("x", 90),
+    )
+    w.add(
+        part,
+        "brass",
+        tube([(0, -0.01, 0), (0, -0.07, -0.02), (0, -0.11, 0.0), (0, -0.115, 0.05)], 0.006, 10, smooth=4),
+        lathe([(0, 0.045), (0.02, 0.047), (0.024, 0.055), (0.012, 0.06), (0.01, 0.11), (0, 0.11)], 20).moved(
+            0, -0.115, 0
+        ),
+    )
+    w.add(part, "lamp_shade", furniture.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085))
+    room.place("north", part, s, z=1.75)
+    x, y, _ = room.frame("north")
+    room.point_slot(f"sconce {number}", (x + s, y - 0.115, 1.75 + 0.15))

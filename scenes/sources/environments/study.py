@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A study of 3.8 x 3.2 m: desk at the window, bookcase, reading chair, a day bed's worth of books."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from scenes.sources.environments import furniture, slots
+from scenes.sources.environments.registry import environment
+from scenes.sources.environments.room import Door, Room, Window
+from scenes.sources.materials.graph import srgb
+from scenes.sources.modelling import Slot, Workshop
+from scenes.sources.shapes import box, cylinder, extrude, lathe, rounded_rectangle, soft_box, tube
+
+
+def _slots() -> dict[str, Slot]:
+    return {
+        **slots.shell(floor="grey_oak_planks", wall_color="8c9a9c"),
+        **slots.books(),
+        **slots.pictures(),
+        **slots.greenery(),
+        "desk": Slot(("wood",), ("wood", "painted", "glazed"), "walnut_lacquered"),
+        "desk_legs": Slot(("painted",), ("painted", "metal", "wood"), color=srgb("232426"), roughness=0.45),
+        "drawers": Slot(("painted",), ("painted", "wood", "metal"), color=srgb("c9c6bd"), roughness=0.35),
+        "chair_shell": Slot(("leather",), ("leather", "fabric"), "leather_black"),
+        "chair_base": Slot(
+            ("metal",),
+            ("metal", "plastic", "painted"),
+            color=(0.55, 0.55, 0.56),
+            roughness=0.25,
+            metallic=1.0,
+        ),
+        "castors": Slot(("plastic",), ("plastic", "rubber"), color=srgb("1a1a1b"), roughness=0.45),
+        "bookcase": Slot(("wood",), ("wood", "painted"), "cherry"),
+        "armchair": Slot(("fabric",), ("fabric", "leather"), "velvet_green"),
+        "armchair_legs": Slot(("wood",), ("wood", "metal"), color=srgb("3a281b"), roughness=0.35),
+        "rug": Slot(("fabric",), ("fabric",), "carpet_blue"),
+        "blind": Slot(("fabric",), ("fabric", "paper", "organic"), color=srgb("d5cdba"), roughness=0.85),
+        "board": Slot(("organic",), ("organic", "fabric"), "cork"),
+        "note_a": Slot(("paper",), ("paper",), color=srgb("e4dfc8"), roughness=0.9),
+        "note_b": Slot(("paper",), ("paper",), color=srgb("d7b65a"), roughness=0.9),
+        "bin": Slot(
+            ("metal",), ("metal", "painted", "organic"), color=(0.45, 0.45, 0.46), roughness=0.4, metallic=1.0
+        ),
+    }
+
+
+@environment("study", "Study")
+def study(collection: bpy.types.Collection) -> None:
+    w = Workshop(_slots())
+    windows = (Window("north", -0.45, 1.5, 0.88, 1.35, (2, 1)), Window("east", 0.2, 0.9, 0.88, 1.35, (1, 2)))
+    room = Room(w, collection, 3.8, 3.2, 2.5, windows, (Door("south", 1.2),))
+    room.build_shell(skirting=0.11)
+    _desk(room)
+    _bookcase(room)
+    furniture.sofa(
+        w, "armchair", width=0.86, seats=1, depth=0.84, cover="armchair", legs="armchair_legs", seed=5
+    )
+    w.place("armchair", 1.32, -0.98, 0, -128)
+    furniture.rug(w, "rug", "rug", (1.9, 1.3), (0.0, -0.55), seed=4)
+    furniture.radiator(w, "radiator", width=0.7, height=0.55)
+    room.place("east", "radiator", 0.2)
+    _board(room)
+    furniture.picture(w, "picture", size=(0.62, 0.44), frame="picture_frames", mount="mounts", art="art_dusk")
+    room.place("south", "picture", -0.55, z=1.6)
+    w.add(
+        "blind",
+        "blind",
+        box((1.46, 0.004, 0.42), (0, -0.05, 1.86), 0.001, grain=2),
+        tube([(-0.73, -0.05, 1.86), (0.73, -0.05, 1.86)], 0.011, 10),
+        tube([(-0.74, -0.05, 2.29), (0.74, -0.05, 2.29)], 0.022, 16),
+    )
+    room.place("north", "blind", -0.45)
+    fitting = furniture.ceiling_light(w, "ceiling_light", ceiling=2.5, radius=0.2)
+    w.place("ceiling_light", 0.0, -0.1)
+    room.area_slot("ceiling light", (0.0, -0.1, fitting - 0.004), (0.26, 0.26))
+    lamp = furniture.floor_lamp(w, "floor_lamp", height=1.5)
+    w.place("floor_lamp", 1.55, -0.2)
+    room.point_slot("floor lamp", (1.55, -0.2, lamp))
+    furniture.plant(
+        w,
+        "plant",
+        height=1.05,
+        pot="pot",
+        leaf="leaves",
+        stem="stems",
+        soil="soil",
+        seed=9,
+        pot_radius=0.14,
+        leaves=24,
+    )
+    w.place("plant", 1.5, 1.22)
+    w.build(collection)
+    room.surface_at("floor", "floor", (-0.35, -0.75), (1.1, 0.7), 0.0115, 2.2)
+    room.camera_region("middle", (-1.15, -1.35, 0.02), (0.36, -0.15, 2.2))
+    room.camera_region("beside the chair", (-0.4, -0.15, 0.02), (0.36, 0.72, 2.2))
+    room.camera_region("above the desk", (-1.1, -1.2, 1.15), (0.8, 0.65, 2.1))
+
+
+def _desk(room: Room) -> None:
+    w = room.workshop
+    w.add("desk", "desk", box((1.6, 0.75, 0.03), (0, -0.375, 0.715), 0.006, 2, grain=0))
+    for x in (-0.74, 0.74):
+        for y in (-0.06, -0.69):
+            w.add("desk", "desk_legs", box((0.045, 0.045, 0.715), (x, y, 0), 0.003, grain=2))
+        w.add("desk", "desk_legs", box((0.03, 0.6, 0.04), (x, -0.375, 0.675), 0.002, grain=1))
+    w.add("desk", "desk_legs", box((1.44, 0.03, 0.05), (0, -0.06, 0.665), 0.002, grain=0))
+    room.place("north", "desk", -0.45, gap=0.06)
+    furniture.cabinet(
+        w,
+        "drawers",
+        width=0.42,
+        height=0.56,
+        depth=0.52,
+        columns=1,
+        rows=(1, 1, 1.6),
+        slot="drawers",
+        plinth=0.03,
+        top_thick=0.012,
+        overhang=0.0,
+    )
+    room.place("north", "drawers", 0.02, gap=0.16)
+    room.surface("desk", "table", "north", -0.45, 1.5, 0.10, 0.76, 0.745, 0.9)
+    # office chair: five-star base, column, padded seat and back
+    for k in range(5):
+        a = 2 * np.pi * k / 5 + 0.3
+        end = (0.29 * np.cos(a), 0.29 * np.sin(a))
+        w.add(
+            "chair",
+            "chair_base",
+            tube(
+                [(0, 0, 0.1), (end[0] * 0.5, end[1] * 0.5, 0.088), (*end, 0.066)],
+                [0.023, 0.019, 0.015],
+                10,
+                smooth=3,
+            ),
+        )
+        w.add(
+            "chair",
+            "castors",
+            cylinder(0.026, 0.016, (0, 0, -0.017), 0.004, 20)
+            .turned("x", 90)
+            .turned("z", float(np.degrees(a)) + 25)
+            .moved(*end, 0.0262),
+            cylinder(0.009, 0.05, (*end, 0.026), 0.002, 12),
+        )
+    w.add(
+        "chair",
+        "chair_base",
+        cylinder(0.026, 0.2, (0, 0, 0.09), 0.003),
+        cylinder(0.017, 0.16, (0, 0, 0.26), 0.002),
+        box((0.2, 0.2, 0.03), (0, 0, 0.405), 0.008, 2),
+    )
+    w.add(
+        "chair",
+        "chair_shell",
+        soft_box((0.5, 0.48, 0.085), (0, 0, 0.43), 0.04, (0.004, 0.004, 0.016), 11, 0.001, 3),
+    )
+    w.add(
+        "chair",
+        "chair_shell",
+        soft_box((0.46, 0.09, 0.56), (0, 0, 0), 0.042, (0.004, 0.02, 0.006), 11, 0.001, 4)
+        .bent(lambda p: p + np.column_stack([0 * p[:, 0], -0.06 * (p[:, 0] / 0.23) ** 2, 0 * p[:, 0]]))
+        .turned("x", -9)
+        .moved(0, 0.255, 0.56),
+    )
+    w.add(
+        "chair",
+        "chair_base",
+        tube(
+            [(0, 0.06, 0.415), (0, 0.26, 0.42), (0, 0.315, 0.5), (0, 0.34, 0.72)], 0.018, 12, smooth=4
+        ).scaled(1.6, 1, 1),
+    )
+    for side in (-1, 1):
+        w.add(
+            "chair",
+            "castors",
+            soft_box((0.06, 0.26, 0.028), (side * 0.285, 0.0, 0.65), 0.012, (0, 0, 0.002), 6),
+        )
+        w.add(
+            "chair",
+            "chair_base",
+            tube(
+                [
+                    (side * 0.16, 0.02, 0.42),
+                    (side * 0.27, 0.02, 0.43),
+                    (side * 0.29, 0.02, 0.5),
+                    (side * 0.287, 0.0, 0.66),
+                ],
+                0.011,
+                10,
+                smooth=4,
+            ),
+        )
+    w.place("chair", -0.75, 0.28, 0, 164)
+    w.add(
+        "bin",
+        "bin",
+        lathe(
+            [
+                (0, 0.0),
+                (0.1, 0.0),
+                (0.105, 0.004),
+                (0.13, 0.29),
+                (0.133, 0.295),
+                (0.13, 0.298),
+                (0.127, 0.29),
+                (0.102, 0.008),
+                (0, 0.006),
+            ],
+            36,
+        ),
+    )
+    w.place("bin", 0.52, 1.32)
+
+
+def _bookcase(room: Room) -> None:
+    w = room.workshop
+    levels = (0.09, 0.42, 0.75, 1.08, 1.41, 1.74)
+    furniture.shelf_unit(
+        w, "bookcase", width=2.1, height=2.08, depth=0.29, levels=levels, columns=3, slot="bookcase"
+    )
+    room.place("west", "bookcase", 0.2, gap=0.004)
+    step = (2.1 - 0.022) / 3
+    bay = step - 0.022
+    for k, z in enumerate(levels):
+        for column in range(3):
+            left = -1.05 + 0.022 + column * step
+            share = (0.95, 0.62, 0.9, 0.0, 0.85, 0.5, 0.95)[(2 * k + 3 * column) % 7]
+            if share:
+                furniture.book_row(
+                    w,
+                    "books",
+                    slots.BOOKS,
+                    "pages",
+                    x=left + 0.005,
+                    width=share * bay,
+                    y=-0.275 + 0.19,
+                    z=z + 0.0005,
+                    height=0.3,
+                    seed=100 + 10 * k + column,
+                )
+            free = bay * (1 - share) - (0.09 if share else 0.02)
+            if free > 0.13:
+                room.surface(
+                    f"bookcase {k}.{column}",
+                    "shelf",
+                    "west",
+                    0.2 + left + bay - free / 2 - 0.012,
+                    free - 0.01,
+                    0.03,
+                    0.27,
+                    z,
+                    0.29,
+                )
+    room.place("west", "books", 0.2, gap=0.004)
+
+
+def _board(room: Room) -> None:
+    w = room.workshop
+    w.add("board", "board", box((0.8, 0.012, 0.56), (0, -0.007, 0), 0.002, grain=0))
+    w.add(
+        "board",
+        "bookcase",
+        *[box((0.86, 0.022, 0.03), (0, -0.011, z), 0.004, 2, grain=0) for z in (-0.03, 0.56)],
+        *[box((0.03, 0.022, 0.56), (s * 0.415, -0.011, 0), 0.004, 2, grain=2) for s in (-1, 1)],
+    )
+    rng = np.random.default_rng(3)
+    for k in range(7):
+        size = ((0.075, 0.075), (0.105, 0.148), (0.1, 0.07))[k % 3]
+        sheet = box((size[0], 0.0006, size[1]), bevel=0).turned("y", float(rng.uniform(-6, 6)))
+        x, z = -0.3 + 0.1 * k, 0.06 + 0.3 * (k % 2) + float(rng.uniform(-0.02, 0.03))
+        w.add("board", "note_b" if k % 3 == 0 else "note_a", sheet.moved(x, -0.0138 - 0.0008 * (k % 2), z))
+        w.add(
+            "board",
+            "castors",
+            lathe([(0, 0), (0.005, 0.001), (0.004, 0.006), (0, 0.007)], 10)
+            .turned("x", 90)
+            .moved(x, -0.0145, z + size[1] * 0.9),
+        )
+    room.place("east", "board", -0.85, z=1.25)
+    w.add(
+        "wall_shelf",
+        "desk",
+        box((0.9, 0.2, 0.024), (0, -0.1, 0), 0.004, 2, grain=0),
+        extrude(rounded_rectangle(0.02, 0.02, 0.004, 2), 0.01, 0.001).moved(0, -0.02, -0.009),
+    )
+    room.place("south", "wall_shelf", -0.55, z=1.2)
+    room.surface("wall shelf", "shelf", "south", -0.55, 0.84, 0.02, 0.18, 1.224, 0.12)
