@@ -478,7 +478,7 @@ def report(
         Optional[Path],  # noqa: UP045
         typer.Option(help="Folder for the page; report/ inside the dataset if left out."),
     ] = None,
-    pixels: Annotated[str, typer.Option(help="Views whose pixels the viewer gets: a number, or all.")] = "400",
+    pixels: Annotated[str, typer.Option(help="Views whose pixels are written: a number, or all.")] = "400",
     sources: Annotated[bool, typer.Option(help="Also the source views of each pixel's statistics.")] = True,
     check: Annotated[bool, typer.Option("--verify/--no-verify", help="Verify the dataset first.")] = True,
     cost: Annotated[float, typer.Option(min=0, help="Price of an hour of a unit's resources.")] = 0.0,

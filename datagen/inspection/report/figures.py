@@ -24,16 +24,21 @@ NUM_COVERAGE_BINS = 32
 
 @dataclass(frozen=True)
 class Axis:
-    """Bins of a histogram: ``edges`` rise, ``scale`` says how they are spaced."""
+    """Bins of a histogram: ``edges`` rise, ``scale`` says how they are spaced (whole: one a whole number)."""
 
     title: str
     unit: str
     edges: tuple[float, ...]
-    scale: Literal["linear", "log"] = "linear"
+    scale: Literal["linear", "log", "whole"] = "linear"
 
     @classmethod
     def linear(cls, title: str, unit: str, low: float, high: float, num: int) -> Axis:
         return cls(title, unit, tuple(np.linspace(low, high, num + 1).tolist()))
+
+    @classmethod
+    def whole(cls, title: str, unit: str, low: int, high: int) -> Axis:
+        """A bin for each whole number from ``low`` to ``high``."""
+        return cls(title, unit, tuple(np.arange(low - 0.5, high + 1).tolist()), "whole")
 
     @classmethod
     def log(cls, title: str, unit: str, low: float, high: float, num: int) -> Axis:
@@ -53,7 +58,7 @@ PIXEL_AXES: dict[str, Axis] = {
     "specular_luminance": Axis.log("Luminance of S (F0)", "1", 0.01, 1, 50),
     "roughness": Axis.linear("Roughness R", "1", 0, 1, 64),
     "depth": Axis.log("Depth", "m", 0.1, 100, 60),
-    "observation_count": Axis.linear("Views behind a pixel's statistics", "views", -0.5, 24.5, 25),
+    "observation_count": Axis.whole("Views behind a pixel's statistics", "views", 0, 24),
 }
 """Histograms over surface pixels."""
 

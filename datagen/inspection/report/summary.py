@@ -21,7 +21,7 @@ from datagen.library import Library, asset_classes
 _COARSE = 8  # cells a side in which "missing" is told in words
 _MISSING_SHARE = 1e-3
 """A coarse cell with a smaller share of all surface pixels than this is called missing."""
-_UNKNOWN = "unknown (library not at hand)"
+_UNKNOWN = "not in the library at hand"
 MAX_LISTED_FAULTS = 20
 
 
@@ -117,6 +117,9 @@ def assets(
         used_in.update(here)
         pixels.update(shard["materials"])
     total = max(sum(pixels.values()), 1)
+    of_asset: Counter[str] = Counter()
+    for name, count in pixels.items():
+        of_asset[_without_variant(name).partition("/")[0]] += count
     by_class: Counter[str] = Counter()
     for name, count in pixels.items():
         by_class[_class_of(name, library)] += count
@@ -130,7 +133,7 @@ def assets(
                 "class": _detail(identity, library),
                 "configurations": used_in[identity],
                 "placed": placed[identity],
-                "pixel_share": pixels[identity] / total if identity in pixels else None,
+                "pixel_share": of_asset[identity] / total,
                 "license": record.license if record else "",
                 "author": record.author if record else "",
             }
@@ -150,10 +153,10 @@ def assets(
 
 
 def _class_of(material: str, library: Library | None) -> str:
-    """Main class of a material as the views' records name it: its asset's id, or ``asset/slot``."""
+    """Main class of a material as the views' records name it."""
     if library is None:
         return _UNKNOWN
-    identity, _, slot = material.partition("/")
+    identity, _, slot = _without_variant(material).partition("/")
     if identity not in library:
         return _UNKNOWN
     asset = library.package(identity).asset
@@ -161,6 +164,11 @@ def _class_of(material: str, library: Library | None) -> str:
         found = asset.materials.get(slot)
         return found.classes[0] if found else "other"
     return asset_classes(asset)[0]
+
+
+def _without_variant(material: str) -> str:
+    """The records name a material by its asset's id, or ``asset/slot``; ``#2`` marks a second variation."""
+    return re.sub(r"#\d+$", "", material)
 
 
 def _detail(identity: str, library: Library | None) -> str:

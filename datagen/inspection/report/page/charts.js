@@ -4,7 +4,7 @@
 
 REPORT.charts = (() => {
   const { element } = REPORT;
-  const WIDTH = 340, HEIGHT = 130, LEFT = 44, BOTTOM = 22, TOP = 8, RIGHT = 10;
+  const WIDTH = 340, HEIGHT = 130, LEFT = 44, BOTTOM = 22, TOP = 8, RIGHT = 18;
 
   function svg(tag, attributes = {}, text) {
     const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
@@ -41,6 +41,7 @@ REPORT.charts = (() => {
       if (inside && before + inside >= share * total) {
         const at = (share * total - before) / inside;
         const [low, high] = [figure.edges[i], figure.edges[i + 1]];
+        if (figure.scale === "whole") return (low + high) / 2;
         return figure.scale === "log" ? low * (high / low) ** at : low + at * (high - low);
       }
       before += inside;
@@ -56,11 +57,11 @@ REPORT.charts = (() => {
       for (let e = Math.ceil(Math.log10(low) - 1e-9); e <= Math.log10(high) + 1e-9; e += Math.max(1, Math.round(decades / 5))) found.push(10 ** e);
       return found;
     }
-    const raw = (high - low) / 5;
+    const raw = Math.max((high - low) / 5, figure.scale === "whole" ? 1 : 0);
     const size = 10 ** Math.floor(Math.log10(raw));
     const step = [1, 2, 5, 10].map((k) => k * size).find((s) => s >= raw * 0.999);
     const found = [];
-    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k++) found.push(k * step);
+    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k++) found.push(k * step || 0); // never -0
     return found;
   }
 
@@ -71,7 +72,7 @@ REPORT.charts = (() => {
     const place = (v) => LEFT + (WIDTH - LEFT - RIGHT) * (figure.scale === "log" ? Math.log(v / low) / Math.log(high / low) : (v - low) / (high - low));
     const base = HEIGHT - BOTTOM;
     const spoken = total
-      ? `Histogram of ${figure.title} in ${figure.unit} over ${number(total)} ${figure.what}: median ${number(quantile(figure, 0.5))}, 90 percent between ${number(quantile(figure, 0.05))} and ${number(quantile(figure, 0.95))}`
+      ? `Histogram of ${figure.title}${figure.unit === "1" ? "" : ` in ${figure.unit}`} over ${number(total)} ${figure.what}: median ${number(quantile(figure, 0.5))}, 90 percent between ${number(quantile(figure, 0.05))} and ${number(quantile(figure, 0.95))}`
       : `Histogram of ${figure.title}: nothing to count`;
     const picture = svg("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": spoken });
     for (const share of [0.5, 1]) {
@@ -93,7 +94,7 @@ REPORT.charts = (() => {
     }
     const facts = total ? `median ${number(quantile(figure, 0.5))}, 90 % in ${number(quantile(figure, 0.05))} to ${number(quantile(figure, 0.95))}` : "nothing to count";
     return element("figure", { class: "chart" },
-      element("figcaption", {}, element("b", { text: figure.title }), ` [${figure.unit}], ${figure.what}`, element("span", { class: "facts", text: facts })),
+      element("figcaption", {}, element("b", { text: figure.title }), `${figure.unit === "1" ? "" : ` [${figure.unit}]`}, ${figure.what}`, element("span", { class: "facts", text: facts })),
       picture,
       lazyTable(`Numbers of ${figure.title}`, ["from", "to", figure.what], () => figure.counts.map((count, i) => [number(figure.edges[i], 4), number(figure.edges[i + 1], 4), number(count)])));
   }

@@ -9,7 +9,7 @@ REPORT.overview = (() => {
 
   function duration(seconds) {
     if (seconds === null || seconds === undefined) return "unknown";
-    if (seconds < 1) return `${(seconds * 1000).toPrecision(2)} ms`;
+    if (seconds < 1) return `${Math.round(seconds * 1000)} ms`;
     if (seconds < 90) return `${seconds.toPrecision(3)} s`;
     return seconds < 5400 ? `${(seconds / 60).toFixed(1)} min` : `${(seconds / 3600).toFixed(1)} h`;
   }
@@ -78,7 +78,7 @@ REPORT.overview = (() => {
       home.append(list, more);
     }
     for (const strip of found.stand_out) {
-      home.append(element("h3", { text: `Views with the ${strip.title}`.replace("the fewest", "the fewest") }),
+      home.append(element("h3", { text: `Views with the ${strip.title}` }),
         element("ul", { class: "strip" }, ...strip.rows.map(([configuration, view, value]) => element("li", {},
           element("a", { href: `#view/${configuration}/${view}` }, thumbnail(configuration, view), element("span", { text: `${configuration} / ${view}: ${number(value)}` }))))));
     }
@@ -94,7 +94,7 @@ REPORT.overview = (() => {
     }
     home.append(element("h3", { text: `Assets (${assets.rows.length})` }),
       table(["asset", "kind", "class or category", "configurations", "times placed", "share of pixels", "licence", "author"],
-        assets.rows.map((row) => [row.id, row.kind, row.class, row.configurations, row.placed, row.pixel_share === null ? "" : percent(row.pixel_share), row.license, row.author]), "Assets by use"),
+        assets.rows.map((row) => [row.id, row.kind, row.class, row.configurations, row.placed, percent(row.pixel_share), row.license, row.author]), "Assets by use"),
       element("details", {}, element("summary", { text: `materials by share of pixels (${assets.num_materials})` }), table(["material", "share of pixels"], assets.materials.map(([name, share]) => [name, percent(share)]), "Materials by share of pixels")));
   }
 

@@ -16,6 +16,7 @@ REPORT.viewer = (() => {
 
   // Six digits tell any half float from its neighbours, nine any 32-bit float.
   const format = (value, digits = 6) => (Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : String(value));
+  const unitOf = (b) => (b.is_radiance ? "W/(m² sr)" : b.unit === "1" ? "" : b.unit.replace(/^1 \((.*)\)$/, "$1"));
   const digitsOf = (picture) => (picture.dtype === "float" ? 9 : 6);
 
   // ---------------------------------------------------------------- controls
@@ -361,8 +362,8 @@ REPORT.viewer = (() => {
     ui.values.replaceChildren(...buffers().filter((b) => state.pictures[b.name]).map((b) => {
       const picture = state.pictures[b.name];
       const values = picture.all(pixel).map((v) => format(v, digitsOf(picture)));
-      return element("tr", { "data-buffer": b.name }, element("th", { scope: "row", text: b.label, title: `${b.description} [${b.unit}]` }),
-        element("td", {}, ...values.map((text) => element("span", { class: "value", text })), element("small", { text: b.is_radiance ? "W/(m² sr)" : b.unit === "1" ? "" : b.unit.replace(/^1 \((.*)\)$/, "$1") })));
+      return element("tr", { "data-buffer": b.name }, element("th", { scope: "row", title: `${b.description} [${b.unit}]` }, b.label, element("small", { text: unitOf(b) })),
+        element("td", {}, ...values.map((text) => element("span", { class: "value", text: `${text} ` }))));
     }));
   }
 
@@ -392,7 +393,7 @@ REPORT.viewer = (() => {
       const order = REPORT.sources.orderStatistics(found.map((source) => source.color));
       ui.sources.append(
         element("table", { class: "recomputed" }, element("caption", { text: "From these colours" }), element("tbody", {}, ...["min", "median", "max"].map((what) =>
-          element("tr", { "data-statistic": what }, element("th", { scope: "row", text: what }), element("td", {}, ...order.map((c) => element("span", { class: "value", text: format(c[what], 5) }))))))),
+          element("tr", { "data-statistic": what }, element("th", { scope: "row", text: what }), element("td", {}, ...order.map((c) => element("span", { class: "value", text: `${format(c[what], 5)} ` }))))))),
         REPORT.sources.listNode(mine.configuration, found, exposure(), (v) => format(v, 4)));
     }
     ui.sources.dataset.ready = "true";
@@ -405,5 +406,7 @@ REPORT.viewer = (() => {
     document.title = `${REPORT.summary.name}: dataset report`;
   }
 
-  return { open, close };
+  const frame = () => state && { ...state.frame };
+
+  return { open, close, frame };
 })();

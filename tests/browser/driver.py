@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: MIT
+"""A headless Chromium for tests of pages that open from disk."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from selenium.webdriver import Chrome
+
+_FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-extensions",
+)
+WAIT_S = 60.0
+"""Longest wait for the page; a crowded machine may need tens of seconds for what else takes one."""
+
+
+def find_browser() -> tuple[str, str]:
+    """Paths of Chromium and its driver; skips the test where one of the two, or selenium, is absent."""
+    pytest.importorskip("selenium", reason="selenium is not installed (extra `dev`)")
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    driver = shutil.which("chromedriver")
+    if browser is None or driver is None:
+        pytest.skip("no Chromium to drive (Debian: apt-get install chromium chromium-driver)")
+    return browser, driver
+
+
+@contextmanager
+def open_browser(profile: Path, width: int = 1500, height: int = 1000) -> Iterator[Chrome]:
+    """A browser with an empty profile in ``profile``; closed at the end."""
+    browser, driver_path = find_browser()
+    from selenium.webdriver import Chrome, ChromeOptions, ChromeService
+
+    options = ChromeOptions()
+    options.binary_location = browser
+    for flag in (*_FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = Chrome(options=options, service=ChromeService(driver_path))
+    try:
+        driver.set_page_load_timeout(WAIT_S)
+        driver.set_script_timeout(WAIT_S)
+        yield driver
+    finally:
+        driver.quit()
+
+
+class Page:
+    """A page under test: what a person would do, and what they would see."""
+
+    def __init__(self, driver: Chrome):
+        self.driver = driver
+        self.requests: list[str] = []
+
+    def open(self, path: Path, fragment: str = "") -> None:
+        self.driver.get(path.absolute().as_uri() + fragment)
+        self.wait("return document.documentElement.dataset.ready === 'true'")
+
+    def go(self, fragment: str) -> None:
+        """Follow a link inside the page; views are waited for."""
+        self.run("location.hash = arguments[0]", fragment)
+        if fragment.startswith("#view/"):
+            self.wait_for_view(fragment.removeprefix("#view/").partition("@")[0])
+
+    def wait_for_view(self, key: str) -> None:
+        ready = (
+            "return document.getElementById('viewer').dataset.ready === 'true' && "
+            "document.getElementById('configuration').value + '/' + document.getElementById('view').value"
+            " === arguments[0]"
+        )
+        self.wait(ready, key)
+
+    def run(self, script: str, *arguments: Any) -> Any:
+        return self.driver.execute_script(script, *arguments)
+
+    def wait(self, script: str, *arguments: Any) -> Any:
+        return self.until(lambda: self.run(script, *arguments), script)
+
+    def until(self, condition: Callable[[], Any], what: str) -> Any:
+        from selenium.webdriver.support.ui import WebDriverWait
+
+        return WebDriverWait(self.driver, WAIT_S, 0.05).until(lambda _: condition(), what)
+
+    def keys(self, *keys: str, to: str = "#panels") -> None:
+        """Press keys with an element focused."""
+        from selenium.webdriver.common.by import By
+
+        self.driver.find_element(By.CSS_SELECTOR, to).send_keys(*keys)
+
+    def hover(self, buffer: str, x: int, y: int, click: bool = False) -> None:
+        """Move the real pointer over pixel (x, y) of a buffer's picture, and click it if asked."""
+        from selenium.webdriver import ActionChains
+        from selenium.webdriver.common.by import By
+
+        canvas = self.driver.find_element(By.CSS_SELECTOR, f'#panels canvas[data-buffer="{buffer}"]')
+        self.run("arguments[0].scrollIntoView({block: 'center'})", canvas)
+        width, height = self.run("return [arguments[0].clientWidth, arguments[0].clientHeight]", canvas)
+        size = self.run("return REPORT.viewer.frame()")
+        scale = min(width / size["width"], height / size["height"]) * size["zoom"]
+        at = [(x + 0.5 - size["x"]) * scale, (y + 0.5 - size["y"]) * scale]
+        actions = ActionChains(self.driver).move_to_element_with_offset(canvas, round(at[0]), round(at[1]))
+        (actions.click() if click else actions).perform()
+
+    def values(self, buffer: str) -> list[float]:
+        """What the page says the pixel under the cursor holds."""
+        texts = self.run(
+            "return [...document.querySelectorAll(`#values tr[data-buffer='${arguments[0]}'] .value`)]"
+            ".map((n) => n.textContent)",
+            buffer,
+        )
+        return [float(text) for text in texts]
+
+    def console(self) -> list[str]:
+        """Everything that the console said at warning level or above since the last call."""
+        return [
+            entry["message"]
+            for entry in self.driver.get_log("browser")
+            if entry["level"] in ("WARNING", "SEVERE")
+        ]
+
+    def requested(self) -> list[str]:
+        """Addresses of everything that the page has asked for so far."""
+        for entry in self.driver.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                self.requests.append(message["params"]["request"]["url"])
+        return self.requests
+
+    def screenshot(self, path: Path) -> None:
+        self.driver.save_screenshot(str(path))
