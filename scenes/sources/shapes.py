@@ -14,7 +14,7 @@ from itertools import pairwise
 import bmesh
 import numpy as np
 from mathutils import Vector
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Point = tuple[float, float, float]
 Face = tuple[int, ...]
@@ -143,7 +143,7 @@ def box(
     return from_bmesh(mesh, grain).moved(at[0], at[1], at[2] + size[2] / 2)
 
 
-def smooth_curve(points: Sequence[Sequence[float]], per_span: int = 6, closed: bool = False) -> NDArray:
+def smooth_curve(points: ArrayLike, per_span: int = 6, closed: bool = False) -> NDArray:
     """Centripetal-free Catmull-Rom through ``points`` (k, d), ``per_span`` steps between neighbours."""
     p = np.asarray(points, dtype=float)
     if closed:
@@ -174,7 +174,8 @@ def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shap
     v = np.concatenate([[0.0], np.cumsum(steps_v)])
     if unit_uv:
         u, v = u / u[-1], v / v[-1]
-    faces, uvs = [], []
+    faces: list[Face] = []
+    uvs = []
     for r in range(rows - 1):
         for c in range(len(u) - 1):
             d = (c + 1) % columns
@@ -202,7 +203,7 @@ def _without_degenerate(shape: Shape) -> Shape:
     return Shape(shape.points[first], faces, np.concatenate(uvs), shape.unit_uv)
 
 
-def lathe(profile: Sequence[Sequence[float]], segments: int = 36, smooth: int = 0) -> Shape:
+def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
     """Turned about z: ``profile`` rows (radius, z) from the bottom outside to the top, then down the inside.
 
     Points on the axis close the shape. ``smooth`` > 0 puts a curve through the profile's points.
@@ -246,21 +247,21 @@ def cylinder(
 
 
 def tube(
-    path: Sequence[Sequence[float]],
-    radius: float | Sequence[float],
+    path: ArrayLike,
+    radius: ArrayLike,
     segments: int = 10,
     smooth: int = 0,
     closed: bool = False,
 ) -> Shape:
     """A round bar along ``path`` (k, 3) with rounded ends; ``radius`` may vary from point to point."""
     if smooth:
-        k = len(path)
-        radii = np.full(k, radius) if np.isscalar(radius) else np.asarray(radius, dtype=float)
+        k = len(np.asarray(path))
+        radii = np.full(k, radius) if np.ndim(radius) == 0 else np.asarray(radius, dtype=float)
         curve = smooth_curve(np.column_stack([np.asarray(path, dtype=float), radii]), smooth, closed)
         p, r = curve[:, :3], curve[:, 3]
     else:
         p = np.asarray(path, dtype=float)
-        r = np.full(len(p), radius) if np.isscalar(radius) else np.asarray(radius, dtype=float)
+        r = np.full(len(p), radius) if np.ndim(radius) == 0 else np.asarray(radius, dtype=float)
     tangents = (
         np.roll(p, -1, axis=0) - np.roll(p, 1, axis=0) if closed else np.gradient(p, axis=0, edge_order=1)
     )
@@ -308,12 +309,10 @@ def loft(sections: NDArray, capped: bool = True) -> Shape:
     return outward(_without_degenerate(grid(rings, closed_u=True)))
 
 
-def extrude(
-    outline: Sequence[Sequence[float]], height: float, bevel: float = 0.001, segments: int = 1
-) -> Shape:
+def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
     """A plate: ``outline`` (k, 2), counter-clockwise, from z = 0 to ``height``, its edges bevelled."""
     mesh = bmesh.new()
-    bottom = mesh.faces.new([mesh.verts.new((x, y, 0.0)) for x, y in outline])
+    bottom = mesh.faces.new([mesh.verts.new((x, y, 0.0)) for x, y in np.asarray(outline)])
     top = bmesh.ops.extrude_face_region(mesh, geom=[bottom])
     bmesh.ops.translate(
         mesh, vec=(0, 0, height), verts=[v for v in top["geom"] if isinstance(v, bmesh.types.BMVert)]

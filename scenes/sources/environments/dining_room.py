@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from scenes.sources.environments import furniture, slots
+from scenes.sources.environments import decor, furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
@@ -46,7 +46,7 @@ def dining_room(collection: bpy.types.Collection) -> None:
     _panelling(room)
     for k, window in enumerate(windows):
         room.curtains(window, "curtains", open_share=0.66, seed=30 + k)
-    furniture.rug(w, "rug", "rug", (3.0, 2.1), (0.0, 0.05), border="rug_border", seed=6)
+    decor.rug(w, "rug", "rug", (3.0, 2.1), (0.0, 0.05), border="rug_border", seed=6)
     furniture.table(w, "table", size=(1.9, 0.95), height=0.75, leg=0.085, thick=0.036)
     w.place("table", 0.0, 0.05, 0.0115)
     room.surface_at("table", "table", (0.0, 0.05), (1.8, 0.86), 0.7615, 0.85)
@@ -61,7 +61,7 @@ def dining_room(collection: bpy.types.Collection) -> None:
     )
     for x, y, degrees in places:
         w.place("chair", x, y, 0.0115, degrees)
-    furniture.cabinet(
+    storage.cabinet(
         w,
         "sideboard",
         width=1.7,
@@ -93,16 +93,14 @@ def dining_room(collection: bpy.types.Collection) -> None:
         "mirror", "mirror", lathe([(0, 0.008), (0.31, 0.008), (0.31, 0.012), (0, 0.012)], 48).turned("x", 90)
     )
     room.place("north", "mirror", 0.2, z=1.75, gap=0.002)
-    furniture.picture(
-        w, "picture", size=(0.55, 0.7), frame="picture_frames", mount="mounts", art="art_landscape"
-    )
+    decor.picture(w, "picture", size=(0.55, 0.7), frame="picture_frames", mount="mounts", art="art_landscape")
     room.place("east", "picture", 0.65, z=1.72, gap=0.004)
-    low = furniture.pendant(w, "pendant", ceiling=2.75, drop=1.0, metal="brass", radius=0.26)
+    low = decor.pendant(w, "pendant", ceiling=2.75, drop=1.0, metal="brass", radius=0.26)
     w.place("pendant", 0.0, 0.05)
     room.area_slot("pendant", (0.0, 0.05, low + 0.02), (0.3, 0.3))
     for k, s in enumerate((-0.55, 0.95)):
         _sconce(room, k, s)
-    furniture.plant(
+    decor.plant(
         w,
         "plant",
         height=1.15,
@@ -141,7 +139,7 @@ def _panelling(room: Room) -> None:
 
 def _dresser(room: Room) -> None:
     w = room.workshop
-    furniture.cabinet(
+    storage.cabinet(
         w,
         "dresser",
         width=1.1,
@@ -155,7 +153,7 @@ def _dresser(room: Room) -> None:
         knobs=True,
     )
     room.place("east", "dresser", -0.75, gap=0.025)
-    furniture.shelf_unit(
+    storage.shelf_unit(
         w, "dresser_shelves", width=1.06, height=1.15, depth=0.24, levels=(0.03, 0.38, 0.73), slot="dresser"
     )
     room.place("east", "dresser_shelves", -0.75, gap=0.025, z=0.9)
@@ -182,7 +180,7 @@ def _sconce(room: Room, number: int, s: float) -> None:
             0, -0.115, 0
         ),
     )
-    w.add(part, "lamp_shade", furniture.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085))
+    w.add(part, "lamp_shade", decor.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085))
     room.place("north", part, s, z=1.75)
     x, y, _ = room.frame("north")
     room.point_slot(f"sconce {number}", (x + s, y - 0.115, 1.75 + 0.15))

@@ -5,7 +5,13 @@ from __future__ import annotations
 
 import bpy
 
-from scenes.sources.environments import furniture, kitchen_furniture, slots
+from scenes.sources.environments import (
+    decor,
+    furniture,
+    kitchen_furniture,
+    slots,
+    storage,
+)
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
@@ -48,17 +54,15 @@ def kitchen(collection: bpy.types.Collection) -> None:
     room.build_shell()
     _units(room)
     _table(room)
-    furniture.radiator(w, "radiator", width=0.8, height=0.6)
+    decor.radiator(w, "radiator", width=0.8, height=0.6)
     room.place("west", "radiator", 0.2)
     for k, (s, z, art) in enumerate(((-0.55, 1.55, "art_blocks"), (0.15, 1.6, "art_landscape"))):
-        furniture.picture(
-            w, f"picture_{k}", size=(0.4, 0.52), frame="picture_frames", mount="mounts", art=art
-        )
+        decor.picture(w, f"picture_{k}", size=(0.4, 0.52), frame="picture_frames", mount="mounts", art=art)
         room.place("south", f"picture_{k}", s - 0.2, z=z)
-    low = furniture.pendant(w, "pendant", ceiling=2.55, drop=0.85, radius=0.2)
+    low = decor.pendant(w, "pendant", ceiling=2.55, drop=0.85, radius=0.2)
     w.place("pendant", -0.35, -0.55)
     room.area_slot("pendant", (-0.35, -0.55, low + 0.02), (0.22, 0.22))
-    fitting = furniture.ceiling_light(w, "ceiling_light", ceiling=2.55, radius=0.17)
+    fitting = decor.ceiling_light(w, "ceiling_light", ceiling=2.55, radius=0.17)
     w.place("ceiling_light", 0.5, 0.65)
     room.area_slot("ceiling light", (0.5, 0.65, fitting - 0.004), (0.22, 0.22))
     _shelves(room)
@@ -79,7 +83,7 @@ def _units(room: Room) -> None:
         ("cupboard", 0.75, 1.3, 3, (0.26, 0.74)),
     )
     for name, s, width, columns, rows in layout:
-        furniture.cabinet(
+        storage.cabinet(
             w,
             name,
             width=width,

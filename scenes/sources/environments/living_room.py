@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from scenes.sources.environments import furniture, slots
+from scenes.sources.environments import decor, furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
@@ -44,7 +44,7 @@ def living_room(collection: bpy.types.Collection) -> None:
     room.build_shell()
     for k, window in enumerate(windows):
         room.curtains(window, "curtains", open_share=0.6, seed=k)
-    furniture.radiator(w, "radiator", width=0.9, height=0.38)
+    decor.radiator(w, "radiator", width=0.9, height=0.38)
     room.place("east", "radiator", 0.95)
     _seating(room)
     _tables(room)
@@ -52,15 +52,15 @@ def living_room(collection: bpy.types.Collection) -> None:
     for k, (wall, s, z, art, size) in enumerate((
         ("south", 0.95, 1.62, "art_landscape", (0.7, 0.5)), ("south", 0.15, 1.62, "art_blocks", (0.42, 0.56)), ("north", 1.75, 1.55, "art_dusk", (0.5, 0.66)),
     )):  # fmt: skip
-        furniture.picture(w, f"picture_{k}", size=size, frame="picture_frames", mount="mounts", art=art)
+        decor.picture(w, f"picture_{k}", size=size, frame="picture_frames", mount="mounts", art=art)
         room.place(wall, f"picture_{k}", s, z=z)
-    low = furniture.pendant(w, "pendant", ceiling=2.6, drop=0.55, radius=0.24)
+    low = decor.pendant(w, "pendant", ceiling=2.6, drop=0.55, radius=0.24)
     w.place("pendant", -0.4, -0.2)
     room.area_slot("pendant", (-0.4, -0.2, low + 0.02), (0.26, 0.26))
-    lamp = furniture.floor_lamp(w, "floor_lamp")
+    lamp = decor.floor_lamp(w, "floor_lamp")
     w.place("floor_lamp", -2.2, -1.72)
     room.point_slot("floor lamp", (-2.2, -1.72, lamp))
-    furniture.plant(
+    decor.plant(
         w,
         "plant",
         height=1.3,
@@ -89,7 +89,7 @@ def _seating(room: Room) -> None:
     room.surface("sofa seat", "seat", "south", 0.55, 0.7, 0.52, 0.86, 0.455, 1.2)
     furniture.sofa(w, "armchair", width=0.92, seats=1, depth=0.86, cover="armchair", seed=7)
     w.place("armchair", 1.75, 1.72, 0, -38)
-    furniture.rug(w, "rug", "rug", (2.6, 1.9), (-0.45, -0.35), border="rug_border", seed=3)
+    decor.rug(w, "rug", "rug", (2.6, 1.9), (-0.45, -0.35), border="rug_border", seed=3)
 
 
 def _tables(room: Room) -> None:
@@ -125,7 +125,7 @@ def _tables(room: Room) -> None:
 
 def _storage(room: Room) -> None:
     w = room.workshop
-    furniture.cabinet(
+    storage.cabinet(
         w,
         "sideboard",
         width=1.9,
@@ -149,7 +149,7 @@ def _storage(room: Room) -> None:
     for name, s, width in (("left", -1.32, 0.2), ("right", 0.22, 0.4)):
         room.surface(f"sideboard {name}", "table", "north", s, width, 0.04, 0.38, 0.55, 1.0)
     levels = (0.09, 0.44, 0.80, 1.16, 1.52)
-    furniture.shelf_unit(w, "bookcase", width=1.7, height=1.9, depth=0.3, levels=levels, columns=2)
+    storage.shelf_unit(w, "bookcase", width=1.7, height=1.9, depth=0.3, levels=levels, columns=2)
     room.place("west", "bookcase", 0.95, gap=0.004)
     bay, step = 0.817, 0.839
     for k, z in enumerate(levels):
@@ -157,7 +157,7 @@ def _storage(room: Room) -> None:
             left = -0.85 + 0.022 + column * step
             share = (0.92, 0.55, 0.0, 0.7, 0.45)[(k + 2 * column) % 5]
             if share:
-                furniture.book_row(
+                storage.book_row(
                     w,
                     "books",
                     slots.BOOKS,

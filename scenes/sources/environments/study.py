@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenes.sources.environments import furniture, slots
+from scenes.sources.environments import decor, furniture, slots, storage
 from scenes.sources.environments.registry import environment
 from scenes.sources.environments.room import Door, Room, Window
 from scenes.sources.materials.graph import srgb
@@ -58,11 +58,11 @@ def study(collection: bpy.types.Collection) -> None:
         w, "armchair", width=0.86, seats=1, depth=0.84, cover="armchair", legs="armchair_legs", seed=5
     )
     w.place("armchair", 1.32, -0.98, 0, -128)
-    furniture.rug(w, "rug", "rug", (1.9, 1.3), (0.0, -0.55), seed=4)
-    furniture.radiator(w, "radiator", width=0.7, height=0.55)
+    decor.rug(w, "rug", "rug", (1.9, 1.3), (0.0, -0.55), seed=4)
+    decor.radiator(w, "radiator", width=0.7, height=0.55)
     room.place("east", "radiator", 0.2)
     _board(room)
-    furniture.picture(w, "picture", size=(0.62, 0.44), frame="picture_frames", mount="mounts", art="art_dusk")
+    decor.picture(w, "picture", size=(0.62, 0.44), frame="picture_frames", mount="mounts", art="art_dusk")
     room.place("south", "picture", -0.55, z=1.6)
     w.add(
         "blind",
@@ -72,13 +72,13 @@ def study(collection: bpy.types.Collection) -> None:
         tube([(-0.74, -0.05, 2.29), (0.74, -0.05, 2.29)], 0.022, 16),
     )
     room.place("north", "blind", -0.45)
-    fitting = furniture.ceiling_light(w, "ceiling_light", ceiling=2.5, radius=0.2)
+    fitting = decor.ceiling_light(w, "ceiling_light", ceiling=2.5, radius=0.2)
     w.place("ceiling_light", 0.0, -0.1)
     room.area_slot("ceiling light", (0.0, -0.1, fitting - 0.004), (0.26, 0.26))
-    lamp = furniture.floor_lamp(w, "floor_lamp", height=1.5)
+    lamp = decor.floor_lamp(w, "floor_lamp", height=1.5)
     w.place("floor_lamp", 1.55, -0.2)
     room.point_slot("floor lamp", (1.55, -0.2, lamp))
-    furniture.plant(
+    decor.plant(
         w,
         "plant",
         height=1.05,
@@ -107,7 +107,7 @@ def _desk(room: Room) -> None:
         w.add("desk", "desk_legs", box((0.03, 0.6, 0.04), (x, -0.375, 0.675), 0.002, grain=1))
     w.add("desk", "desk_legs", box((1.44, 0.03, 0.05), (0, -0.06, 0.665), 0.002, grain=0))
     room.place("north", "desk", -0.45, gap=0.06)
-    furniture.cabinet(
+    storage.cabinet(
         w,
         "drawers",
         width=0.42,
@@ -218,7 +218,7 @@ def _desk(room: Room) -> None:
 def _bookcase(room: Room) -> None:
     w = room.workshop
     levels = (0.09, 0.42, 0.75, 1.08, 1.41, 1.74)
-    furniture.shelf_unit(
+    storage.shelf_unit(
         w, "bookcase", width=2.1, height=2.08, depth=0.29, levels=levels, columns=3, slot="bookcase"
     )
     room.place("west", "bookcase", 0.2, gap=0.004)
@@ -229,7 +229,7 @@ def _bookcase(room: Room) -> None:
             left = -1.05 + 0.022 + column * step
             share = (0.95, 0.62, 0.9, 0.0, 0.85, 0.5, 0.95)[(2 * k + 3 * column) % 7]
             if share:
-                furniture.book_row(
+                storage.book_row(
                     w,
                     "books",
                     slots.BOOKS,

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import bpy
+from bpy.types import Material
 
 from scenes.sources.materials.graph import Color, Graph, Socket, Value, srgb
-
-Material = bpy.types.Material
 
 
 def landscape(

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import bpy
+from bpy.types import NodeSocket as Socket
 
-Socket = bpy.types.NodeSocket
 Color = tuple[float, float, float]
-Value = Socket | float
-ColorValue = Socket | Color
+Value: TypeAlias = Socket | float
+ColorValue: TypeAlias = Socket | Color
 
 
 def srgb(code: str) -> Color:
@@ -230,7 +231,7 @@ class Graph:
                 self.fit(distance, 0.35 * size, size, 1.0, 0.0), self.line(lines, 0.2, 0.8, 0.25, 1.0)
             )
             mask = self.math("MAXIMUM", mask, self.mul(print_mask, rng.uniform(0.5, 1.0)))
-        return mask  # type: ignore[return-value]
+        return mask
 
     def scratches(self, seed: float = 0.0, density: float = 0.5) -> Socket:
         """Mask of fine curved scratches in several directions."""

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import bpy
+from bpy.types import Material
 
 from scenes.sources.materials.graph import Color, Graph, Value
-
-Material = bpy.types.Material
 
 
 def plain(g: Graph, color: Color, rough: float, *, metal: float = 0.0, ior: float = 1.5) -> Material:

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import bpy
+from bpy.types import Material
 
 from scenes.sources.materials.graph import Color, Graph, Value
-
-Material = bpy.types.Material
 
 
 def wood(
@@ -154,7 +152,7 @@ def weave(
     period = twill + 1
     turn = g.math("WRAP", g.add(column, row), float(period), 0.0)
     is_warp = g.math("GREATER_THAN", turn, 0.5)
-    across = g.mix(is_warp, *[(0.0,) * 3, (1.0,) * 3])  # 1 where the warp lies on top
+    across = g.mix(is_warp, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))  # 1 where the warp lies on top
     warp_round = g.math("SINE", g.mul(g.math("FRACT", x), 3.14159265))
     weft_round = g.math("SINE", g.mul(g.math("FRACT", y), 3.14159265))
     height = g.mix(across, _grey(g, weft_round), _grey(g, warp_round))

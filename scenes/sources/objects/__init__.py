@@ -5,10 +5,15 @@ from scenes.sources.objects import (  # noqa: F401
     books_and_paper,
     crockery,
     devices,
-    kitchen,
+    fruit,
+    kitchenware,
+    lamps_frames_clocks,
     living,
+    ornaments,
     play,
-    tools_and_wear,
+    shoes,
+    tools,
+    vases_and_bottles,
 )
 from scenes.sources.objects.registry import OBJECTS, ObjectSource
 

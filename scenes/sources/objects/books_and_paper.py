@@ -8,7 +8,7 @@ from functools import partial
 import bpy
 import numpy as np
 
-from scenes.sources.environments import furniture
+from scenes.sources.environments import storage
 from scenes.sources.materials import art, natural
 from scenes.sources.materials.graph import Graph, srgb
 from scenes.sources.modelling import Slot, Workshop
@@ -28,7 +28,7 @@ def _page(g: Graph) -> bpy.types.Material:
 
 def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
     """(cover, pages) of a book on its side at z = 0, about the origin, spine towards -y."""
-    cover, pages = furniture.book(thick, length, deep)
+    cover, pages = storage.book(thick, length, deep)
     place = [shape.turned("y", 90).moved(-length / 2, deep / 2, thick / 2) for shape in (cover, pages)]
     return place[0], place[1]
 
@@ -72,7 +72,7 @@ def book_stack(w: Workshop) -> None:
 @thing("book_row", "Books between bookends", "book", supports="shelf, table, counter", yaw=60, first=_cover("6d2b2b"), second=_cover("2b4a5e"), third=_cover("b89a52"), fourth=_cover("47503f"),
        pages=_PAGES, iron=painted("222325", 0.45))  # fmt: skip
 def book_row(w: Workshop) -> None:
-    furniture.book_row(
+    storage.book_row(
         w,
         "books",
         ("first", "second", "third", "fourth"),
@@ -176,17 +176,15 @@ def box_cardboard(w: Workshop) -> None:
     walls = [box((x, t, h), (0, s * (y / 2 - t / 2), 0), 0.0012, grain=0) for s in (-1, 1)] + [
         box((t, y - 2 * t, h), (s * (x / 2 - t / 2), 0, 0), 0.0012, grain=1) for s in (-1, 1)
     ]
-    flaps = [
-        box((x - 0.004, y / 2 - 0.001, t), (0, s * y / 4, h), 0.0012, grain=0).bent(
-            lambda p, s=s: (
-                p
-                + np.column_stack(
-                    [0 * p[:, 0], 0 * p[:, 0], 0.012 * np.clip(1 - np.abs(p[:, 1]) / (y / 2), 0, 1) * (s > 0)]
-                )
-            )
-        )
-        for s in (-1, 1)
-    ]
+    flat = [box((x - 0.004, y / 2 - 0.001, t), (0, s * y / 4, h), 0.0012, grain=0) for s in (-1, 1)]
+
+    def ajar(p: np.ndarray) -> np.ndarray:
+        """The rear flap stands a little open at the middle."""
+        q = p.copy()
+        q[:, 2] += 0.012 * np.clip(1 - np.abs(p[:, 1]) / (y / 2), 0, 1)
+        return q
+
+    flaps = [flat[0], flat[1].bent(ajar)]
     w.add("box", "board", *walls, box((x - 0.002, y - 0.002, t), (0, 0, 0), 0.001), *flaps)
     w.add(
         "tape",

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What bathrooms are fitted with: back at y = 0, front towards -y, on z = 0."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scenes.sources.environments.kitchen_furniture import faces_up
+from scenes.sources.modelling import Workshop
+from scenes.sources.shapes import (
+    Shape,
+    box,
+    cylinder,
+    join,
+    lathe,
+    loft,
+    rounded_rectangle,
+    soft_box,
+    tube,
+)
+
+
+def bathtub(
+    w: Workshop,
+    part: str,
+    *,
+    enamel: str,
+    apron: str,
+    metal: str,
+    length: float = 1.7,
+    width: float = 0.75,
+    height: float = 0.56,
+) -> None:
+    """Built-in bath along x with a tiled apron, its rear side at y = 0."""
+
+    def ring(sx: float, sy: float, z: float, corner: float) -> np.ndarray:
+        outline = np.array(rounded_rectangle(sx, sy, corner, 6))
+        return np.column_stack([outline[:, 0], outline[:, 1] - width / 2, np.full(len(outline), z)])
+
+    rings = [ring(length, width, height - 0.03, 0.012), ring(length, width, height - 0.004, 0.012), ring(length - 0.01, width - 0.01, height, 0.012), ring(length - 0.13, width - 0.13, height, 0.10),
+             ring(length - 0.155, width - 0.155, height - 0.012, 0.11), ring(length - 0.24, width - 0.2, height - 0.25, 0.16), ring(length - 0.36, width - 0.26, height - 0.39, 0.18),
+             ring(length - 0.55, width - 0.4, height - 0.42, 0.15), ring(length - 1.2, width - 0.6, height - 0.424, 0.05)]  # fmt: skip
+    shape = loft(np.array(rings), capped=False)
+    shape = shape if faces_up(shape) else shape.flipped()
+    centre = ring(length - 1.2, width - 0.6, height - 0.424, 0.05)
+    lid = Shape(centre, [tuple(range(len(centre)))], centre[:, :2].copy())
+    w.add(part, enamel, shape, lid)
+    w.add(part, apron, _apron(length, width, height))
+    w.add(
+        part,
+        metal,
+        cylinder(0.03, 0.006, (length / 2 - 0.45, -width / 2, height - 0.425), 0.002),
+        lathe([(0, 0), (0.032, 0), (0.034, 0.006), (0.028, 0.01), (0, 0.011)], 24)
+        .turned("y", -90)
+        .moved(length / 2 - 0.105, -width / 2, height - 0.15),
+    )
+
+
+def _apron(length: float, width: float, height: float) -> Shape:
+    t = 0.02
+    walls = [box((length - 0.004, t, height - 0.028), (0, -width + t / 2 + 0.002, 0), 0.001, grain=0)]
+    walls += [
+        box(
+            (t, width - 0.03, height - 0.028),
+            (side * (length / 2 - t / 2 - 0.002), -width / 2 + 0.01, 0),
+            0.001,
+            grain=1,
+        )
+        for side in (-1, 1)
+    ]
+    return join(walls)
+
+
+def washbasin(
+    w: Workshop,
+    part: str,
+    *,
+    ceramic: str,
+    metal: str,
+    width: float = 0.56,
+    depth: float = 0.42,
+    height: float = 0.86,
+) -> None:
+    """Wall-hung basin with its rim at ``height``."""
+
+    def ring(sx: float, sy: float, z: float, corner: float, shift: float = 0.0) -> np.ndarray:
+        outline = np.array(rounded_rectangle(sx, sy, corner, 6))
+        return np.column_stack([outline[:, 0], outline[:, 1] - depth / 2 + shift, np.full(len(outline), z)])
+
+    rings = [ring(width * 0.3, depth * 0.3, height - 0.17, 0.05, 0.06), ring(width * 0.7, depth * 0.7, height - 0.15, 0.1, 0.04), ring(width - 0.02, depth - 0.01, height - 0.04, 0.09), ring(width, depth, height - 0.012, 0.1),
+             ring(width - 0.006, depth - 0.006, height, 0.1), ring(width - 0.07, depth - 0.17, height, 0.1, -0.045), ring(width - 0.09, depth - 0.19, height - 0.012, 0.1, -0.045),
+             ring(width - 0.2, depth - 0.26, height - 0.09, 0.07, -0.045), ring(width - 0.4, depth - 0.34, height - 0.12, 0.03, -0.045)]  # fmt: skip
+    w.add(part, ceramic, loft(np.array(rings)))
+    w.add(
+        part,
+        metal,
+        cylinder(0.022, 0.004, (0, -depth / 2 - 0.045, height - 0.122), 0.001),
+        tube(
+            [
+                (0, -depth / 2, height - 0.16),
+                (0, -depth / 2, height - 0.32),
+                (0, -depth / 2 + 0.05, height - 0.38),
+                (0, -0.005, height - 0.38),
+            ],
+            0.016,
+            12,
+            smooth=4,
+        ),
+    )
+
+
+def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> None:
+    """Close-coupled toilet with its lid down."""
+
+    def ring(sx: float, sy: float, z: float, y: float) -> np.ndarray:
+        angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+        front = np.where(np.sin(angle) < 0, 1.12, 0.88)
+        return np.column_stack([sx / 2 * np.cos(angle), y + sy / 2 * np.sin(angle) * front, np.full(32, z)])
+
+    w.add(
+        part,
+        ceramic,
+        loft(
+            np.array(
+                [
+                    ring(0.21, 0.34, 0, -0.36),
+                    ring(0.22, 0.35, 0.02, -0.36),
+                    ring(0.2, 0.34, 0.12, -0.36),
+                    ring(0.28, 0.4, 0.27, -0.4),
+                    ring(0.36, 0.46, 0.38, -0.42),
+                    ring(0.365, 0.465, 0.395, -0.42),
+                ]
+            )
+        ),
+    )
+    w.add(
+        part,
+        seat,
+        loft(
+            np.array(
+                [
+                    ring(0.37, 0.47, 0.397, -0.42),
+                    ring(0.38, 0.48, 0.403, -0.42),
+                    ring(0.378, 0.478, 0.423, -0.42),
+                    ring(0.36, 0.46, 0.431, -0.42),
+                ]
+            )
+        ),
+    )
+    w.add(
+        part,
+        ceramic,
+        soft_box((0.38, 0.18, 0.36), (0, -0.095, 0.39), 0.025, (0, 0, 0), 7),
+        soft_box((0.4, 0.2, 0.035), (0, -0.1, 0.752), 0.014, (0, 0, 0.003), 7),
+    )
+    w.add(
+        part,
+        metal,
+        lathe([(0, 0), (0.022, 0), (0.024, 0.003), (0.02, 0.007), (0, 0.008)], 20).moved(0, -0.1, 0.787),
+    )
+
+
+def towel(
+    w: Workshop,
+    part: str,
+    slot: str,
+    *,
+    width: float = 0.5,
+    front: float = 0.55,
+    back: float = 0.4,
+    thick: float = 0.007,
+) -> None:
+    """A towel folded over a bar along x at the origin."""
+    from scenes.sources.shapes import sheet
+
+    turn = np.linspace(0, np.pi, 9)
+    y = np.concatenate([np.full(10, -0.016), -0.016 * np.cos(turn[1:-1]), np.full(10, 0.016)])
+    z = np.concatenate([np.linspace(-front, 0, 10), 0.016 * np.sin(turn[1:-1]), np.linspace(0, -back, 10)])
+    x = np.linspace(-width / 2, width / 2, 19)
+    sag = 0.004 * np.sin(11 * x)[None, :] * np.clip(-z / front, 0, 1)[:, None]
+    points = np.stack(
+        [
+            np.broadcast_to(x, (len(y), len(x))),
+            y[:, None] + sag * np.sign(y)[:, None],
+            np.broadcast_to(z[:, None], (len(y), len(x))),
+        ],
+        axis=-1,
+    )
+    w.add(part, slot, sheet(points, thick))

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shelves, books and cabinets: back at y = 0, front towards -y, on z = 0."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scenes.sources.modelling import Workshop
+from scenes.sources.shapes import (
+    Shape,
+    box,
+    join,
+    lathe,
+    sheet,
+    tube,
+)
+
+
+def shelf_unit(
+    w: Workshop, part: str, *, width: float, height: float, depth: float = 0.3, levels: tuple[float, ...], columns: int = 1,
+    slot: str = "shelves", back: bool = True, board: float = 0.022,
+) -> None:  # fmt: skip
+    """Open bookcase; ``levels`` are the upper sides of its boards."""
+    for k in range(columns + 1):
+        x = -width / 2 + board / 2 + k * (width - board) / columns
+        w.add(part, slot, box((board, depth, height), (x, -depth / 2, 0), 0.002, grain=2))
+    bay = (width - board) / columns - board
+    for k in range(columns):
+        x = -width / 2 + board + bay / 2 + k * (bay + board)
+        for z in (*levels, height):
+            w.add(
+                part,
+                slot,
+                box((bay + 0.001, depth - 0.008, board), (x, -depth / 2 + 0.002, z - board), 0.0015, grain=0),
+            )
+    if back:
+        w.add(part, slot, box((width - 0.01, 0.008, height - 0.03), (0, -0.005, 0.015), 0, grain=2))
+    w.add(
+        part,
+        slot,
+        box((width - 2 * board, 0.016, max(levels[0] - board, 0.03)), (0, -depth + 0.03, 0), 0.001, grain=0),
+    )
+
+
+def book(width: float, height: float, depth: float) -> tuple[Shape, Shape]:
+    """(cover, pages) of a book standing with its spine to the front, its left lower back corner region at 0."""
+    t = 0.0025
+    cover = box((t, depth, height), (-width / 2 + t / 2, -depth / 2, 0), 0) + box(
+        (t, depth, height), (width / 2 - t / 2, -depth / 2, 0), 0
+    )
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 5)
+    spine = np.stack([width / 2 * np.sin(angle), -depth - 0.005 * np.cos(angle), 0 * angle], axis=-1)
+    lattice = np.stack([spine + np.array([0, t / 2, z]) for z in (0.0, height)])
+    cover = cover + sheet(lattice, t)
+    pages = box((width - 2 * t, depth - 0.004, height - 0.008), (0, -depth / 2 + 0.0, 0.004), 0)
+    return cover, pages
+
+
+def book_row(
+    w: Workshop, part: str, covers: tuple[str, ...], pages: str, *, x: float, width: float, y: float, z: float, height: float, seed: int,
+    depth: float = 0.19,
+) -> None:  # fmt: skip
+    """Books side by side from ``x`` over ``width``, backs at ``y``; the last one leans."""
+    rng = np.random.default_rng(seed)
+    at = x
+    while True:
+        thick = float(rng.uniform(0.016, 0.042))
+        tall = float(min(rng.uniform(0.185, 0.27), height - 0.015))
+        deep = float(min(rng.uniform(0.72, 1.0) * depth, 0.74 * tall + 0.03))
+        leans = at + thick + 0.075 > x + width
+        if at + thick > x + width:
+            return
+        cover, block = book(thick, tall, deep)
+        # all spines near the shelf's front edge
+        move = (at + thick / 2, y - (depth - deep) + float(rng.uniform(0, 0.008)), z)
+        if leans:
+            angle = -9.0
+            c = np.cos(np.radians(angle))
+            lift = thick / 2 * abs(np.sin(np.radians(angle)))
+            move = (at + thick / 2 / c + 0.002 + tall * 0.0, move[1], z + lift + 0.0003)
+            cover, block = cover.turned("y", angle), block.turned("y", angle)
+        slot = covers[int(rng.integers(len(covers)))]
+        w.add(part, slot, cover.moved(*move))
+        w.add(part, pages, block.moved(*move))
+        if leans:
+            return
+        at += thick + 0.0012
+
+
+def cabinet(
+    w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, rows: tuple[float, ...] = (1.0,),
+    slot: str = "cabinet", front: str = "", top: str = "", handle: str = "hardware", plinth: float = 0.08, overhang: float = 0.012,
+    panel: bool = False, knobs: bool = False, top_thick: float = 0.025,
+) -> None:  # fmt: skip
+    """Chest, sideboard or kitchen base: carcass, plinth, fronts in ``rows`` shares of the height (top first)."""
+    front, top = front or slot, top or slot
+    body = height - (top_thick if top_thick else 0.0)
+    w.add(
+        part,
+        slot,
+        box(
+            (width, depth - 0.022, body - plinth),
+            (0, -(depth - 0.022) / 2, plinth),
+            0.002,
+            grain=2 if height > width else 0,
+        ),
+    )
+    if plinth:
+        w.add(
+            part, slot, box((width - 0.02, depth - 0.08, plinth), (0, -(depth - 0.08) / 2, 0), 0.001, grain=0)
+        )
+    if top_thick:
+        w.add(
+            part,
+            top,
+            box(
+                (width + 2 * overhang, depth + overhang, top_thick),
+                (0, -(depth + overhang) / 2, body),
+                0.004,
+                2,
+                grain=0,
+            ),
+        )
+    gap = 0.003
+    fw = width / columns
+    z_top = body - gap
+    for share in rows:
+        fh = (body - plinth - gap) * share / sum(rows)
+        for k in range(columns):
+            x = -width / 2 + fw * (k + 0.5)
+            fz = z_top - fh + gap
+            door = box(
+                (fw - gap, 0.02, fh - gap), (x, -depth + 0.011, fz), 0.003, 2, grain=2 if fh > fw else 0
+            )
+            w.add(part, front, door)
+            if panel and fh > 0.2:
+                rail = 0.06
+                for dx in (-1, 1):
+                    w.add(
+                        part,
+                        front,
+                        box(
+                            (rail, 0.012, fh - gap),
+                            (x + dx * (fw - gap - rail) / 2, -depth + 0.001 - 0.004, fz),
+                            0.003,
+                            grain=2,
+                        ),
+                    )
+                for dz in (0.0, fh - gap - rail):
+                    w.add(
+                        part,
+                        front,
+                        box(
+                            (fw - gap - 2 * rail, 0.012, rail),
+                            (x, -depth + 0.001 - 0.004, fz + dz),
+                            0.003,
+                            grain=0,
+                        ),
+                    )
+            lift = -0.010 if panel and fh > 0.2 else 0.0
+            _pull(w, part, handle, x, -depth + 0.001 + lift, fz, fw, fh, k, columns, knobs)
+        z_top -= fh
+
+
+def _pull(
+    w: Workshop,
+    part: str,
+    slot: str,
+    x: float,
+    y: float,
+    z: float,
+    fw: float,
+    fh: float,
+    k: int,
+    columns: int,
+    knobs: bool,
+) -> None:
+    is_drawer = fh < 0.34
+    if knobs:
+        at = (
+            (x, z + fh / 2)
+            if is_drawer
+            else (x + (fw / 2 - 0.04) * (1 if k % 2 == 0 and columns > 1 else -1), z + fh * 0.55)
+        )
+        knob = lathe(
+            [(0, 0), (0.006, 0), (0.006, 0.012), (0.014, 0.018), (0.016, 0.025), (0.011, 0.031), (0, 0.032)],
+            18,
+        ).turned("x", 90)
+        w.add(part, slot, knob.moved(at[0], y, at[1]))
+        return
+    if is_drawer:
+        length = min(0.6 * fw, 0.22)
+        a, b, height = (x - length / 2, 0.0), (x + length / 2, 0.0), z + fh - min(0.05, fh / 2)
+        path = [(a[0], y, height), (a[0], y - 0.028, height), (b[0], y - 0.028, height), (b[0], y, height)]
+    else:
+        side = 1 if (k % 2 == 0 and columns > 1) else -1
+        px = x + side * (fw / 2 - 0.035)
+        low = z + fh * 0.5 if fh < 1.0 else z + fh * 0.45
+        path = [(px, y, low), (px, y - 0.028, low), (px, y - 0.028, low + 0.16), (px, y, low + 0.16)]
+    w.add(
+        part,
+        slot,
+        join(
+            [
+                tube([path[0], path[1]], 0.005, 8),
+                tube([path[1], path[2]], 0.006, 8),
+                tube([path[2], path[3]], 0.005, 8),
+            ]
+        ),
+    )
