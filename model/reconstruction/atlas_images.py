@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""Atlases as image files: PNG for viewers and packages, EXR for numbers, and what 8 bits make of the
+channels.
+
+Diffuse and specular albedo are stored sRGB-encoded in 8 bits (at most 1/510 off in encoded values),
+roughness as it is. Row 0 is at v = 1. Integer arrays are made band by band, so that a 16K atlas needs no
+float copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from datagen.color import srgb_from_linear
+from datagen.formats.base import write_bytes_atomically
+from datagen.images import encode_png
+from model.reconstruction.merge import MAP_CHANNELS, Atlas
+
+_BAND = 1024
+SEEN, FILLED, EMPTY = 255, 128, 0
+"""Values of the mask: observed, surface that was filled in, no surface."""
+
+
+def quantized_bytes(values: NDArray) -> NDArray[np.uint8]:
+    """[0, 1] as bytes, rounded."""
+    return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
+def in_bands(array: NDArray, encode: Callable[[NDArray], NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """``encode`` applied to float32 bands of an atlas's map (N, N, C)."""
+    bands = [
+        encode(np.asarray(array[top : top + _BAND], np.float32)) for top in range(0, array.shape[0], _BAND)
+    ]
+    return np.concatenate(bands)
+
+
+def map_png(name: str, array: NDArray) -> bytes:
+    """PNG of a map by name."""
+    is_color = MAP_CHANNELS[name] == 3
+    return encode_png(in_bands(array, lambda x: quantized_bytes(srgb_from_linear(x) if is_color else x)))
+
+
+def mask_png(atlas: Atlas) -> bytes:
+    """PNG of which texels were seen."""
+    mask = np.where(atlas.seen_mask, SEEN, np.where(atlas.face >= 0, FILLED, EMPTY))
+    return encode_png(mask.astype(np.uint8))
+
+
+def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
+    """``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, array in atlas.maps.items():
+        path = folder / f"{name}.png"
+        write_bytes_atomically(path, map_png(name, array))
+        written.append(path)
+        if has_exr:
+            path = folder / f"{name}.exr"
+            _write_exr(path, np.asarray(array, np.float16))
+            written.append(path)
+    write_bytes_atomically(folder / "mask.png", mask_png(atlas))
+    return [*written, folder / "mask.png"]
+
+
+def _write_exr(path: Path, half: NDArray) -> None:
+    names = "RGB" if half.shape[2] == 3 else "Y"
+    channels = {name: np.ascontiguousarray(half[..., k]) for k, name in enumerate(names)}
+    temporary = path.with_name(f".{path.name}.partial.exr")
+    with OpenEXR.File(
+        {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
+    ) as file:
+        file.write(str(temporary))
+    temporary.replace(path)

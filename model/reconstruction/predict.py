@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""Maps of views from a checkpoint: inputs by name, both tracks in batches, then the bilateral solver.
+
+One exposure serves all views of a capture: the 95th percentile of the luminance of all their surface pixels
+goes to 0.9 (method 3), so that a surface has one brightness in every view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datagen.cameras import Camera
+from datagen.color import exposure_for
+from datagen.multiview.statistics import StatisticsView
+from model.checkpoint import Checkpoint
+from model.confidence import filter_maps
+from model.networks import encode_color
+
+Precision = Literal["auto", "float32", "bfloat16"]
+_EXPOSURE_STEP = 5  # every fifth pixel decides a percentile as well as all do
+
+
+@dataclass(frozen=True)
+class PredictOptions:
+    """``precision`` auto is bfloat16 where the device computes in it; ``batch`` views at a time;
+    ``is_filtered`` runs the bilateral solver where the checkpoint has confidence networks."""
+
+    precision: Precision = "auto"
+    batch: int = 4
+    is_filtered: bool = True
+    device: str = "cpu"
+
+
+def has_fast_bfloat16(device: str) -> bool:
+    """Whether bfloat16 is computed by the device's own instructions."""
+    if device.startswith("cuda"):
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    flags = torch.backends.cpu.get_cpu_capability()
+    return flags == "AVX512" and torch.ops.mkldnn._is_mkldnn_bf16_supported()
+
+
+def capture_exposure(views: Sequence[StatisticsView]) -> float:
+    """The one exposure of a capture."""
+    samples = []
+    for view in views:
+        color = view.color.reshape(-1, 3)[::_EXPOSURE_STEP]
+        samples.append(color[view.surface_mask.ravel()[::_EXPOSURE_STEP] > 0.5])
+    return exposure_for(np.concatenate(samples))
+
+
+def view_tensors(
+    camera: Camera, view: StatisticsView, statistics: dict[str, NDArray[np.float32]]
+) -> dict[str, Tensor]:
+    """Network inputs of a view by name, (1, C, H, W); normals in camera space, 0 off the surface."""
+    normal = view.normal_world.astype(np.float32) @ camera.world_from_camera[:3, :3].astype(np.float32)
+    on_surface = (view.surface_mask > 0.5) & (view.depth_z_m > 0)
+    buffers = {
+        "beauty": view.color,
+        "normal_camera": np.where(on_surface, normal, 0.0),
+        "depth_z_m": view.depth_z_m,
+        **{name: statistics[name] for name in ("color_min", "color_median", "color_max")},
+    }
+    return {
+        name: torch.from_numpy(np.ascontiguousarray(array.transpose(2, 0, 1), np.float32))[None]
+        for name, array in buffers.items()
+    }
+
+
+class Predictor:
+    """A checkpoint ready for the views of one capture."""
+
+    def __init__(self, checkpoint: Checkpoint, exposure: float, options: PredictOptions | None = None):
+        self.options = options or PredictOptions()
+        self.exposure = exposure
+        device = self.options.device
+        wants_bfloat16 = self.options.precision == "bfloat16" or (
+            self.options.precision == "auto" and has_fast_bfloat16(device)
+        )
+        self.dtype = torch.bfloat16 if wants_bfloat16 else torch.float32
+        self._network = checkpoint.network.to(device).to(memory_format=torch.channels_last)  # type: ignore
+        confidence = checkpoint.confidence if self.options.is_filtered else None
+        self._confidence = confidence.to(device) if confidence is not None else None
+        self._solver = checkpoint.card.solver
+
+    @property
+    def is_filtered(self) -> bool:
+        """Whether the bilateral solver runs."""
+        return self._confidence is not None
+
+    @torch.no_grad()
+    def predict(self, batch: Sequence[dict[str, Tensor]]) -> list[dict[str, NDArray[np.float32]]]:
+        """Maps (H, W, 3 or 1) in [0, 1] of views of one size, from :func:`view_tensors`."""
+        device = self.options.device
+        names = list(batch[0])
+        tensors = {name: torch.cat([view[name] for view in batch]).to(device) for name in names}
+        exposure = torch.full((len(batch),), self.exposure, device=device)
+        depth_max = tensors["depth_z_m"].amax(dim=(1, 2, 3))
+        with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.dtype == torch.bfloat16):
+            maps = self._network(tensors, exposure, depth_max)
+        maps = {name: value.float().contiguous() for name, value in maps.items()}
+        if self._confidence is not None:
+            image = encode_color(tensors["beauty"], self.exposure)
+            maps = filter_maps(maps, self._confidence(image, maps), self._solver)
+        arrays = {name: value.permute(0, 2, 3, 1).cpu().numpy() for name, value in maps.items()}
+        return [{name: value[k] for name, value in arrays.items()} for k in range(len(batch))]

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: MIT
+"""Renders an asset again: from its own cameras, under its own or other light, with a thing put in.
+
+A package becomes a configuration, and ``datagen``'s renderer does the rest.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from datagen.color import exposure_for, srgb_from_linear
+from datagen.errors import input_error
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part, Provenance, SlotMaterial
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.configuration import Configuration, PlacedAsset
+from datagen.formats.lights import EnvironmentLight, Light
+from datagen.formats.package import Package, open_package, write_package
+from datagen.formats.recipe import RenderRecipe
+from datagen.images import encode_png
+from datagen.importers.packaging import matrix4
+from datagen.inspection.render_package import configuration_of
+from datagen.library import Library
+from datagen.meshes import Mesh, encode_ply
+
+SKY_ID = "relight-sky"
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """An object package to stand at ``position_m``, turned about the vertical by ``yaw_rad``."""
+
+    package: Path
+    position_m: tuple[float, float, float]
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class RelightOptions:
+    """``sky`` replaces the asset's lights: an environment map (EXR), or a constant radiance. ``views`` are
+    names of the asset's cameras, all of them where empty."""
+
+    sky: Path | tuple[float, float, float] | None = None
+    insertions: tuple[Insertion, ...] = ()
+    views: tuple[str, ...] = ()
+    samples: int = 16
+    max_depth: int = 8
+    denoise: bool = True
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class RenderedImage:
+    """A rendered view: linear (H, W, 3)."""
+
+    name: str
+    color: NDArray[np.float32]
+
+
+def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[RenderedImage]:
+    """Views of an environment package. Raises :class:`InputError` for unknown views, no light, bad
+    packages."""
+    from datagen.rendering.renderer import SceneRenderer
+
+    options = options or RelightOptions()
+    package = open_package(path)
+    with _sky_package(options.sky) as sky:
+        configuration, names = _configuration(package, options, sky)
+        library = Library([path, *(i.package for i in options.insertions), *([sky] if sky else [])])
+        recipe = RenderRecipe(
+            path_samples=options.samples,
+            auxiliary_samples=max(4, min(64, options.samples)),
+            max_depth=options.max_depth,
+            denoise=options.denoise,
+        )
+        renderer = SceneRenderer(configuration, library, recipe)
+        chosen = [k for k, name in enumerate(names) if not options.views or name in options.views]
+        for view in renderer.render_views(chosen):
+            yield RenderedImage(names[view.index], view.buffers["beauty"].astype(np.float32))
+        renderer.close()
+
+
+def _configuration(
+    package: Package, options: RelightOptions, sky: Path | None
+) -> tuple[Configuration, list[str]]:
+    base = configuration_of(package.path, package.sha256, options.seed)
+    assert isinstance(package.asset, EnvironmentAsset)
+    names = [camera.name for camera in package.asset.cameras]
+    unknown = sorted(set(options.views) - set(names))
+    if unknown:
+        shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+        raise input_error(package.path, "views", ", ".join(unknown), f"cameras of the asset: {shown}")
+    lights: tuple[Light, ...] = base.lights
+    emission = {}
+    if options.sky is not None:
+        lights = (_sky_light(options.sky),)
+        lamps = [slot for slot, m in package.asset.materials.items() if m.emission is not None]
+        emission = {slot: (0.0, 0.0, 0.0) for slot in lamps}
+    elif not lights and not any(m.emission for m in package.asset.materials.values()):
+        raise input_error(package.path, "lights", "none", "a light", "give one with --sky")
+    assets = dict(base.assets)
+    objects = []
+    for number, insertion in enumerate(options.insertions):
+        inserted = open_package(insertion.package)
+        if not isinstance(inserted.asset, ObjectAsset):
+            raise input_error(insertion.package, "kind", inserted.asset.kind, "an object package")
+        assets[inserted.id] = inserted.sha256
+        matrix = _placed_at(insertion)
+        objects.append(
+            PlacedAsset(name=f"inserted-{number}", asset=inserted.id, world_from_asset=matrix4(matrix))
+        )
+    if sky is not None:
+        assets[SKY_ID] = open_package(sky).sha256
+    environment = base.environment.model_copy(update={"emission": emission})
+    changes = {"environment": environment, "lights": lights, "objects": tuple(objects), "assets": assets}
+    return base.model_copy(update=changes), names
+
+
+def _placed_at(insertion: Insertion) -> NDArray[np.float64]:
+    matrix = np.eye(4)
+    c, s = np.cos(insertion.yaw_rad), np.sin(insertion.yaw_rad)
+    matrix[:2, :2] = [[c, -s], [s, c]]
+    matrix[:3, 3] = insertion.position_m
+    return matrix
+
+
+def _sky_light(sky: Path | tuple[float, float, float]) -> Light:
+    if isinstance(sky, Path):
+        return EnvironmentLight(name="sky", image="sky.exr", asset=SKY_ID)
+    return EnvironmentLight(name="sky", radiance=sky)
+
+
+@contextmanager
+def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path | None]:
+    """A package that holds the environment map, since a configuration takes images from packages only."""
+    if not isinstance(sky, Path):
+        yield None
+        return
+    if sky.suffix.lower() != ".exr" or not sky.is_file():
+        raise input_error(sky, "", "no linear EXR image", "an environment map (.exr)", "convert it")
+    speck = Mesh(np.eye(3, dtype=np.float32) * 1e-3, np.array([[0, 1, 2]], np.int32))
+    asset = EnvironmentAsset(
+        id=SKY_ID,
+        title="Sky",
+        provenance=Provenance(license="LicenseRef-unstated"),
+        materials={"speck": SlotMaterial()},
+        parts=(Part(name="speck", mesh="speck.ply", material="speck"),),
+        lights=(EnvironmentLight(name="sky", image="sky.exr"),),
+    )
+    with tempfile.TemporaryDirectory(prefix="sky-") as folder:
+        path = Path(folder) / "package"
+        write_package(path, asset, {"speck.ply": encode_ply(speck), "sky.exr": sky})
+        yield path
+
+
+def write_renders(path: Path, out: Path, options: RelightOptions | None = None) -> list[Path]:
+    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views under the first's
+    exposure)."""
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    exposure = 0.0
+    for image in render_asset(path, options):
+        exposure = exposure or exposure_for(image.color)
+        file = out / f"{image.name}.exr"
+        with OpenEXR.File(
+            {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
+            {"RGB": np.ascontiguousarray(image.color, np.float32)},
+        ) as exr:
+            exr.write(str(file))
+        shown = np.clip(srgb_from_linear(image.color * exposure), 0, 1)
+        write_bytes_atomically(out / f"{image.name}.png", encode_png((shown * 255 + 0.5).astype(np.uint8)))
+        written += [file, out / f"{image.name}.png"]
+    return written

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: MIT
+"""The whole way on a rendered room: shard to atlas, asset, glTF, Mitsuba scene; and the asset rendered
+again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from datagen.asset_check import check_package
+from datagen.color import exposure_for, srgb_from_linear
+from datagen.errors import InputError
+from datagen.formats.asset import EnvironmentAsset, Texture
+from datagen.formats.capture import Capture
+from datagen.formats.configuration import Configuration
+from datagen.formats.package import open_package
+from datagen.formats.recipe import RenderRecipe
+from datagen.images import read_image, texture_values
+from datagen.importers.common import ImportOptions
+from datagen.importers.gltf import import_gltf
+from datagen.library import Library
+from datagen.rendering.renderer import SceneRenderer
+from model.checkpoint import CheckpointCard, save_checkpoint
+from model.confidence import ConfidenceNets
+from model.networks import MaterialNetwork, NetworkConfig
+from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.geometry import TracedGeometry
+from model.reconstruction.gltf_export import as_read, metallic_channels
+from model.reconstruction.infer import InferOptions, InferReport, infer
+from model.reconstruction.relight import Insertion, RelightOptions, render_asset, write_renders
+from tests.model.rendered_capture import SIZE, make_shard
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+SAMPLES = 64
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A shard, what it was made of, and a checkpoint of random weights."""
+
+    root: Path
+    shard: Path
+    configuration: Configuration
+    library: Library
+    checkpoint: Path
+
+    def capture(self) -> Capture:
+        return read_capture(self.shard)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Iterator[Rendered]:
+    root = tmp_path_factory.mktemp("capture")
+    shard, configuration, library = make_shard(root)
+    torch.manual_seed(3)
+    network = NetworkConfig(base_channels=4, global_channels=8)
+    card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
+    save_checkpoint(root / "random.safetensors", card, MaterialNetwork(network), ConfidenceNets())
+    yield Rendered(root, shard, configuration, library, root / "random.safetensors")
+    library.close()
+
+
+@pytest.fixture(scope="module")
+def truth(rendered: Rendered) -> tuple[Path, InferReport]:
+    """The room merged from its ground truth."""
+    out = rendered.root / "truth"
+    report = infer(rendered.capture(), out, None, InferOptions(use_truth=True, atlas=512))
+    return out, report
+
+
+def test_geometry_of_a_shard_is_what_was_rendered(rendered: Rendered) -> None:
+    capture = rendered.capture()
+    traced = TracedGeometry(capture.geometry)
+    for view in capture.views[:3]:
+        stored = view.source.read_maps(("depth_z_m", "normal_world"))
+        seen = traced.trace_view(view.camera)
+        np.testing.assert_allclose(seen.depth_z_m, stored["depth_z_m"], rtol=1e-4, atol=1e-4)
+        cosine = (seen.normal_world * stored["normal_world"].astype(np.float32)).sum(axis=-1)
+        assert np.mean(cosine[seen.face >= 0] > 0.99) > 0.9  # the rest: pixels across edges
+
+
+def psnr(a: np.ndarray, b: np.ndarray, exposure: float) -> float:
+    """Of clipped, sRGB-encoded images."""
+    x, y = (np.clip(srgb_from_linear(image.astype(np.float64) * exposure), 0, 1) for image in (a, b))
+    return float(-10 * np.log10(np.mean((x - y) ** 2)))
+
+
+def test_asset_renders_like_the_room(rendered: Rendered, truth: tuple[Path, InferReport]) -> None:
+    """Both at 64 samples, denoised: noise leaves about 40 dB. What else may differ: a texel's rounding (8
+    bits), texture finer than the views' pixels (the floor's noise), and edges, where a pixel's map is a
+    mixture: with a tenth of the pixels off by 6 % that is 34 dB. Radiance 5 % too bright must show."""
+    out, _ = truth
+    recipe = RenderRecipe(
+        variant="llvm_ad_rgb", path_samples=SAMPLES, auxiliary_samples=SAMPLES, denoise=True
+    )
+    renderer = SceneRenderer(rendered.configuration, rendered.library, recipe)
+    names = [camera.name for camera in rendered.configuration.cameras]
+    chosen = (0, 1, 3)
+    options = RelightOptions(
+        samples=SAMPLES,
+        denoise=True,
+        seed=rendered.configuration.seed,
+        views=tuple(names[k] for k in chosen),
+    )
+    again = {image.name: image.color for image in render_asset(out / "asset", options)}
+    scores, brighter = [], []
+    for index in chosen:
+        original = renderer.render_view(index).buffers["beauty"].astype(np.float32)
+        exposure = exposure_for(original)
+        scores.append(psnr(original, again[names[index]], exposure))
+        brighter.append(psnr(original, again[names[index]] * 1.05, exposure))
+    renderer.close()
+    assert min(scores) > 33, scores
+    assert np.mean(brighter) < np.mean(scores) - 0.5, (scores, brighter)
+
+
+def test_atlas_holds_the_rooms_materials(rendered: Rendered, truth: tuple[Path, InferReport]) -> None:
+    """Parts of one material have its values: medians over each part's seen texels."""
+    out, report = truth
+    assert report.atlas_size == 512 and 0.3 < report.seen_share <= 1
+    asset = open_package(out / "asset").asset
+    assert isinstance(asset, EnvironmentAsset)
+    material = asset.materials["surface"]
+    mask = read_image(out / "atlas" / "mask.png")[..., 0]
+    pixels = read_image(out / "atlas" / "diffuse_albedo.png")
+    diffuse = texture_values(material.diffuse_albedo, pixels, False)  # type: ignore[arg-type]
+    exr = read_image(out / "atlas" / "diffuse_albedo.exr")
+    np.testing.assert_allclose(diffuse, exr, atol=0.006)
+    for albedo in ((0.7, 0.66, 0.6), (0.8, 0.8, 0.8), (0.3, 0.2, 0.1)):  # walls, ceiling, table
+        close = (np.abs(diffuse - np.array(albedo)).max(axis=-1) < 0.02) & (mask == 255)
+        assert close.sum() > 500, albedo
+    assert (mask == 128).any() and (mask == 0).any()
+
+
+def test_asset_is_a_sound_package(truth: tuple[Path, InferReport]) -> None:
+    with open_package(truth[0] / "asset") as package:
+        assert check_package(package).errors == ()
+        assert isinstance(package.asset, EnvironmentAsset)
+        assert len(package.asset.cameras) == 8 and len(package.asset.lights) == 2
+
+
+def test_glb_comes_back_as_the_same_materials(truth: tuple[Path, InferReport], tmp_path: Path) -> None:
+    out, report = truth
+    assert report.gltf_error["diffuse_max"] < 0.01 and report.gltf_error["specular_max"] < 0.01
+    glb = out / "capture-00000.glb"
+    (imported,) = import_gltf(glb, tmp_path, ImportOptions(kind="environment", license="CC0-1.0"))
+    with open_package(imported.path) as package:
+        asset = package.asset
+        assert isinstance(asset, EnvironmentAsset)
+        material = asset.materials["surface"]
+        for name, channel, is_scalar in (
+            ("diffuse_albedo", material.diffuse_albedo, False),
+            ("specular_albedo", material.specular_albedo, False),
+            ("roughness", material.roughness, True),
+        ):
+            if isinstance(channel, Texture):
+                stored = read_image(package.local_file(channel.texture))
+                got = texture_values(channel, stored, is_scalar).reshape(512, 512, -1)
+            else:
+                got = np.broadcast_to(channel, (512, 512, 1 if is_scalar else 3))
+            np.testing.assert_allclose(
+                got, read_image(out / "atlas" / f"{name}.exr"), atol=0.011, err_msg=name
+            )
+        with open_package(out / "asset") as original:
+            kept = original.asset
+            assert isinstance(kept, EnvironmentAsset)
+            from datagen.meshes import decode_ply
+
+            a = decode_ply(original.read_bytes("surface.ply"), "a")
+            b = decode_ply(package.read_bytes(asset.parts[0].mesh), "b")
+            np.testing.assert_allclose(
+                np.sort(a.positions[a.faces].mean(axis=1), axis=0),
+                np.sort(b.positions[b.faces].mean(axis=1), axis=0),
+                atol=1e-4,
+            )
+
+
+def test_metallic_conversion() -> None:
+    """Dielectrics and metals survive; in between the remainder is taken up as far as channels allow."""
+    rng = np.random.default_rng(0)
+    diffuse = rng.random((50, 3)).astype(np.float32)
+    specular = rng.uniform(0, 0.16, (50, 3)).astype(np.float32)
+    d, s = as_read(*metallic_channels(diffuse, specular))
+    np.testing.assert_allclose(d, diffuse, atol=1e-6)
+    np.testing.assert_allclose(s, specular, atol=1e-6)
+    metal = rng.uniform(0.3, 0.95, (50, 3)).astype(np.float32)
+    d, s = as_read(*metallic_channels(np.zeros_like(metal), metal))
+    assert np.abs(d).max() < 0.03 and np.abs(s - metal).max() < 0.03
+    base, metallic, _ = metallic_channels(np.zeros((1, 3), np.float32), np.full((1, 3), 0.9, np.float32))
+    assert metallic[0] == pytest.approx(1) and base[0, 0] == pytest.approx(0.9)
+
+
+def test_mitsuba_scene_loads_and_renders(truth: tuple[Path, InferReport]) -> None:
+    import mitsuba as mi
+
+    import mitsuba_plugins
+
+    mitsuba_plugins.register()
+    scene = mi.load_file(str(truth[0] / "mitsuba" / "scene.xml"))
+    assert len(scene.sensors()) == 8
+    image = np.array(mi.render(scene, sensor=1, spp=64))
+    (ours,) = render_asset(truth[0] / "asset", RelightOptions(views=("view-001",), samples=64, denoise=False))
+    assert image.shape == (SIZE[1], SIZE[0], 3)
+    np.testing.assert_allclose(image.mean(axis=(0, 1)), ours.color.mean(axis=(0, 1)), rtol=0.02)
+
+
+def test_relighting_and_insertion(
+    rendered: Rendered, truth: tuple[Path, InferReport], tmp_path: Path
+) -> None:
+    out = truth[0]
+    one = RelightOptions(views=("view-001",), samples=4, sky=(2.0, 0.0, 0.0), denoise=False)
+    (red,) = render_asset(out / "asset", one)
+    assert red.color[..., 0].mean() > 0 and red.color[..., 1:].max() == 0
+    ball = rendered.root / "library" / "objects" / "ball"
+    inserted = Insertion(ball, (2.5, 2.0, 1.0))
+    images = [
+        next(iter(render_asset(out / "asset", RelightOptions(views=("view-001",), samples=4, insertions=i))))
+        for i in ((), (inserted,))
+    ]
+    changed = np.abs(images[0].color - images[1].color).max(axis=-1) > 0.02
+    assert 5 < changed.sum() < 0.5 * changed.size
+    files = write_renders(out / "asset", tmp_path / "r", RelightOptions(views=("view-002",), samples=1))
+    assert [file.name for file in files] == ["view-002.exr", "view-002.png"]
+    with pytest.raises(InputError, match="views = nowhere"):
+        next(iter(render_asset(out / "asset", RelightOptions(views=("nowhere",)))))
+
+
+def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed after three views it predicts only the rest, to the same bytes; other work is refused."""
+    options = InferOptions(atlas=128, precision="float32", batch=2, has_exr=False)
+    whole = infer(rendered.capture(), rendered.root / "whole", rendered.checkpoint, options)
+    assert whole.is_filtered and whole.precision == "float32" and whole.exposure > 0
+    assert {"trace", "statistics", "predict", "unwrap", "merge", "fill", "export"} <= set(whole.seconds)
+    assert "total" in whole.table()
+    part = rendered.root / "part"
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "predict" and done >= 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        infer(rendered.capture(), part, rendered.checkpoint, options, stop)
+    kept = sorted(path.name for path in (part / "views").iterdir())
+    assert len(kept) == 4 and not (part / "report.json").exists()
+    before = {name: (part / "views" / name).stat().st_mtime_ns for name in kept}
+    (part / "views" / kept[0]).write_bytes(b"damaged")
+    infer(rendered.capture(), part, rendered.checkpoint, options)
+    for name in kept[1:]:
+        assert (part / "views" / name).stat().st_mtime_ns == before[name]
+    for folder in ("views", "atlas"):
+        for path in sorted((part / folder).iterdir()):
+            assert path.read_bytes() == (rendered.root / "whole" / folder / path.name).read_bytes(), path.name
+    assert json.loads((part / "report.json").read_text())["num_views"] == 8
+    with pytest.raises(InputError, match="other work"):
+        infer(rendered.capture(), part, rendered.checkpoint, InferOptions(atlas=128, precision="bfloat16"))
+
+
+def test_a_mesh_elsewhere_is_refused(rendered: Rendered, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from datagen.formats.capture import CaptureGeometry
+
+    capture = rendered.capture()
+    mesh = capture.geometry.mesh
+    away = replace(mesh, positions=mesh.positions + np.float32(100))
+    moved = replace(capture, geometry=CaptureGeometry(away, capture.geometry.parts))
+    with pytest.raises(InputError, match="no view sees the mesh"):
+        infer(moved, tmp_path, rendered.checkpoint)
+    assert read_capture(rendered.shard, CaptureOptions(max_width_px=48)).views[0].camera.width_px == 48
