@@ -9,6 +9,8 @@ from typing import Annotated, Optional
 
 import typer
 
+from model.reconstruction.commands import register_verbs
+
 app = typer.Typer(
     name="materials",
     help="Learn materials from a dataset, and apply what was learnt to captures of rooms.",
@@ -113,6 +115,9 @@ def fetch_weights(
         path.unlink()
         raise input_error(path, "LPIPS check value", f"{value:.4f}", f"{LPIPS_CHECK_VALUE}", "fetch again")
     typer.echo(f"{path}: LPIPS check value {value:.4f}, as published")
+
+
+register_verbs(app)
 
 
 def main() -> None:

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: MIT
+"""The verbs ``infer`` and ``render`` of the command ``materials``. Heavy imports happen in the verbs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+
+def register_verbs(app: typer.Typer) -> None:
+    """Add the verbs of this module to the command."""
+    app.command()(infer)
+    app.command()(render)
+
+
+def infer(
+    capture: Annotated[
+        Path, typer.Argument(help="Shard, capture.json, transforms.json, COLMAP folder, Mitsuba scene.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work continues.")],
+    checkpoint: Annotated[
+        Optional[Path],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
+        typer.Option("--checkpoint", help="Weights (.safetensors)."),
+    ] = None,
+    mesh: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--mesh", help="PLY, OBJ, glTF or GLB in the cameras' frame."),
+    ] = None,
+    images: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--images", help="Folder of the photographs."),
+    ] = None,
+    library: Annotated[
+        Optional[list[Path]],  # noqa: UP045
+        typer.Option("--library", help="Packages that a shard was rendered with, repeatable."),
+    ] = None,
+    up: Annotated[str, typer.Option("--up", help="Up axis of the cameras' world: y or z.")] = "z",
+    mesh_up: Annotated[str, typer.Option("--mesh-up", help="Up axis of the mesh: same, y or z.")] = "same",
+    unit: Annotated[float, typer.Option("--unit", help="Metres in a unit of cameras and mesh.")] = 1.0,
+    encoding: Annotated[str, typer.Option("--encoding", help="auto, linear, srgb or gamma22.")] = "auto",
+    exposure: Annotated[str, typer.Option("--exposure", help="common, or exif to even it out.")] = "common",
+    max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = 640,
+    atlas: Annotated[str, typer.Option("--atlas", help="Side in texels, or auto.")] = "auto",
+    visibility: Annotated[str, typer.Option("--visibility", help="depth, or trace.")] = "depth",
+    precision: Annotated[str, typer.Option("--precision", help="auto, float32 or bfloat16.")] = "auto",
+    device: Annotated[str, typer.Option("--device", help="cpu or cuda, for the networks.")] = "cpu",
+    no_filter: Annotated[bool, typer.Option("--no-filter", help="Leave the bilateral solver out.")] = False,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Merge a rendered capture's ground truth; no checkpoint.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+) -> None:
+    """Turn a capture into a material atlas and an asset that renders.
+
+    Example: materials infer photos --mesh room.glb --checkpoint run/final.safetensors --out room
+    """
+    from model.reconstruction.captures import CaptureOptions, read_capture
+    from model.reconstruction.infer import InferOptions
+    from model.reconstruction.infer import infer as run
+
+    choices: dict[str, tuple[str, tuple[str, ...]]] = {
+        "--up": (up, ("y", "z")),
+        "--mesh-up": (mesh_up, ("same", "y", "z")),
+        "--encoding": (encoding, ("auto", "linear", "srgb", "gamma22")),
+        "--exposure": (exposure, ("common", "exif")),
+        "--visibility": (visibility, ("depth", "trace")),
+        "--precision": (precision, ("auto", "float32", "bfloat16")),
+    }
+    for option, (value, allowed) in choices.items():
+        if value not in allowed:
+            raise typer.BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)
+    if atlas != "auto" and not atlas.isdigit():
+        raise typer.BadParameter(f"{atlas!r}; expected auto or a number", param_hint="--atlas")
+    reading: dict[str, Any] = {"up": up, "mesh_up": mesh_up, "encoding": encoding, "exposure": exposure}
+    opened = read_capture(
+        capture,
+        CaptureOptions(
+            mesh=mesh,
+            images=images,
+            unit_m=unit,
+            max_width_px=max_width,
+            library=tuple(library or ()),
+            **reading,
+        ),
+    )
+    doing: dict[str, Any] = {"visibility": visibility, "precision": precision}
+    options = InferOptions(
+        atlas="auto" if atlas == "auto" else int(atlas),
+        is_filtered=not no_filter,
+        device=device,
+        use_truth=truth,
+        **doing,
+    )
+    try:
+        if quiet:
+            report = run(opened, out, checkpoint, options)
+        else:
+            with _Bars() as bars:
+                report = run(opened, out, checkpoint, options, bars.tell)
+    except KeyboardInterrupt:
+        typer.echo("stopped; the same command continues", err=True)
+        raise typer.Exit(130) from None
+    for warning in report.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    for note in report.notes:
+        typer.echo(f"note: {note}", err=True)
+    unwrap = report.unwrap
+    typer.echo(
+        f"{report.num_views} views, {report.num_triangles} triangles, UVs from {unwrap['source']}, atlas "
+        f"{report.atlas_size} x {report.atlas_size} "
+        f"({report.atlas_size / unwrap['metres_per_side']:.0f} texels a metre), "
+        f"{report.seen_share:.0%} of the surface seen"
+    )
+    typer.echo(report.table())
+    typer.echo(str(out / "asset"))
+
+
+def render(
+    asset: Annotated[Path, typer.Argument(help="An environment package, such as OUT/asset.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the images (EXR and PNG).")],
+    view: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--view", help="Name of a camera, repeatable; default: all."),
+    ] = None,
+    sky: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option("--sky", help="Instead of the asset's lights: an environment map (EXR) or R,G,B."),
+    ] = None,
+    insert: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--insert", help="PACKAGE@X,Y,Z or PACKAGE@X,Y,Z,DEGREES, repeatable."),
+    ] = None,
+    samples: Annotated[int, typer.Option("--samples", min=1, help="Light paths a pixel.")] = 16,
+    no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False,
+) -> None:
+    """Render an asset from its cameras, under its own or other light, with objects put in.
+
+    Example: materials render room/asset --out renders --sky 1,1,1 --insert scenes/library/objects/mug@1,2,0.8
+    """
+    from model.reconstruction.relight import RelightOptions, write_renders
+
+    options = RelightOptions(
+        sky=_sky(sky),
+        insertions=tuple(_insertion(text) for text in insert or ()),
+        views=tuple(view or ()),
+        samples=samples,
+        denoise=not no_denoise,
+    )
+    for path in write_renders(asset, out, options):
+        typer.echo(str(path))
+
+
+def _numbers(text: str, counts: tuple[int, ...], option: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) not in counts:
+        expected = " or ".join(str(count) for count in counts)
+        raise typer.BadParameter(f"{text!r}; expected {expected} numbers", param_hint=option)
+    return values
+
+
+def _sky(text: str | None) -> Path | tuple[float, float, float] | None:
+    if text is None:
+        return None
+    if text.lower().endswith(".exr"):
+        return Path(text)
+    red, green, blue = _numbers(text, (3,), "--sky")
+    return red, green, blue
+
+
+def _insertion(text: str) -> Any:
+    from math import radians
+
+    from model.reconstruction.relight import Insertion
+
+    package, separator, place = text.rpartition("@")
+    if not separator:
+        raise typer.BadParameter(f"{text!r}; expected PACKAGE@X,Y,Z", param_hint="--insert")
+    x, y, z, *yaw = _numbers(place, (3, 4), "--insert")
+    return Insertion(Path(package), (x, y, z), radians(yaw[0]) if yaw else 0.0)
+
+
+class _Bars:
+    """A progress bar with the time left for each stage, on a terminal's standard error."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._progress = Progress(
+            TextColumn("{task.description:<8}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=Console(file=sys.stderr),
+        )
+        self._tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> _Bars:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def tell(self, stage: str, done: int, total: int) -> None:
+        """Show where a stage is."""
+        if stage not in self._tasks:
+            self._tasks[stage] = self._progress.add_task(stage, total=total)
+        self._progress.update(self._tasks[stage], completed=done)
