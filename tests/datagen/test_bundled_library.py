@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from datagen.assembly.geometry import AssetGeometry, RayScene, load_geometry
+from datagen.assembly.placement import CONTACT_TOLERANCE_M, MIN_CONTACT_MARGIN_M
+from datagen.assembly.things import convex_hull_2d, margin_inside
 from datagen.asset_check import check_package
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset, SupportSurface
 from datagen.formats.package import open_package
@@ -126,6 +128,19 @@ def test_objects_rest_on_the_ground_within_budget() -> None:
         size = loaded.maximum_m - loaded.minimum_m
         assert 0.02 < size.max() < 0.75, package.id
         assert np.abs(loaded.maximum_m + loaded.minimum_m)[:2].max() < 1e-3, package.id
+
+
+def test_objects_stand_stably() -> None:
+    """The centre of mass lies over what touches the ground, as placement demands."""
+    toppling = []
+    for package in library():
+        if isinstance(package.asset, ObjectAsset):
+            loaded = load_geometry(package)
+            contacts = loaded.vertices[loaded.vertices[:, 2] < CONTACT_TOLERANCE_M][:, :2]
+            margin = margin_inside(convex_hull_2d(contacts), loaded.center_of_mass_m[:2])
+            if margin < MIN_CONTACT_MARGIN_M:
+                toppling.append(f"{package.id}: {margin:.4f} m")
+    assert not toppling, toppling
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)

@@ -114,8 +114,14 @@ def headphones(w: Workshop) -> None:
         0.0065,
         10,
     ).scaled(1, 1, 2.3)
-    w.add("band", "steel", band.moved(z=0.034))
-    w.add("band", "pads", pad.moved(z=0.034))
+    lowest = 0.034
+
+    def leaning(p: np.ndarray) -> np.ndarray:
+        """The band's crown lies on the table like the cups."""
+        q = p.copy()
+        q[:, 2] -= (0.034 - 0.006 * 2.2 - lowest) * np.clip((p[:, 1] - 0.02) / 0.1, 0, None)
+        return q
+
     for side in (-1, 1):
         cup = lathe([(0, 0.0), (0.03, 0.001), (0.037, 0.007), (0.038, 0.02), (0.034, 0.024), (0, 0.024)], 36)
         ring = tube(
@@ -133,7 +139,9 @@ def headphones(w: Workshop) -> None:
             ("pads", ring),
             ("shell", lathe([(0, 0.024), (0.02, 0.025), (0.02, 0.027), (0, 0.027)], 24)),
         ):
-            w.add("cups", slot, shape.moved(z=-0.02).turned("y", -turn).moved(side * 0.082, 0.0, 0.034))
+            placed = shape.moved(z=-0.02).turned("y", -turn).moved(side * 0.082, 0.0, 0.034)
+            lowest = min(lowest, float(placed.points[:, 2].min()))
+            w.add("cups", slot, placed)
         w.add(
             "cups",
             "steel",
@@ -144,6 +152,8 @@ def headphones(w: Workshop) -> None:
                 smooth=3,
             ),
         )
+    w.add("band", "steel", band.moved(z=0.034).bent(leaning))
+    w.add("band", "pads", pad.moved(z=0.034).bent(leaning))
 
 
 @thing(
@@ -368,7 +378,7 @@ def game_controller(w: Workshop) -> None:
             ),
         )
         w.add(
-            "pad", "dark", soft_box((0.036, 0.016, 0.012), (side * 0.05, 0.044, 0.022), 0.005, (0, 0, 0), 6)
+            "pad", "dark", soft_box((0.036, 0.016, 0.029), (side * 0.05, 0.044, 0.0035), 0.005, (0, 0, 0), 6)
         )
     for dx, dy, slot in ((0, 0.012, "blue"), (0, -0.012, "blue"), (0.012, 0, "red"), (-0.012, 0, "red")):
         w.add("pad", slot, cylinder(0.0048, 0.005, (0.053 + dx, 0.02 + dy, 0.047), 0.0012, 16))

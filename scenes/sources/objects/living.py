@@ -115,7 +115,12 @@ def cushion_bolster(w: Workshop) -> None:
         40,
     )
     roll = roll.turned("y", 90).moved(-0.23, 0, 0.088)
-    w.add("cushion", "cover", roll)
+
+    def resting(p: np.ndarray) -> np.ndarray:
+        """Flattened where it lies."""
+        return np.column_stack([p[:, :2], np.maximum(p[:, 2], 0.006)])
+
+    w.add("cushion", "cover", roll.bent(resting))
     rings = [
         tube(
             [(x, 0.0905 * np.cos(a), 0.088 + 0.0905 * np.sin(a)) for a in np.linspace(0, np.pi, 20)], 0.003, 6
