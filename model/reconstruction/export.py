@@ -8,6 +8,7 @@ its own with its radiance.
 
 from __future__ import annotations
 
+import shutil
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +32,7 @@ from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import FileSource, Package, write_package
 from datagen.importers.packaging import matrix4
 from datagen.meshes import Mesh, encode_ply, vertex_normals
-from model.reconstruction.atlas_images import map_png
-from model.reconstruction.merge import Atlas
+from model.reconstruction.merge import MAP_CHANNELS, Atlas
 
 SURFACE = "surface"
 _REGION_MARGIN_M = 0.05  # a capture of one camera has a region of no size
@@ -40,11 +40,13 @@ _REGION_MARGIN_M = 0.05  # a capture of one camera has a region of no size
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """What is exported: the unwrapped mesh in the capture's face order, and its atlas, filled."""
+    """What is exported: the unwrapped mesh in the capture's face order, its atlas, filled, and the folder in
+    which ``write_atlas_images`` has put the maps as ``NAME.png``."""
 
     capture: Capture
     mesh: Mesh
     atlas: Atlas
+    images: Path
 
 
 def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
@@ -84,8 +86,10 @@ def write_asset(
 
     Lights whose image lies in another package are left out, as the package would not be whole without it.
     """
-    capture, atlas = reconstruction.capture, reconstruction.atlas
-    files: dict[str, FileSource] = {f"{name}.png": map_png(name, array) for name, array in atlas.maps.items()}
+    capture = reconstruction.capture
+    files: dict[str, FileSource] = {
+        f"{name}.png": reconstruction.images / f"{name}.png" for name in MAP_CHANNELS
+    }
     materials, parts = {}, []
     for slot, (mesh, emission) in split_by_emission(reconstruction).items():
         files[f"{slot}.ply"] = encode_ply(mesh)
@@ -147,15 +151,15 @@ def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
     """
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)
-    for name, array in reconstruction.atlas.maps.items():
-        write_bytes_atomically(textures / f"{name}.png", map_png(name, array))
+    for name in MAP_CHANNELS:
+        shutil.copyfile(reconstruction.images / f"{name}.png", textures / f"{name}.png")
     scene = ElementTree.Element("scene", version="3.0.0")
     _add(scene, "integrator", "path", ("integer", "max_depth", 8))
     for view in reconstruction.capture.views:
         _add_sensor(scene, view.name, view.camera)
     bsdf = _add(scene, "bsdf", "cook_torrance")
     bsdf.set("id", SURFACE)
-    for name in reconstruction.atlas.maps:
+    for name in MAP_CHANNELS:
         texture = _add(
             bsdf,
             "texture",

@@ -26,6 +26,8 @@ from model.reconstruction.export import Reconstruction, split_by_emission
 
 DIELECTRIC_F0 = 0.04
 MAX_DIELECTRIC_F0 = 0.16
+MAX_SIZE = 4096
+"""Largest side of textures inside the file: more is beyond most viewers. Larger atlases are averaged down."""
 _BAND = 1024
 _FLOAT, _UINT = 5126, 5125
 
@@ -106,11 +108,12 @@ def _encode_textures(reconstruction: Reconstruction) -> tuple[list[bytes], Conve
     """PNGs of base colour, roughness and metalness (G and B), specular colour; and the error, bytes
     included."""
     atlas = reconstruction.atlas
+    shrink = next(k for k in range(-(-atlas.size // MAX_SIZE), atlas.size + 1) if atlas.size % k == 0)
     bands: list[list[NDArray[np.uint8]]] = [[], [], []]
     sums, most, num = np.zeros(2), np.zeros(2), 0
-    for top in range(0, atlas.size, _BAND):
-        rows = slice(top, top + _BAND)
-        diffuse, specular, rough = (np.asarray(atlas.maps[n][rows], np.float32) for n in atlas.maps)
+    for top in range(0, atlas.size, _BAND * shrink):
+        rows = slice(top, top + _BAND * shrink)
+        diffuse, specular, rough = (_averaged(atlas.maps[name][rows], shrink) for name in atlas.maps)
         base, metallic, tint = metallic_channels(diffuse, specular)
         packed = np.stack([np.zeros_like(metallic), rough[..., 0], metallic], axis=-1)
         encoded = [srgb_from_linear(base), packed, srgb_from_linear(tint)]
@@ -122,7 +125,7 @@ def _encode_textures(reconstruction: Reconstruction) -> tuple[list[bytes], Conve
             stored[1][..., 2] / 255.0,
             linear_from_srgb(stored[2] / 255.0),
         )
-        on_surface = atlas.face[rows] >= 0
+        on_surface = atlas.face[rows][::shrink, ::shrink] >= 0
         num += int(on_surface.sum())
         for k, (got, truth) in enumerate(zip(read, (diffuse, specular), strict=True)):
             difference = np.abs(got - truth)[on_surface]
@@ -131,6 +134,15 @@ def _encode_textures(reconstruction: Reconstruction) -> tuple[list[bytes], Conve
     mean = sums / max(num, 1)
     error = ConversionError(float(mean[0]), float(most[0]), float(mean[1]), float(most[1]))
     return [encode_png(np.concatenate(band)) for band in bands], error
+
+
+def _averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
+    """Means of squares of texels, float32."""
+    values = np.asarray(band, np.float32)
+    if shrink == 1:
+        return values
+    height, width, channels = values.shape
+    return values.reshape(height // shrink, shrink, width // shrink, shrink, channels).mean(axis=(1, 3))
 
 
 def _material(name: str, textures: list[int]) -> dict[str, Any]:

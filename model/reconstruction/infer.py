@@ -390,7 +390,7 @@ def _export(capture: Capture, atlas: Atlas, out: Path, options: InferOptions, re
     from model.reconstruction.export import Reconstruction, write_asset, write_mitsuba_scene
     from model.reconstruction.gltf_export import write_glb
 
-    reconstruction = Reconstruction(capture, capture.geometry.mesh, atlas)
+    reconstruction = Reconstruction(capture, capture.geometry.mesh, atlas, out / "atlas")
     write_atlas_images(out / "atlas", atlas, has_exr=options.has_exr)
     write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
     report.gltf_error = asdict(write_glb(out / f"{capture.name}.glb", reconstruction))
