@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Filling of unseen texels, the atlas's size, images of atlases, and the command."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.cameras import Camera, look_at
+from datagen.color import srgb_from_linear
+from datagen.images import read_image
+from datagen.meshes import Mesh
+from model.reconstruction.atlas_images import map_bytes, write_atlas_images
+from model.reconstruction.fill import atlas_size, chart_of_faces, fill_unseen, nearest_index
+from model.reconstruction.geometry import TracedGeometry, face_normals
+from model.reconstruction.merge import Atlas, empty_atlas
+from model.reconstruction.texels import TexelSurface
+from tests.model.textured_room import geometry_of, room_mesh
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+SIZE = 96
+
+
+def seen_atlas(seen_faces: list[int], half_seen: list[int]) -> tuple[Mesh, Atlas]:
+    """Each quad of one value, its number over 100; ``half_seen`` triangles only left of their middle."""
+    mesh = room_mesh()
+    atlas = empty_atlas(SIZE)
+    atlas.face[...] = TexelSurface(mesh, face_normals(mesh), SIZE).faces(0, 0, SIZE, SIZE)
+    column = np.arange(SIZE)[None, :] % 24
+    seen = np.isin(atlas.face, seen_faces) | (np.isin(atlas.face, half_seen) & (column < 12))
+    atlas.count[seen] = 2
+    for array in atlas.maps.values():
+        array[seen] = (atlas.face[seen] // 2 / 100)[:, None]
+    return mesh, atlas
+
+
+def test_every_texel_gets_a_value_from_where_it_belongs() -> None:
+    """Half-seen charts fill themselves; the unseen top of the block takes a side of the block, not a far
+    wall."""
+    seen = [f for f in range(24) if f // 2 not in (3, 11)]  # quad 3: a wall; quad 11: the block's top
+    mesh, atlas = seen_atlas(seen, [6, 7])
+    count, face = atlas.count.copy(), atlas.face.copy()
+    known = {name: array[count > 0].copy() for name, array in atlas.maps.items()}
+    fill_unseen(atlas, mesh)
+    np.testing.assert_array_equal(atlas.count, count)
+    np.testing.assert_array_equal(atlas.face, face)
+    for name, array in atlas.maps.items():
+        np.testing.assert_array_equal(array[count > 0], known[name])
+    roughness = np.round(atlas.maps["roughness"][..., 0].astype(np.float32) * 100).astype(int)
+    assert (roughness[face // 2 == 3] == 3).all()
+    assert np.isin(roughness[np.isin(face, [22, 23])], [6, 7, 8, 9, 10]).all()
+    gutter = face < 0
+    assert (
+        gutter.any()
+        and (roughness[gutter] == roughness.ravel()[nearest_index(~gutter)[gutter]]).mean() > 0.99
+    )
+    assert (roughness[gutter] > 0).mean() > 0.8  # quad 0 is 0
+
+
+def test_nothing_seen_stays_empty() -> None:
+    mesh, atlas = seen_atlas([], [])
+    fill_unseen(atlas, mesh)
+    assert not any(array.any() for array in atlas.maps.values())
+
+
+def test_nearest_index_against_brute_force() -> None:
+    rng = np.random.default_rng(2)
+    source = rng.random((30, 37)) < 0.02
+    at = np.argwhere(source)
+    index = nearest_index(source)
+    rows, columns = np.divmod(index, 37)
+    assert source[rows, columns].all()
+    grid = np.stack(np.meshgrid(np.arange(30), np.arange(37), indexing="ij"), axis=-1)
+    least = np.linalg.norm(grid[:, :, None] - at, axis=-1).min(axis=-1)
+    got = np.hypot(grid[..., 0] - rows, grid[..., 1] - columns)
+    assert (got <= least * 1.05 + 1e-9).all()  # OpenCV's 5 x 5 distances are 2 % off
+
+
+def test_charts() -> None:
+    np.testing.assert_array_equal(chart_of_faces(room_mesh()), np.arange(24) // 2)
+
+
+def test_size_follows_the_density_of_pixels() -> None:
+    """A wall seen head on from 2 m by a camera of f = 200 px has pixels of 1 cm: 4 m of it need 400
+    texels."""
+    quad = np.array([[-2, 2, -2], [2, 2, -2], [2, 2, 2], [-2, 2, 2]], np.float32)
+    mesh = Mesh(quad, np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, np.zeros((4, 2), np.float32))
+    pose = look_at([0, 0, 0], [0, 1, 0])
+    sizes = []
+    for scale in (1, 2, 4):
+        camera = Camera(
+            20 * scale, 20 * scale, 200.0 * scale, 200.0 * scale, 10.0 * scale, 10.0 * scale, pose
+        )
+        view = TracedGeometry(geometry_of(mesh)).trace_view(camera)
+        sizes.append(atlas_size([(camera, view)], 4.0))
+    assert sizes == [
+        512,
+        1024,
+        1792,
+    ]  # 400, 800, 1600 up to the next multiple of 256; corners are a hair coarser
+
+
+def test_images_of_an_atlas(tmp_path: Path) -> None:
+    _, atlas = seen_atlas(list(range(24)), [])
+    rng = np.random.default_rng(0)
+    for array in atlas.maps.values():
+        array[...] = rng.random(array.shape)
+    write_atlas_images(tmp_path, atlas)
+    for name, array in atlas.maps.items():
+        exr, png = read_image(tmp_path / f"{name}.exr"), read_image(tmp_path / f"{name}.png")
+        np.testing.assert_array_equal(exr, array.astype(np.float32))
+        values = array.astype(np.float32)
+        expected = values if name == "roughness" else srgb_from_linear(values)
+        assert np.abs(png / 255 - expected).max() <= 0.5 / 255 + 1e-6
+    odd = np.array([[[np.nan], [-1.0], [2.0], [0.5]]], np.float16)
+    assert map_bytes("roughness", odd).ravel().tolist() == [0, 0, 255, 128]
+
+
+def test_command_refuses_bad_input(tmp_path: Path) -> None:
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "model.cli", *words], capture_output=True, text=True, timeout=120
+        )
+
+    missing = run("infer", str(tmp_path), "--out", str(tmp_path / "o"))
+    assert missing.returncode == 2 and "nothing known in it" in missing.stderr
+    wrong = run("infer", str(tmp_path), "--out", str(tmp_path / "o"), "--encoding", "rec2020")
+    assert wrong.returncode == 2 and "gamma22" in wrong.stderr
+    assert run("render", str(tmp_path), "--out", str(tmp_path / "o")).returncode == 2
