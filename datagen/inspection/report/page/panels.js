@@ -52,8 +52,7 @@ REPORT.panels = (() => {
   // Draw a picture at its own size; `mask` (a Picture or null) tells where there is no surface.
   function paint(canvas, picture, scale, mask) {
     const { width, height, words, numPixels } = picture;
-    canvas.width = width;
-    canvas.height = height;
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const context = canvas.getContext("2d");
     const image = context.createImageData(width, height);
     const out = image.data;

@@ -5,7 +5,7 @@
 "use strict";
 
 var REPORT = (() => {
-  const MAX_BYTES = 96 << 20;
+  const MAX_BYTES = 48 << 20;
   const waiting = new Map(); // key -> {resolve, reject}
   const loading = new Map(); // key -> promise
   const kept = new Map(); // key -> image, oldest first
@@ -47,17 +47,62 @@ var REPORT = (() => {
     });
   }
 
+  // Scratch memory that every tile is decoded in: new buffers a tile would wait for the collector by the
+  // hundred megabytes. Tiles are therefore decoded one after another.
+  const scratch = [new Uint8Array(0), new Uint8Array(0)];
+  let decoding = Promise.resolve();
+
+  function scratchOf(which, size) {
+    if (scratch[which].length < size) scratch[which] = new Uint8Array(size);
+    return scratch[which].subarray(0, size);
+  }
+
+  // A script's text is garbage once its tile is decoded, but lies outside the heap whose growth makes a browser
+  // collect. A large buffer that is dropped at once, and whose pages are never touched, makes it look.
+  const COLLECT_AFTER = 32 << 20;
+  let textSince = 0;
+
+  function countText(size) {
+    textSince += size;
+    if (textSince < COLLECT_AFTER) return;
+    textSince = 0;
+    try {
+      new ArrayBuffer(256 << 20);
+    } catch (error) {
+      if (!(error instanceof RangeError)) throw error; // no room for it: the browser collects by itself
+    }
+  }
+
   function bytesOf(base64) {
-    if (Uint8Array.fromBase64) return Uint8Array.fromBase64(base64);
-    const text = atob(base64);
-    const bytes = new Uint8Array(text.length);
-    for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+    const padding = base64.endsWith("==") ? 2 : base64.endsWith("=") ? 1 : 0;
+    const bytes = scratchOf(0, (base64.length / 4) * 3 - padding);
+    if (bytes.setFromBase64) bytes.setFromBase64(base64);
+    else {
+      for (let start = 0, at = 0; start < base64.length; start += 65536) {
+        const text = atob(base64.slice(start, start + 65536));
+        for (let i = 0; i < text.length; i++) bytes[at++] = text.charCodeAt(i);
+      }
+    }
     return bytes;
   }
 
-  async function inflate(bytes) {
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    return new Uint8Array(await new Response(stream).arrayBuffer());
+  async function inflate(bytes, size) {
+    const raw = scratchOf(1, size);
+    const stream = new DecompressionStream("deflate");
+    const writer = stream.writable.getWriter();
+    const wrote = writer.write(bytes).then(() => writer.close());
+    wrote.catch(() => {}); // told by the reader too
+    const reader = stream.readable.getReader();
+    let at = 0;
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      if (at + value.length > size) throw new Error(`more than the expected ${size} bytes`);
+      raw.set(value, at);
+      at += value.length;
+    }
+    if (at !== size) throw new Error(`${at} bytes, expected ${size}`);
+    return raw;
   }
 
   // Undo what encode_tile did: bytes gathered by their place in the word, differences along each row.
@@ -93,18 +138,21 @@ var REPORT = (() => {
     }
   }
 
-  function tile(head, base64) {
+  // `carrier` is a function around a comment with the bytes in base64
+  function tile(head, carrier) {
     const waits = waiting.get(head.key);
     if (!waits) return;
     waiting.delete(head.key);
     const size = head.dtype === "half" || head.dtype === "ushort" ? 2 : 4;
-    inflate(bytesOf(base64))
-      .then((raw) => {
-        const expected = head.width * head.height * head.channels * size;
-        if (raw.length !== expected) throw new Error(`${head.key}: ${raw.length} bytes, expected ${expected}`);
-        waits.resolve(new Picture(head, joinWords(raw, size, head.width, head.height * head.channels)));
+    const numRows = head.height * head.channels;
+    decoding = decoding
+      .then(() => {
+        const source = carrier.toString();
+        countText(source.length);
+        return inflate(bytesOf(source.slice(source.indexOf("/*") + 2, source.lastIndexOf("*/"))), head.width * numRows * size);
       })
-      .catch(waits.reject);
+      .then((raw) => waits.resolve(new Picture(head, joinWords(raw, size, head.width, numRows))))
+      .catch((error) => waits.reject(new Error(`${head.key}: ${error.message}`)));
   }
 
   // The picture of `configuration/view/buffer`.

@@ -8,6 +8,8 @@ REPORT.viewer = (() => {
   const HIDDEN_FIRST = ["observation_count"];
   let ui = null, state = null, generation = 0, frameAsked = false;
   const shownBuffers = new Set();
+  const painted = new Map(); // buffer -> canvas of its own size, kept from view to view
+  const panelOf = new Map(); // buffer, or "wipe" -> its figure, likewise
   const settings = { stops: 0, isWipe: false, wipeA: "beauty", wipeB: "diffuse_albedo", wipeAt: 0.5 };
 
   const buffers = () => REPORT.summary.buffers;
@@ -164,7 +166,7 @@ REPORT.viewer = (() => {
     if (!view) return complain(`${id} has no view ${name}.`);
     const { width_px: width, height_px: height } = view.camera;
     const before = state && state.frame.width === width && state.frame.height === height ? state.frame : null;
-    state = { configuration, view, hasPixels: entry[2], frame: before || new Frame(width, height), pictures: {}, painted: {}, scales: {}, mask: null, cursor: null, isReady: false };
+    state = { configuration, view, hasPixels: entry[2], frame: before || new Frame(width, height), pictures: {}, scales: {}, mask: null, cursor: null, isReady: false };
     ui.configuration.value = id;
     ui.view.replaceChildren(...configuration.views.map((v) => element("option", { value: v.name, text: v.name })));
     ui.view.value = name;
@@ -232,13 +234,24 @@ REPORT.viewer = (() => {
     ui.wipeControls.hidden = !settings.isWipe;
     ui.panels.classList.toggle("wipe", settings.isWipe);
     const names = settings.isWipe ? ["wipe"] : wanted();
-    const canvases = names.map((name) => {
+    const figures = names.map((name) => {
+      if (!panelOf.has(name)) panelOf.set(name, newPanel(name));
+      const figure = panelOf.get(name), canvas = figure.querySelector("canvas");
       const label = name === "wipe" ? `${bufferOf(settings.wipeA).label} | ${bufferOf(settings.wipeB).label}` : bufferOf(name).label;
-      const canvas = element("canvas", { "data-buffer": name, role: "img", style: `aspect-ratio:${width}/${height}`, "aria-label": `${label} of ${state.configuration.id}, ${state.view.name}` });
-      listen(canvas);
-      return element("figure", {}, element("figcaption", {}, element("b", { text: label }), element("span", { class: "facts" })), canvas);
+      figure.querySelector("b").textContent = label;
+      canvas.style.aspectRatio = `${width}/${height}`;
+      canvas.setAttribute("aria-label", `${label} of ${state.configuration.id}, ${state.view.name}`);
+      return figure;
     });
-    ui.panels.replaceChildren(...canvases);
+    const present = [...ui.panels.children];
+    if (present.length !== figures.length || present.some((node, i) => node !== figures[i])) ui.panels.replaceChildren(...figures);
+    redraw();
+  }
+
+  function newPanel(name) {
+    const canvas = element("canvas", { "data-buffer": name, role: "img" });
+    listen(canvas);
+    return element("figure", {}, element("figcaption", {}, element("b"), element("span", { class: "facts" })), canvas);
   }
 
   function repaint(test) {
@@ -246,8 +259,8 @@ REPORT.viewer = (() => {
       const buffer = bufferOf(name);
       if (!buffer || !test(buffer)) continue;
       state.scales[name] = scaleOf(buffer, picture, state.view, exposure());
-      state.painted[name] ||= document.createElement("canvas");
-      paint(state.painted[name], picture, state.scales[name], state.mask);
+      if (!painted.has(name)) painted.set(name, document.createElement("canvas"));
+      paint(painted.get(name), picture, state.scales[name], state.mask);
     }
     redraw();
   }
@@ -269,17 +282,17 @@ REPORT.viewer = (() => {
     const context = prepare(canvas);
     const facts = canvas.parentElement.querySelector(".facts");
     if (name !== "wipe") {
-      if (state.painted[name]) show(context, canvas, state.painted[name], frame);
+      if (state.scales[name]) show(context, canvas, painted.get(name), frame);
       facts.textContent = state.scales[name] ? state.scales[name].legend : "loading ...";
     } else {
       const at = settings.wipeAt * canvas.clientWidth;
       for (const [which, left, wide] of [[settings.wipeA, 0, at], [settings.wipeB, at, canvas.clientWidth - at]]) {
-        if (!state.painted[which]) continue;
+        if (!state.scales[which]) continue;
         context.save();
         context.beginPath();
         context.rect(left, 0, wide, canvas.clientHeight);
         context.clip();
-        show(context, canvas, state.painted[which], frame);
+        show(context, canvas, painted.get(which), frame);
         context.restore();
       }
       context.fillStyle = "#000";
