@@ -321,7 +321,25 @@ def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: i
     if bevel > 0:
         edges = [e for e in mesh.edges if e.calc_face_angle(0.0) > 0.5]
         bmesh.ops.bevel(mesh, geom=edges, offset=bevel, segments=segments, profile=0.5, affect="EDGES")
-    return from_bmesh(mesh)
+    return _in_fixed_order(from_bmesh(mesh))
+
+
+def _in_fixed_order(shape: Shape) -> Shape:
+    """The same box-projected shape, its points and faces sorted.
+
+    Extruding a face leaves them in an order that changes from run to run (it hashes addresses).
+    """
+    points = np.round(shape.points, 6) + 0.0
+    order = np.lexsort(points.T[::-1])
+    place = np.empty(len(order), dtype=int)
+    place[order] = np.arange(len(order))
+    faces = []
+    for face in shape.faces:
+        indices = [int(place[i]) for i in face]
+        first = indices.index(min(indices))
+        faces.append(tuple(indices[first:] + indices[:first]))
+    faces.sort()
+    return Shape(points[order], faces, box_uvs(points[order], faces))
 
 
 def rounded_rectangle(width: float, depth: float, radius: float, steps: int = 4) -> list[tuple[float, float]]:
