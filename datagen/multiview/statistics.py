@@ -230,7 +230,7 @@ def choose_for_pixels(
     options: StatisticsOptions,
     scene: mi.Scene | None = None,
 ) -> tuple[mi.UInt32, mi.Point3f, Selection]:
-    """Packed indices, world points and chosen views of the pixels of view ``index``, row by row (*traced*)."""
+    """Packed indices, world points and chosen views of the pixels of view ``index``, by rows (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
