@@ -2,7 +2,8 @@
 """Renders an environment package as it is: its own materials, lights and cameras, nothing assembled.
 
 ``python -m datagen.inspection.render_package PACKAGE... --out OUT`` writes ``OUT/<folder>/view_000.exr`` and
-so on, one linear EXR a camera. The Blender add-on's fidelity report calls it in a process of its own, since Blender and Mitsuba do not share one.
+so on, one linear EXR a camera. The Blender add-on's fidelity report calls it in a process of its own, since
+Blender and Mitsuba do not share one.
 """
 
 from __future__ import annotations
