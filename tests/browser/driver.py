@@ -42,8 +42,14 @@ def find_browser() -> tuple[str, str]:
 
 
 @contextmanager
-def open_browser(profile: Path, width: int = 1500, height: int = 1000) -> Iterator[Chrome]:
-    """A browser with an empty profile in ``profile``; closed at the end."""
+def open_browser(
+    profile: Path, width: int = 1500, height: int = 1000, logs_requests: bool = True
+) -> Iterator[Chrome]:
+    """A browser with an empty profile in ``profile``; closed at the end.
+
+    ``logs_requests`` is needed by :meth:`Page.requested`, and makes the browser keep the text of everything
+    it loads: switch it off to measure memory.
+    """
     browser, driver_path = find_browser()
     from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
@@ -51,7 +57,8 @@ def open_browser(profile: Path, width: int = 1500, height: int = 1000) -> Iterat
     options.binary_location = browser
     for flag in (*_FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}"):
         options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    logs = {"browser": "ALL", **({"performance": "ALL"} if logs_requests else {})}
+    options.set_capability("goog:loggingPrefs", logs)
     driver = Chrome(options=options, service=ChromeService(driver_path))
     try:
         driver.set_page_load_timeout(WAIT_S)

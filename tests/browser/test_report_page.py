@@ -376,10 +376,10 @@ def test_thousands_of_views_stay_light(report: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_stepping_through_large_views_stays_light(
+def test_stepping_through_large_views_keeps_nothing(
     report: Path, tmp_path: Path, views: dict[str, View]
 ) -> None:
-    """Thirty views of 640 x 384, every buffer of each: memory must level off."""
+    """Thirty views of 640 x 384, every buffer of each: what a collection leaves stays small."""
     out = synthetic_report(report, tmp_path / "many", 6, 5)
     rows, columns = np.indices((384, 640))
     rng = np.random.default_rng(3)
@@ -401,7 +401,7 @@ def test_stepping_through_large_views_stays_light(
                 key = f"many-{number:05d}/view-{view:03d}/{name}"
                 write_tile(out / "tiles" / f"{key}.js", key, picture)
     memory = []
-    with open_browser(tmp_path / "profile") as driver:
+    with open_browser(tmp_path / "profile", logs_requests=False) as driver:
         page = Page(driver)
         page.open(out / "index.html")
         for number in range(6):
@@ -410,6 +410,9 @@ def test_stepping_through_large_views_stays_light(
             memory.append(renderer_memory_mb(page))
         state = page.run("return REPORT.state()")
         assert page.console() == []
-    print("memory after each 5 views, MB:", " ".join(f"{m:.0f}" for m in memory))
+        driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
+        kept = renderer_memory_mb(page)
+    each = " ".join(f"{m:.0f}" for m in memory)
+    print(f"memory after each 5 views: {each} MB; after a collection: {kept:.0f} MB")
     assert state["numRequested"] > 30 * 12 and state["keptBytes"] <= 48 << 20
-    assert max(memory) < MAX_MEMORY_MB
+    assert kept < MAX_MEMORY_MB / 2

@@ -199,7 +199,7 @@ def splits(index: DatasetIndex) -> dict[str, Any]:
         if len(same) > 1 and len(homes) > 1:
             shared.append({"asset": " = ".join(sorted(same)), "kind": "equal content", "splits": homes})
     return {
-        "rows": [[name, index.splits.get(name, 0), views[name], len(used[name])] for name in names],  # type: ignore[call-overload]
+        "rows": [[name, index.splits.get(name, 0), views[name], len(used[name])] for name in names],
         "is_disjoint_asked": index.recipe.splits.disjoint,
         "shared": shared,
     }

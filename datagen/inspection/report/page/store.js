@@ -57,22 +57,6 @@ var REPORT = (() => {
     return scratch[which].subarray(0, size);
   }
 
-  // A script's text is garbage once its tile is decoded, but lies outside the heap whose growth makes a browser
-  // collect. A large buffer that is dropped at once, and whose pages are never touched, makes it look.
-  const COLLECT_AFTER = 32 << 20;
-  let textSince = 0;
-
-  function countText(size) {
-    textSince += size;
-    if (textSince < COLLECT_AFTER) return;
-    textSince = 0;
-    try {
-      new ArrayBuffer(256 << 20);
-    } catch (error) {
-      if (!(error instanceof RangeError)) throw error; // no room for it: the browser collects by itself
-    }
-  }
-
   function bytesOf(base64) {
     const padding = base64.endsWith("==") ? 2 : base64.endsWith("=") ? 1 : 0;
     const bytes = scratchOf(0, (base64.length / 4) * 3 - padding);
@@ -148,7 +132,6 @@ var REPORT = (() => {
     decoding = decoding
       .then(() => {
         const source = carrier.toString();
-        countText(source.length);
         return inflate(bytesOf(source.slice(source.indexOf("/*") + 2, source.lastIndexOf("*/"))), head.width * numRows * size);
       })
       .then((raw) => waits.resolve(new Picture(head, joinWords(raw, size, head.width, numRows))))
