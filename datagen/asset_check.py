@@ -24,7 +24,7 @@ from datagen.formats.asset import (
 from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
 from datagen.images import MAX_IMAGE_SIDE_PX, read_image
-from datagen.meshes import Mesh, decode_ply, inspect_mesh
+from datagen.meshes import Mesh, decode_ply, inspect_mesh, lying_normals
 
 BOUNDS_TOLERANCE_M = 2e-3  # declared bounds are rounded when written; a larger difference is a mistake
 _REEXPORT = "re-export the asset"
@@ -140,6 +140,9 @@ class _Checker:
             self.warn(name, f"{faults.degenerate} of {faults.total} triangles have no area", "none")
         if faults.zero_normals:
             self.warn(name, f"{faults.zero_normals} zero normals", "unit normals")
+        num_lying = int(lying_normals(mesh).sum())
+        if num_lying:
+            self.warn(name, f"{num_lying} normals lie in their surface", "normals that stand on it")
         if faults.non_manifold_edges:
             expected = "at most two triangles at an edge"
             self.warn(name, f"{faults.non_manifold_edges} non-manifold edges", expected)

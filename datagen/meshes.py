@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from datagen.errors import input_error
 
 MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before a byte is read
+LYING_COSINE = 0.01  # a shading normal within 0.6 degrees of its triangle's plane shades nothing
 _MAX_HEADER_BYTES = 64 * 1024
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -141,7 +142,10 @@ def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 
 
 def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
-    """Smooth normals (N, 3): the sum of the triangles' unit normals weighted by their angle at the vertex."""
+    """Smooth normals (N, 3): the sum of the triangles' unit normals weighted by their angle at the vertex.
+
+    Where the sum vanishes (sheets folded flat, windings that disagree) the largest triangle's normal stands.
+    """
     corners = mesh.triangles()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -155,9 +159,55 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
             total[:, axis] += np.bincount(
                 mesh.faces[:, k], weights=(unit * angle)[:, axis], minlength=len(total)
             )
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    safe = np.where(length > 0, total / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
-    return safe.astype(np.float32)
+    size = np.linalg.norm(total, axis=1)
+    lost = size < 1e-6  # radians: what rounding leaves of normals that cancel
+    normals = total / np.maximum(size, 1e-300)[:, None]
+    if lost.any():
+        touching = np.flatnonzero(lost[mesh.faces].any(axis=1) & (length[:, 0] > 0))
+        touching = touching[np.argsort(length[touching, 0], kind="stable")]
+        normals[lost] = [0.0, 0.0, 1.0]  # of vertices without any surface
+        corner, owner = mesh.faces[touching].ravel(), np.repeat(touching, 3)
+        chosen = lost[corner]
+        normals[corner[chosen]] = unit[owner[chosen]]  # ascending area: the largest is written last
+    return normals.astype(np.float32)
+
+
+def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
+    """The mesh with normals that a renderer survives, and the number of corners that had to be changed.
+
+    Vertices without normals, or with zero or NaN ones, get smooth normals. A normal that lies in its triangle
+    (within ``LYING_COSINE``) can be parallel to the surface's tangent, which leaves no shading frame: at that
+    corner the triangle's own normal stands instead.
+    """
+    if mesh.normals is None:
+        mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
+    assert mesh.normals is not None
+    sound = np.linalg.norm(mesh.normals, axis=1) > 1e-6  # NaN compares false
+    changed = int((~sound).sum())
+    if changed:
+        normals = np.where(sound[:, None], mesh.normals, vertex_normals(mesh)).astype(np.float32)
+        mesh = Mesh(mesh.positions, mesh.faces, normals, mesh.uv)
+    lying = lying_normals(mesh)
+    if not lying.any():
+        return mesh, changed
+    flat = flat_shaded(mesh)
+    assert flat.normals is not None and mesh.normals is not None
+    corners = np.where(lying.reshape(-1, 1), flat.normals, mesh.normals[mesh.faces.ravel()])
+    split = Mesh(flat.positions, flat.faces, corners.astype(np.float32), flat.uv)
+    return compacted(split), changed + int(lying.sum())
+
+
+def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
+    """Corners (M, 3) whose normal lies in the plane of their triangle; triangles without area have none."""
+    if mesh.normals is None:
+        return np.zeros(mesh.faces.shape, dtype=bool)
+    corners = mesh.triangles()
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    normals = mesh.normals.astype(np.float64)[mesh.faces]
+    size = np.linalg.norm(normals, axis=2)
+    along = np.abs((normals * cross[:, None]).sum(axis=2))
+    return (along < LYING_COSINE * length * size) & (length > 0)
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:

@@ -200,6 +200,11 @@ def provenance(
     ), origin.title
 
 
+def mended_note(num_normals: int, num_meshes: int) -> str:
+    """What an import says of normals that no renderer could use."""
+    return f"{num_normals} normals of {num_meshes} meshes were missing or lay in their surface, mended"
+
+
 Z_UP_FROM_Y_UP = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )

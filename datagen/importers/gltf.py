@@ -34,6 +34,7 @@ from datagen.importers.common import (
     ImportedAsset,
     ImportOptions,
     asset_from_source,
+    mended_note,
     provenance,
     slug,
     unique,
@@ -43,7 +44,7 @@ from datagen.importers.gltf_materials import GltfMaterial, GltfMaterialConverter
 from datagen.importers.mitsuba_materials import raise_problems
 from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish, matrix4, vector3
-from datagen.meshes import Mesh, encode_ply, flat_shaded, inspect_mesh, without_degenerate
+from datagen.meshes import Mesh, encode_ply, flat_shaded, inspect_mesh, with_sound_normals, without_degenerate
 
 LUMENS_PER_WATT = 683.0
 """glTF lights are photometric; Blender and others convert with this factor, and so it is undone."""
@@ -90,7 +91,10 @@ class _GltfImporter:
         self.annotations = annotate.read_annotations(options.annotations)
         self.source, self.title = provenance(file.path, file.path.parent, options, self.findings)
         self.nodes = list(file.placed_nodes())
+        self.num_mended: list[int] = []  # normals, by primitive
         self.pieces = self._collect()
+        if self.num_mended:
+            self.findings.note(mended_note(sum(self.num_mended), len(self.num_mended)))
         raise_problems(self.materials.problems)
         if not self.pieces:
             raise file.error("meshes", "no triangles in the scene", "at least one mesh", "check the export")
@@ -168,11 +172,14 @@ class _GltfImporter:
             uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
             if material.uv_matrix is not None:
                 uv = transformed_uv(uv, material.uv_matrix)
-        if "NORMAL" in attributes:
-            normals = self.file.accessor(attributes["NORMAL"], label).astype(np.float32)
-            return Mesh(positions, faces, normals, uv)
         if len(faces) and (faces.max() >= len(positions) or faces.min() < 0):
             raise self.file.error(f"node {label!r}", "indices beyond the vertices", "an intact mesh")
+        if "NORMAL" in attributes:
+            normals = self.file.accessor(attributes["NORMAL"], label).astype(np.float32)
+            mesh, num_mended = with_sound_normals(Mesh(positions, faces, normals, uv))
+            if num_mended:
+                self.num_mended.append(num_mended)
+            return mesh
         return flat_shaded(Mesh(positions, faces, None, uv))  # as the format asks where normals are absent
 
     def groups(self) -> list[list[_Piece]]:

@@ -17,15 +17,17 @@ from numpy.typing import NDArray
 from datagen.errors import input_error
 from datagen.importers.mitsuba_scene import SceneNode
 from datagen.importers.obj import read_obj
-from datagen.meshes import Mesh, compacted, flat_shaded, read_ply, vertex_normals
+from datagen.meshes import Mesh, compacted, flat_shaded, read_ply, with_sound_normals
 
 SUPPORTED_SHAPES = ("obj", "ply", "rectangle", "disk", "cube", "sphere", "cylinder")
 FILE_SHAPES = ("obj", "ply")
 _ROUND_SEGMENTS = 64
 
 
-def shape_mesh(node: SceneNode, file: Path | None) -> Mesh:
-    """Mesh of a shape before its ``to_world``; ``file`` is the mesh file of ``obj`` and ``ply`` shapes.
+def shape_mesh(node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
+    """Mesh of a shape before its ``to_world`` and how many of its normals were mended.
+
+    ``file`` is the mesh file of ``obj`` and ``ply`` shapes.
 
     Normals are always present: those of the file, smooth ones where it has none, flat ones where the shape
     asks for ``face_normals``. Raises :class:`InputError` for an unreadable file.
@@ -42,12 +44,10 @@ def shape_mesh(node: SceneNode, file: Path | None) -> Mesh:
         uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
     mesh = Mesh(mesh.positions, mesh.faces, mesh.normals, uv)
     if len(mesh.faces) == 0 or not np.isfinite(mesh.positions).all():
-        return mesh  # the check of the finished package reports it by name
+        return mesh, 0  # the check of the finished package reports it by name
     if bool(node.get("face_normals", False)):
-        return compacted(flat_shaded(mesh))
-    if mesh.normals is None:
-        return Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
-    return mesh
+        return compacted(flat_shaded(mesh)), 0
+    return with_sound_normals(mesh)
 
 
 def local_transform(node: SceneNode) -> NDArray[np.float64]:

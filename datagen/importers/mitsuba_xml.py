@@ -34,6 +34,7 @@ from datagen.importers.common import (
     ImportedAsset,
     ImportOptions,
     asset_from_source,
+    mended_note,
     provenance,
     slug,
     unique,
@@ -101,6 +102,7 @@ class _SceneImporter:
         self.scene: MitsubaScene = parse_scene(self.path, options.defines)
         self.materials = MaterialConverter(self.path, options, self.findings, self.cache)
         self.problems = self.materials.problems
+        self.num_mended: list[int] = []  # normals, by shape
         up = guess_up(self.scene) if options.up == "auto" else options.up
         self.asset_from_source = asset_from_source(up, options.unit_scale)
         self.lights = LightConverter(self.path, self.asset_from_source, options, self.findings, self.textures)
@@ -116,6 +118,8 @@ class _SceneImporter:
             camera_of(node, k, self.asset_from_source, self.findings)
             for k, node in enumerate(self.scene.all_of("sensor"))
         )
+        if self.num_mended:
+            self.findings.note(mended_note(sum(self.num_mended), len(self.num_mended)))
         shapes = self.apply_dielectric_policy(shapes)
         shapes = self.take_out_lights(shapes)
         parts, placed = self.build_parts(shapes)
@@ -191,12 +195,14 @@ class _SceneImporter:
         bsdfs = node.children_of("bsdf")
         draft = self.materials.draft(bsdfs[0]) if bsdfs else Draft("default")
         try:
-            mesh = shape_mesh(node, file)
+            mesh, num_mended = shape_mesh(node, file)
         except InputError as error:
             self.problems.extend(error.problems)
             return
         if draft.uv_matrix is not None and mesh.uv is not None:
             mesh = replace(mesh, uv=transformed_uv(mesh.uv, draft.uv_matrix))
+        if num_mended:
+            self.num_mended.append(num_mended)
         emission = self.lights.emission_of(node)
         bsdf = id(bsdfs[0]) if bsdfs else 0
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))

@@ -610,7 +610,7 @@ def test_largest_rectangle_against_brute_force() -> None:
 
 
 def test_open_space_has_no_places() -> None:
-    plate = shape_mesh(SceneNode("shape", "rectangle"), None).triangles()
+    plate = shape_mesh(SceneNode("shape", "rectangle"), None)[0].triangles()
     places = find_places(plate, np.zeros(len(plate), np.int64), set(), np.zeros((0, 3)))
     assert places.floor_m is None
     assert places.camera_regions == ()

@@ -28,7 +28,16 @@ from datagen.formats.asset import (
 from datagen.formats.lights import AreaLight
 from datagen.formats.package import Package, is_package, open_package, write_package
 from datagen.images import encode_png
-from datagen.meshes import Mesh, decode_ply, encode_ply, flat_shaded, inspect_mesh, vertex_normals
+from datagen.meshes import (
+    Mesh,
+    decode_ply,
+    encode_ply,
+    flat_shaded,
+    inspect_mesh,
+    lying_normals,
+    vertex_normals,
+    with_sound_normals,
+)
 
 CC0 = Provenance(license="CC0-1.0")
 
@@ -367,6 +376,37 @@ def test_ply_round_trip_and_foreign_layouts() -> None:
         decode_ply(b"solid stl", "x.ply")
     with pytest.raises(InputError, match="0 to"):
         decode_ply(encode_ply(mesh).replace(b"vertex 8", b"vertex 999999999999"), "huge.ply")
+
+
+def test_normals_that_cancel_or_are_missing_follow_a_surface() -> None:
+    """Two triangles back to back, one of them smaller: a made-up direction could lie in the surface."""
+    positions = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]], np.float32)
+    mesh = Mesh(positions, np.array([[0, 1, 2], [2, 1, 0]], np.int32))
+    normals = vertex_normals(mesh)
+    np.testing.assert_allclose(np.abs(normals[:3]), [[1, 0, 0]] * 3, atol=1e-6)
+    given = np.array([[0, 0, 0], [np.nan, 0, 0], [0.6, 0.8, 0], [0, 1, 0]], np.float32)
+    mended, num_changed = with_sound_normals(Mesh(positions, mesh.faces[:1], given))
+    assert num_changed == 2
+    assert mended.normals is not None
+    np.testing.assert_allclose(
+        mended.normals[mended.faces[0]], [[1, 0, 0], [1, 0, 0], [0.6, 0.8, 0]], atol=1e-6
+    )
+
+
+def test_normals_that_lie_in_their_surface_are_mended_and_warned_of(tmp_path: Path) -> None:
+    cube = cube_mesh()
+    assert cube.normals is not None
+    normals = cube.normals.copy()
+    normals[0] = [1, 0, 0]
+    bad = Mesh(cube.positions, cube.faces, normals, cube.uv)
+    num_lying = int(lying_normals(bad).sum())
+    assert num_lying > 0
+    package = write_package(tmp_path / "cube", cube_asset(), {"meshes/cube.ply": encode_ply(bad)})
+    assert f"{num_lying} normals" in "\n".join(map(str, check_package(package).warnings))
+    mended, num_changed = with_sound_normals(bad)
+    assert num_changed == num_lying
+    assert not lying_normals(mended).any()
+    np.testing.assert_allclose(mended.areas(), bad.areas())
 
 
 def test_opening_reads_descriptions_only(tmp_path: Path) -> None:
