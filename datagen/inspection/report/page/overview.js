@@ -14,6 +14,8 @@ REPORT.overview = (() => {
     return seconds < 5400 ? `${(seconds / 60).toFixed(1)} min` : `${(seconds / 3600).toFixed(1)} h`;
   }
 
+  const count = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
+
   function cards(pairs) {
     return element("dl", { class: "cards" }, ...pairs.map(([name, value, more]) =>
       element("div", {}, element("dt", { text: name }), element("dd", {}, element("b", { text: value }), more ? element("span", { text: more }) : null))));
@@ -40,7 +42,7 @@ REPORT.overview = (() => {
         ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `of all units together, ${number(e.views_per_hour)} views an hour a unit`],
         ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "state the price of an hour with --cost" : `at ${number(e.price_per_hour)} an hour of a unit`],
         ["Peak memory", e.peak_memory_mb ? bytes(e.peak_memory_mb * 1e6) : "unknown", e.hosts ? `${e.hosts.length} host${e.hosts.length === 1 ? "" : "s"}` : ""],
-        ["Findings", data.findings.is_checked ? `${errors} errors` : "not verified", data.findings.is_checked ? `${warnings} warnings` : ""],
+        ["Findings", data.findings.is_checked ? count(errors, "error") : "not verified", data.findings.is_checked ? count(warnings, "warning") : ""],
         ["Leakage", data.splits.shared.length ? `${data.splits.shared.length} shared assets` : "none", `${data.splits.rows.length} split${data.splits.rows.length === 1 ? "" : "s"}; disjoint splits were ${data.splits.is_disjoint_asked ? "" : "not "}asked for`],
       ]));
     if (!e.why_not) {
@@ -62,16 +64,16 @@ REPORT.overview = (() => {
       const list = element("ol", { class: "worst" });
       let shown = 0;
       const more = element("button", { type: "button", text: "show more", onclick: () => show(50) });
-      function show(count) {
-        for (const item of found.views.slice(shown, shown + count)) {
+      function show(howMany) {
+        for (const item of found.views.slice(shown, shown + howMany)) {
           const where = item.view ? viewLink(item.configuration, item.view) : element("span", { text: item.configuration || "the dataset" });
           list.append(element("li", {},
             item.view ? element("a", { href: `#view/${item.configuration}/${item.view}` }, thumbnail(item.configuration, item.view)) : element("span", { class: "blank" }),
-            element("div", {}, element("b", {}, where), ` ${item.errors} errors, ${item.warnings} warnings`,
+            element("div", {}, element("b", {}, where), ` ${count(item.errors, "error")}, ${count(item.warnings, "warning")}`,
               element("ul", {}, ...item.faults.map(([severity, check, , got, expected]) => element("li", { class: severity }, element("b", { text: `${severity}: ${check}: ` }), `${got}; expected ${expected}`))),
               item.errors + item.warnings > item.faults.length ? element("p", { class: "note", text: `and ${item.errors + item.warnings - item.faults.length} more: datagen verify --json lists all` }) : null)));
         }
-        shown += count;
+        shown += howMany;
         more.hidden = shown >= found.views.length;
       }
       show(12);

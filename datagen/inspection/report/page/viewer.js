@@ -402,7 +402,7 @@ REPORT.viewer = (() => {
     const note = statistics && statistics.visibility === "trace" ? " The statistics asked traced rays what hides a point; here the depth buffers are asked, which may choose others near edges." : "";
     if (!found.length) head.textContent = `No view stands behind column ${x}, row ${y}: it shows no surface, so its statistics are its own colour.`;
     else {
-      head.textContent = `${found.length} views stand behind column ${x}, row ${y}, the best first.${note}`;
+      head.textContent = `${found.length} ${found.length === 1 ? "view stands" : "views stand"} behind column ${x}, row ${y}, the best first.${note}`;
       const order = REPORT.sources.orderStatistics(found.map((source) => source.color));
       ui.sources.append(
         element("table", { class: "recomputed" }, element("caption", { text: "From these colours" }), element("tbody", {}, ...["min", "median", "max"].map((what) =>
