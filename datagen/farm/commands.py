@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+"""The verbs of ``datagen farm``; heavy imports happen in the verbs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
+
+farm = typer.Typer(
+    help="One plan on a cluster: submit, watch, retry, cancel, collect.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@farm.command()
+def submit(
+    folder: FolderArgument,
+    engine: Annotated[str, typer.Option(help="slurm, or shell: only a list of commands.")] = "slurm",
+    time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00",
+    memory: Annotated[str, typer.Option(help="Memory of a unit.")] = "8G",
+    cpus: Annotated[int, typer.Option(min=1, help="Processors of a unit.")] = 4,
+    gpus: Annotated[int, typer.Option(min=0, help="GPUs of a unit.")] = 0,
+    throttle: Annotated[int, typer.Option(min=0, help="Units at a time; 0 = no limit.")] = 0,
+    notice: Annotated[int, typer.Option(min=1, help="Seconds of notice before the time limit.")] = 120,
+    attempts: Annotated[int, typer.Option(min=1, help="Tries a unit before it is set aside.")] = 3,
+    setup: Annotated[str, typer.Option(help="Shell code that makes `datagen` callable on a node.")] = "",
+    partition: Annotated[str, typer.Option(help="Slurm partition.")] = "",
+    account: Annotated[str, typer.Option(help="Slurm account.")] = "",
+    max_array: Annotated[int, typer.Option(min=2, help="The cluster's MaxArraySize.")] = 1001,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only write the job scripts.")] = False,
+) -> None:
+    """Write readable job scripts for the units that are not done, and submit them.
+
+    Example: datagen farm submit paper --engine slurm --cpus 8 --setup "source .venv/bin/activate"
+    """
+    from datagen.farm.slurm import SlurmOptions
+    from datagen.farm.slurm import submit as submit_jobs
+
+    options = SlurmOptions(
+        time_limit=time_limit,
+        memory=memory,
+        cpus=cpus,
+        gpus=gpus,
+        throttle=throttle,
+        notice_s=notice,
+        attempts=attempts,
+        setup=setup,
+        partition=partition,
+        account=account,
+        max_array=max_array,
+    )
+    submission = submit_jobs(folder, options, engine, dry_run)
+    for script in submission.scripts:
+        typer.echo(script)
+    if submission.job_ids:
+        typer.echo(f"{submission.num_units} units submitted as jobs {', '.join(submission.job_ids)}")
+    else:
+        typer.echo(f"{submission.num_units} units; nothing submitted")
+
+
+@farm.command("status")
+def farm_status(
+    folder: FolderArgument,
+    cost: Annotated[float, typer.Option(min=0, help="Price of an hour of a unit's resources.")] = 0.0,
+) -> None:
+    """Show units done, running, failed and waiting, rate, time left, cost, and the logs of failures.
+
+    Example: datagen farm status paper --cost 0.12
+    """
+    from datagen.farm.status import print_status
+
+    print_status(folder, cost)
+
+
+@farm.command()
+def retry(folder: FolderArgument) -> None:
+    """Forget the failures that were set aside, so that the next submit or run tries them again.
+
+    Example: datagen farm retry paper && datagen farm submit paper
+    """
+    from datagen.farm.status import forget_failures
+
+    typer.echo(f"{len(forget_failures(folder))} failed units will be tried again by the next run or submit")
+
+
+@farm.command()
+def cancel(folder: FolderArgument) -> None:
+    """Cancel this folder's jobs on Slurm; what is finished stays.
+
+    Example: datagen farm cancel paper
+    """
+    from datagen.farm.slurm import cancel as cancel_jobs
+
+    ids = cancel_jobs(folder)
+    typer.echo(f"cancelled {', '.join(ids)}" if ids else "no jobs of this folder in the queue")
+
+
+@farm.command("collect")
+def farm_collect(
+    folder: FolderArgument,
+    deep: Annotated[bool, typer.Option("--deep", help="Hash every shard again.")] = False,
+) -> None:
+    """Write the index from the units that are done; exit code 1 while some are missing.
+
+    Example: datagen farm collect paper --deep
+    """
+    from datagen.farm.collect import collect
+
+    index = collect(folder, deep)
+    typer.echo(f"{folder}: {index.num_configurations} shards, {index.num_views} views")
+    if index.missing:
+        typer.echo(f"{len(index.missing)} units are not done, {index.missing[0]} the first of them", err=True)
+        raise typer.Exit(1)
