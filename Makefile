@@ -27,6 +27,8 @@ $(VENV)/.base: pyproject.toml | $(BIN)/pip
 $(VENV)/.dev: pyproject.toml $(VENV)/.base
 	@echo "installing what the tests need into $(VENV)"
 	@$(PIP) -e '.[train,blender,dev]'
+	@# Only the weights inside lpips are used; its torchvision would bring another torch.
+	@$(PIP) --no-deps 'lpips>=0.1.4,<0.2'
 	@.ci/ensure_system.sh blender
 	@.ci/ensure_system.sh tests
 	@touch $@

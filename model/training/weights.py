@@ -292,7 +292,9 @@ def load_lpips_heads() -> Heads:
     spec = importlib.util.find_spec("lpips")
     path = Path(spec.origin).parent / "weights" / "v0.1" / "vgg.pth" if spec and spec.origin else None
     if path is None or not path.is_file():
-        raise input_error("lpips", "", "not installed", "the package's linear heads", "pip install lpips")
+        raise input_error(
+            "lpips", "", "not installed", "the package's linear heads", "pip install --no-deps lpips"
+        )
     state = torch.load(path, map_location="cpu", weights_only=True)
     vectors = [state[f"lin{k}.model.1.weight"].flatten().float() for k in range(5)]
     return Heads("lpips5", tuple(vectors))
