@@ -114,8 +114,10 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
         return []
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
     peak = float(luminance(view["beauty"][mask].astype(np.float32)).max())
-    got = f"{count} fireflies of luminance up to {peak:.4g}, {_first(mask)}"
-    return [Fault("firefly", where, got, f"at most {limit:.0f}", "error" if count > limit else "warning")]
+    noun = "firefly" if count == 1 else "fireflies"
+    got = f"{count} {noun} of luminance up to {peak:.4g}, {_first(mask)}"
+    expected = f"none; up to {limit:.0f} pass as highlights"
+    return [Fault("firefly", where, got, expected, "error" if count > limit else "warning")]
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
