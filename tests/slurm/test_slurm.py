@@ -109,7 +109,11 @@ def test_cancel_and_resume(
 ) -> None:
     folder = plan_small(tmp_path / "cancel", library_root, num_units=4)
     _submit(cluster, folder, monkeypatch, throttle=1)
-    cluster.wait_for(lambda: list(folder.root.glob("work/*/rendered/*.json")), "a finished view")
+    # A unit takes a second, so its views may come and go between two looks; its manifest stays.
+    cluster.wait_for(
+        lambda: [*folder.root.glob("work/*/rendered/*.json"), *folder.units_path.glob("*.json")],
+        "a finished view",
+    )
     command = [sys.executable, "-m", "datagen", "farm", "cancel", str(folder.root)]
     result = subprocess.run(command, env=cluster.environment, capture_output=True, text=True, check=True)
     assert "cancelled" in result.stdout
