@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from datagen.command_line import run_command
 from datagen.farm.commands import farm
 
 if TYPE_CHECKING:
@@ -527,17 +527,8 @@ app.add_typer(farm, name="farm")
 
 
 def main() -> None:
-    """Entry point: bad input ends with its message and code 2, a broken pipe in silence."""
-    from datagen.errors import InputError
-
-    try:
-        app()
-    except InputError as error:
-        print(error, file=sys.stderr)
-        raise SystemExit(2) from None
-    except BrokenPipeError:
-        sys.stderr.close()
-        raise SystemExit(1) from None
+    """Entry point."""
+    run_command(app)
 
 
 if __name__ == "__main__":

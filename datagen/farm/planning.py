@@ -10,6 +10,7 @@ from pathlib import Path
 
 import yaml
 
+from datagen.assembly.plan import assemble, check_recipe, configuration_id
 from datagen.errors import InputError
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, unit_key
 from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
@@ -19,11 +20,6 @@ from datagen.formats.shard import AssetRecord
 from datagen.library import Library
 from datagen.versions import pixel_versions
 from mitsuba_plugins.variant import resolve_variant
-
-
-def configuration_id(recipe: Recipe, index: int) -> str:
-    """Id of the recipe's configuration of that index."""
-    return f"{recipe.name}-{index:05d}"
 
 
 def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
@@ -54,8 +50,6 @@ def _start_worker(recipe: Recipe, library_paths: tuple[Path, ...], root: Path) -
 def _assemble_one(index: int) -> int:
     recipe, library, folder = _WORKER["recipe"], _WORKER["library"], _WORKER["folder"]
     assert isinstance(recipe, Recipe) and isinstance(library, Library) and isinstance(folder, DatasetFolder)
-    from datagen.assembly.plan import assemble
-
     configuration = assemble(recipe, index, library)
     write_bytes_atomically(folder.configuration_path(configuration.id), canonical_json(configuration))
     return index
@@ -75,8 +69,6 @@ def create_plan(
     folder = start_folder(recipe, library, root)
     if folder.plan_path.exists():
         return folder.read_plan()
-    from datagen.assembly.plan import check_recipe
-
     check_recipe(recipe, library)
     missing = [i for i in range(recipe.configurations) if not _is_assembled(folder, recipe, i)]
     done = recipe.configurations - len(missing)
