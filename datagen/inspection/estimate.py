@@ -19,7 +19,7 @@ from datagen.errors import input_error
 from datagen.farm.folder import DatasetFolder, UnitManifest
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.planning import create_plan
-from datagen.formats.recipe import Recipe
+from datagen.formats.recipe import Recipe, SplitRecipe
 from datagen.library import Library
 
 VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2  # upper bound a pixel: uncompressed and complete view side by side
@@ -58,7 +58,8 @@ class _Sample:
 
 
 def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) -> _Sample:
-    small = recipe.model_copy(update={"configurations": 1, "views": num_views})
+    # A sample of one configuration cannot be split; what it costs does not depend on its split.
+    small = recipe.model_copy(update={"configurations": 1, "views": num_views, "splits": SplitRecipe()})
     start = time.perf_counter()
     plan = create_plan(small, library, root)
     plan_s = time.perf_counter() - start

@@ -64,7 +64,9 @@ def test_from_a_recipe_to_verified_shards(inputs: Path) -> None:
 
 
 def test_estimate_predicts_before_anything_large_starts(inputs: Path) -> None:
-    result = _datagen("estimate", inputs / "small.yaml", "--library", inputs / "library", "--json")
+    recipe = inputs / "split.yaml"
+    recipe.write_text(RECIPE + "splits: {train: 0.5, validation: 0.5, test: 0.0}\n")
+    result = _datagen("estimate", recipe, "--library", inputs / "library", "--json")
     assert result.returncode == 0, result.stderr
     estimate = json.loads(result.stdout)
     assert estimate["num_views"] == 6
