@@ -175,17 +175,29 @@ def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAs
     return own.tile_size_m is not None and has_uv
 
 
+def is_plain(package: Package) -> bool:
+    """Whether a material goes on any slot: constant channels, opaque, not luminous."""
+    asset = package.asset
+    if not isinstance(asset, MaterialAsset):
+        return False
+    own = asset.material
+    return not own.textures() and own.emission is None and own.opacity is None
+
+
 def assign_materials(
     package: Package,
     palette: list[Package],
     recipe: MaterialRecipe,
     means: MeanMaterials,
     draws: Draws,
+    foreign_slots: frozenset[tuple[str, str]] = frozenset(),
 ) -> dict[str, MaterialAssignment]:
     """Assignments for the slots of one placed asset; slots that keep their material unchanged are absent.
 
     ``palette`` holds the material packages on offer, in a fixed order. A class is drawn first, then one of
-    its materials, so that a class with many materials does not crowd out the others.
+    its materials, so that a class with many materials does not crowd out the others. A slot among
+    ``foreign_slots`` (asset id, slot) never keeps its own material: where nothing suits it, it gets one
+    without textures.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
@@ -196,9 +208,12 @@ def assign_materials(
         pick = draws.units(2)
         if own.emission is not None:
             continue
+        is_foreign = (package.id, slot) in foreign_slots
         chosen: Package | None = None
         fitting = [p for p in palette if isinstance(p.asset, MaterialAsset) and suits(p.asset, slot, asset)]
-        if replaces and fitting:
+        if is_foreign and not fitting:
+            fitting = [p for p in palette if is_plain(p)]
+        if (replaces or is_foreign) and fitting:
             classes = sorted({p.asset.material.classes[0] for p in fitting})  # type: ignore[union-attr]
             main = classes[int(pick[0] * len(classes))]
             of_class = [p for p in fitting if p.asset.material.classes[0] == main]  # type: ignore[union-attr]

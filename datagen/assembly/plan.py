@@ -186,7 +186,12 @@ def _dress(
     placed = []
     for item, package in enumerate(packages):
         materials = assign_materials(
-            package, pools.materials, recipe.materials, caches.means, Draws(*key, "materials", item)
+            package,
+            pools.materials,
+            recipe.materials,
+            caches.means,
+            Draws(*key, "materials", item),
+            pools.foreign_slots,
         )
         if item == 0:
             placed.append(PlacedAsset(name="room", asset=package.id, materials=materials))

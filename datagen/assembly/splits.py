@@ -3,8 +3,10 @@
 
 Configurations are dealt out evenly along their index (so that any prefix of a dataset has about the right
 shares) by exact arithmetic. With ``splits.disjoint`` each pool of assets (environments, objects of one
-category, materials of one main class) is dealt out in the order of a hash of its ids; assets that share a
-file by content always go together, so that a texture cannot leak under another name.
+category, materials of one main class) is dealt out in the order of a hash of its ids. Nothing leaks under
+another name: rooms and things that share their largest mesh go together, materials that share an image go
+together, and where a room or a thing wears an image that belongs to another split, that slot must be dressed
+anew (rooms of one library share their floors and woods; tying them by images would leave one family).
 """
 
 from __future__ import annotations
@@ -14,9 +16,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from weakref import WeakKeyDictionary
 
+from datagen.assembly.materials import is_plain
 from datagen.assembly.random import digest
 from datagen.errors import InputError, Problem
-from datagen.formats.asset import MaterialAsset, ObjectAsset
+from datagen.formats.asset import Material, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
 from datagen.formats.package import Package
@@ -33,6 +36,8 @@ class Pools:
     environments: list[Package]
     objects: list[Package]
     materials: list[Package]
+    foreign_slots: frozenset[tuple[str, str]] = frozenset()
+    """(asset id, slot) whose own material holds an image that belongs to another split."""
 
 
 def _shares(recipe: Recipe) -> dict[Split, Fraction]:
@@ -103,13 +108,17 @@ def _all_pools(recipe: Recipe, library: Library) -> dict[Split, Pools]:
     if not recipe.splits.disjoint:
         return dict.fromkeys(SPLITS, everything)
     home = partition(recipe, everything)
+    foreign = _foreign_slots(everything, home)
 
     def of(packages: list[Package], split: Split) -> list[Package]:
         return [p for p in packages if home[p.id] == split]
 
     return {
         split: Pools(
-            of(everything.environments, split), of(everything.objects, split), of(everything.materials, split)
+            of(everything.environments, split),
+            of(everything.objects, split),
+            of(everything.materials, split),
+            foreign,
         )
         for split in SPLITS
     }
@@ -153,10 +162,7 @@ def _dealing_order(pools: Pools) -> list[list[Package]]:
 
 
 def _families(packages: list[Package]) -> dict[str, str]:
-    """The least id among the assets that share an image or their largest mesh with one, or in a chain.
-
-    Small meshes (a quad, a box) may be equal by chance and tie nothing.
-    """
+    """The least id among the assets that share a telling file (:func:`_telling_files`), or in a chain."""
     parent = {p.id: p.id for p in packages}
 
     def root(asset_id: str) -> str:
@@ -174,12 +180,44 @@ def _families(packages: list[Package]) -> dict[str, str]:
 
 
 def _telling_files(package: Package) -> list[str]:
-    """Files by which an asset is recognised: its images and its largest mesh."""
-    names = package.names()
+    """Files by which an asset is recognised: the largest mesh of a room or thing, the images of a material.
+
+    Small meshes (a quad, a box) may be equal by chance and tie nothing.
+    """
+    names = list(package.names())
     meshes = [name for name in names if name.lower().endswith(".ply")]
+    if not meshes:
+        return names
     sizes = {name: len(package.read_bytes(name)) for name in meshes}
-    largest = [max(meshes, key=lambda name: (sizes[name], name))] if meshes else []
-    return [name for name in names if name not in sizes] + largest
+    return [max(meshes, key=lambda name: (sizes[name], name))]
+
+
+def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str, str]]:
+    """Slots of rooms and things whose own material shows an image of another split.
+
+    An image belongs to the materials that hold it, else to the room or thing of the least id that does.
+    """
+    hashes: dict[tuple[str, str], str] = {}
+    owner: dict[str, str] = {}
+    wearers = sorted((*pools.environments, *pools.objects), key=lambda p: p.id)
+    for package in (*pools.materials, *wearers):
+        for material in _materials(package).values():
+            for texture in material.textures():
+                content = sha256_hex(package.read_bytes(texture.texture))
+                hashes[package.id, texture.texture] = content
+                owner.setdefault(content, package.id)
+    return frozenset(
+        (package.id, slot)
+        for package in wearers
+        for slot, material in _materials(package).items()
+        if material.emission is None  # emitters have no ground truth: nothing to leak
+        and any(home[owner[hashes[package.id, t.texture]]] != home[package.id] for t in material.textures())
+    )
+
+
+def _materials(package: Package) -> dict[str, Material]:
+    asset = package.asset
+    return {"": asset.material} if isinstance(asset, MaterialAsset) else dict(asset.materials)
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
@@ -232,6 +270,7 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
 
 def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem]:
     home = partition(recipe, pools)
+    foreign = _foreign_slots(pools, home)
     problems = []
     for split in SPLITS:
         if getattr(recipe.splits, split) <= 0:
@@ -239,13 +278,16 @@ def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem
         lacking = [] if any(home[p.id] == split for p in pools.environments) else ["environment"]
         if recipe.objects.count[0] > 0 and not any(home[p.id] == split for p in pools.objects):
             lacking.append("object")
+        usable = [p for p in pools.materials if home[p.id] == split]
+        if not any(is_plain(p) for p in usable) and any(home[asset] == split for asset, _ in foreign):
+            lacking.append("material without textures")
         for kind in lacking:
             problems.append(
                 Problem(
                     where,
                     "splits.disjoint",
                     f"no {kind} for the {split} split",
-                    f"an {kind} of its own for every split, sharing no file with another split's",
+                    "one of its own for every split, sharing no file with another split's",
                     f"add {kind}s to the library, or set splits.disjoint to false or splits.{split} to 0",
                 )
             )

@@ -7,6 +7,7 @@ at. The checks themselves are in ``checks``, ``reprojection`` and ``shard_check`
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -113,10 +114,12 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
     used: dict[str, set[str]] = {}
     for record in index.shards:
         used.setdefault(record.split, set()).update(record.assets)
-    shared = sorted(used.get("test", set()) & used.get("train", set()))
     expected = "splits without a common asset, as the recipe asks"
-    got = "is in training and in the test split"
-    return [Fault("split", where, f"{asset} {got}", expected) for asset in shared]
+    return [
+        Fault("split", where, f"{asset} is in the {one} and in the {other} split", expected)
+        for one, other in itertools.combinations(sorted(used), 2)
+        for asset in sorted(used[one] & used[other])
+    ]
 
 
 # ---------------------------------------------------------------------- which materials should vary

@@ -7,13 +7,16 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from datagen.assembly.plan import assemble, check_recipe
 from datagen.assembly.splits import SPLITS, pools_of_split, split_counts, split_of
 from datagen.errors import InputError
-from datagen.formats.asset import Provenance
+from datagen.formats.asset import Provenance, Texture
+from datagen.formats.package import open_package, write_package
 from datagen.formats.recipe import Recipe
+from datagen.images import encode_png
 from datagen.library import Library
 from tests.datagen.small_library import box, write_material, write_object, write_room, write_small_library
 
@@ -146,3 +149,49 @@ def test_all_faults_of_a_recipe_are_said_at_once(library: Library) -> None:
     with pytest.raises(InputError) as caught:
         check_recipe(bad, library)
     assert len(caught.value.problems) >= 5
+
+
+def wear(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
+    """Gives a room's slot, or a material package, an image as diffuse albedo."""
+    with open_package(folder) as package:
+        files: dict[str, bytes | Path] = {
+            n: package.read_bytes(n) for n in package.names() if n != "asset.json"
+        }
+        asset: Any = package.asset
+    texture = {"diffuse_albedo": Texture(texture="shared.png", encoding="srgb")}
+    if slot is None:
+        worn = {"material": asset.material.model_copy(update={**texture, "tile_size_m": 0.5})}
+    else:
+        worn = {"materials": {**asset.materials, slot: asset.materials[slot].model_copy(update=texture)}}
+    write_package(
+        folder, asset.model_copy(update=worn), {**files, "shared.png": encode_png(pixels)}, overwrite=True
+    )
+
+
+def test_a_room_never_wears_an_image_of_another_split(tmp_path: Path) -> None:
+    """Two rooms share their floor's image with a material: one split alone may show it."""
+    root = write_small_library(tmp_path, num_rooms=2)
+    for k in range(4):
+        write_object(root, f"cube-{k}", "box", {"body": box([-0.05, -0.05, 0], [0.05, 0.05, 0.1 + 0.01 * k])})
+    pixels = np.full((4, 4, 3), 90, np.uint8)
+    pixels[::2] = 140
+    for name in ("room-0", "room-1"):
+        wear(root / "environments" / name, "floor", pixels)
+    wear(root / "materials" / "oak", None, pixels)
+    wanted = recipe(
+        configurations=6,
+        objects={"count": (1, 2)},
+        materials={"replace_probability": 0.0, "vary_probability": 0.0},
+        splits={"train": 0.5, "validation": 0.5, "disjoint": True},
+    )
+    library = Library([root])
+    both = {split: pools_of_split(wanted, library, split) for split in ("train", "validation")}  # type: ignore[arg-type]
+    home = next(s for s, pools in both.items() if "oak" in {p.id for p in pools.materials})
+    owners = {p.id for p in both[home].environments}
+    assert len(owners) == 1
+    assert both["train"].foreign_slots == {(room, "floor") for room in {"room-0", "room-1"} - owners}
+    for index in range(6):
+        configuration = assemble(wanted, index, library)
+        floor = configuration.environment.materials.get("floor")
+        is_replaced = floor is not None and floor.asset is not None
+        assert is_replaced == (configuration.split != home)
