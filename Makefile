@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-slow lint format library extension clean
+.PHONY: help setup setup-dev demo test test-slow lint format docs docs-serve library extension clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -26,7 +26,7 @@ $(VENV)/.base: pyproject.toml | $(BIN)/pip
 
 $(VENV)/.dev: pyproject.toml $(VENV)/.base
 	@echo "installing what the tests need into $(VENV)"
-	@$(PIP) -e '.[train,blender,dev]'
+	@$(PIP) -e '.[train,blender,dev,docs]'
 	@# Only the weights inside lpips are used; its torchvision would bring another torch.
 	@$(PIP) --no-deps 'lpips>=0.1.4,<0.2'
 	@.ci/ensure_system.sh blender
@@ -56,6 +56,12 @@ lint: setup-dev ## Check style, format and types
 format: setup-dev ## Format the code
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
+
+docs: setup-dev ## Build the documentation site; open site/index.html
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --site-dir site
+
+docs-serve: setup-dev ## Show the documentation at http://127.0.0.1:8000 and follow changes
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
 
 library: setup-dev ## Rebuild the bundled library from its sources
 	@$(BIN)/python -m scenes.sources build --out scenes/library
