@@ -15,7 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera without distortion. ``world_from_camera`` is a rigid (4, 4) float64 matrix."""
+    """A pinhole camera without distortion. ``world_from_camera`` is a rigid (4, 4) float64 matrix.
+
+    ``clip_m``: it sees what lies between these two depths along its optical axis; None = everything in front.
+    """
 
     width_px: int
     height_px: int
@@ -24,6 +27,7 @@ class Camera:
     cx_px: float
     cy_px: float
     world_from_camera: NDArray[np.float64]
+    clip_m: tuple[float, float] | None = None
 
     @property
     def position_m(self) -> NDArray[np.float64]:
@@ -60,6 +64,7 @@ class Camera:
             self.cx_px * sx,
             self.cy_px * sy,
             self.world_from_camera,
+            self.clip_m,
         )
 
     def project(self, points_world: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -14,7 +14,10 @@ from ..problems import APPROXIMATION, ERROR, ProblemList
 
 @dataclass(frozen=True)
 class CameraData:
-    """``asset_from_camera`` (4, 4) rigid, position in metres; intrinsics in pixels."""
+    """``asset_from_camera`` (4, 4) rigid, position in metres; intrinsics in pixels.
+
+    ``clip_m``: near and far limit along the optical axis, as Cycles applies them to camera rays.
+    """
 
     name: str
     width_px: int
@@ -24,6 +27,7 @@ class CameraData:
     cx_px: float
     cy_px: float
     asset_from_camera: NDArray[np.float64]
+    clip_m: tuple[float, float]
 
 
 def gather_camera(
@@ -44,6 +48,14 @@ def gather_camera(
         return None
     if camera.dof.use_dof:
         problems.add(APPROXIMATION, "depth of field is left out: everything is sharp", object=thing.name)
+    if not camera.clip_start < camera.clip_end:
+        problems.add(
+            ERROR,
+            f"clips from {camera.clip_start:g} to {camera.clip_end:g}: it sees nothing",
+            "set Clip End above Clip Start",
+            object=thing.name,
+        )
+        return None
     scale = render.resolution_percentage / 100
     width, height = max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))
     # In units of a pixel's width; a pixel is aspect_y / aspect_x as high as it is wide.
@@ -65,4 +77,5 @@ def gather_camera(
         width / 2 - camera.shift_x * extent,
         height / 2 + camera.shift_y * extent / aspect,
         pose @ np.diag([1.0, -1.0, -1.0, 1.0]),
+        (camera.clip_start * metres_per_unit, camera.clip_end * metres_per_unit),
     )

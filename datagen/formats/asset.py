@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from datagen.formats.base import (
     IDENTITY4,
+    ClipRange,
     Matrix4,
     Positive,
     Radiometric3,
@@ -163,6 +164,7 @@ class AssetCamera(StrictModel):
     cx_px: float
     cy_px: float
     asset_from_camera: Matrix4
+    clip_m: ClipRange = None
 
 
 class Provenance(StrictModel):

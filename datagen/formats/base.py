@@ -56,6 +56,20 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 Vector3 = tuple[float, float, float]
 UnitColor = tuple[Unit, Unit, Unit]
 """Linear Rec.709, each in [0, 1]."""
+def _check_clip(limits: tuple[float, float] | None) -> tuple[float, float] | None:
+    if limits is not None and not limits[0] < limits[1]:
+        raise ValueError("expected the near limit to be below the far one")
+    return limits
+
+
+ClipRange = Annotated[
+    tuple[NonNegative, Positive] | None,
+    AfterValidator(_check_clip),
+    Field(exclude_if=lambda limits: limits is None),
+]
+"""Near and far limit in metres of what a camera sees, along its optical axis; None = everything in front.
+
+None is not written, so that files without limits keep the bytes that they had before there were any."""
 Radiometric3 = tuple[NonNegative, NonNegative, NonNegative]
 """Linear Rec.709 radiance, intensity or irradiance."""
 _Row = tuple[float, float, float, float]

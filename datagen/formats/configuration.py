@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from datagen.cameras import Camera
 from datagen.formats.base import (
     IDENTITY4,
+    ClipRange,
     Matrix4,
     Positive,
     Radiometric3,
@@ -77,6 +78,7 @@ class ViewCamera(StrictModel):
     cx_px: float
     cy_px: float
     world_from_camera: Matrix4
+    clip_m: ClipRange = None
 
     def camera(self) -> Camera:
         """The same as a :class:`datagen.cameras.Camera`."""
@@ -90,6 +92,7 @@ class ViewCamera(StrictModel):
             self.cx_px,
             self.cy_px,
             np.array(self.world_from_camera, dtype=np.float64),
+            self.clip_m,
         )
 
     @classmethod
@@ -105,6 +108,7 @@ class ViewCamera(StrictModel):
             cx_px=camera.cx_px,
             cy_px=camera.cy_px,
             world_from_camera=rows,  # type: ignore[arg-type]
+            clip_m=camera.clip_m,
         )
 
 

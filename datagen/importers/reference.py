@@ -65,6 +65,7 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) 
             camera.cx_px * scale,
             middle,
             np.array(camera.asset_from_camera),
+            camera.clip_m,
         )
     full = Camera(
         camera.width_px,
@@ -74,6 +75,7 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) 
         camera.cx_px,
         camera.cy_px,
         np.array(camera.asset_from_camera),
+        camera.clip_m,
     )
     return full.scaled(width_px, round(width_px * camera.height_px / camera.width_px))
 

@@ -62,6 +62,7 @@ def _view(index: int, camera: AssetCamera) -> ViewCamera:
             camera.cx_px,
             camera.cy_px,
             np.array(camera.asset_from_camera, dtype=np.float64),
+            camera.clip_m,
         ),
     )
 

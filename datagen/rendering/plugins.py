@@ -39,6 +39,7 @@ class PinholePixels(mi.Sensor):
     m_down: Any
     m_forward: Any
     m_centre: Any
+    m_clip: Any  # near depth, and from there to the far one
 
     def set_camera(self, camera: Camera) -> None:
         """Look through another camera of the same resolution. Raises ``ValueError`` if it has another."""
@@ -51,6 +52,8 @@ class PinholePixels(mi.Sensor):
         self._set("m_down", mi.Vector3f, matrix[:3, 1] / camera.fy_px)
         self._set("m_forward", mi.Vector3f, matrix[:3, 2])
         self._set("m_centre", mi.Point2f, np.array([camera.cx_px, camera.cy_px]))
+        near, far = camera.clip_m or (0.0, np.finfo(np.float32).max)
+        self._set("m_clip", mi.Point2f, np.array([near, far - near]))
         # Mitsuba's cameras look along +z with y up and x to the left.
         to_world: Any = mi.ScalarTransform4f(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
         self.m_to_world = to_world
@@ -68,9 +71,10 @@ class PinholePixels(mi.Sensor):
         y = sample2.y * self.height_px - self.m_centre.y
         ray = dr.zeros(mi.Ray3f, dr.width(sample2))
         ray.time = time
-        ray.o = self.m_position
-        ray.d = dr.normalize(self.m_forward + x * self.m_right + y * self.m_down)
-        ray.maxt = dr.largest(mi.Float)
+        direction = self.m_forward + x * self.m_right + y * self.m_down  # to depth 1
+        ray.o = dr.fma(self.m_clip.x, direction, self.m_position)
+        ray.d = dr.normalize(direction)
+        ray.maxt = dr.minimum(self.m_clip.y * dr.norm(direction), dr.largest(mi.Float))
         return ray, mi.Color3f(1.0)
 
     def sample_ray_differential(

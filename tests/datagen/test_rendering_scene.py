@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import colorsys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +210,21 @@ def test_ids_depth_and_names_agree_with_the_placed_geometry(tmp_path: Path) -> N
     floor = instance == 1
     assert np.abs(points[floor][:, 2]).max() < 1e-4
     assert (instance[view.buffers["depth_z_m"][..., 0] == 0] == 0).all()
+
+
+def test_camera_sees_between_its_clip_depths_only(tmp_path: Path) -> None:
+    """Nearer surfaces give way to those behind them, farther ones to the background; the rest stays."""
+    near, far = 2.6, 3.4
+    clipped = replace(OFF_CENTRE, clip_m=(near, far))
+    full = two_boxes(tmp_path / "full", OFF_CENTRE).render_view(0).buffers["depth_z_m"][..., 0]
+    depth = two_boxes(tmp_path / "clipped", clipped).render_view(0).buffers["depth_z_m"][..., 0]
+    is_between = (full > near) & (full < far)
+    assert min(is_between.sum(), ((full > 0) & (full < near)).sum(), (full > far).sum()) > 100
+    assert depth[is_between] == pytest.approx(full[is_between], rel=1e-5)
+    assert (depth[(full == 0) | (full > far)] == 0).all()
+    behind = depth[(full > 0) & (full < near)]
+    assert (behind > 0).sum() > 20, "what stood behind the clipped surfaces shows"
+    assert ((behind == 0) | ((behind > near) & (behind < far))).all()
 
 
 def test_corner_of_a_box_hits_the_expected_pixel(tmp_path: Path) -> None:
