@@ -6,7 +6,7 @@ Ranges are [low, high], both ends included; draws are uniform unless the field s
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -88,16 +88,104 @@ class CameraRecipe(StrictModel):
     max_attempts: Annotated[int, Field(ge=1, le=100000)] = 40
 
 
+Quality = Literal["draft", "standard", "reference"]
+QUALITIES: dict[Quality, dict[str, float | int | None]] = {
+    "draft": {"max_rel_mse": 0.02, "max_path_samples": 32, "auxiliary_samples": 16, "firefly_clamp": 10.0},
+    "standard": {
+        "max_rel_mse": 0.005,
+        "max_path_samples": 256,
+        "auxiliary_samples": 64,
+        "firefly_clamp": 30.0,
+    },
+    "reference": {
+        "max_rel_mse": 0.0005,
+        "max_path_samples": 4096,
+        "auxiliary_samples": 64,
+        "firefly_clamp": None,
+    },
+}
+"""What the named qualities stand for; measured, see docs/decisions/0070."""
+DEFAULT_PATH_SAMPLES = 8
+DEFAULT_MAX_PATH_SAMPLES = 1024
+DEFAULT_MAX_DEPTH = 8
+
+_RESOLVED = ("quality", "path_samples", "max_rel_mse", "max_path_samples", "max_depth", "max_energy_left")
+PathSamples = Annotated[int, Field(ge=1, le=1 << 20)]
+
+
+def _budget_contradictions(given: dict[str, Any]) -> list[str]:
+    """What ``given`` (fields that are not None) says twice about how long to render."""
+    found = []
+    quality = given.get("quality")
+    if quality is not None:
+        named = [name for name in ("max_rel_mse", "path_samples") if name in given]
+        if named:
+            found.append(f"either quality or {' and '.join(named)}: a quality stands for them")
+        if quality == "reference" and given.get("firefly_clamp") is not None:
+            found.append("no firefly_clamp with quality reference, which leaves nothing out")
+    if "path_samples" in given:
+        others = [name for name in ("max_rel_mse", "max_path_samples") if name in given]
+        if others:
+            found.append(f"either path_samples, a fixed number, or {' and '.join(others)}")
+    elif "max_path_samples" in given and quality is None and "max_rel_mse" not in given:
+        found.append("max_path_samples only beside max_rel_mse or quality: it is the ceiling of a target")
+    if "max_depth" in given and "max_energy_left" in given:
+        found.append("either max_depth or max_energy_left, from which a depth follows")
+    return found
+
+
 class RenderRecipe(StrictModel):
-    """What a view costs. ``path_samples`` light paths and ``auxiliary_samples`` clean buffers a pixel."""
+    """What a view costs: a fixed number of light paths, or an error to reach.
+
+    Give one of
+
+    * ``path_samples``: so many light paths a pixel (the default, 8);
+    * ``max_rel_mse``: render until the estimated relMSE of the finished beauty image against convergence is
+      at most this (exposed, see :mod:`datagen.rendering.error`), or ``max_path_samples`` are reached;
+    * ``quality``: a name for such a target, :data:`QUALITIES`. ``max_path_samples``, ``auxiliary_samples``
+      and ``firefly_clamp`` may be given beside it. Numbers take its place as soon as the recipe is read, so
+      that a saved recipe means the same when a later version gives the name other numbers.
+
+    ``firefly_clamp``: the most that one light path may add to a pixel, in multiples of what the image's
+    exposure shows as white; None clamps nothing. ``auxiliary_samples`` clean buffers a pixel. ``max_depth``
+    segments a path at most (the default, 8), or, if ``max_energy_left`` is given instead, as many as the
+    scene's albedo asks for to leave at most that share of the light behind.
+    """
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"
-    path_samples: Annotated[int, Field(ge=1, le=1 << 20)] = 8
+    quality: Quality | None = None
+    path_samples: PathSamples | None = None
+    max_rel_mse: Positive | None = None
+    max_path_samples: PathSamples | None = None
+    firefly_clamp: Positive | None = None
     auxiliary_samples: Annotated[int, Field(ge=1, le=4096)] = 64
-    max_depth: Annotated[int, Field(ge=1, le=1024)] = 8
+    max_depth: Annotated[int, Field(ge=1, le=1024)] | None = None
+    max_energy_left: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     russian_roulette_depth: Annotated[int, Field(ge=1, le=1024)] = 5
     denoise: bool = True
     keep_noisy: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve(cls, data: Any) -> Any:
+        """Replace names and absences by numbers."""
+        if not isinstance(data, dict):
+            return data
+        given = {k: v for k, v in data.items() if v is not None or k not in _RESOLVED}
+        contradictions = _budget_contradictions(given)
+        if contradictions:
+            raise ValueError("expected " + "; ".join(contradictions))
+        quality = given.get("quality")
+        if isinstance(quality, str) and quality in QUALITIES:
+            del given["quality"]
+            given = {**QUALITIES[quality], **given}
+        if quality is None and "max_rel_mse" not in given:
+            given.setdefault("path_samples", DEFAULT_PATH_SAMPLES)
+        elif "max_rel_mse" in given:
+            given.setdefault("max_path_samples", DEFAULT_MAX_PATH_SAMPLES)
+        if "max_energy_left" not in given:
+            given.setdefault("max_depth", DEFAULT_MAX_DEPTH)
+        return given
 
 
 class StatisticsRecipe(StrictModel):

@@ -11,12 +11,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from datagen.formats.base import NonNegative, Slug, StrictModel
+from datagen.formats.base import NonNegative, Slug, StrictModel, Unit
 from datagen.formats.configuration import Split, ViewCamera
 
 
 class RenderRecord(StrictModel):
-    """How a view was rendered. ``clipped_pixels`` exceeded the range of half floats."""
+    """How a view was rendered. ``clipped_pixels`` exceeded the range of half floats.
+
+    ``path_samples`` light paths a pixel were traced. Where they followed from a target, ``estimated_rel_mse``
+    is the error that was estimated from independent halves (exposed relMSE of the beauty image), and
+    ``at_ceiling`` says that the samples ran out before the target was met. ``firefly_clamp_radiance`` is the
+    most that one path could add to a pixel, ``clamped_energy`` the share of the luminance that this took
+    away.
+    ``max_energy_left`` bounds the share of the light that paths longer than ``max_depth`` would have brought.
+    """
 
     variant: str
     seed: Annotated[int, Field(ge=0)]
@@ -27,6 +35,10 @@ class RenderRecord(StrictModel):
     denoiser: str
     clipped_pixels: int = 0
     estimated_rel_mse: NonNegative | None = None
+    at_ceiling: bool = False
+    firefly_clamp_radiance: NonNegative | None = None
+    clamped_energy: Unit = 0.0
+    max_energy_left: Unit | None = None
 
 
 class StatisticsRecord(StrictModel):

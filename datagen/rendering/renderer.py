@@ -29,7 +29,7 @@ from datagen.buffers import BUFFERS, RENDERED_BUFFERS
 from datagen.cameras import Camera
 from datagen.errors import input_error
 from datagen.formats.configuration import Configuration
-from datagen.formats.recipe import RenderRecipe
+from datagen.formats.recipe import DEFAULT_MAX_DEPTH, DEFAULT_PATH_SAMPLES, RenderRecipe
 from datagen.formats.view import RenderRecord
 from datagen.rendering.denoiser import Denoiser, OidnDenoiser, auxiliary_albedo, make_denoiser
 from datagen.rendering.scene_builder import AssetCaches, BuiltScene, build_scene, sensor_for
@@ -102,7 +102,9 @@ class SceneRenderer:
         self.built: BuiltScene = build_scene(configuration, library, caches)
         from datagen.rendering.path_tracer import PathTracer
 
-        self._tracer = PathTracer(self.built, recipe.max_depth, recipe.russian_roulette_depth)
+        self._max_depth = recipe.max_depth or DEFAULT_MAX_DEPTH
+        self._num_samples = recipe.path_samples or recipe.max_path_samples or DEFAULT_PATH_SAMPLES
+        self._tracer = PathTracer(self.built, self._max_depth, recipe.russian_roulette_depth)
         self._denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
         self._sensors: dict[tuple[int, int], Any] = {}
         self._materials = self._make_materials()
@@ -168,7 +170,7 @@ class SceneRenderer:
         seed = self.configuration.seed
         start = time.perf_counter()
         noisy = self._tracer.render(
-            sensor, self.recipe.path_samples, view_seed(seed, index, "path"), with_seen_lights=False
+            sensor, self._num_samples, view_seed(seed, index, "path"), with_seen_lights=False
         )
         traced = time.perf_counter()
         buffers = render_material_buffers(
@@ -227,9 +229,9 @@ class SceneRenderer:
         record = RenderRecord(
             variant=self.variant,
             seed=view_seed(self.configuration.seed, index, "path"),
-            path_samples=self.recipe.path_samples,
+            path_samples=self._num_samples,
             auxiliary_samples=self.recipe.auxiliary_samples,
-            max_depth=self.recipe.max_depth,
+            max_depth=self._max_depth,
             russian_roulette_depth=self.recipe.russian_roulette_depth,
             denoiser=self._denoiser.name if self._denoiser is not None else "none",
             clipped_pixels=clipped,
