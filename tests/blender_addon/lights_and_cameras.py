@@ -165,6 +165,25 @@ CAMERAS: dict[str, dict[str, Any]] = {
     "half_resolution": {"lens": 50, "resolution_percentage": 50, "size": (80, 60)},
     "scaled_parent": {"lens": 35, "scale": (2.0, 2.0, 2.0)},
 }
+CLIP = "clip_depths"  # a package
+
+
+def clipped(bpy: Any, scene: Any) -> None:
+    """A black card nearer than Clip Start, a black wall beyond Clip End, in units of 2 m."""
+    scene.unit_settings.scale_length = 2.0
+    _world(bpy, scene).nodes["Background"].inputs["Color"].default_value = (0.3, 0.4, 0.6, 1)
+    camera = scene.camera
+    camera.data.clip_start, camera.data.clip_end = 0.5, 1.6
+    material = bpy.data.materials.new("black")
+    material.use_nodes = False
+    material.diffuse_color = (0, 0, 0, 1)
+    for name, depth, size in (("card", 0.45, 0.15), ("wall", 1.8, 9.0)):
+        mesh = bpy.data.meshes.new(name)
+        mesh.from_pydata([(-size, 0, 0), (size, 0, 0), (size, size, 0), (-size, size, 0)], [], [(0, 1, 2, 3)])
+        mesh.materials.append(material)
+        thing = bpy.data.objects.new(name, mesh)
+        thing.parent, thing.location = camera, (0.03, -0.02, -depth)
+        scene.collection.objects.link(thing)
 
 
 def _stage(bpy: Any) -> Any:
@@ -233,6 +252,12 @@ def main(out: Path) -> None:
         bpy.context.view_layer.update()
         export(out / "packages", settings)
         _cycles(bpy, scene, out / "cycles" / f"{name}.npy")
+    scene = _stage(bpy)
+    scene["sm_id"] = CLIP
+    clipped(bpy, scene)
+    bpy.context.view_layer.update()
+    export(out / "packages", settings)
+    _cycles(bpy, scene, out / "cycles" / f"{CLIP}.npy")
     projections: dict[str, Any] = {}
     for name, values in CAMERAS.items():
         scene = _stage(bpy)

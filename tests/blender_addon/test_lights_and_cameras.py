@@ -14,7 +14,7 @@ from datagen.asset_check import check_package
 from datagen.cameras import Camera
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
-from tests.blender_addon.lights_and_cameras import CAMERAS, LIGHTS
+from tests.blender_addon.lights_and_cameras import CAMERAS, CLIP, LIGHTS
 
 pytestmark = pytest.mark.bpy
 TOLERANCE = {"world_image_turned": 0.02, "world_graph": 0.02}
@@ -36,6 +36,7 @@ def rendered(cycles: tuple[Path, Any], run_module: Callable[..., Any]) -> Path:
         str(folder / "mitsuba"),
         str(MITSUBA_SAMPLES),
         *LIGHTS,
+        CLIP,
     )
     return folder
 
@@ -59,6 +60,17 @@ def test_light_matches_cycles(rendered: Path, name: str) -> None:
 def test_light_five_percent_off_is_detected(rendered: Path) -> None:
     ratio, _ = _ratio(rendered, "area_square")
     assert np.abs(ratio * 1.05 - 1).max() > 0.01
+
+
+def test_camera_clips_like_cycles(rendered: Path) -> None:
+    (camera,) = open_package(rendered / "packages" / CLIP).asset.cameras
+    assert camera.clip_m == pytest.approx((1.0, 3.2))
+    ours, theirs = np.load(rendered / "mitsuba" / f"{CLIP}.npy"), np.load(rendered / "cycles" / f"{CLIP}.npy")
+    assert min(ours.min(), theirs.min()) > 0.03, "neither card nor wall: they are black"
+    sky = np.isclose(theirs, (0.3, 0.4, 0.6), rtol=1e-3).all(axis=-1)
+    assert 0.1 < sky.mean() < 0.9, "the floor ends at the far limit"
+    assert np.abs(ours[sky] - theirs[sky]).mean() < 0.01
+    assert np.abs(ours.mean(axis=(0, 1)) / theirs.mean(axis=(0, 1)) - 1).max() < 0.01
 
 
 @pytest.mark.parametrize("name", CAMERAS)
