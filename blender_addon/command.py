@@ -25,7 +25,11 @@ _BAR_WIDTH = 30
 def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentParser:
     """The command's arguments; defaults are those of :class:`ExportSettings`."""
     default = ExportSettings()
-    parser = argparse.ArgumentParser(prog=program, description="Export a .blend file as asset packages.")
+    parser = argparse.ArgumentParser(
+        prog=program,
+        description="Export a .blend file as asset packages.",
+        epilog=f"Example: {program} room.blend --out packages --license CC0-1.0 --report",
+    )
     parser.add_argument("blend", type=Path, nargs="?", help="the file (inside Blender: the open one)")
     parser.add_argument("--out", type=Path, required=True, help="folder that the packages go into")
     parser.add_argument("--kind", choices=KINDS, default=default.kind)

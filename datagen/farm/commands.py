@@ -3,12 +3,30 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
+
+# As sbatch takes them: minutes, or hours and days with colons and a dash; megabytes, or with a unit.
+_TIME = re.compile(r"\d+|\d+:\d\d(:\d\d)?|\d+-\d+(:\d\d){0,2}")
+_MEMORY = re.compile(r"\d+[KMGT]?")
+
+
+def _like(pattern: re.Pattern[str], example: str) -> Callable[[str], str]:
+    """Checks an option against a pattern before a queue refuses the script for it."""
+
+    def check(value: str) -> str:
+        if not pattern.fullmatch(value):
+            raise typer.BadParameter(f"{value!r}; expected something like {example}")
+        return value
+
+    return check
+
 
 farm = typer.Typer(
     help="One plan on a cluster: submit, watch, retry, cancel, collect.",
@@ -21,8 +39,13 @@ farm = typer.Typer(
 def submit(
     folder: FolderArgument,
     engine: Annotated[str, typer.Option(help="slurm, or shell: only a list of commands.")] = "slurm",
-    time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00",
-    memory: Annotated[str, typer.Option(help="Memory of a unit.")] = "8G",
+    time_limit: Annotated[
+        str,
+        typer.Option("--time", help="Time limit of a unit.", callback=_like(_TIME, "04:00:00 or 1-12")),
+    ] = "04:00:00",
+    memory: Annotated[
+        str, typer.Option(help="Memory of a unit.", callback=_like(_MEMORY, "8G or 8000M"))
+    ] = "8G",
     cpus: Annotated[int, typer.Option(min=1, help="Processors of a unit.")] = 4,
     gpus: Annotated[int, typer.Option(min=0, help="GPUs of a unit.")] = 0,
     throttle: Annotated[int, typer.Option(min=0, help="Units at a time; 0 = no limit.")] = 0,
@@ -60,7 +83,8 @@ def submit(
     if submission.job_ids:
         typer.echo(f"{submission.num_units} units submitted as jobs {', '.join(submission.job_ids)}")
     else:
-        typer.echo(f"{submission.num_units} units; nothing submitted")
+        why = "only written" if submission.num_units else "all are done"
+        typer.echo(f"{submission.num_units} units to do, nothing submitted: {why}")
 
 
 @farm.command("status")

@@ -201,22 +201,35 @@ class DatasetFolder:
         except OSError:
             return False
 
-    def check_same_start(self, record: FolderRecord) -> None:
-        """Raise :class:`InputError` where the folder was started from something else than ``record``."""
+    def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
+        """Raise :class:`InputError` where the folder was started from something else than ``recipe`` and
+        ``record``, or is in use for something else."""
         if not self.record_path.exists():
+            if any(not path.name.startswith(".") for path in self.root.iterdir()):
+                expected = "a new or empty folder, or a dataset folder"
+                raise input_error(self.root, "--out", "a folder with other files", expected, "choose another")
             return
         existing = self.read_record()
-        problems = [
-            Problem(
-                self.root,
-                name,
-                str(getattr(existing, name)),
-                str(getattr(record, name)),
-                "choose another --out, or go on with the recipe, library and versions it was started with",
-            )
-            for name in ("recipe_sha256", "library_sha256", "versions")
-            if getattr(existing, name) != getattr(record, name)
-        ]
+        remedy = "choose another --out, or go on with what it was started with"
+        if not self.plan_path.exists():
+            remedy = "choose another --out, or remove this folder: nothing was rendered in it"
+        problems = []
+        if existing.recipe_sha256 != record.recipe_sha256:
+            then, now = (r.model_dump(mode="json") for r in (self.read_recipe(), recipe))
+            problems += [
+                Problem(self.root, f"recipe: {key}", str(now[key]), f"{then[key]} as at its start", remedy)
+                for key in now
+                if now[key] != then[key]
+            ]
+        if existing.library_sha256 != record.library_sha256:
+            expected = f"what it held at the start ({', '.join(existing.library_paths)})"
+            problems.append(Problem(self.root, "library", "other assets", expected, remedy))
+        for name in sorted({*existing.versions, *record.versions}):
+            then_, now_ = existing.versions.get(name, "none"), record.versions.get(name, "none")
+            if then_ != now_:
+                problems.append(
+                    Problem(self.root, f"version of {name}", now_, f"{then_} as at its start", remedy)
+                )
         if problems:
             raise InputError(*problems)
 

@@ -32,7 +32,7 @@ def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
         versions=pixel_versions(),
     )
     root.mkdir(parents=True, exist_ok=True)
-    folder.check_same_start(record)
+    folder.check_same_start(recipe, record)
     write_bytes_atomically(folder.record_path, canonical_json(record))
     text = yaml.safe_dump(recipe.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     write_bytes_atomically(folder.recipe_path, text.encode())
@@ -66,10 +66,11 @@ def create_plan(
 
     ``report(done, total)`` is called as configurations are finished. Raises :class:`InputError`.
     """
+    if not DatasetFolder(root).plan_path.exists():
+        check_recipe(recipe, library)  # before anything is written
     folder = start_folder(recipe, library, root)
     if folder.plan_path.exists():
         return folder.read_plan()
-    check_recipe(recipe, library)
     missing = [i for i in range(recipe.configurations) if not _is_assembled(folder, recipe, i)]
     done = recipe.configurations - len(missing)
     report(done, recipe.configurations)

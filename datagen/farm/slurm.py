@@ -219,6 +219,7 @@ def running_jobs(root: Path) -> list[str]:
 
 def cancel(root: Path) -> list[str]:
     """Cancel every job of this folder; what is finished stays. Returns the ids."""
+    DatasetFolder(root).read_plan()
     ids = running_jobs(root)
     if ids:
         subprocess.run(["scancel", f"--name={job_name(root)}"], check=True, capture_output=True)

@@ -56,6 +56,8 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 Vector3 = tuple[float, float, float]
 UnitColor = tuple[Unit, Unit, Unit]
 """Linear Rec.709, each in [0, 1]."""
+
+
 def _check_clip(limits: tuple[float, float] | None) -> tuple[float, float] | None:
     if limits is not None and not limits[0] < limits[1]:
         raise ValueError("expected the near limit to be below the far one")
@@ -99,8 +101,13 @@ def _problems(where: str | Path, error: ValidationError) -> list[Problem]:
         expected = entry["msg"].removeprefix("Value error, ")
         expected = expected[0].lower() + expected[1:]
         expected = expected.removeprefix("expected ").removeprefix("input should be ")
+        if entry["loc"] == ("format",) and entry["type"] == "literal_error":
+            # A file of another kind: what else differs says nothing.
+            return [Problem(where, "format", got, expected, "this is another kind of file; check the path")]
         if entry["type"] == "extra_forbidden":
             expected, remedy = "no such key", "correct its spelling or remove it"
+        elif entry["type"] == "model_type":
+            expected, remedy = "keys with values", "check that this is the right file"
         elif entry["type"] == "missing":
             expected, remedy = "this key to be present", "add it"
         else:
@@ -124,8 +131,13 @@ def _read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(Problem(path, "", "no such file", "a readable file", "check the path")) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(Problem(path, "", str(error), "a readable UTF-8 file", "check the file")) from None
+    except IsADirectoryError:
+        raise InputError(Problem(path, "", "a folder", "a file", "name a file in it")) from None
+    except UnicodeDecodeError:
+        raise InputError(Problem(path, "", "not text", "a UTF-8 text file", "check the path")) from None
+    except OSError as error:
+        got = (error.strerror or str(error)).lower()
+        raise InputError(Problem(path, "", got, "a readable file", "check the path and its rights")) from None
 
 
 def read_json(model: type[ModelT], path: Path) -> ModelT:

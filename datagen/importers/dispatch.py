@@ -41,9 +41,8 @@ def find_sources(path: Path) -> list[Source]:
     else:
         raise input_error(path, got="nothing there", expected="something to import", remedy="check the path")
     expected = "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a PBR texture folder, or a folder of these"
-    raise input_error(
-        path, got=path.suffix or "a folder without any", expected=expected, remedy="check the path"
-    )
+    got = "a folder that holds nothing to import" if path.is_dir() else "a file of a kind that is not known"
+    raise input_error(path, got=got, expected=expected, remedy="check the path")
 
 
 def _in_folder(folder: Path) -> list[Source]:

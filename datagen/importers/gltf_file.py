@@ -110,6 +110,11 @@ class GltfFile:
             data = self._split_binary(data)
         try:
             value = json.loads(data.decode("utf-8"))
+        except UnicodeDecodeError:
+            expected = "a glTF file: .glb, or .gltf in UTF-8"
+            raise input_error(
+                self.path, "", "neither binary glTF nor text", expected, "check the file"
+            ) from None
         except (ValueError, RecursionError) as error:
             raise input_error(self.path, got=str(error)[:200], expected="a glTF document") from None
         version = value.get("asset", {}).get("version", "") if isinstance(value, dict) else ""

@@ -11,12 +11,17 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from datagen.library import check_library, describe_library, resolve_library_paths
+from datagen.errors import input_error
+from datagen.library import check_library, describe_library, find_packages, resolve_library_paths
 
 
 def print_library(names: list[str], check: bool, as_json: bool) -> int:
     """List the libraries ``names``; with ``check`` read every mesh and texture. Returns the exit code."""
     paths = resolve_library_paths(names, Path.cwd())
+    for path in paths:
+        if path.is_dir() and not find_packages(path):
+            remedy = "name another folder, or fill it with `datagen import` or the Blender add-on"
+            raise input_error(path, "", "no asset packages in it", "a library folder", remedy)
     if check:
         report = check_library(paths)
         if as_json:
@@ -41,5 +46,5 @@ def print_library(names: list[str], check: bool, as_json: bool) -> int:
         table.add_row(summary.kind, summary.id, summary.title, summary.detail, licence)
     Console().print(table)
     by_kind = Counter(s.kind for s in summaries)
-    print(", ".join(f"{count} {kind}s" for kind, count in sorted(by_kind.items())) or "the library is empty")
+    print(", ".join(f"{count} {kind}s" for kind, count in sorted(by_kind.items())))
     return 0

@@ -48,6 +48,9 @@ def verify_dataset(
         jobs = [ShardJob(path, path.name)]
     elif path.is_dir():
         jobs = _jobs_of_folder(path, report)
+        if not jobs and not (path / INDEX_FILE).exists():
+            remedy = "name a dataset folder or a shard, or make one with `datagen run`"
+            raise input_error(path, "", f"neither {INDEX_FILE} nor shards", "a dataset", remedy)
     else:
         raise input_error(path, "", "neither a folder nor a .tar file", "a dataset", "check the path")
     if library is None:

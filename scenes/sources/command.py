@@ -12,7 +12,11 @@ from pathlib import Path
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m scenes.sources", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m scenes.sources",
+        description="Build the bundled library from its sources, and look at them.",
+        epilog="Example: python -m scenes.sources build --out scenes/library --only teapot",
+    )
     verbs = parser.add_subparsers(dest="verb", required=True)
     build = verbs.add_parser("build", help="model and export packages")
     build.add_argument("--out", type=Path, required=True, help="the library's folder")

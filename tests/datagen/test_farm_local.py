@@ -176,7 +176,7 @@ def test_damage_is_found_and_mended(finished: DatasetFolder, tmp_path: Path) -> 
 
 
 def test_another_recipe_is_refused_in_the_same_folder(finished: DatasetFolder, library_root: Path) -> None:
-    with pytest.raises(InputError, match="recipe_sha256"):
+    with pytest.raises(InputError, match="recipe: seed"):
         plan_small(finished.root, library_root, num_units=2)
     assert len(_hashes(finished)) == 3
 

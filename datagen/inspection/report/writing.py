@@ -321,7 +321,9 @@ def report_command(
     free = shutil.disk_usage(existing).free
     if num_bytes > free:
         remedy = "write fewer pixels with --pixels, or choose another --out"
-        raise input_error(target, "--pixels", f"{num_bytes / 1e9:.1f} GB", f"{free / 1e9:.1f} GB", remedy)
+        raise input_error(
+            target, "--pixels", f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB", remedy
+        )
     paths = list(library_paths) if library_paths is not None else library_of(folder)
     with _Bar() as bar:
         if paths:
