@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Loads an asset package into Blender: meshes, Principled materials with the right colour spaces, lights.
-
-Where S is one small grey everywhere, the material is a Principled BSDF of base colour D whose specular level
-gives that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Glossy BSDF of S are added, which holds any D and S
-(Principled has one base colour for both), and which the add-on exports back to the same channels.
-"""
+"""Loads an asset package into Blender: meshes, materials, lights, cameras, markers and tags."""
 
 from __future__ import annotations
 
@@ -12,21 +7,38 @@ import json
 import shutil
 import tempfile
 import zipfile
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 from numpy.typing import NDArray
 
-_LARGEST_DIELECTRIC_F0 = 0.2
+from .import_materials import add_sample, make_material, package_file
+from .import_places import Places
+
 _MAX_JSON_BYTES = 256 * 1024 * 1024
+_SHEAR = 1e-5  # share of a matrix that location, rotation and scale may miss
+_OFF_CENTRE_M = 1e-4
 
 
-def import_package(path: Path) -> bpy.types.Collection:
+@dataclass
+class Imported:
+    """The new collection, and what of the package Blender holds otherwise or not at all, in sentences."""
+
+    collection: bpy.types.Collection
+    remarks: list[str] = field(default_factory=list)
+
+
+def import_package(path: Path) -> Imported:
     """Load a package (its folder, its ``asset.json`` or a zip) into a new collection of the scene.
 
-    Raises ``ValueError`` for what is no package, with the file and the field. A zip's images are packed.
+    An environment's own light becomes the scene's world, and its first camera the scene's camera if it had
+    none. A zip's images are packed.
+
+    Raises ``ValueError`` for what is no package, with the file and the field.
     """
     if path.suffix == ".zip":
         folder = Path(tempfile.mkdtemp(prefix="scene_materials_"))
@@ -47,17 +59,7 @@ def _unpack(path: Path, folder: Path) -> None:
         archive.extractall(folder)
 
 
-def _inside(folder: Path, name: str) -> Path:
-    parts = PurePosixPath(name).parts
-    if not parts or name.startswith("/") or ".." in parts or "\\" in name or ":" in name:
-        raise ValueError(f"{folder}/asset.json: path {name!r} leaves the package; refused")
-    path = folder.joinpath(*parts)
-    if not path.is_file():
-        raise ValueError(f"{folder}/asset.json: {name!r} is missing")
-    return path
-
-
-def _load(folder: Path, pack: bool) -> bpy.types.Collection:
+def _load(folder: Path, pack: bool) -> Imported:
     source = folder / "asset.json"
     if not source.is_file():
         nested = sorted(folder.glob("*/asset.json"))
@@ -72,174 +74,76 @@ def _load(folder: Path, pack: bool) -> bpy.types.Collection:
             f"{source}: format = {data.get('format')!r}; expected scene-materials/asset, version 1"
         )
     collection = bpy.data.collections.new(data["id"])
+    imported = Imported(collection)
     bpy.context.scene.collection.children.link(collection)
+    if data["kind"] == "material":
+        material = make_material(data["title"], data["material"], folder, pack)
+        _tag(material, data)
+        add_sample(material, collection)
+        return imported
+    _tag(collection, data)
+    metres = bpy.context.scene.unit_settings.scale_length or 1.0
+    _add_parts(collection, data, folder, pack, metres)
+    places = Places(collection, metres, imported.remarks)
+    places.add_lights(data.get("lights", []))
+    if data["kind"] == "object":
+        if data.get("footprint_m"):
+            imported.remarks.append("the footprint's polygon is left out; an export takes the bounds")
+        return imported
+    for light in (light for light in data.get("lights", ()) if light["type"] == "environment"):
+        image = package_file(folder, light["image"]) if light.get("image") else None
+        places.set_world(light, image, pack)
+    places.add_cameras(data.get("cameras", []))
+    places.add_markers(data)
+    return imported
+
+
+def _tag(block: bpy.types.ID, data: dict[str, Any]) -> None:
+    """Say on a collection or material what the package says of itself."""
+    block["sm_role"], block["sm_id"], block["sm_title"] = data["kind"], data["id"], data["title"]
     for key in ("license", "author", "source", "usage"):
         if data["provenance"].get(key):
-            collection[f"sm_{key}"] = data["provenance"][key]
-    collection["sm_id"], collection["sm_title"] = data["id"], data["title"]
-    if data["kind"] == "material":
-        material = _material(data["title"], data["material"], folder, pack)
-        material["sm_role"] = "material"
-        _sample(material, collection)
-        return collection
-    collection["sm_role"] = data["kind"]
-    if data["kind"] == "object":
-        collection["sm_category"] = data["category"]
-    materials = {name: _material(name, entry, folder, pack) for name, entry in data["materials"].items()}
+            block[f"sm_{key}"] = data["provenance"][key]
+    if data["kind"] != "object":
+        return
+    block["sm_category"] = data["category"]
+    if data.get("supports"):
+        block["sm_supports"] = ", ".join(data["supports"])
+    for key in ("scale_range", "yaw_range_rad"):
+        if data.get(key):
+            block[f"sm_{key}"] = [float(value) for value in data[key]]
+    if np.abs(np.add(data["minimum_m"], data["maximum_m"])[:2]).max() > _OFF_CENTRE_M:
+        block["sm_keep_origin"] = True
+
+
+def _add_parts(
+    collection: bpy.types.Collection, data: dict[str, Any], folder: Path, pack: bool, metres: float
+) -> None:
+    """The surfaces: one object a part, one mesh for all parts that share file and material."""
+    materials = {name: make_material(name, entry, folder, pack) for name, entry in data["materials"].items()}
     meshes: dict[tuple[str, str], bpy.types.Mesh] = {}
     for part in data["parts"]:
-        pair = (part["mesh"], part["material"])
-        if pair not in meshes:
-            meshes[pair] = _mesh(part["name"], _inside(folder, part["mesh"]))
-            meshes[pair].materials.append(materials[part["material"]])
-        thing = bpy.data.objects.new(part["name"], meshes[pair])
         matrix = np.array(part.get("asset_from_part", np.eye(4)))
+        matrix[:3] /= metres
+        if _is_sheared(matrix):  # objects have no shear: it goes into a mesh of the part's own
+            mesh = _mesh(part["name"], package_file(folder, part["mesh"]), matrix)
+            mesh.materials.append(materials[part["material"]])
+            matrix = np.eye(4)
+        else:
+            pair = (part["mesh"], part["material"])
+            if pair not in meshes:
+                meshes[pair] = _mesh(part["name"], package_file(folder, part["mesh"]))
+                meshes[pair].materials.append(materials[part["material"]])
+            mesh = meshes[pair]
+        thing = bpy.data.objects.new(part["name"], mesh)
         thing.matrix_world = matrix.T.tolist()
         collection.objects.link(thing)
-    return collection
 
 
-# ---- materials
-
-
-def _material(name: str, entry: dict[str, Any], folder: Path, pack: bool) -> bpy.types.Material:
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    for key, tag in (("classes", "sm_class"), ("replaceable_by", "sm_replaceable_by")):
-        if entry.get(key):
-            material[tag] = ", ".join(entry[key])
-    if entry.get("tile_size_m"):
-        material["sm_tile_size_m"] = entry["tile_size_m"]
-    build = _Nodes(material.node_tree, folder, pack)
-    diffuse = entry.get("diffuse_albedo", [0.5] * 3)
-    specular = entry.get("specular_albedo", [0.04] * 3)
-    roughness = entry.get("roughness", 0.5)
-    is_grey = isinstance(specular, list) and max(specular) - min(specular) < 1e-6
-    if is_grey and specular[0] <= _LARGEST_DIELECTRIC_F0:
-        shader = build.principled(diffuse, specular[0], roughness)
-    else:
-        shader = build.sum(diffuse, specular, roughness)
-    build.finish(shader, entry)
-    return material
-
-
-class _Nodes:
-    """Makes the nodes of one material."""
-
-    def __init__(self, tree: bpy.types.NodeTree, folder: Path, pack: bool):
-        self.tree, self.folder, self.pack = tree, folder, pack
-        self.principled_node = tree.nodes["Principled BSDF"]
-        self.output = tree.nodes["Material Output"]
-        self._column = 0
-
-    def _new(self, kind: str) -> bpy.types.Node:
-        node = self.tree.nodes.new(f"ShaderNode{kind}")
-        self._column += 1
-        node.location = (-320 - 40 * (self._column % 3), 320 - 280 * self._column)
-        return node
-
-    def _channel(self, value: Any, socket: bpy.types.NodeSocket) -> None:
-        """Set an input to a constant, or link the texture that the channel names."""
-        if not isinstance(value, dict):
-            is_colour = hasattr(socket.default_value, "__len__")
-            socket.default_value = (*value, 1.0) if is_colour else float(value)
-            return
-        node = self._new("TexImage")
-        node.image = bpy.data.images.load(str(_inside(self.folder, value["texture"])), check_existing=True)
-        if self.pack:
-            node.image.pack()
-        is_float = Path(value["texture"]).suffix.lower() == ".exr"
-        is_srgb = value["encoding"] == "srgb" and not is_float
-        node.image.colorspace_settings.name = "sRGB" if is_srgb else "Non-Color"
-        node.image.alpha_mode = "CHANNEL_PACKED"
-        source = node.outputs["Color"]
-        channel = value.get("channel", "rgb")
-        if channel == "a":
-            source = node.outputs["Alpha"]
-        elif channel != "rgb":
-            separate = self._new("SeparateColor")
-            self.tree.links.new(source, separate.inputs[0])
-            source = separate.outputs["rgb".index(channel)]
-        scale, offset = value.get("scale", 1.0), value.get("offset", 0.0)
-        if (scale, offset) != (1.0, 0.0):
-            adjust = self._new("VectorMath")
-            adjust.operation = "MULTIPLY_ADD"
-            adjust.inputs[1].default_value, adjust.inputs[2].default_value = (scale,) * 3, (offset,) * 3
-            self.tree.links.new(source, adjust.inputs[0])
-            source = adjust.outputs[0]
-        self.tree.links.new(source, socket)
-
-    def principled(self, diffuse: Any, f0: float, roughness: Any) -> bpy.types.Node:
-        node = self.principled_node
-        self._channel(diffuse, node.inputs["Base Color"])
-        self._channel(roughness, node.inputs["Roughness"])
-        node.inputs["IOR"].default_value = 1.5
-        node.inputs["Specular IOR Level"].default_value = f0 / 0.08  # F0 = 0.04 * 2 * level
-        return node
-
-    def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
-        """Diffuse of (1 - S) D plus Glossy of S."""
-        self.tree.nodes.remove(self.principled_node)
-        glossy, lambert, total = (
-            self._new("BsdfAnisotropic"),
-            self._new("BsdfDiffuse"),
-            self._new("AddShader"),
-        )
-        self._channel(specular, glossy.inputs["Color"])
-        self._channel(roughness, glossy.inputs["Roughness"])
-        invert, product = self._new("VectorMath"), self._new("VectorMath")
-        invert.operation, product.operation = "SUBTRACT", "MULTIPLY"
-        invert.inputs[0].default_value = (1, 1, 1)
-        for value, socket in ((specular, invert.inputs[1]), (diffuse, product.inputs[0])):
-            if isinstance(value, dict):
-                self._channel(value, socket)
-            else:
-                socket.default_value = value
-        self.tree.links.new(invert.outputs[0], product.inputs[1])
-        self.tree.links.new(product.outputs[0], lambert.inputs["Color"])
-        self.tree.links.new(lambert.outputs[0], total.inputs[0])
-        self.tree.links.new(glossy.outputs[0], total.inputs[1])
-        return total
-
-    def finish(self, shader: bpy.types.Node, entry: dict[str, Any]) -> None:
-        """Opacity, emission and normal around the shader."""
-        result = shader.outputs[0]
-        if entry.get("normal"):
-            normal = self._new("NormalMap")
-            self._channel(entry["normal"], normal.inputs["Color"])
-            for node in self.tree.nodes:
-                if node.type in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "BSDF_GLOSSY"):
-                    self.tree.links.new(normal.outputs[0], node.inputs["Normal"])
-        if entry.get("emission"):
-            emission, total = self._new("Emission"), self._new("AddShader")
-            strength = max(entry["emission"])
-            emission.inputs["Strength"].default_value = strength
-            colour = [component / strength for component in entry["emission"]] if strength > 0 else [0.0] * 3
-            emission.inputs["Color"].default_value = (*colour, 1)
-            self.tree.links.new(result, total.inputs[0])
-            self.tree.links.new(emission.outputs[0], total.inputs[1])
-            result = total.outputs[0]
-        if entry.get("opacity") is not None:
-            mix, clear = self._new("MixShader"), self._new("BsdfTransparent")
-            self._channel(entry["opacity"], mix.inputs[0])
-            self.tree.links.new(clear.outputs[0], mix.inputs[1])
-            self.tree.links.new(result, mix.inputs[2])
-            result = mix.outputs[0]
-        self.tree.links.new(result, self.output.inputs["Surface"])
-
-
-def _sample(material: bpy.types.Material, collection: bpy.types.Collection) -> None:
-    """A square metre that shows a material."""
-    mesh = bpy.data.meshes.new(material.name)
-    side = float(material.get("sm_tile_size_m", 1.0))
-    mesh.from_pydata([(0, 0, 0), (side, 0, 0), (side, side, 0), (0, side, 0)], [], [(0, 1, 2, 3)])
-    layer = mesh.uv_layers.new(name="UVMap")
-    layer.uv.foreach_set("vector", np.array([0, 0, 1, 0, 1, 1, 0, 1], np.float32))
-    mesh.materials.append(material)
-    collection.objects.link(bpy.data.objects.new(material.name, mesh))
-
-
-# ---- meshes
+def _is_sheared(matrix: NDArray[np.float64]) -> bool:
+    """Whether location, rotation and scale cannot express a matrix."""
+    kept = np.array(Matrix.LocRotScale(*Matrix(matrix.tolist()).decompose()))
+    return bool(np.abs(kept - matrix).max() > _SHEAR * np.abs(matrix[:3, :3]).max() + 1e-6)
 
 
 def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int32]]:
@@ -272,10 +176,15 @@ def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int
     return {name: table[:, i] for i, name in enumerate(names)}, faces["index"].astype(np.int32)
 
 
-def _mesh(name: str, path: Path) -> bpy.types.Mesh:
+def _mesh(name: str, path: Path, matrix: NDArray[np.float64] | None = None) -> bpy.types.Mesh:
+    """The mesh of a PLY file, moved by ``matrix`` (4, 4) if one is given."""
     columns, faces = read_ply(path)
     mesh = bpy.data.meshes.new(name)
-    positions = np.stack([columns[c] for c in "xyz"], axis=1)
+    matrix = np.eye(4) if matrix is None else matrix
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        faces = faces[:, ::-1]
+    positions = _stacked(columns, "x", "y", "z") @ matrix[:3, :3].T.astype(np.float32)
+    positions += matrix[:3, 3].astype(np.float32)
     mesh.vertices.add(len(positions))
     mesh.loops.add(faces.size)
     mesh.polygons.add(len(faces))
@@ -284,11 +193,16 @@ def _mesh(name: str, path: Path) -> bpy.types.Mesh:
     mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
     if "u" in columns:
         layer = mesh.uv_layers.new(name="UVMap")
-        uv = np.stack([columns["u"], columns["v"]], axis=1)[faces.ravel()]
+        uv = _stacked(columns, "u", "v")[faces.ravel()]
         layer.uv.foreach_set("vector", uv.astype(np.float32).ravel())
     mesh.update(calc_edges=True)
     mesh.validate()
     if "nx" in columns:
-        normals = np.stack([columns[c] for c in ("nx", "ny", "nz")], axis=1)
+        normals = _stacked(columns, "nx", "ny", "nz") @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
         mesh.normals_split_custom_set_from_vertices(normals.tolist())
     return mesh
+
+
+def _stacked(columns: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np.float32]:
+    return np.stack([columns[name] for name in names], axis=1)

@@ -316,11 +316,13 @@ class SCENE_MATERIALS_OT_import(bpy.types.Operator, ImportHelper):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            collection = import_package(Path(self.filepath))
+            imported = import_package(Path(self.filepath))
         except (OSError, ValueError, KeyError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"loaded {collection.name}")
+        for remark in imported.remarks:
+            self.report({"WARNING"}, remark)
+        self.report({"INFO"}, f"loaded {imported.collection.name}")
         return {"FINISHED"}
 
 
