@@ -158,7 +158,8 @@ def compare_denoisers(view: int) -> dict[str, Any]:
     configuration = configuration_of(library, 40, SIZE)
     renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=2))
     (first, second) = references(renderer, RESULTS, [view], 256)[view]
-    _, _, buffers, _ = renderer._trace(view)
+    begun = renderer._begin(view)
+    buffers, seen_lights = begun.buffers, begun.seen_lights
     sensor = renderer._sensor(configuration.cameras[view].camera())
     mask, normal = buffers["surface_mask"], buffers["normal_world"]
     both = auxiliary_albedo(buffers["diffuse_albedo"], buffers["specular_albedo"], mask)
@@ -174,7 +175,7 @@ def compare_denoisers(view: int) -> dict[str, Any]:
                 denoiser = OidnDenoiser(quality=quality)
                 denoiser.denoise(noisy[0], albedo, normal)
                 start = cpu_seconds()
-                images = [denoiser.denoise(image, albedo, normal) + buffers["seen_lights"] for image in noisy]
+                images = [denoiser.denoise(image, albedo, normal) + seen_lights for image in noisy]
                 seconds = (cpu_seconds() - start) / len(images)
                 denoiser.close()
                 result[f"{samples} samples, {quality}, {guide}"] = {

@@ -192,9 +192,10 @@ def measure(renderer: SceneRenderer, configuration: Configuration, compression: 
     views: list[RenderedView] = []
     for index in range(count):
         with watch.stage("path + buffers"):
-            traced = renderer._trace(index)
+            view = renderer._begin(index)
+            renderer._add_pass(view, renderer.recipe.path_samples or 0)
         with watch.stage("denoiser"):
-            views.append(renderer._finish(*traced))
+            views.append(renderer._finish(view))
     inputs = [
         StatisticsView.from_buffers(camera.camera(), view.buffers)
         for camera, view in zip(configuration.cameras, views, strict=True)

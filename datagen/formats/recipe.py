@@ -156,7 +156,7 @@ class RenderRecipe(StrictModel):
     quality: Quality | None = None
     path_samples: PathSamples | None = None
     max_rel_mse: Positive | None = None
-    max_path_samples: PathSamples | None = None
+    max_path_samples: Annotated[PathSamples, Field(ge=2)] | None = None
     firefly_clamp: Positive | None = None
     auxiliary_samples: Annotated[int, Field(ge=1, le=4096)] = 64
     max_depth: Annotated[int, Field(ge=1, le=1024)] | None = None

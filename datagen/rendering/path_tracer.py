@@ -8,17 +8,21 @@ The estimator is that of Mitsuba's ``path`` (tests hold one against the other), 
   curtains cast their own shadows also from point lights, and crossing them costs no path depth.
 
 No film is involved: a pixel's samples are neighbours in one array and are added in their order, so that a
-result has the same bytes however many threads made it. Camera, seed and sample count are data of the kernel.
+result has the same bytes however many threads made it. Camera, size, seed, sample count and the clamp are
+data of the kernel.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
+from datagen.rendering.sample_budget import PathSums
 
 if TYPE_CHECKING:
     from datagen.rendering.scene_builder import BuiltScene
@@ -31,6 +35,9 @@ LATTICE = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence: 1/g and 1/g^2 with g^3 = g + 1."""
 MAX_CROSSINGS = 32
 """Transparent surfaces that one ray crosses before it counts as blocked."""
+
+TINY = 1e-30
+"""Keeps the clamp's quotient finite for paths that bring nothing."""
 
 
 class PathTracer:
@@ -66,37 +73,65 @@ class PathTracer:
         ``with_seen_lights`` False leaves out what lights and background send straight to the camera; that is
         :meth:`render_seen_lights`, which has no noise worth denoising. ``seed`` is taken modulo 2^32.
         """
-        width, height = (int(v) for v in sensor.film().crop_size())
+        sums = self.add_up(sensor, num_samples, seed, with_seen_lights=with_seen_lights)
+        return sums.mean()
+
+    def add_up(
+        self,
+        sensor: Any,
+        num_samples: int,
+        seed: int,
+        *,
+        with_seen_lights: bool = False,
+        limit: float = math.inf,
+        grid: tuple[int, int] | None = None,
+    ) -> PathSums:
+        """Sums over ``num_samples`` paths a pixel.
+
+        A path whose largest channel exceeds ``limit`` is scaled down to it, and what that takes away is
+        added up too. ``grid`` (columns, rows) divides the image into other cells than its pixels. All calls
+        share one kernel.
+        """
+        width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
         num_per_launch = max(1, min(num_samples, MAX_LANES // (width * height)))
-        total = np.zeros((height, width, 3), np.float64)
-        done = 0
-        while done < num_samples:
-            count = min(num_per_launch, num_samples - done)
-            launch_seed = (seed + 0x9E3779B9 * done) & 0xFFFFFFFF
-            total += self._launch(sensor, (width, height), count, launch_seed, with_seen_lights)
-            done += count
-        return (total / num_samples).astype(np.float32)
+        sums = PathSums()
+        while sums.num_samples < num_samples:
+            count = min(num_per_launch, num_samples - sums.num_samples)
+            launch_seed = (seed + 0x9E3779B9 * sums.num_samples) & 0xFFFFFFFF
+            sums = sums + self._launch(sensor, (width, height), count, launch_seed, with_seen_lights, limit)
+        return sums
 
     def _launch(
-        self, sensor: Any, size: tuple[int, int], count: int, seed: int, with_seen_lights: bool
-    ) -> NDArray[np.float32]:
-        """Sum over ``count`` samples of each pixel, (H, W, 3)."""
-        width, height = size
-        num_lanes = width * height * count
+        self,
+        sensor: Any,
+        size: tuple[int, int],
+        count: int,
+        seed: int,
+        with_seen_lights: bool,
+        limit: float,
+    ) -> PathSums:
+        """Sums over ``count`` samples of each cell."""
+        num_lanes = size[0] * size[1] * count
         with dr.suspend_grad():
             self._sampler.seed(seed, num_lanes)
+            width, height = dr.opaque(mi.UInt32, size[0]), dr.opaque(mi.UInt32, size[1])
             pixel: Any = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
             row: Any = pixel // width
             offset: Any = self._sampler.next_2d()
             position = mi.Point2f(
-                (mi.Float(pixel - row * width) + offset.x) / width, (mi.Float(row) + offset.y) / height
+                (mi.Float(pixel - row * width) + offset.x) / mi.Float(width),
+                (mi.Float(row) + offset.y) / mi.Float(height),
             )
             ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
             radiance = self.sample(self._sampler, ray, with_seen_lights)
-            dr.eval(radiance)
-            sums = [dr.block_sum(channel, count) for channel in radiance]
+            kept = dr.minimum(dr.opaque(mi.Float, limit) / dr.maximum(dr.max(radiance), TINY), 1.0)
+            channels = [*(radiance * kept), mi.luminance(radiance) * (1.0 - kept)]
+            dr.eval(channels)
+            sums = [dr.block_sum(channel, count) for channel in channels]
             dr.eval(sums)
-        return np.stack([np.array(s) for s in sums], axis=-1).reshape(height, width, 3)
+        image = np.stack([np.array(s) for s in sums], axis=-1).astype(np.float64)
+        image = image.reshape(size[1], size[0], 4)
+        return PathSums(image[..., :3], image[..., 3], count)
 
     def render_seen_lights(
         self, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int

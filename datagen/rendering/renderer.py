@@ -6,8 +6,11 @@ but at edges; it is traced as finely as the ground truth and added afterwards. A
 changes its radiance by tens of percent and smears it over its dark surroundings.
 
 The scene is built once; a view is another set of camera numbers for the same kernels. Both passes use a
-box filter on the same pixels. The path pass draws its samples from (configuration seed, view index) alone
-and adds them in a fixed order, so that a view's bytes do not depend on what was rendered before it or where.
+box filter on the same pixels. Paths draw their samples from (configuration seed, view index, pass) alone and
+are added in a fixed order, so that a view's bytes do not depend on what was rendered before it or where.
+
+A recipe gives the number of paths, or an error: then passes are added to two independent halves of the image
+until the error estimated from them (:mod:`datagen.rendering.sample_budget`) is small enough.
 """
 
 from __future__ import annotations
@@ -16,9 +19,10 @@ import contextlib
 import ctypes
 import gc
 import hashlib
+import math
 import time
-from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -27,17 +31,28 @@ from numpy.typing import NDArray
 
 from datagen.buffers import BUFFERS, RENDERED_BUFFERS
 from datagen.cameras import Camera
+from datagen.color import exposure_for
 from datagen.errors import input_error
+from datagen.formats.base import quantized
 from datagen.formats.configuration import Configuration
-from datagen.formats.recipe import DEFAULT_MAX_DEPTH, DEFAULT_PATH_SAMPLES, RenderRecipe
+from datagen.formats.recipe import DEFAULT_MAX_DEPTH, RenderRecipe
 from datagen.formats.view import RenderRecord
 from datagen.rendering.denoiser import Denoiser, OidnDenoiser, auxiliary_albedo, make_denoiser
+from datagen.rendering.sample_budget import (
+    ErrorEstimate,
+    PathSums,
+    SampleBudget,
+    estimate_error,
+)
 from datagen.rendering.scene_builder import AssetCaches, BuiltScene, build_scene, sensor_for
 
 if TYPE_CHECKING:
     from datagen.library import Library
 
 HALF_MAX = 65504.0
+VIEWS_IN_FLIGHT = 2  # one is traced while another is denoised
+COARSE_CELLS = 1024  # of the image whose brightness sets the firefly clamp
+COARSE_SAMPLES = 32  # a cell
 _FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
 
 
@@ -55,6 +70,37 @@ class RenderedView:
     materials: dict[str, str]
     render: RenderRecord
     seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class _ViewInProgress:
+    """A view whose samples are being gathered. Arrays are (H, W, C); ``guides`` are the denoiser's."""
+
+    index: int
+    buffers: dict[str, NDArray]
+    seen_lights: NDArray[np.float32]
+    clamp_limit: float
+    seconds: dict[str, float]
+    halves: list[PathSums] = field(default_factory=lambda: [PathSums(), PathSums()])
+    num_passes: int = 0
+    estimate: ErrorEstimate | None = None
+    guides: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+
+
+@dataclass
+class _InFlight:
+    """A view on its way and what it waits for."""
+
+    steps: Generator[Future, None, RenderedView]
+    future: Future
+    result: RenderedView | None = None
+
+    def advance(self) -> None:
+        """Take the next step; what it waited for is done."""
+        try:
+            self.future = next(self.steps)
+        except StopIteration as stop:
+            self.result = stop.value
 
 
 def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
@@ -103,7 +149,11 @@ class SceneRenderer:
         from datagen.rendering.path_tracer import PathTracer
 
         self._max_depth = recipe.max_depth or DEFAULT_MAX_DEPTH
-        self._num_samples = recipe.path_samples or recipe.max_path_samples or DEFAULT_PATH_SAMPLES
+        self._budget = (
+            SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
+            if recipe.max_rel_mse is not None and recipe.max_path_samples is not None
+            else None
+        )
         self._tracer = PathTracer(self.built, self._max_depth, recipe.russian_roulette_depth)
         self._denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
         self._sensors: dict[tuple[int, int], Any] = {}
@@ -122,23 +172,50 @@ class SceneRenderer:
 
         Raises :class:`RenderError` where a pixel is NaN or Inf.
         """
-        return self._finish(*self._trace(index))
+        (view,) = self.render_views([index])
+        return view
 
     def render_views(self, indices: Iterable[int]) -> Iterator[RenderedView]:
         """Views in the order of ``indices``.
 
-        A view is denoised in a thread of its own while the next one is traced, and while the caller does what
-        it does with the one before.
+        What follows tracing (estimates of the error, the denoiser) runs in a thread of its own while another
+        view is traced, and while the caller does what it does with the one before.
         """
+        waiting = iter(indices)
+        in_flight: list[_InFlight] = []
         with ThreadPoolExecutor(1, thread_name_prefix="denoise") as pool:
-            pending: Future[RenderedView] | None = None
-            for index in indices:
-                following = pool.submit(self._finish, *self._trace(index))
-                if pending is not None:
-                    yield pending.result()
-                pending = following
-            if pending is not None:
-                yield pending.result()
+            while True:
+                index = next(waiting, None) if len(in_flight) < VIEWS_IN_FLIGHT else None
+                if index is not None:
+                    steps = self._steps(index, pool)
+                    in_flight.append(_InFlight(steps, next(steps)))
+                    continue
+                if not in_flight:
+                    return
+                running = [view for view in in_flight if view.result is None]
+                wait([view.future for view in running], return_when=FIRST_COMPLETED)
+                next(view for view in running if view.future.done()).advance()
+                while in_flight and (result := in_flight[0].result) is not None:
+                    in_flight.pop(0)
+                    yield result
+
+    def _steps(self, index: int, pool: ThreadPoolExecutor) -> Generator[Future, None, RenderedView]:
+        """The way of a view: traces, and yields whenever what it needs next is being made by ``pool``."""
+        view = self._begin(index)
+        if self._budget is None:
+            self._add_pass(view, self.recipe.path_samples or 0)
+        else:
+            total, following = 0, self._budget.first_total()
+            while following > total:
+                total = following
+                self._add_pass(view, total)
+                future = pool.submit(self._estimate, view)
+                yield future
+                view.estimate = future.result()
+                following = self._budget.next_total(total, view.estimate)
+        finishing = pool.submit(self._finish, view)
+        yield finishing
+        return finishing.result()
 
     def close(self) -> None:
         """Release the scene and the denoiser; shared caches keep their meshes and textures."""
@@ -155,8 +232,8 @@ class SceneRenderer:
         self._sensors[size].set_camera(camera)
         return self._sensors[size]
 
-    def _trace(self, index: int) -> tuple[int, NDArray[np.float32], dict[str, NDArray], dict[str, float]]:
-        """Noisy beauty and ground truth of a view, with the seconds of each pass."""
+    def _begin(self, index: int) -> _ViewInProgress:
+        """Ground truth of a view, and what its paths may bring at most."""
         from mitsuba_plugins.material_buffers import render_material_buffers
 
         if not 0 <= index < len(self.configuration.cameras):
@@ -167,23 +244,53 @@ class SceneRenderer:
                 f"0 ... {len(self.configuration.cameras) - 1}",
             )
         sensor = self._sensor(self.configuration.cameras[index].camera())
-        seed = self.configuration.seed
         start = time.perf_counter()
-        noisy = self._tracer.render(
-            sensor, self._num_samples, view_seed(seed, index, "path"), with_seen_lights=False
-        )
-        traced = time.perf_counter()
         buffers = render_material_buffers(
             self.built.scene,
             sensor,
             self.recipe.auxiliary_samples,
-            view_seed(seed, index, "buffers"),
+            self._seed(index, "buffers"),
             self._materials,
         )
         buffers.pop("position_world", None)
-        buffers["seen_lights"] = self._seen_lights(sensor, buffers["surface_mask"], index)
-        seconds = {"path": traced - start, "buffers": time.perf_counter() - traced}
-        return index, noisy, buffers, seconds
+        seen_lights = self._seen_lights(sensor, buffers["surface_mask"], index)
+        seconds = {"buffers": time.perf_counter() - start}
+        return _ViewInProgress(index, buffers, seen_lights, self._clamp_limit(sensor, index), seconds)
+
+    def _seed(self, index: int, purpose: str) -> int:
+        return view_seed(self.configuration.seed, index, purpose)
+
+    def _clamp_limit(self, sensor: Any, index: int) -> float:
+        """Radiance that one path may bring at most: so many times what the exposed image shows as white.
+
+        The exposure is that of a coarse image of reflected light, traced without a clamp beforehand. Infinite
+        where the recipe clamps nothing, or where less than a twentieth of the image is lit.
+        """
+        if self.recipe.firefly_clamp is None:
+            return math.inf
+        width, height = (int(v) for v in sensor.film().crop_size())
+        cell_px = max(1, math.isqrt(width * height // COARSE_CELLS))
+        grid = (math.ceil(width / cell_px), math.ceil(height / cell_px))
+        coarse = self._tracer.add_up(sensor, COARSE_SAMPLES, self._seed(index, "exposure"), grid=grid)
+        image = coarse.radiance / coarse.num_samples
+        if np.count_nonzero(image.any(axis=-1)) < 0.05 * image[..., 0].size:
+            return math.inf
+        return self.recipe.firefly_clamp / exposure_for(image)
+
+    def _add_pass(self, view: _ViewInProgress, total: int) -> None:
+        """Trace what is missing to ``total`` samples a pixel; a budget's passes feed two halves evenly."""
+        start = time.perf_counter()
+        sensor = self._sensor(self.configuration.cameras[view.index].camera())
+        if self._budget is None:
+            samples, seeds = [total], [self._seed(view.index, "path")]
+        else:
+            samples = [total // 2 - half.num_samples for half in view.halves]
+            seeds = [self._seed(view.index, f"path/{view.num_passes}/{half}") for half in "ab"]
+        for half, (count, seed) in enumerate(zip(samples, seeds, strict=True)):
+            sums = self._tracer.add_up(sensor, count, seed, limit=view.clamp_limit)
+            view.halves[half] = view.halves[half] + sums
+        view.num_passes += 1
+        view.seconds["path"] = view.seconds.get("path", 0.0) + time.perf_counter() - start
 
     def _seen_lights(self, sensor: Any, mask: NDArray[np.float32], index: int) -> NDArray[np.float32]:
         """Light that reaches the camera straight from lights and background, (H, W, 3).
@@ -193,54 +300,78 @@ class SceneRenderer:
         image = np.zeros((mask.size, 3), np.float32)
         pixels = np.flatnonzero(mask.ravel() < 1.0 - _FULL_COVERAGE_SLACK).astype(np.uint32)
         if pixels.size:
-            seed = view_seed(self.configuration.seed, index, "lights")
             image[pixels] = self._tracer.render_seen_lights(
-                sensor, pixels, self.recipe.auxiliary_samples, seed
+                sensor, pixels, self.recipe.auxiliary_samples, self._seed(index, "lights")
             )
         return image.reshape(*mask.shape[:2], 3)
 
-    def _finish(
-        self,
-        index: int,
-        noisy: NDArray[np.float32],
-        buffers: dict[str, NDArray],
-        seconds: dict[str, float],
-    ) -> RenderedView:
-        start = time.perf_counter()
-        self._check_finite(index, {"beauty_noisy": noisy, **buffers})
-        seen_lights = buffers.pop("seen_lights")
-        beauty = noisy + seen_lights
-        if self._denoiser is not None:
+    def _denoise(self, view: _ViewInProgress, noisy: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Reflected light without its noise; ``noisy`` itself where the recipe has no denoiser."""
+        if self._denoiser is None:
+            return noisy
+        if view.guides is None:
+            buffers = view.buffers
             albedo = auxiliary_albedo(
                 buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
             )
             normal = buffers["normal_world"]
             if self._denoiser.wants_camera_normals:
-                camera = self.configuration.cameras[index].camera()
+                camera = self.configuration.cameras[view.index].camera()
                 normal = normal @ camera.world_from_camera[:3, :3].astype(np.float32)
-            beauty = self._denoiser.denoise(noisy, albedo, normal) + seen_lights
-            self._check_finite(index, {"beauty": beauty})
-        clipped = int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1)))
+            view.guides = (albedo, normal)
+        return self._denoiser.denoise(noisy, *view.guides)
+
+    def _estimate(self, view: _ViewInProgress) -> ErrorEstimate:
+        """Error of the view as it would be finished now."""
+        start = time.perf_counter()
+        a, b = (half.mean() for half in view.halves)
+        self._check_finite(view.index, {"beauty_noisy": a + b, **view.buffers})
+        clean_a, clean_b = self._denoise(view, a), self._denoise(view, b)
+        removed_share = (view.halves[0] + view.halves[1]).removed_share()
+        estimate = estimate_error((a, b), (clean_a, clean_b), view.seen_lights, removed_share)
+        view.seconds["estimate"] = view.seconds.get("estimate", 0.0) + time.perf_counter() - start
+        return estimate
+
+    def _finish(self, view: _ViewInProgress) -> RenderedView:
+        start = time.perf_counter()
+        sums = view.halves[0] + view.halves[1]
+        noisy = sums.mean()
+        self._check_finite(view.index, {"beauty_noisy": noisy, "lights": view.seen_lights, **view.buffers})
+        beauty = self._denoise(view, noisy) + view.seen_lights
+        self._check_finite(view.index, {"beauty": beauty})
+        buffers = dict(view.buffers)
         buffers["beauty"] = np.minimum(beauty, HALF_MAX)
         names = list(RENDERED_BUFFERS)
         if self.recipe.keep_noisy:
-            buffers["beauty_noisy"] = np.minimum(noisy + seen_lights, HALF_MAX)
+            buffers["beauty_noisy"] = np.minimum(noisy + view.seen_lights, HALF_MAX)
             names.append("beauty_noisy")
         record = RenderRecord(
             variant=self.variant,
-            seed=view_seed(self.configuration.seed, index, "path"),
-            path_samples=self._num_samples,
+            seed=self._seed(view.index, "path"),
+            path_samples=sums.num_samples,
             auxiliary_samples=self.recipe.auxiliary_samples,
             max_depth=self._max_depth,
             russian_roulette_depth=self.recipe.russian_roulette_depth,
             denoiser=self._denoiser.name if self._denoiser is not None else "none",
-            clipped_pixels=clipped,
+            clipped_pixels=int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1))),
+            **self._budget_record(view, sums),
         )
-        seconds["denoise"] = time.perf_counter() - start
+        view.seconds["denoise"] = time.perf_counter() - start
         ordered = {
             name: buffers[name].reshape(*noisy.shape[:2], BUFFERS[name].num_channels) for name in names
         }
-        return RenderedView(index, ordered, self._instances, self._material_names, record, seconds)
+        return RenderedView(view.index, ordered, self._instances, self._material_names, record, view.seconds)
+
+    def _budget_record(self, view: _ViewInProgress, sums: PathSums) -> dict[str, Any]:
+        """What the record says about error and clamp."""
+        fields: dict[str, Any] = {}
+        if self._budget is not None and view.estimate is not None:
+            fields["estimated_rel_mse"] = quantized(view.estimate.rel_mse, 4)
+            fields["at_ceiling"] = view.estimate.rel_mse > self._budget.max_rel_mse
+        if math.isfinite(view.clamp_limit):
+            fields["firefly_clamp_radiance"] = quantized(view.clamp_limit, 6)
+            fields["clamped_energy"] = quantized(sums.removed_share(), 4)
+        return fields
 
     def _check_finite(self, index: int, buffers: dict[str, NDArray]) -> None:
         for name, array in buffers.items():
