@@ -32,16 +32,18 @@ Encoding = Literal["auto", "linear", "srgb", "gamma22"]
 class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
-    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing ones 0; ``fisheye``: k1 k2 k3 k4.
+    ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing ones 0; ``polynomial``: k1 k2 p1 p2 k3 k4 without a
+    denominator, k4 for r^8, as RealityCapture and Metashape have it; ``fisheye``: k1 k2 k3 k4.
     """
 
-    model: Literal["brown", "fisheye"]
+    model: Literal["brown", "polynomial", "fisheye"]
     coefficients: Annotated[tuple[float, ...], Field(min_length=1, max_length=8)]
 
     @model_validator(mode="after")
     def _fits_the_model(self) -> Distortion:
-        if self.model == "fisheye" and len(self.coefficients) > 4:
-            raise ValueError("expected at most 4 coefficients of a fisheye")
+        limit = {"brown": 8, "polynomial": 6, "fisheye": 4}[self.model]
+        if len(self.coefficients) > limit:
+            raise ValueError(f"expected at most {limit} coefficients of a {self.model} lens")
         return self
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+
+if TYPE_CHECKING:
+    from model.reconstruction.captures import CaptureOptions
 
 
 def register_verbs(app: typer.Typer) -> None:
@@ -18,7 +21,7 @@ def register_verbs(app: typer.Typer) -> None:
 
 def infer(
     capture: Annotated[
-        Path, typer.Argument(help="Shard, capture.json, transforms.json, COLMAP folder, Mitsuba scene.")
+        Path, typer.Argument(help="Cameras of any form (docs/captures.md), a shard, a package, capture.json.")
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work continues.")],
     checkpoint: Annotated[
@@ -37,9 +40,15 @@ def infer(
         Optional[list[Path]],  # noqa: UP045
         typer.Option("--library", help="Packages that a shard was rendered with, repeatable."),
     ] = None,
-    up: Annotated[str, typer.Option("--up", help="Up axis of the cameras' world: y or z.")] = "z",
-    mesh_up: Annotated[str, typer.Option("--mesh-up", help="Up axis of the mesh: same, y or z.")] = "same",
-    unit: Annotated[float, typer.Option("--unit", help="Metres in a unit of cameras and mesh.")] = 1.0,
+    up: Annotated[
+        str, typer.Option("--up", help="Up axis of the cameras' world: auto, y, z, -y ...")
+    ] = "auto",
+    mesh_up: Annotated[
+        str, typer.Option("--mesh-up", help="Up axis of the mesh: same, y, z, -y ...")
+    ] = "same",
+    unit: Annotated[
+        str, typer.Option("--unit", help="Metres in a unit of cameras and mesh, or auto.")
+    ] = "auto",
     encoding: Annotated[str, typer.Option("--encoding", help="auto, linear, srgb or gamma22.")] = "auto",
     exposure: Annotated[str, typer.Option("--exposure", help="common, or exif to even it out.")] = "common",
     max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = 640,
@@ -57,34 +66,19 @@ def infer(
 
     Example: materials infer photos --mesh room.glb --checkpoint run/final.safetensors --out room
     """
-    from model.reconstruction.captures import CaptureOptions, read_capture
+    from model.reconstruction.captures import read_capture
     from model.reconstruction.infer import InferOptions
     from model.reconstruction.infer import infer as run
 
     choices: dict[str, tuple[str, tuple[str, ...]]] = {
-        "--up": (up, ("y", "z")),
-        "--mesh-up": (mesh_up, ("same", "y", "z")),
-        "--encoding": (encoding, ("auto", "linear", "srgb", "gamma22")),
-        "--exposure": (exposure, ("common", "exif")),
         "--visibility": (visibility, ("depth", "trace")),
         "--precision": (precision, ("auto", "float32", "bfloat16")),
     }
-    for option, (value, allowed) in choices.items():
-        if value not in allowed:
-            raise typer.BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)
+    _check_choices(choices)
     if atlas != "auto" and not atlas.isdigit():
         raise typer.BadParameter(f"{atlas!r}; expected auto or a number", param_hint="--atlas")
-    reading: dict[str, Any] = {"up": up, "mesh_up": mesh_up, "encoding": encoding, "exposure": exposure}
     opened = read_capture(
-        capture,
-        CaptureOptions(
-            mesh=mesh,
-            images=images,
-            unit_m=unit,
-            max_width_px=max_width,
-            library=tuple(library or ()),
-            **reading,
-        ),
+        capture, _reading(mesh, images, library, up, mesh_up, unit, encoding, exposure, max_width)
     )
     doing: dict[str, Any] = {"visibility": visibility, "precision": precision}
     options = InferOptions(
@@ -116,6 +110,49 @@ def infer(
     )
     typer.echo(report.table())
     typer.echo(str(out / "asset"))
+
+
+def _check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:
+    for option, (value, allowed) in choices.items():
+        if value not in allowed:
+            raise typer.BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)
+
+
+def _reading(
+    mesh: Path | None,
+    images: Path | None,
+    library: list[Path] | None,
+    up: str,
+    mesh_up: str,
+    unit: str,
+    encoding: str,
+    exposure: str,
+    max_width: int,
+) -> CaptureOptions:
+    """How to read a capture, from the command line's words."""
+    from model.reconstruction.captures import AXES, CaptureOptions
+
+    _check_choices(
+        {
+            "--up": (up, ("auto", *AXES)),
+            "--mesh-up": (mesh_up, ("same", *AXES)),
+            "--encoding": (encoding, ("auto", "linear", "srgb", "gamma22")),
+            "--exposure": (exposure, ("common", "exif")),
+        }
+    )
+    try:
+        unit_m = None if unit == "auto" else float(unit)
+    except ValueError:
+        raise typer.BadParameter(f"{unit!r}; expected auto or metres", param_hint="--unit") from None
+    chosen: dict[str, Any] = {"up": up, "mesh_up": mesh_up, "encoding": encoding, "exposure": exposure}
+    return CaptureOptions(
+        mesh=mesh,
+        images=images,
+        unit_m=unit_m,
+        max_width_px=max_width,
+        library=tuple(library or ()),
+        **chosen,
+    )
 
 
 def render(

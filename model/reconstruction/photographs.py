@@ -17,7 +17,7 @@ from datagen.cameras import Camera
 from datagen.color import linear_from_srgb
 from datagen.errors import input_error
 from datagen.formats.capture import ColorImage, Distortion, Encoding
-from datagen.images import normalized, read_image
+from datagen.images import normalized, read_image, read_ldr
 
 PAPER_GAMMA = 2.2
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
@@ -51,18 +51,7 @@ class PhotographSource:
 def read_photograph(path: Path) -> NDArray:
     """Pixels (H, W, C) as stored, orientation not applied. PNG, JPEG, EXR by ``datagen.images``, TIFF
     besides."""
-    if path.suffix.lower() not in (".tif", ".tiff"):
-        return read_image(path)
-    import cv2
-
-    data = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.zeros(0, np.uint8)
-    flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-    pixels = cv2.imdecode(data, flags) if data.size else None
-    if pixels is None:
-        raise input_error(path, got="unreadable", expected="a readable TIFF", remedy="export it again")
-    if pixels.ndim == 2:
-        return pixels[..., None]
-    return np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
+    return read_ldr(path, ("TIFF",)) if path.suffix.lower() in (".tif", ".tiff") else read_image(path)
 
 
 def exif_orientation(path: Path) -> int:
@@ -170,33 +159,52 @@ def _distorted_pixels(
     lens: Camera, distortion: Distortion | None, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Where each pixel of ``camera`` lies in the lens's image, in OpenCV's coordinates, (H, W) twice."""
-    import cv2
-
     size = (camera.width_px, camera.height_px)
-    matrices = [
-        np.array([[c.fx_px, 0, c.cx_px - 0.5], [0, c.fy_px, c.cy_px - 0.5], [0, 0, 1]])
-        for c in (lens, camera)
-    ]
+    u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
+    x, y = np.moveaxis(lens_pixels(lens, distortion, rays) - 0.5, -1, 0)
     if distortion is not None and distortion.model == "fisheye":
+        return x.astype(np.float32), y.astype(np.float32)
+    folded = _is_beyond_fold(distortion, np.hypot(rays[..., 0], rays[..., 1]))
+    return np.where(folded, np.float32(-1e6), x.astype(np.float32)), y.astype(np.float32)
+
+
+def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> NDArray[np.float64]:
+    """Pixels (..., 2), centres at +0.5, at which a lens shows rays (x / z, y / z) in its camera's frame."""
+    x, y = np.moveaxis(np.asarray(rays, dtype=np.float64), -1, 0)
+    if distortion is not None and distortion.model == "fisheye":
+        r = np.hypot(x, y)
+        theta = np.arctan(r)
         k = np.zeros(4)
         k[: len(distortion.coefficients)] = distortion.coefficients
-        x, y = cv2.fisheye.initUndistortRectifyMap(matrices[0], k, np.eye(3), matrices[1], size, cv2.CV_32FC1)
-        return np.asarray(x, np.float32), np.asarray(y, np.float32)
-    k = np.zeros(8)  # k1 k2 p1 p2 k3 k4 k5 k6
-    if distortion is not None:
-        k[: len(distortion.coefficients)] = distortion.coefficients
-    x, y = cv2.initUndistortRectifyMap(matrices[0], k, np.eye(3), matrices[1], size, cv2.CV_32FC1)
-    folded = _is_beyond_fold(k, matrices[1], size)
-    return np.where(folded, np.float32(-1e6), np.asarray(x, np.float32)), np.asarray(y, np.float32)
+        t = theta**2
+        bent = theta * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
+        scale = np.where(r > 1e-12, bent / np.maximum(r, 1e-12), 1.0)  # the centre stays where it is
+        x, y = x * scale, y * scale
+    elif distortion is not None:
+        r2, factor = x * x + y * y, _radial(distortion, x * x + y * y)
+        p1, p2 = (*distortion.coefficients, 0.0, 0.0, 0.0, 0.0)[2:4]
+        x, y = (
+            x * factor + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * factor + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        )
+    return np.stack([lens.fx_px * x + lens.cx_px, lens.fy_px * y + lens.cy_px], axis=-1)
 
 
-def _is_beyond_fold(k: NDArray, matrix: NDArray, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """(H, W): pixels past the radius where the radial polynomial turns back and would show the image
-    twice."""
-    u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
-    r = np.hypot((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1])
+def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The factor by which a brown or polynomial lens moves points at squared radii ``r2``."""
+    k = np.zeros(8)
+    k[: len(distortion.coefficients)] = distortion.coefficients
+    if distortion.model == "polynomial":
+        return 1 + r2 * (k[0] + r2 * (k[1] + r2 * (k[4] + r2 * k[5])))
+    above = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    return above / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+
+
+def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.bool_]:
+    """Pixels past the radius where the radial polynomial turns back and would show the image twice."""
+    if distortion is None:
+        return np.zeros(r.shape, dtype=bool)
     steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)
-    s = steps**2
-    bent = steps * (1 + s * (k[0] + s * (k[1] + s * k[4]))) / (1 + s * (k[5] + s * (k[6] + s * k[7])))
-    turns = np.flatnonzero(np.diff(bent) <= 0)
+    turns = np.flatnonzero(np.diff(steps * _radial(distortion, steps**2)) <= 0)
     return r > steps[turns[0]] if turns.size else np.zeros(r.shape, dtype=bool)

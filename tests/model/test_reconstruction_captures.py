@@ -20,7 +20,7 @@ from datagen.formats.capture import Distortion
 from datagen.images import encode_png
 from datagen.meshes import encode_ply
 from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
-from model.reconstruction.colmap import MODELS, read_colmap
+from model.reconstruction.captures.colmap import MODELS, read_colmap
 from model.reconstruction.photographs import fit_orientation, linearized, undistorted, upright
 from tests.datagen.small_library import box, with_uv
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem, input_error
 from datagen.formats.capture import Distortion
+from model.reconstruction.captures.posed import Calibration, PosedImage
 
 MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -30,15 +31,6 @@ _UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and 
 
 
 @dataclass(frozen=True)
-class PosedImage:
-    """An image of a calibration: file name as it stands there, camera with its pose, distortion."""
-
-    file: str
-    camera: Camera
-    distortion: Distortion | None
-
-
-@dataclass(frozen=True)
 class _Lens:
     model: str
     width: int
@@ -46,9 +38,19 @@ class _Lens:
     parameters: tuple[float, ...]
 
 
-def is_colmap_model(folder: Path) -> bool:
-    """Whether the folder holds cameras and images in either form."""
-    return any(all((folder / f"{n}{s}").is_file() for n in ("cameras", "images")) for s in (".bin", ".txt"))
+def find(path: Path) -> Path | None:
+    """The model in the folder ``path``, in ``sparse`` or in ``sparse/0``."""
+    for model in (path, path / "sparse", path / "sparse" / "0"):
+        if any(all((model / f"{n}{s}").is_file() for n in ("cameras", "images")) for s in (".bin", ".txt")):
+            return model
+    return None
+
+
+def read(path: Path, images: Path | None) -> Calibration:
+    """Every registered image; photographs lie in ``images`` beside or above the model."""
+    beside = (path / "images", path.parent / "images", path.parent.parent / "images")
+    folder = images or next((f for f in beside if f.is_dir()), beside[0])
+    return Calibration(tuple(read_colmap(path)), folder)
 
 
 def read_colmap(folder: Path) -> list[PosedImage]:

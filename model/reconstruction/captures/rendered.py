@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from datagen.cameras import Camera
 from datagen.errors import InputError, input_error
 from datagen.farm.folder import DatasetFolder
-from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
 from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
 from datagen.formats.exr import decode_view
+from datagen.formats.package import Package
 from datagen.formats.shard import ShardReader
 from datagen.library import Library
 from datagen.meshes import Mesh, decode_ply, joined, without_degenerate
@@ -89,30 +90,59 @@ def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
     """Every placed part as one mesh in the world, and notes about what a mesh cannot say."""
-    meshes: list[Mesh] = []
-    parts: list[GeometryPart] = []
-    notes: dict[str, None] = {}
-    first = 0
+    found = []
     for placed in (configuration.environment, *configuration.objects):
         package = library.package(placed.asset)
         expected = configuration.assets.get(placed.asset)
         if package.sha256 != expected:
             remedy = "use the library that the capture was rendered with"
             raise input_error(package.path, "hash", package.sha256, str(expected), remedy)
-        asset = package.asset
-        assert isinstance(asset, ObjectAsset | EnvironmentAsset)
-        for part in asset.parts:
-            name = f"{placed.name}/{part.name}"
-            matrix = np.asarray(placed.world_from_asset) @ np.asarray(part.asset_from_part)
-            mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
-            mesh = without_degenerate(_placed(mesh, matrix))
-            if _has_opacity(placed, asset, part.material, library):
-                notes[f"{name}: its opacity is not part of the geometry; the part counts as solid"] = None
-            meshes.append(mesh)
-            emission = _emission(placed, asset, part.material, library)
-            parts.append(GeometryPart(name, first, len(mesh.faces), emission))
-            first += len(mesh.faces)
-    return CaptureGeometry(joined(meshes), tuple(parts)), tuple(notes)
+        found.append(_parts_of(package, placed, library))
+    return _geometry([part for parts in found for part in parts])
+
+
+def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
+    """The parts of one package with materials of its own."""
+    return _geometry(_parts_of(package, placed, None))
+
+
+@dataclass(frozen=True)
+class _PlacedPart:
+    name: str
+    mesh: Mesh
+    emission: tuple[float, float, float] | None
+    has_opacity: bool
+
+
+def _parts_of(package: Package, placed: PlacedAsset, library: Library | None) -> list[_PlacedPart]:
+    asset = package.asset
+    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    found = []
+    for part in asset.parts:
+        matrix = np.asarray(placed.world_from_asset) @ np.asarray(part.asset_from_part)
+        mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
+        mesh = without_degenerate(_placed(mesh, matrix))
+        material = _material(placed, asset, part.material, library)
+        emission = placed.emission.get(part.material, material.emission)
+        is_lamp = emission is not None and any(c > 0 for c in emission)
+        has_opacity = material.opacity not in (None, 1.0)
+        name = f"{placed.name}/{part.name}"
+        found.append(_PlacedPart(name, mesh, emission if is_lamp else None, has_opacity))
+    return found
+
+
+def _geometry(found: list[_PlacedPart]) -> tuple[CaptureGeometry, tuple[str, ...]]:
+    parts: list[GeometryPart] = []
+    first = 0
+    for part in found:
+        parts.append(GeometryPart(part.name, first, len(part.mesh.faces), part.emission))
+        first += len(part.mesh.faces)
+    notes = dict.fromkeys(
+        f"{part.name}: its opacity is not part of the geometry; the part counts as solid"
+        for part in found
+        if part.has_opacity
+    )
+    return CaptureGeometry(joined([part.mesh for part in found]), tuple(parts)), tuple(notes)
 
 
 def _placed(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
@@ -122,21 +152,12 @@ def _placed(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
     return world
 
 
-def _material(placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library):
+def _material(
+    placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library | None
+) -> Material:
     assignment = placed.materials.get(slot, MaterialAssignment())
-    if assignment.asset is None:
+    if assignment.asset is None or library is None:
         return asset.materials[slot]
-    return library.package(assignment.asset).asset.material  # type: ignore[union-attr]
-
-
-def _has_opacity(
-    placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library
-) -> bool:
-    return _material(placed, asset, slot, library).opacity not in (None, 1.0)
-
-
-def _emission(
-    placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library
-) -> tuple[float, float, float] | None:
-    emission = placed.emission.get(slot, _material(placed, asset, slot, library).emission)
-    return emission if emission is not None and any(c > 0 for c in emission) else None
+    chosen = library.package(assignment.asset).asset
+    assert isinstance(chosen, MaterialAsset)
+    return chosen.material

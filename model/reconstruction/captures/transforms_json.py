@@ -19,7 +19,7 @@ from datagen.errors import InputError, Problem, input_error
 from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
 from datagen.images import image_size
-from model.reconstruction.colmap import PosedImage
+from model.reconstruction.captures.posed import Calibration, PosedImage, pose_of, rotation_part
 
 _OURS_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _MODELS = {
@@ -27,7 +27,17 @@ _MODELS = {
     "RADIAL": "brown", "FULL_OPENCV": "brown", "OPENCV_FISHEYE": "fisheye",
 }  # fmt: skip
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr")
-_RIGID_TOLERANCE = 1e-3
+
+
+def find(path: Path) -> Path | None:
+    """The file at ``path``, or ``transforms.json`` in that folder."""
+    file = path / "transforms.json" if path.is_dir() else path
+    return file if file.suffix == ".json" and file.is_file() else None
+
+
+def read(path: Path, images: Path | None) -> Calibration:
+    """Every frame."""
+    return Calibration(tuple(read_transforms(path)), images or path.parent)
 
 
 def read_transforms(path: Path) -> list[PosedImage]:
@@ -62,20 +72,9 @@ def _posed(values: dict[str, Any], path: Path, field: str) -> PosedImage:
     matrix = np.asarray(values.get("transform_matrix"), dtype=np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise input_error(path, f"{field}.transform_matrix", matrix.shape, "a 4x4 matrix", "export it again")
-    rotation = matrix[:3, :3]
-    scale = float(np.cbrt(abs(np.linalg.det(rotation))))
-    is_rigid = scale > 0 and np.allclose(
-        rotation.T @ rotation / scale**2, np.eye(3), rtol=0, atol=_RIGID_TOLERANCE
-    )
-    if not is_rigid or np.linalg.det(rotation) < 0:
-        raise input_error(
-            path, f"{field}.transform_matrix", rotation.tolist(), "a rotation", "export it again"
-        )
-    matrix = matrix.copy()
-    u, _, vt = np.linalg.svd(rotation)
-    matrix[:3, :3] = u @ vt  # files round their numbers
+    pose = pose_of(rotation_part(matrix[:3, :3], path, f"{field}.transform_matrix"), matrix[:3, 3])
     return PosedImage(
-        str(image), _camera(values, image, path, field, matrix @ _OURS_FROM_OPENGL), _distortion(values, path)
+        str(image), _camera(values, image, path, field, pose @ _OURS_FROM_OPENGL), _distortion(values, path)
     )
 
 

@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: MIT
+"""Captures of every form. ``read.py`` recognises a form and calls its module; a module knows one form."""
+
+from __future__ import annotations
+
+from model.reconstruction.captures.frames import AXES
+from model.reconstruction.captures.read import (
+    CaptureOptions,
+    capture_file,
+    open_capture,
+    read_capture,
+    shrunk_camera,
+    write_capture,
+)
+
+__all__ = [
+    "AXES",
+    "CaptureOptions",
+    "capture_file",
+    "open_capture",
+    "read_capture",
+    "shrunk_camera",
+    "write_capture",
+]

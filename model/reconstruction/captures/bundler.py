@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""Bundler's ``bundle.out`` (v0.3) with its ``list.txt``: what many tools can write.
+
+Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up;
+p = -P / P.z, and the pixel is f (1 + k1 |p|^2 + k2 |p|^4) p from the image's centre, upwards. Cameras with
+f = 0 were not placed. Images are not sized in the file, so they must be at hand.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.images import image_size
+from model.reconstruction.captures.posed import (
+    EXPORT_AGAIN,
+    Calibration,
+    ImageFinder,
+    PosedImage,
+    head_of,
+    polynomial,
+    pose_of,
+    read_text,
+    rotation_part,
+)
+
+_LISTS = ("list.txt", "image_list.txt", "bundle.out.list.txt")
+
+
+def find(path: Path) -> Path | None:
+    """The file at ``path``, or the only ``.out`` in that folder."""
+    files = sorted(path.glob("*.out")) if path.is_dir() else [path] if path.suffix == ".out" else []
+    found = [file for file in files if head_of(file).startswith("# Bundle file")]
+    return found[0] if len(found) == 1 else None
+
+
+def read(path: Path, images: Path | None) -> Calibration:
+    """Every camera that was placed. Raises :class:`InputError` with all faults."""
+    names = _names(path)
+    try:
+        words = [line for line in read_text(path).splitlines() if not line.startswith("#")]
+        num_cameras = int(words[0].split()[0])
+        rows = [[float(word) for word in line.split()] for line in words[1 : 1 + 5 * num_cameras]]
+        table = np.array(rows).reshape(num_cameras, 5, 3)
+    except (ValueError, IndexError) as error:
+        expected = "the number of cameras and 5 rows of 3 numbers a camera"
+        raise input_error(path, "", str(error)[:200], expected, EXPORT_AGAIN) from None
+    if len(names) != num_cameras:
+        raise input_error(path, "images", len(names), f"{num_cameras} in the list", EXPORT_AGAIN)
+    folder = images or path.parent
+    finder = ImageFinder(folder)
+    found: list[PosedImage] = []
+    problems: list[Problem] = []
+    for name, (lens, *rows_of_rotation, translation) in zip(names, table, strict=True):
+        if lens[0] == 0:
+            continue
+        image = finder.find(name)
+        if image is None:
+            remedy = "name its folder with --images: the file does not say how large it is"
+            problems.append(Problem(path, name, "not found", f"this image in {folder}", remedy))
+            continue
+        try:
+            rotation = rotation_part(np.array(rows_of_rotation), path, name)
+        except InputError as error:
+            problems.extend(error.problems)
+            continue
+        width, height = image_size(image)
+        pose = pose_of(rotation.T @ np.diag([1.0, -1.0, -1.0]), -rotation.T @ translation)
+        focal = float(lens[0])
+        camera = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
+        distortion = polynomial((float(lens[1]), float(lens[2]), 0.0, 0.0), (0.0, 0.0))
+        found.append(PosedImage(name, camera, distortion))
+    if not found and not problems:
+        problems.append(Problem(path, "cameras", "none was placed", "at least one", EXPORT_AGAIN))
+    if problems:
+        raise InputError(*problems)
+    unplaced = num_cameras - len(found)
+    notes = (f"{unplaced} cameras were not placed and were left out",) if unplaced else ()
+    return Calibration(tuple(found), folder, notes)
+
+
+def _names(path: Path) -> list[str]:
+    """First word of every line of the list beside the file."""
+    for name in (f"{path.stem}.list.txt", *_LISTS):
+        if (path.parent / name).is_file():
+            return [line.split()[0] for line in read_text(path.parent / name).splitlines() if line.strip()]
+    raise input_error(path, "", "no list of images beside it", " or ".join(_LISTS), "add it")

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""Which way is up, and how long is a unit: stated, or judged by two rules that are told to the user.
+
+Up: photographers hold cameras upright, so the axis within 30 degrees of the cameras' mean up direction is up.
+Unit: a room is 1 m to 100 m across (the diagonal of its bounding box); larger ones are in millimetres or
+centimetres, whichever brings them nearer to 8 m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+AXES: tuple[Axis, ...] = ("x", "y", "z", "-x", "-y", "-z")
+_MAX_TILT_RAD = np.radians(30.0)
+_MIN_AGREEMENT = 0.3  # length of the mean up direction; cameras that look down every way have none
+_LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0
+_SMALLEST_ROOM = 1.0
+
+_Z_FROM = {
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+}
+
+
+def z_up_from(up: Axis) -> NDArray[np.float64]:
+    """Rotation (3, 3) that takes the axis ``up`` to +z."""
+    return np.array(_Z_FROM[up], dtype=np.float64)
+
+
+def world_from_source(up: Axis, unit_m: float) -> NDArray[np.float64]:
+    """(4, 4) to metres with Z up."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = unit_m * z_up_from(up)
+    return matrix
+
+
+def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
+    """The axis that the cameras take for up, and a sentence about it. 'z' where they agree on none."""
+    mean = np.mean([-camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(mean))
+    at = int(np.abs(mean).argmax())
+    axis: Axis = AXES[at if mean[at] > 0 else at + 3]
+    said = ", ".join(f"{v:.2f}" for v in mean)
+    if length >= _MIN_AGREEMENT and abs(mean[at]) / length >= np.cos(_MAX_TILT_RAD):
+        return axis, f"up: {axis}, as the cameras are held (their mean up is {said}); --up says otherwise"
+    return "z", f"up: z, for want of better: no axis is the cameras' mean up ({said}); say it with --up"
+
+
+def judged_unit(diagonal: float) -> tuple[float, str]:
+    """Metres in a unit of a mesh of this size, and a sentence about it."""
+    unit = 1.0
+    if np.isfinite(diagonal) and diagonal > _LARGEST_ROOM:
+        unit = min((0.01, 0.001), key=lambda u: abs(np.log(diagonal * u / _USUAL_ROOM_M)))
+    name = {1.0: "metres", 0.01: "centimetres", 0.001: "millimetres"}[unit]
+    doubt = "" if diagonal * unit >= _SMALLEST_ROOM else ", which is small for a room"
+    said = f"unit: {name}, as the mesh is {diagonal:.4g} across{doubt}; --unit says otherwise"
+    return unit, said

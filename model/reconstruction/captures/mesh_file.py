@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""The mesh of a capture: PLY, OBJ, glTF or GLB, with or without UVs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.meshes import Mesh, inspect_mesh, read_ply, welded, without_degenerate
+
+MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
+
+
+def find_mesh(path: Path) -> Path:
+    """The only mesh beside the cameras at ``path``. Raises :class:`InputError` where there are none or
+    several."""
+    folder = path if path.is_dir() else path.parent
+    found = (
+        [f for f in sorted(folder.iterdir()) if f.suffix.lower() in MESH_SUFFIXES] if folder.is_dir() else []
+    )
+    if len(found) != 1:
+        got = ", ".join(f.name for f in found) or "no mesh beside the cameras"
+        raise input_error(path, "mesh", got, "one mesh in the cameras' frame", "name it with --mesh")
+    return found[0].resolve()
+
+
+def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
+    """The mesh of ``path`` in the world, without triangles of zero area or given twice, and notes on its
+    faults.
+
+    Raises :class:`InputError` for an unusable mesh.
+    """
+    faults = inspect_mesh(mesh)
+    if faults.is_unusable:
+        raise input_error(path, "", str(faults), "finite triangles", "repair the mesh and export it again")
+    mesh, num_repeated = _without_repeated(without_degenerate(mesh))
+    notes = []
+    for count, what in (
+        (faults.degenerate, "triangles of zero area were left out"),
+        (num_repeated, "triangles were there twice and are used once"),
+        (faults.non_manifold_edges, "edges have more than two triangles"),
+        (faults.inconsistent_edges, "edges join triangles of opposite winding"),
+    ):
+        if count:
+            notes.append(f"{path.name}: {count} {what}")
+    return mesh.transformed(world_from_mesh), tuple(notes)
+
+
+def load_mesh(path: Path) -> Mesh:
+    """A mesh file in its own frame. Raises :class:`InputError`."""
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES or not path.is_file():
+        got = suffix if path.is_file() else "no such file"
+        raise input_error(path, "", got, f"a mesh ({', '.join(MESH_SUFFIXES)})", "name it with --mesh")
+    if suffix == ".ply":
+        return read_ply(path)
+    if suffix == ".obj":
+        from datagen.importers.obj import read_obj
+
+        return read_obj(path)
+    import trimesh
+
+    try:
+        loaded = trimesh.load_scene(path).to_mesh()
+        uv = getattr(loaded.visual, "uv", None)
+        return Mesh(
+            np.asarray(loaded.vertices, np.float32),
+            np.asarray(loaded.faces, np.int32),
+            None,
+            None if uv is None or len(uv) != len(loaded.vertices) else np.asarray(uv, np.float32),
+        )
+    except Exception as error:  # trimesh raises whatever its parsers meet
+        raise input_error(path, "", repr(error)[:200], "a readable glTF file", "export it again") from None
+
+
+def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
+    """Triangles at the same three places count once, whatever their winding: texels of the second would be
+    hidden by the first."""
+    corners = np.sort(welded(mesh)[1][mesh.faces], axis=1)
+    order = np.lexsort(corners.T)
+    same = np.zeros(len(corners), dtype=bool)
+    same[1:] = (corners[order][1:] == corners[order][:-1]).all(axis=1)
+    keep = np.ones(len(corners), dtype=bool)
+    keep[order[same]] = False  # lexsort is stable: the first of equals stays
+    if not same.any():
+        return mesh, 0
+    return Mesh(mesh.positions, mesh.faces[keep], mesh.normals, mesh.uv), int(same.sum())

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: MIT
+"""Agisoft Metashape (PhotoScan): the camera file of "Export Cameras", Agisoft XML.
+
+A camera's ``transform`` is chunk_from_camera, x right, y down, z forward; the chunk's own transform
+(rotation, translation, scale) takes it to the coordinates in which "Export Model" writes meshes, as long as
+these are local; a component's transform, where the camera names one, stands in for it. Sensors: f, cx, cy in
+pixels, the principal point from the image's centre; b1 widens f for u, b2 is skew. Frame cameras: k1 ... k4
+of r^2 ... r^8; p1 goes with (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models").
+Equidistant fisheyes are OpenCV's fisheye as long as p1 = p2 = 0.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.capture import Distortion
+from model.reconstruction.captures.posed import (
+    EXPORT_AGAIN,
+    Calibration,
+    PosedImage,
+    check_skew,
+    head_of,
+    numbers,
+    polynomial,
+    pose_of,
+    read_xml,
+    rotation_part,
+)
+
+_FISHEYES = ("fisheye", "equidistant_fisheye")
+_EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEOGCRS", "PROJCRS", "COMPD_CS", "COMPOUNDCRS")
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: Distortion | None
+
+
+def find(path: Path) -> Path | None:
+    """The camera file at ``path``, or the only one in that folder."""
+    files = sorted(path.glob("*.xml")) if path.is_dir() else [path] if path.suffix.lower() == ".xml" else []
+    found = [file for file in files if "<document" in head_of(file) and "<chunk" in head_of(file)]
+    return found[0] if len(found) == 1 else None
+
+
+def read(path: Path, images: Path | None) -> Calibration:
+    """Every aligned camera of the file's chunk. Raises :class:`InputError` with all faults."""
+    root = read_xml(path)
+    chunks = root.findall("chunk") + root.findall("chunks/chunk")
+    if len(chunks) != 1:
+        raise input_error(path, "chunk", len(chunks), "one chunk", "export the cameras of one chunk")
+    chunk = chunks[0]
+    problems: list[Problem] = []
+    sensors: dict[str, _Sensor] = {}
+    broken: set[str] = set()
+    for element in chunk.iterfind("sensors/sensor"):
+        key = element.get("id", "")
+        try:
+            sensors[key] = _sensor(element, path)
+        except InputError as error:
+            broken.add(key)
+            problems.extend(error.problems)
+    _check_local(chunk, path)
+    placement = _similarity(chunk.find("transform"), path)
+    components = {  # since version 1.7 parts that were aligned separately have transforms of their own
+        element.get("id", ""): _similarity(element.find("transform"), path)
+        for element in chunk.iterfind("components/component")
+        if element.find("transform") is not None
+    }
+    found: list[PosedImage] = []
+    unaligned = 0
+    for camera in chunk.iter("camera"):
+        name, transform = camera.get("label", ""), camera.find("transform")
+        if transform is None or camera.get("enabled") in ("false", "0"):
+            unaligned += 1
+            continue
+        key = camera.get("sensor_id", "")
+        if key not in sensors:
+            if key not in broken:
+                problems.append(Problem(path, name, f"sensor {key}", "a sensor of the file", EXPORT_AGAIN))
+            continue
+        try:
+            frame = components.get(camera.get("component_id", ""), placement)
+            found.append(_posed(name, transform, sensors[key], frame, path))
+        except InputError as error:
+            problems.extend(error.problems)
+    if not found and not problems:
+        problems.append(Problem(path, "cameras", "none with a transform", "aligned cameras", EXPORT_AGAIN))
+    if problems:
+        raise InputError(*problems)
+    notes = (f"{unaligned} cameras are not aligned or not enabled, and were left out",) if unaligned else ()
+    folder = images or (path.parent / "images" if (path.parent / "images").is_dir() else path.parent)
+    return Calibration(tuple(found), folder, notes)
+
+
+def _sensor(element: ElementTree.Element, path: Path) -> _Sensor:
+    """Intrinsics; the adjusted calibration is preferred over the initial one."""
+    field = f"sensor {element.get('id')}"
+    found = element.findall("calibration")
+    calibration = next((c for c in found if c.get("class") == "adjusted"), found[-1] if found else None)
+    if calibration is None:
+        raise input_error(path, field, "no calibration", "an adjusted calibration", "align the photographs")
+    resolution = calibration.find("resolution")
+    resolution = element.find("resolution") if resolution is None else resolution
+    size = "" if resolution is None else f"{resolution.get('width')} {resolution.get('height')}"
+    width, height = (int(v) for v in numbers(size, 2, path, f"{field}.resolution"))
+    p = {name: 0.0 for name in ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")}
+    for name in p:
+        value = calibration.find(name)
+        if value is not None:
+            p[name] = float(numbers(value.text, 1, path, f"{field}.{name}")[0])
+    for name in ("p3", "p4"):
+        value = calibration.find(name)
+        if value is not None and float(numbers(value.text, 1, path, f"{field}.{name}")[0]) != 0:
+            raise input_error(path, f"{field}.{name}", value.text, "0", "calibrate with k1 ... k4, p1, p2")
+    if not (p["f"] > 0 and p["f"] + p["b1"] > 0 and min(width, height) > 0):
+        raise input_error(path, f"{field}.f", p["f"], "a positive focal length and size", EXPORT_AGAIN)
+    check_skew(p["b2"], p["f"], height, path, f"{field}.b2")
+    kind = calibration.get("type") or element.get("type") or "frame"
+    return _Sensor(
+        width,
+        height,
+        p["f"] + p["b1"],
+        p["f"],
+        0.5 * width + p["cx"],
+        0.5 * height + p["cy"],
+        _distortion(kind, p, path, field),
+    )
+
+
+def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Distortion | None:
+    if kind == "frame":
+        return polynomial((p["k1"], p["k2"], p["k3"], p["k4"]), (p["p2"], p["p1"]))
+    if kind in _FISHEYES:
+        if p["p1"] or p["p2"]:
+            raise input_error(path, f"{field}.p1, p2", (p["p1"], p["p2"]), "0 for a fisheye", EXPORT_AGAIN)
+        return Distortion(model="fisheye", coefficients=(p["k1"], p["k2"], p["k3"], p["k4"]))
+    remedy = "undistort the images there (Export > Convert images)"
+    raise input_error(path, f"{field}.type", kind, f"frame, {', '.join(_FISHEYES)}", remedy)
+
+
+def _check_local(chunk: ElementTree.Element, path: Path) -> None:
+    """Refuse chunks on the globe: their meshes are exported in other coordinates than their cameras."""
+    for element in chunk.findall("reference"):
+        text = (element.text or "").strip().upper()
+        if text.startswith(_EARTH):
+            remedy = "set the chunk's reference to Local Coordinates and export cameras and mesh again"
+            raise input_error(path, "chunk.reference", text[:40], "Local Coordinates", remedy)
+
+
+def _similarity(element: ElementTree.Element | None, path: Path) -> NDArray[np.float64]:
+    """world_from_chunk (4, 4) with its scale; the unit matrix where the file has none."""
+    matrix = np.eye(4)
+    if element is None:
+        return matrix
+    rotation, translation, scale = (element.find(name) for name in ("rotation", "translation", "scale"))
+    if rotation is not None and rotation.text:
+        values = numbers(rotation.text, 9, path, "transform.rotation").reshape(3, 3)
+        matrix[:3, :3] = rotation_part(values, path, "transform.rotation")
+    if scale is not None and scale.text:
+        factor = float(numbers(scale.text, 1, path, "transform.scale")[0])
+        if factor <= 0:
+            raise input_error(path, "transform.scale", factor, "a positive scale", EXPORT_AGAIN)
+        matrix[:3, :3] *= factor
+    if translation is not None and translation.text:
+        matrix[:3, 3] = numbers(translation.text, 3, path, "transform.translation")
+    return matrix
+
+
+def _posed(
+    name: str,
+    transform: ElementTree.Element,
+    sensor: _Sensor,
+    world_from_chunk: NDArray[np.float64],
+    path: Path,
+) -> PosedImage:
+    chunk_from_camera = numbers(transform.text, 16, path, f"{name}.transform").reshape(4, 4)
+    total = world_from_chunk @ chunk_from_camera
+    pose = pose_of(rotation_part(total[:3, :3], path, f"{name}.transform"), total[:3, 3])
+    camera = Camera(
+        sensor.width_px, sensor.height_px, sensor.fx_px, sensor.fy_px, sensor.cx_px, sensor.cy_px, pose
+    )
+    return PosedImage(name, camera, sensor.distortion)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: MIT
+"""Sensors of a Mitsuba scene in the scene's own frame; an image bears its sensor's id as its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from datagen.cameras import Camera
+from datagen.errors import input_error
+from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
+
+
+def find(path: Path) -> Path | None:
+    """The scene at ``path``."""
+    return path if path.suffix == ".xml" and "<scene" in head_of(path) else None
+
+
+def read(path: Path, images: Path | None) -> Calibration:
+    """Every sensor. Raises :class:`InputError` where there is none, or with the scene's faults."""
+    from datagen.importers.common import Findings
+    from datagen.importers.mitsuba_lights import camera_of
+    from datagen.importers.mitsuba_scene import parse_scene
+
+    posed = []
+    for number, node in enumerate(parse_scene(path).all_of("sensor")):
+        made = camera_of(node, number, np.eye(4), Findings())
+        matrix = np.array(made.asset_from_camera, dtype=np.float64)
+        camera = Camera(made.width_px, made.height_px, made.fx_px, made.fy_px, made.cx_px, made.cy_px, matrix)
+        posed.append(PosedImage(made.name, camera, None))
+    if not posed:
+        raise input_error(path, "sensor", "none", "at least one sensor", "add the cameras to the scene")
+    return Calibration(tuple(posed), images or path.parent)

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: MIT
+"""OpenMVG's ``sfm_data.json`` (``openMVG_main_ConvertSfM_DataFormat -V -I -E``).
+
+A pose is camera_from_world ``rotation`` (rows) and ``center``; cameras look along +z with y down. Distortion:
+``disto_k1``, ``disto_k3`` (r^2, r^4, r^6), ``disto_t2`` (k1 k2 k3 t1 t2, t1 and t2 as OpenCV's p1 and p2),
+``fisheye`` (OpenCV's). cereal names an intrinsic's class only the first time, so its keys tell what it is.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.capture import Distortion
+from model.reconstruction.captures.posed import (
+    EXPORT_AGAIN,
+    Calibration,
+    PosedImage,
+    head_of,
+    polynomial,
+    pose_of,
+    read_text,
+    rotation_part,
+)
+
+_REMEDY = "export views, intrinsics and extrinsics (openMVG_main_ConvertSfM_DataFormat -V -I -E)"
+
+
+def find(path: Path) -> Path | None:
+    """The file at ``path``, or ``sfm_data.json`` in that folder."""
+    file = path / "sfm_data.json" if path.is_dir() else path
+    return file if file.suffix == ".json" and '"sfm_data_version"' in head_of(file) else None
+
+
+def read(path: Path, images: Path | None) -> Calibration:
+    """Every view with a pose. Raises :class:`InputError` with all faults."""
+    try:
+        data = json.loads(read_text(path))
+        views = [_payload(entry) for entry in data["views"]]
+        intrinsics = {entry["key"]: _payload(entry) for entry in data["intrinsics"]}
+        poses = {entry["key"]: entry["value"] for entry in data["extrinsics"]}
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        expected = "views, intrinsics and extrinsics"
+        raise input_error(path, "", repr(error)[:200], expected, _REMEDY) from None
+    found: list[PosedImage] = []
+    problems: list[Problem] = []
+    unposed = 0
+    for view in views:
+        name = str(Path(str(view.get("local_path", ""))) / str(view.get("filename", "")))
+        if view.get("id_pose") not in poses or view.get("id_intrinsic") not in intrinsics:
+            unposed += 1
+            continue
+        try:
+            lens = intrinsics[view["id_intrinsic"]]
+            found.append(_posed(name, lens, poses[view["id_pose"]], path))
+        except InputError as error:
+            problems.extend(error.problems)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            problems.append(Problem(path, name, repr(error)[:200], "numbers", _REMEDY))
+    if not found and not problems:
+        problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
+    if problems:
+        raise InputError(*problems)
+    root = Path(str(data.get("root_path", "")))
+    folder = images or next((f for f in (root, path.parent / root.name, path.parent / "images") if
+                             root.name and f.is_dir()), path.parent)  # fmt: skip
+    notes = (f"{unposed} views have no pose or lens and were left out",) if unposed else ()
+    return Calibration(tuple(found), folder, notes)
+
+
+def _payload(entry: dict[str, Any]) -> dict[str, Any]:
+    """What cereal wraps."""
+    payload = entry["value"]["ptr_wrapper"]["data"]
+    if not isinstance(payload, dict):
+        raise TypeError(f"{payload!r}")
+    return payload
+
+
+def _posed(name: str, lens: dict[str, Any], pose: dict[str, Any], path: Path) -> PosedImage:
+    base = lens.get("value0", lens)  # some classes keep the pinhole's part in an object of its own
+    width, height, focal = int(base["width"]), int(base["height"]), float(base["focal_length"])
+    cx, cy = (float(v) for v in base["principal_point"])
+    if not (focal > 0 and min(width, height) > 0 and np.isfinite([focal, cx, cy]).all()):
+        raise input_error(path, f"{name} lens", (width, height, focal), "positive values", EXPORT_AGAIN)
+    camera_from_world = rotation_part(pose["rotation"], path, f"{name}.rotation")
+    center = np.array([float(v) for v in pose["center"]])
+    if center.shape != (3,) or not np.isfinite(center).all():
+        raise input_error(path, f"{name}.center", center, "three numbers", EXPORT_AGAIN)
+    camera = Camera(width, height, focal, focal, cx, cy, pose_of(camera_from_world.T, center))
+    return PosedImage(name, camera, _distortion(lens, path, name))
+
+
+def _distortion(lens: dict[str, Any], path: Path, name: str) -> Distortion | None:
+    known = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
+    for key, count in known.items():
+        if key not in lens:
+            continue
+        k = tuple(float(v) for v in lens[key])
+        if len(k) != count or not np.isfinite(k).all():
+            raise input_error(path, f"{name} {key}", lens[key], f"{count} numbers", EXPORT_AGAIN)
+        if key == "fisheye":
+            return Distortion(model="fisheye", coefficients=k)
+        k1, k2, k3, t1, t2 = (*k, 0.0, 0.0, 0.0, 0.0)[:5]
+        return polynomial((k1, k2, k3, 0.0), (t1, t2))
+    return None

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: MIT
+"""Environment packages as captures: cameras, meshes and lights of the package, photographs beside it.
+
+What the Blender add-on exports of a scene is such a package, so that a scene modelled over photographs needs
+no other export. A photograph bears its camera's name.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.asset import ASSET_FILE, EnvironmentAsset
+from datagen.formats.base import IDENTITY4
+from datagen.formats.capture import Capture, CaptureView, Encoding
+from datagen.formats.configuration import PlacedAsset
+from datagen.formats.package import open_package
+from datagen.importers.common import slug, unique
+from model.reconstruction.captures.posed import ImageFinder
+from model.reconstruction.captures.rendered import package_geometry
+from model.reconstruction.photographs import PhotographSource
+
+_FOLDERS = ("photographs", "images")
+
+
+def is_package(path: Path) -> bool:
+    """Whether an asset package lies at ``path``: a folder with ``asset.json`` or a zip."""
+    return (path / ASSET_FILE).is_file() or path.suffix == ".zip"
+
+
+def read_package(path: Path, images: Path | None, encoding: Encoding) -> Capture:
+    """The package's cameras for which there are photographs. Raises :class:`InputError` where none has one.
+
+    Photographs lie in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
+    """
+    with open_package(path) as package:
+        asset = package.asset
+        if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
+            got = f"{asset.kind} with {len(getattr(asset, 'cameras', ()))} cameras"
+            remedy = "export the scene with its cameras as an environment"
+            raise input_error(path, ASSET_FILE, got, "an environment with cameras", remedy)
+        placed = PlacedAsset(name="environment", asset=asset.id, world_from_asset=IDENTITY4)
+        geometry, notes = package_geometry(package, placed)
+    folder = images or next(
+        (parent / name for parent in (path, path.parent) for name in _FOLDERS if (parent / name).is_dir()),
+        path.parent,
+    )
+    finder = ImageFinder(folder)
+    views: list[CaptureView] = []
+    missing: list[str] = []
+    names: set[str] = set()
+    for item in asset.cameras:
+        image = finder.find(item.name)
+        if image is None:
+            missing.append(item.name)
+            continue
+        name = unique(slug(item.name), names)
+        names.add(name)
+        pose = np.array(item.asset_from_camera, dtype=np.float64)
+        camera = Camera(item.width_px, item.height_px, item.fx_px, item.fy_px, item.cx_px, item.cy_px, pose)
+        views.append(CaptureView(name, camera, PhotographSource(image, camera, None, encoding)))
+    if not views:
+        expected = f"images in {folder} named after the cameras, such as {asset.cameras[0].name}.jpg"
+        raise InputError(Problem(path, "photographs", "none", expected, "name their folder with --images"))
+    if missing:
+        notes = (*notes, f"no photographs for {len(missing)} cameras: {', '.join(missing[:8])}")
+    return Capture(asset.id, tuple(views), geometry, asset.lights, notes)

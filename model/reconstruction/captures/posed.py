@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: MIT
+"""What a reader of calibrations gives: images with cameras and distortion. And what several readers need.
+
+Every reader brings its software's convention to the project's: world_from_camera with x right, y down, z
+forward; pixel centres at +0.5; OpenCV's order of the coefficients.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from datagen.cameras import Camera
+from datagen.errors import input_error
+from datagen.formats.base import MAX_TEXT_BYTES
+from datagen.formats.capture import Distortion
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
+EXPORT_AGAIN = "export it again"
+_RIGID_TOLERANCE = 1e-3  # files round their numbers
+_MAX_SKEW_PX = 0.25  # at the image's border; more would have to be undone, and no lens has it
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """An image of a calibration: file name as it stands there, camera with its pose, distortion."""
+
+    file: str
+    camera: Camera
+    distortion: Distortion | None
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """All images of a calibration, the folder that their names start from, and notes in words."""
+
+    images: tuple[PosedImage, ...]
+    folder: Path
+    notes: tuple[str, ...] = ()
+
+
+class ImageFinder:
+    """Finds images by the names that calibrations give them, which may be absolute paths of another computer,
+    lack their suffix or differ in case."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self._by_name: dict[str, list[Path]] | None = None
+
+    def find(self, name: str) -> Path | None:
+        """The image's path, or None. A bare name is looked for below the folder and must be there once."""
+        name = name.replace("\\", "/")
+        direct = self.folder / name  # an absolute name stays itself
+        if direct.suffix.lower() in IMAGE_SUFFIXES and direct.is_file():
+            return direct.resolve()
+        for suffix in IMAGE_SUFFIXES:
+            if Path(f"{direct}{suffix}").is_file():
+                return Path(f"{direct}{suffix}").resolve()
+        found = self._index().get(Path(name).name.lower(), [])
+        return found[0].resolve() if len(found) == 1 else None
+
+    def _index(self) -> dict[str, list[Path]]:
+        """Images below the folder by name, with and without suffix, in lower case."""
+        if self._by_name is None:
+            self._by_name = {}
+            paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
+            for path in paths:
+                if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+                    for key in {path.name.lower(), path.stem.lower()}:
+                        self._by_name.setdefault(key, []).append(path)
+        return self._by_name
+
+
+def read_text(path: Path) -> str:
+    """A text file of sane size. Raises :class:`InputError`."""
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise input_error(path, "", "a file of over 256 MB", "an export of cameras", EXPORT_AGAIN)
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise input_error(path, "", str(error), "a readable text file", EXPORT_AGAIN) from None
+
+
+def head_of(path: Path, num_bytes: int = 4096) -> str:
+    """The file's beginning as text, '' where it cannot be read: for telling formats apart."""
+    try:
+        with path.open("rb") as file:
+            return file.read(num_bytes).decode("utf-8", "replace")
+    except OSError:
+        return ""
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """The root of an XML file. Raises :class:`InputError`."""
+    text = read_text(path)
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can read other files or fill the memory
+        raise input_error(path, "", "a DOCTYPE or ENTITY", "plain XML", "remove it")
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise input_error(path, "", str(error), "valid XML", EXPORT_AGAIN) from None
+
+
+def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np.float64]:
+    """Exactly ``count`` finite numbers between blanks. Raises :class:`InputError`."""
+    try:
+        values = np.array([float(word) for word in (text or "").split()])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise input_error(where, field, repr(text)[:80], f"{count} numbers", EXPORT_AGAIN)
+    return values
+
+
+def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.float64]:
+    """The rotation nearest to a (3, 3) matrix, its uniform scale left out. Raises where it is none."""
+    rotation = np.asarray(matrix, dtype=np.float64)
+    is_finite = rotation.shape == (3, 3) and bool(np.isfinite(rotation).all())
+    scale = float(np.cbrt(abs(np.linalg.det(rotation)))) if is_finite else 0.0
+    is_rigid = scale > 0 and np.allclose(
+        rotation.T @ rotation / scale**2, np.eye(3), rtol=0, atol=_RIGID_TOLERANCE
+    )
+    if not is_rigid or np.linalg.det(rotation) < 0:
+        raise input_error(where, field, np.array2string(rotation, separator=","), "a rotation", EXPORT_AGAIN)
+    u, _, vt = np.linalg.svd(rotation)
+    return u @ vt
+
+
+def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray[np.float64]:
+    """(4, 4) world_from_camera of a rotation and the camera's centre."""
+    pose = np.eye(4)
+    pose[:3, :3] = world_from_camera_rotation
+    pose[:3, 3] = center
+    return pose
+
+
+def polynomial(
+    radial: tuple[float, float, float, float], tangential: tuple[float, float]
+) -> Distortion | None:
+    """Distortion by k1 ... k4 (r^2 ... r^8) and OpenCV's p1, p2; None where all are 0."""
+    k1, k2, k3, k4 = radial
+    coefficients = (k1, k2, *tangential, k3, k4)
+    return Distortion(model="polynomial", coefficients=coefficients) if any(coefficients) else None
+
+
+def check_skew(skew_px: float, focal_px: float, height_px: int, where: Path, field: str) -> None:
+    """Refuse a skew that shows: ``skew_px`` shifts u by skew times y of the normalised image."""
+    if abs(skew_px) * 0.5 * height_px / focal_px > _MAX_SKEW_PX:
+        remedy = "calibrate without skew (b2 = 0), or undistort the images there"
+        raise input_error(where, field, skew_px, "no skew", remedy)

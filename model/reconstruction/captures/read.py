@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: MIT
+"""Recognises the form of a capture and reads it.
+
+A form of calibration is a row of ``FORMS`` and a module with two functions: ``find(path)`` gives the file or
+folder that it would read, or None; ``read(found, images)`` gives a :class:`Calibration`. A new one needs
+nothing else. Photographs come with a mesh file; ``CaptureOptions`` says how either differs from metres with Z
+up.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.base import canonical_json, read_json, write_bytes_atomically
+from datagen.formats.capture import (
+    CAPTURE_FILE,
+    Capture,
+    CaptureFile,
+    CaptureGeometry,
+    CaptureView,
+    Encoding,
+    GeometryPart,
+    MeshRecord,
+    PhotographRecord,
+)
+from datagen.formats.configuration import ViewCamera
+from datagen.importers.common import slug, unique
+from datagen.meshes import Mesh
+from model.reconstruction.captures import (
+    bundler,
+    colmap,
+    metashape,
+    mitsuba_sensors,
+    openmvg,
+    realitycapture,
+    transforms_json,
+)
+from model.reconstruction.captures.frames import Axis, judged_unit, judged_up, world_from_source, z_up_from
+from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
+from model.reconstruction.captures.package import is_package, read_package
+from model.reconstruction.captures.posed import Calibration, ImageFinder
+from model.reconstruction.photographs import PhotographSource, relative_exposure
+
+DEFAULT_MAX_WIDTH_PX = 640
+
+
+@dataclass(frozen=True)
+class Form:
+    """A form of calibration: its name, where it lies, how it is read."""
+
+    name: str
+    find: Callable[[Path], Path | None]
+    read: Callable[[Path, Path | None], Calibration]
+
+
+FORMS = (
+    Form("OpenMVG", openmvg.find, openmvg.read),
+    Form("transforms.json", transforms_json.find, transforms_json.read),
+    Form("Metashape", metashape.find, metashape.read),
+    Form("RealityCapture CSV", realitycapture.find_csv, realitycapture.read_csv),
+    Form("COLMAP", colmap.find, colmap.read),
+    Form("Bundler", bundler.find, bundler.read),
+    Form("Mitsuba scene", mitsuba_sensors.find, mitsuba_sensors.read),
+    Form("RealityCapture XMP", realitycapture.find_xmp, realitycapture.read_xmp),
+)
+"""In the order in which they are tried."""
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """How to read a capture. ``library`` and nothing else concerns rendered ones.
+
+    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit, "auto" and None judge them
+    (``frames``); ``mesh_up`` is the mesh's up axis where it differs. Views wider than ``max_width_px`` are
+    shrunk: the networks learn from views of 640 pixels. ``exposure`` "exif" evens out exposures that the
+    cameras recorded.
+    """
+
+    mesh: Path | None = None
+    images: Path | None = None
+    up: Literal["auto"] | Axis = "auto"
+    unit_m: float | None = None
+    mesh_up: Literal["same"] | Axis = "same"
+    encoding: Encoding = "auto"
+    exposure: Literal["common", "exif"] = "common"
+    max_width_px: int = DEFAULT_MAX_WIDTH_PX
+    library: tuple[Path, ...] = ()
+
+
+def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
+    """The capture at ``path``. Raises :class:`InputError` where nothing known lies there, or with its faults.
+
+    Known: a shard (.tar) or a dataset folder of one shard; ``capture.json`` or its folder; an environment
+    package with cameras; and ``FORMS``.
+    """
+    options = options or CaptureOptions()
+    if path.suffix == ".tar" or (path / "shards").is_dir():
+        return _shrunk(_read_rendered(path, options), options.max_width_px)
+    if (path / CAPTURE_FILE).is_file() or (path.is_file() and path.name.endswith(CAPTURE_FILE)):
+        file = path if path.is_file() else path / CAPTURE_FILE
+        return open_capture(read_json(CaptureFile, file), file.parent, options.max_width_px)
+    if is_package(path):
+        capture = read_package(path, options.images, options.encoding)
+        return _shrunk(capture, options.max_width_px)
+    record, notes, mesh = _calibrated(path, options)
+    capture = open_capture(record, Path(), options.max_width_px, mesh)
+    return replace(capture, notes=notes + capture.notes)
+
+
+def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
+    from model.reconstruction.captures.rendered import library_of, read_shard
+
+    if path.is_dir():
+        shards = sorted((path / "shards").glob("*.tar"))
+        if len(shards) != 1:
+            expected = "one; a capture is one configuration"
+            raise input_error(path / "shards", "shards", len(shards), expected, "name the shard itself")
+        path = shards[0]
+    if not path.is_file():
+        raise input_error(path, "", "no such file", "a shard", "check the path")
+    return read_shard(path, library_of(path, options.library))
+
+
+def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
+    """A calibration of photographs as ``capture.json`` has it, paths absolute, and notes on what was found
+    and judged."""
+    record, notes, _ = _calibrated(path, options)
+    return record, notes
+
+
+def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
+    """The above, and the mesh where it had to be read for them."""
+    form, found = _form_of(path)
+    calibration = form.read(found, options.images)
+    mesh = options.mesh.resolve() if options.mesh is not None else find_mesh(path)
+    notes = [f"cameras: {len(calibration.images)} of {found.name} ({form.name})", *calibration.notes]
+    up, unit_m = options.up, options.unit_m
+    loaded = None
+    if up == "auto":
+        up, said = judged_up([image.camera for image in calibration.images])
+        notes.append(said)
+    if unit_m is None:
+        loaded = load_mesh(mesh)
+        size = np.ptp(loaded.positions, axis=0) if len(loaded.positions) else np.zeros(3)
+        unit_m, said = judged_unit(float(np.linalg.norm(size)))
+        notes.append(said)
+    elif not (np.isfinite(unit_m) and unit_m > 0):
+        raise input_error("--unit", "", unit_m, "metres in a unit, above 0", "correct it")
+    finder = ImageFinder(calibration.folder)
+    names: set[str] = set()
+    photographs, problems = [], []
+    for image in calibration.images:
+        file = finder.find(image.file)
+        if file is None:
+            expected = f"this image, once, in {calibration.folder}"
+            problems.append(Problem(path, image.file, "not found", expected, "name its folder with --images"))
+            continue
+        name = unique(slug(Path(image.file.replace("\\", "/")).with_suffix("").as_posix()), names)
+        names.add(name)
+        camera = ViewCamera.from_camera(name, _in_world(image.camera, z_up_from(up), unit_m))
+        photographs.append(PhotographRecord(camera=camera, image=str(file), distortion=image.distortion))
+    if problems:
+        raise InputError(*problems)
+    matrix = world_from_source(up if options.mesh_up == "same" else options.mesh_up, unit_m)
+    rows = tuple(tuple(float(v) for v in row) for row in matrix)
+    record = CaptureFile(
+        name=slug(path.resolve().name.removesuffix(".json") or "capture"),
+        encoding=options.encoding,
+        photographs=tuple(_with_exposures(photographs) if options.exposure == "exif" else photographs),
+        mesh=MeshRecord(file=str(mesh), world_from_mesh=rows),  # type: ignore[arg-type]
+    )
+    return record, tuple(notes), loaded
+
+
+def _form_of(path: Path) -> tuple[Form, Path]:
+    for form in FORMS:
+        found = form.find(path)
+        if found is not None:
+            return form, found
+    expected = f"a shard, capture.json, an environment package or {', '.join(f.name for f in FORMS)}"
+    got = "nothing known in it" if path.exists() else "no such file or folder"
+    raise input_error(path, "", got, expected, "check the path")
+
+
+def write_capture(folder: Path, record: CaptureFile) -> Path:
+    """Write ``capture.json``; paths below ``folder`` are made relative to it."""
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def relative(name: str) -> str:
+        target = Path(name).resolve()
+        return target.relative_to(folder.resolve()).as_posix() if _is_below(target, folder) else str(target)
+
+    photographs = tuple(
+        photograph.model_copy(update={"image": relative(photograph.image)})
+        for photograph in record.photographs
+    )
+    mesh = record.mesh.model_copy(update={"file": relative(record.mesh.file)})
+    path = folder / CAPTURE_FILE
+    updated = record.model_copy(update={"photographs": photographs, "mesh": mesh})
+    write_bytes_atomically(path, canonical_json(updated))
+    return path
+
+
+def _is_below(target: Path, folder: Path) -> bool:
+    return os.path.commonpath([target, folder.resolve()]) == str(folder.resolve())
+
+
+def open_capture(
+    record: CaptureFile,
+    base: Path,
+    max_width_px: int = DEFAULT_MAX_WIDTH_PX,
+    mesh_in_its_frame: Mesh | None = None,
+) -> Capture:
+    """A capture of photographs, its mesh read unless it is given, its images checked to be there."""
+    problems = [
+        Problem(base / p.image, "", "no such file", "the view's image", "correct capture.json")
+        for p in record.photographs
+        if not (base / p.image).is_file()
+    ]
+    if problems:
+        raise InputError(*problems)
+    views = []
+    for photograph in record.photographs:
+        calibrated = photograph.camera.camera()
+        source = PhotographSource(
+            base / photograph.image,
+            calibrated,
+            photograph.distortion,
+            record.encoding,
+            photograph.exposure_scale,
+        )
+        views.append(CaptureView(photograph.camera.name, calibrated, source))
+    file = base / record.mesh.file
+    raw = load_mesh(file) if mesh_in_its_frame is None else mesh_in_its_frame
+    mesh, notes = sound_mesh(raw, np.asarray(record.mesh.world_from_mesh), file)
+    geometry = CaptureGeometry(mesh, (GeometryPart("mesh", 0, len(mesh.faces)),))
+    return _shrunk(Capture(record.name, tuple(views), geometry, record.lights, notes), max_width_px)
+
+
+def _shrunk(capture: Capture, max_width_px: int) -> Capture:
+    views = tuple(replace(v, camera=shrunk_camera(v.camera, max_width_px)) for v in capture.views)
+    return replace(capture, views=views)
+
+
+def shrunk_camera(camera: Camera, max_width_px: int) -> Camera:
+    """The camera at a longer side of at most ``max_width_px``, its aspect kept to the nearest pixel."""
+    longer = max(camera.width_px, camera.height_px)
+    if longer <= max_width_px:
+        return camera
+    width, height = (
+        max(1, round(side * max_width_px / longer)) for side in (camera.width_px, camera.height_px)
+    )
+    return camera.scaled(width, height)
+
+
+def _in_world(camera: Camera, rotation: NDArray[np.float64], unit_m: float) -> Camera:
+    rigid = np.eye(4)
+    rigid[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
+    rigid[:3, 3] = unit_m * rotation @ camera.position_m
+    return replace(camera, world_from_camera=rigid)
+
+
+def _with_exposures(photographs: Sequence[PhotographRecord]) -> list[PhotographRecord]:
+    """Scales that undo the recorded exposures, 1 at their median. Raises where any photograph has none."""
+    gathered = [relative_exposure(Path(p.image)) for p in photographs]
+    problems = [
+        Problem(p.image, "EXIF", "no exposure time, aperture or ISO", "all three", "use --exposure common")
+        for p, value in zip(photographs, gathered, strict=True)
+        if value is None
+    ]
+    if problems:
+        raise InputError(*problems)
+    values = np.array(gathered, dtype=np.float64)
+    middle = float(np.median(values))
+    return [
+        p.model_copy(update={"exposure_scale": middle / value})
+        for p, value in zip(photographs, values, strict=True)
+    ]

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: MIT
+"""RealityCapture / RealityScan: the CSV "Internal/External camera parameters" and the XMP sidecars.
+
+Both: focal length for a film 36 mm wide, so that 36 mm is the image's longer side; the principal point as an
+offset from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2 where t1
+goes with (r^2 + 2 x^2): OpenCV's p2, p1. Images are not sized in the files, so they must be at hand.
+
+CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera
+that looks along -z with y up: all zero looks straight down with north (+y) at the top.
+XMP: ``Rotation`` is camera_from_world row by row, of a camera with y down and z forward; ``Position`` the
+centre ("RealityCapture XMP camera math").
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.capture import Distortion
+from datagen.images import image_size
+from model.reconstruction.captures.posed import (
+    EXPORT_AGAIN,
+    Calibration,
+    ImageFinder,
+    PosedImage,
+    check_skew,
+    head_of,
+    numbers,
+    polynomial,
+    pose_of,
+    read_text,
+    read_xml,
+    rotation_part,
+)
+
+_NEEDED = ("name", "x", "y", "alt", "heading", "pitch", "roll", "f")
+_OPTIONAL = ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
+_XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
+_MODELS = ("perspective", "brown3", "brown4", "brown3t2", "brown4t2")
+_FILM_MM = 36.0
+
+
+def find_csv(path: Path) -> Path | None:
+    """The CSV at ``path`` or the only one of this kind in that folder."""
+    files = sorted(path.glob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
+    found = [file for file in files if _columns(head_of(file)) is not None]
+    return found[0] if len(found) == 1 else None
+
+
+def find_xmp(path: Path) -> Path | None:
+    """``path`` where it is a folder with XMP sidecars, or its ``images`` has them."""
+    for folder in (path, path / "images"):
+        if folder.is_dir() and any("capturingreality" in head_of(file) for file in folder.glob("*.xmp")):
+            return folder
+    return None
+
+
+def _columns(text: str) -> list[str] | None:
+    """Names of the columns: the header begins with #name and may follow a line with their number."""
+    for line in text.lstrip("\ufeff").splitlines()[:3]:
+        names = [word.strip().lstrip("#").lower() for word in line.split(",")]
+        if set(_NEEDED) <= set(names):
+            return names
+    return None
+
+
+def read_csv(path: Path, images: Path | None) -> Calibration:
+    """Every row whose image is found. Raises :class:`InputError` with all faults."""
+    text = read_text(path)
+    names = _columns(text)
+    if names is None:
+        raise input_error(path, "header", text[:60], f"columns {', '.join(_NEEDED)}", EXPORT_AGAIN)
+    folder = images or (path.parent / "images" if (path.parent / "images").is_dir() else path.parent)
+    finder = ImageFinder(folder)
+    found: list[PosedImage] = []
+    problems: list[Problem] = []
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    for number, row in enumerate(csv.reader(lines), start=1):
+        if [word.strip().lower() for word in row] == names:
+            continue
+        try:
+            found.append(_from_row(dict(zip(names, row, strict=False)), path, f"row {number}", finder))
+        except InputError as error:
+            problems.extend(error.problems)
+    if not found and not problems:
+        problems.append(Problem(path, "", "no cameras", "a row a camera", EXPORT_AGAIN))
+    if problems:
+        raise InputError(*problems)
+    return Calibration(tuple(found), folder)
+
+
+def _from_row(row: Mapping[str, str], path: Path, field: str, finder: ImageFinder) -> PosedImage:
+    name = row.get("name", "").strip()
+    values: dict[str, float] = {}
+    for key in (*_NEEDED[1:], *_OPTIONAL):
+        if key in row or key in _NEEDED:
+            values[key] = float(numbers(row.get(key), 1, path, f"{field} ({name}) {key}")[0])
+    x, y, z = values["x"], values["y"], values["alt"]
+    rotation = rotation_of_angles(values["heading"], values["pitch"], values["roll"])
+    size = _size_of(name, finder, path)
+    k = tuple(values.get(n, 0.0) for n in ("k1", "k2", "k3", "k4"))
+    distortion = _brown(k, (values.get("t1", 0.0), values.get("t2", 0.0)))
+    principal = (values.get("px", 0.0), values.get("py", 0.0))
+    camera = _camera(size, values["f"], 1.0, principal, pose_of(rotation, (x, y, z)), path, name)
+    return PosedImage(name, camera, distortion)
+
+
+def rotation_of_angles(heading: float, pitch: float, roll: float) -> NDArray[np.float64]:
+    """world_from_camera (3, 3), y down and z forward, of the angles in degrees."""
+    a, b, c = (math.radians(v) for v in (-heading, pitch, roll))
+    about_z = np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, math.cos(b), -math.sin(b)], [0, math.sin(b), math.cos(b)]])
+    about_y = np.array([[math.cos(c), 0, math.sin(c)], [0, 1, 0], [-math.sin(c), 0, math.cos(c)]])
+    return about_z @ about_x @ about_y @ np.diag([1.0, -1.0, -1.0])
+
+
+def _brown(k: tuple[float, ...], t: tuple[float, float]) -> Distortion | None:
+    return polynomial((k[0], k[1], k[2], k[3]), (t[1], t[0]))
+
+
+def _size_of(name: str, finder: ImageFinder, where: Path) -> tuple[int, int]:
+    image = finder.find(name)
+    if image is None:
+        remedy = "name its folder with --images: the file does not say how large it is"
+        raise input_error(where, name, "not found", f"this image in {finder.folder}", remedy)
+    return image_size(image)
+
+
+def _camera(
+    size: tuple[int, int],
+    focal_mm: float,
+    aspect: float,
+    principal: tuple[float, float],
+    pose: NDArray[np.float64],
+    where: Path,
+    field: str,
+) -> Camera:
+    scale = float(max(size))
+    focal = focal_mm / _FILM_MM * scale
+    if not (focal > 0 and aspect > 0):
+        raise input_error(where, f"{field} focal length", focal_mm, "a positive value", EXPORT_AGAIN)
+    cx, cy = 0.5 * size[0] + principal[0] * scale, 0.5 * size[1] + principal[1] * scale
+    return Camera(size[0], size[1], focal, focal * aspect, cx, cy, pose)
+
+
+def read_xmp(folder: Path, images: Path | None) -> Calibration:
+    """Every sidecar with a pose; the image has the sidecar's name. Raises :class:`InputError`."""
+    images = images or folder
+    finder = ImageFinder(images)
+    found: list[PosedImage] = []
+    problems: list[Problem] = []
+    unposed = 0
+    for path in sorted(folder.glob("*.xmp")):
+        try:
+            posed = _from_sidecar(path, finder)
+        except InputError as error:
+            problems.extend(error.problems)
+            continue
+        unposed += posed is None
+        if posed is not None:
+            found.append(posed)
+    if not found and not problems:
+        expected = "XMP files with Rotation and Position"
+        problems.append(Problem(folder, "", "no poses", expected, "export them after the alignment"))
+    if problems:
+        raise InputError(*problems)
+    notes = (f"{unposed} XMP files have no pose and were left out",) if unposed else ()
+    return Calibration(tuple(found), images, notes)
+
+
+def _from_sidecar(path: Path, finder: ImageFinder) -> PosedImage | None:
+    values: dict[str, str] = {}  # attributes and elements: the software has written either
+    for element in read_xml(path).iter():
+        values.update({k[len(_XCR) :]: v for k, v in element.attrib.items() if k.startswith(_XCR)})
+        if element.tag.startswith(_XCR) and element.text:
+            values[element.tag[len(_XCR) :]] = element.text
+    if "Rotation" not in values or "Position" not in values:
+        return None
+    camera_from_world = rotation_part(
+        numbers(values["Rotation"], 9, path, "Rotation").reshape(3, 3), path, "Rotation"
+    )
+    pose = pose_of(camera_from_world.T, numbers(values["Position"], 3, path, "Position"))
+
+    def scalar(name: str, default: str | None = None) -> float:
+        return float(numbers(values.get(name, default), 1, path, name)[0])
+
+    size = _size_of(path.stem, finder, path)
+    principal = (scalar("PrincipalPointU", "0"), scalar("PrincipalPointV", "0"))
+    focal_mm, aspect = scalar("FocalLength35mm"), scalar("AspectRatio", "1")
+    camera = _camera(size, focal_mm, aspect, principal, pose, path, path.stem)
+    check_skew(scalar("Skew", "0") * max(size), camera.fx_px, size[1], path, "Skew")
+    model = values.get("DistortionModel", "perspective")
+    if model not in _MODELS:
+        remedy = "align with Brown3, Brown4 or no lens distortion, or export undistorted images"
+        raise input_error(path, "DistortionModel", model, f"one of {', '.join(_MODELS)}", remedy)
+    distortion = None
+    if model != "perspective":
+        k = numbers(values.get("DistortionCoeficients"), 6, path, "DistortionCoeficients")
+        distortion = _brown(tuple(float(v) for v in k[:4]), (float(k[4]), float(k[5])))
+    return PosedImage(path.stem, camera, distortion)
