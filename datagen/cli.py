@@ -125,7 +125,10 @@ def library(
 @app.command("import")
 def import_command(
     path: Annotated[
-        Path, typer.Argument(help="Mitsuba scene, glTF file, PBR texture folder, or a folder of these.")
+        Path,
+        typer.Argument(
+            help="Mitsuba scene, glTF or Sweet Home 3D file, texture folder, or a folder of these."
+        ),
     ],
     library: Annotated[Path, typer.Option("--library", help="Library folder to import into.")],
     kind: Annotated[str, typer.Option(help="auto, environment, object or material.")] = "auto",
@@ -176,6 +179,7 @@ def import_command(
     """
     from datagen.importers.common import ImportedAsset, ImportOptions
     from datagen.importers.dispatch import import_asset
+    from datagen.importers.sweet_home_report import ImportWatch
 
     options = _parse_import_options(
         ImportOptions,
@@ -207,7 +211,8 @@ def import_command(
         for sentence in asset.notes:
             typer.echo(f"  note: {sentence}")
 
-    imported = import_asset(path, library, options, split=split, on_done=tell)
+    with ImportWatch() as watch:
+        imported = import_asset(path, library, options, split=split, on_done=tell, watch=watch)
     typer.echo(f"{len(imported)} assets imported into {library}")
 
 

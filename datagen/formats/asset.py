@@ -214,7 +214,8 @@ class ObjectAsset(_GeometryAsset):
     """A thing that can be placed in a room.
 
     ``minimum_m`` and ``maximum_m`` bound the meshes (z from 0); the footprint is their x-y rectangle unless
-    ``footprint_m`` gives a convex polygon. Scale and yaw are drawn within the ranges given here.
+    ``footprint_m`` gives a convex polygon. Scale and yaw are drawn within the ranges given here. ``supports``
+    is empty for what hangs or is built in: no plan places it.
     """
 
     kind: Literal["object"] = "object"
@@ -222,7 +223,7 @@ class ObjectAsset(_GeometryAsset):
     minimum_m: Vector3
     maximum_m: Vector3
     footprint_m: tuple[tuple[float, float], ...] | None = None
-    supports: Annotated[tuple[SupportKind, ...], Field(min_length=1)] = ("table", "shelf", "counter")
+    supports: tuple[SupportKind, ...] = ("table", "shelf", "counter")
     scale_range: tuple[Positive, Positive] = (1.0, 1.0)
     yaw_range_rad: tuple[float, float] = (-3.141592653589793, 3.141592653589793)
 

@@ -15,11 +15,12 @@ _CLASS_WORDS: dict[MaterialClass, str] = {
     "wood": "wood wooden oak pine walnut cherry rosewood veneer parquet plank planks bamboo mahogany "
     "floorboards laminate skirt frame door",
     "metal": "metal metallic steel stainless chrome gold silver brass copper bronze aluminium aluminum iron "
-    "tin nickel zinc hinge handle knob rod mirror",
+    "alu metall tin nickel zinc hinge handle knob rod mirror",
     "plastic": "plastic acrylic vinyl pvc nylon polymer",
     "rubber": "rubber silicone tyre tire latex",
     "leather": "leather suede hide",
-    "fabric": "fabric cloth textile cotton linen wool velvet felt carpet rug curtain curtains towel sofa "
+    "fabric": "fabric cloth textile tissue denim upholstery "
+    "cotton linen wool velvet felt carpet rug curtain curtains towel sofa "
     "cushion lampshade seat bedding blanket pillow mat doormat foam fringe",
     "ceramic": "ceramic ceramics porcelain tile tiles terracotta clay brick bathtube bathtub sink basin "
     "toilet tea teacup cup saucer vase",
@@ -44,25 +45,55 @@ _STRONG = {
 }  # a finish hides what is below
 
 _CATEGORY_WORDS = {
-    "seat": "sofa couch chair stool armchair bench ottoman",
-    "table": "table desk nightstand commode",
-    "cabinet": "cabinet cupboard wardrobe dresser sideboard",
-    "shelf": "shelf bookshelf bookcase rack shelves",
-    "crockery": "cup plate saucer bowl teapot tea mug dish pitcher jug",
-    "bottle": "bottle vase flask jar",
-    "book": "book books magazine",
-    "lamp": "lamp light lantern chandelier",
-    "plant": "plant tree flower pot",
-    "textile": "curtain cushion pillow blanket carpet rug towel",
-    "electronics": "tv television radio phone laptop monitor computer keyboard speaker camera",
-    "toy": "toy ball sphere doll",
-    "box": "box crate basket carton",
+    "seat": "sofa couch chair stool armchair bench ottoman seat recliner puff pouf pouffe futon stroller "
+    "wheelchair",
+    "table": "table desk nightstand commode workbench island",
+    "cabinet": "cabinet cupboard wardrobe dresser sideboard vanity locker chest safe",
+    "shelf": "shelf bookshelf bookcase rack shelves shelving",
+    "bed": "bed crib mattress hammock tatami",
+    "sanitary": "toilet toilets washbasin lavatory bidet bath bathtub urinal shower sink jacuzzi",
+    "white_goods": "fridge refrigerator freezer oven stove washer dryer washing dishwasher cooker hood "
+    "boiler heater radiator furnace fireplace chimney cooktop cooler",
+    "instrument": "piano guitar drum violin",
+    "vehicle": "car truck bus motorbike bicycle bike scooter tricycle wheelbarrow rowboat mower",
+    "railing": "railing fence column",
+    "rug": "carpet rug doormat bathmat",
+    "appliance": "appliance maker espresso fan mixer toaster blender microwave brewer fryer "
+    "squeezer scale grill sandwich",
+    "crockery": "cup plate saucer bowl teapot tea mug dish pitcher jug creamer sugar glass",
+    "kitchenware": "pan pot kettle cutlery fork knife spoon board pepper salt shaker utensils",
+    "bottle": "bottle flask jar flacon",
+    "vase": "vase pottery",
+    "book": "book books magazine newspaper",
+    "lamp": "lamp light lantern chandelier flashlight",
+    "candle": "candle candlestick",
+    "plant": "plant tree flower flowers cactus bamboo bonsai ficus orchids tulips lily yucca spathiphyllum "
+    "bush hedge palm",
+    "cushion": "cushion pillow bolster",
+    "textile": "curtain blanket towel clothes dress shirt jacket skirt trousers suit",
+    "electronics": "tv television radio phone laptop monitor computer keyboard speaker camera stereo printer "
+    "tablet projector dvd player telephone electronics headphones amplifier",
+    "toy": "toy ball sphere doll puzzle game",
+    "box": "box crate basket carton trunk trunck can bin dustbin trashcan barrel",
     "frame": "frame picture painting mirror",
     "clock": "clock watch",
-    "statuette": "statue bust sculpture figure",
+    "statuette": "statue bust sculpture figure deer",
+    "fruit": "fruit fruits apple apples banana bananas lemon lemons pear",
+    "food": "food bread cake butter steak hamburger",
+    "tool": "tool hammer saw drill screwdriver pliers shovel grinder scissors broom",
+    "stationery": "pencil pen ruler stapler marker calendar penbox tray",
+    "bag": "bag handbag briefcase backpack suitcase",
+    "electrical": "plug socket switch dimmer intercom detector",
+    "shoe": "shoe shoes sneakers slippers bootie mocassin",
 }
 _WORD_CATEGORY = {word: name for name, words in _CATEGORY_WORDS.items() for word in words.split()}
-_FLOOR_CATEGORIES = {"seat", "table", "cabinet", "shelf"}
+_FLOOR_CATEGORIES = {
+    "seat", "table", "cabinet", "shelf", "bed", "sanitary", "white_goods", "instrument", "vehicle",
+    "railing", "rug", "stairs", "door", "person",
+}  # fmt: skip
+_TALL_ON_FURNITURE = {
+    "lamp", "plant", "vase", "bottle", "statuette", "electronics", "appliance", "frame", "candle", "clock",
+}  # fmt: skip
 
 REPLACEABLE: dict[MaterialClass, tuple[MaterialClass, ...]] = {
     "wood": ("wood", "painted"),
@@ -104,18 +135,26 @@ def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass
 
 
 def guess_category(*names: str) -> str:
-    """Object category by names; '' if none is known."""
+    """Object category by names; '' if none is known. What comes ``with`` a thing does not count (``chair with
+    cushion`` is a seat); of several words the last says what it is (``table lamp``)."""
     for name in names:
-        hits = [_WORD_CATEGORY[word] for word in words_of(name) if word in _WORD_CATEGORY]
+        words = words_of(name)
+        if "with" in words[1:]:
+            words = words[: words.index("with", 1)]
+        hits = [_WORD_CATEGORY[word] for word in words if word in _WORD_CATEGORY]
         if hits:
             return hits[-1]
     return ""
 
 
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
-    """Where an object may stand: large things on the floor, small ones on furniture."""
+    """Where an object may stand: furniture and large things on the floor, small ones on furniture.
+
+    What is larger than 40 cm stands on a table only if its category does so at that size (a vase, a lamp);
+    a thing of unknown kind may be a stool.
+    """
     if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:
         return ("floor",)
     if max(height_m, width_m) > 0.4:
-        return ("floor", "table", "counter")
+        return ("floor", "table", "counter") if category in _TALL_ON_FURNITURE else ("floor",)
     return ("table", "shelf", "counter", "sill")

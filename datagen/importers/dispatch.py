@@ -5,25 +5,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from datagen.errors import InputError, Problem, input_error
 from datagen.importers.common import ImportedAsset, ImportOptions, slug
 
+if TYPE_CHECKING:
+    from datagen.importers.sweet_home_report import ImportWatch
+
 GLTF_SUFFIXES = (".gltf", ".glb")
+SWEET_HOME_SUFFIX = ".sh3f"
 _SCENE_FILES = ("scene.xml", "scene_v3.xml")
 
 
 @dataclass(frozen=True)
 class Source:
-    """Something that can be imported: ``kind`` is ``mitsuba``, ``gltf`` or ``material``."""
+    """Something that can be imported: ``kind`` is ``mitsuba``, ``gltf``, ``sweet_home`` or
+    ``material``."""
 
     path: Path
     kind: str
 
 
 def find_sources(path: Path) -> list[Source]:
-    """What a path holds: a scene file, a glTF file, a scene or texture folder, or a folder of these.
+    """What a path holds: a scene, a glTF file, a furniture library, a texture folder, or a folder of these.
 
     Raises :class:`InputError` where there is nothing that an importer knows.
     """
@@ -32,6 +39,8 @@ def find_sources(path: Path) -> list[Source]:
             return [Source(path, "mitsuba")]
         if path.suffix.lower() in GLTF_SUFFIXES:
             return [Source(path, "gltf")]
+        if path.suffix.lower() == SWEET_HOME_SUFFIX:
+            return [Source(path, "sweet_home")]
     elif path.is_dir():
         sources = _in_folder(path)
         if not sources:
@@ -40,7 +49,10 @@ def find_sources(path: Path) -> list[Source]:
             return sources
     else:
         raise input_error(path, got="nothing there", expected="something to import", remedy="check the path")
-    expected = "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a PBR texture folder, or a folder of these"
+    expected = (
+        "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a Sweet Home 3D library (.sh3f), "
+        "a PBR texture folder, or a folder of these"
+    )
     got = "a folder that holds nothing to import" if path.is_dir() else "a file of a kind that is not known"
     raise input_error(path, got=got, expected=expected, remedy="check the path")
 
@@ -54,6 +66,9 @@ def _in_folder(folder: Path) -> list[Source]:
     documents = sorted(p for p in folder.iterdir() if p.suffix.lower() in GLTF_SUFFIXES)
     if documents:
         return [Source(p, "gltf") for p in documents]
+    libraries = sorted(p for p in folder.iterdir() if p.suffix.lower() == SWEET_HOME_SUFFIX)
+    if libraries:
+        return [Source(p, "sweet_home") for p in libraries]
     return [Source(folder, "material")] if is_material_folder(folder) else []
 
 
@@ -64,10 +79,12 @@ def import_asset(
     *,
     split: bool = False,
     on_done: Callable[[ImportedAsset], None] | None = None,
+    watch: ImportWatch | None = None,
 ) -> list[ImportedAsset]:
     """Import everything that a path holds into a library folder.
 
-    ``split`` makes an object of each separate thing in a glTF file; ``on_done`` is called after each asset.
+    ``split`` makes an object of each separate thing in a glTF file; ``on_done`` is called after each asset,
+    ``watch`` is told of each piece of a furniture library instead.
     An ``asset_id`` goes with a single source only. With several sources, those that can be imported are, and
     then one :class:`InputError` tells of all that could not.
     """
@@ -84,9 +101,9 @@ def import_asset(
     problems: list[Problem] = []
     for source in sources:
         try:
-            for record in _import_one(source, Path(out_library), options, split):
+            for record in _import_one(source, Path(out_library), options, split, watch):
                 done.append(record)
-                if on_done is not None:
+                if on_done is not None and source.kind != "sweet_home":
                     on_done(record)
         except InputError as error:
             problems.extend(error.problems)
@@ -96,7 +113,7 @@ def import_asset(
 
 
 def _import_one(
-    source: Source, out_library: Path, options: ImportOptions, split: bool
+    source: Source, out_library: Path, options: ImportOptions, split: bool, watch: ImportWatch | None
 ) -> list[ImportedAsset]:
     if source.kind == "mitsuba":
         from datagen.importers.mitsuba_xml import import_mitsuba_scene
@@ -108,6 +125,11 @@ def _import_one(
         from datagen.importers.gltf import import_gltf
 
         return import_gltf(source.path, out_library, options, split=split)
+    if source.kind == "sweet_home":
+        from datagen.importers.sweet_home import import_sweet_home
+
+        on_step = None if watch is None else partial(watch.step, source.path)
+        return import_sweet_home(source.path, out_library, options, on_step)
     from datagen.importers.material_folder import import_material_folder
 
     if options.kind not in ("auto", "material"):

@@ -319,7 +319,7 @@ def test_cut_binaries_and_foreign_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cut short|bytes"):
         import_gltf(path, tmp_path / "library", LICENSED)
     (tmp_path / "x.gltf").write_bytes(b"\xff\xfe")
-    with pytest.raises(InputError, match="a glTF document"):
+    with pytest.raises(InputError, match="a glTF file"):
         import_gltf(tmp_path / "x.gltf", tmp_path / "library", LICENSED)
 
 

@@ -1,0 +1,385 @@
+# SPDX-License-Identifier: MIT
+"""Sweet Home 3D furniture libraries (.sh3f) as object packages: hundreds of objects by one command.
+
+A model is turned by its catalogue's rotation, stretched to the catalogue's width, depth and height, put
+upright (the file's +Y is up, its +Z the front, which becomes -Y) and on z = 0. What cannot be imported is
+refused by name and the rest goes on; packages that are there already are kept, so that an interrupted import
+goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.formats.asset import ObjectAsset, Part, Provenance, SupportKind
+from datagen.formats.base import IDENTITY4, quantized
+from datagen.formats.package import open_package
+from datagen.images import IMAGE_SUFFIXES
+from datagen.importers.annotate import read_annotations
+from datagen.importers.classes import guess_category, guess_supports
+from datagen.importers.common import (
+    Z_UP_FROM_Y_UP,
+    Findings,
+    ImportedAsset,
+    ImportOptions,
+    mended_note,
+    slug,
+    unique,
+)
+from datagen.importers.mitsuba_xml import is_pane
+from datagen.importers.packaging import finish, vector3
+from datagen.importers.sweet_home_catalogue import Catalogue, Piece, open_catalogue
+from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConverter
+from datagen.importers.sweet_home_model import ObjModel, read_obj_model
+from datagen.importers.sweet_home_mtl import PhongMaterial, read_mtl
+from datagen.meshes import Mesh, encode_ply, with_sound_normals, without_degenerate
+
+SUFFIX = ".sh3f"
+_IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")
+_STRETCH = 1.05  # a model whose sides are scaled more unequally than this is said to be stretched
+_FLAT = 1e-9  # a side without extent cannot be scaled to any size
+_CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
+_PAGE = re.compile(r"https?://(?:www\.)?blendswap\.com/blends?/(?:view/)?\d+")
+_CATEGORIES = {
+    "vehicles": "vehicle",
+    "lights": "lamp",
+    "doors and windows": "door",
+    "staircases": "stairs",
+}
+"""Catalogue categories that say what a thing is; the others (kitchen, office) only say where it stands."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One piece of a catalogue that is done: ``imported``, ``kept`` from an earlier run, or ``refused``."""
+
+    name: str
+    outcome: Literal["imported", "kept", "refused"]
+    record: ImportedAsset | None = None
+    category: str = ""
+    problems: tuple[Problem, ...] = ()
+
+
+StepObserver = Callable[[Step, int], None]
+"""Told of each step and of how many there are in the catalogue."""
+
+
+def import_sweet_home(
+    path: Path,
+    out_library: Path,
+    options: ImportOptions | None = None,
+    on_step: StepObserver | None = None,
+) -> list[ImportedAsset]:
+    """Import every piece of a .sh3f file that can be; the records are of those imported now or kept.
+
+    Raises :class:`InputError` where the file is no catalogue, and at the end with all that was refused.
+    """
+    options = options or ImportOptions()
+    _check_options(path, options)
+    with open_catalogue(path) as catalogue:
+        importer = _SweetHomeImporter(catalogue, Path(out_library), options)
+        records: list[ImportedAsset] = []
+        problems: list[Problem] = []
+        total = len(catalogue.pieces) + len(catalogue.problems)
+        for step in importer.steps():
+            if step.record is not None:
+                records.append(step.record)
+            problems.extend(step.problems)
+            if on_step is not None:
+                on_step(step, total)
+    if problems:
+        raise InputError(*problems)
+    return records
+
+
+def _check_options(path: Path, options: ImportOptions) -> None:
+    """Refuse what only makes sense for a single asset, or contradicts the catalogue."""
+    problems = []
+    if options.kind not in ("auto", "object"):
+        expected = "object, which is what furniture becomes"
+        problems.append(Problem(path, "kind", options.kind, expected, "leave --kind out"))
+    for option, value, default in (
+        ("id", options.asset_id, ""),
+        ("title", options.title, ""),
+        ("up", options.up, "auto"),
+        ("unit-scale", options.unit_scale, 1.0),
+    ):
+        if value != default:
+            expected = "what the catalogue says of each piece"
+            problems.append(Problem(path, option, str(value), expected, f"leave --{option} out"))
+    if problems:
+        raise InputError(*problems)
+
+
+class _SweetHomeImporter:
+    """One catalogue on its way into a library."""
+
+    def __init__(self, catalogue: Catalogue, out_library: Path, options: ImportOptions):
+        self.catalogue, self.options = catalogue, options
+        self.folder = out_library / "objects"
+        self.known = read_annotations(options.annotations)
+
+    def steps(self) -> Any:
+        """Import piece after piece; yields a :class:`Step` for each."""
+        for name, error in self.catalogue.problems.items():
+            yield Step(name, "refused", problems=error.problems)
+        taken: set[str] = set()
+        for piece in self.catalogue.pieces:
+            asset_id = unique(slug(piece.id), taken)
+            taken.add(asset_id)
+            category = self.options.category or guess_piece_category(piece)
+            try:
+                kept = None if self.options.overwrite else self._kept(piece, asset_id)
+                if kept is not None:
+                    yield Step(piece.id, "kept", kept, category)
+                    continue
+                record = self._import(piece, asset_id, category)
+            except InputError as error:
+                yield Step(piece.id, "refused", category=category, problems=error.problems)
+                continue
+            yield Step(piece.id, "imported", record, category)
+
+    def _label(self, piece: Piece) -> str:
+        return f"{self.catalogue.path}: {piece.id}"
+
+    def _source(self, piece: Piece) -> str:
+        origin = self.catalogue.origin
+        return ", ".join(part for part in (origin.provider, origin.id, piece.id) if part)
+
+    def _kept(self, piece: Piece, asset_id: str) -> ImportedAsset | None:
+        """The package that an earlier run made of this very piece, or None. Another's package is an error."""
+        path = self.folder / (f"{asset_id}.zip" if self.options.as_zip else asset_id)
+        if not path.exists():
+            return None
+        with open_package(path) as package:
+            source = package.asset.provenance
+            if not (self.options.source or source.source).startswith(self._source(piece)):
+                expected = "a new path; the package there comes from elsewhere"
+                raise input_error(path, got="exists already", expected=expected, remedy="remove it")
+            return ImportedAsset(package.id, package.asset.kind, path, package.sha256, source.license)
+
+    def _import(self, piece: Piece, asset_id: str, category: str) -> ImportedAsset:
+        findings = Findings()
+        source = self._provenance(piece)
+        model = read_obj_model(self.catalogue.read(piece.model), f"{self.catalogue.path}/{piece.model}")
+        with tempfile.TemporaryDirectory(prefix="sh3f-") as scratch:
+            find_image = _ImageFinder(self.catalogue, piece, Path(scratch))
+            phongs = self._phong_materials(piece, model, findings)
+            converter = PhongConverter(
+                self._label(piece), self.options, findings, find_image, self._hints(piece, model), self.known
+            )
+            pieces = self._surfaces(piece, model, phongs, converter, findings)
+            meshes = [mesh for _, _, mesh in pieces]
+            files = {name: converter.textures.files[name] for name in _textures_of(pieces)}
+            parts = []
+            for name, material, mesh in pieces:
+                files[f"meshes/{name}.ply"] = encode_ply(mesh)
+                density = mesh.uv_per_m()
+                parts.append(
+                    Part(
+                        name=name,
+                        mesh=f"meshes/{name}.ply",
+                        material=material.slot,
+                        asset_from_part=IDENTITY4,
+                        uv_per_m=None if density is None else quantized(density, 6),
+                    )
+                )
+            low, high = _bounds(meshes)
+            asset = ObjectAsset(
+                id=asset_id,
+                title=piece.name,
+                provenance=source,
+                category=category,
+                materials={material.slot: material.material for _, material, _ in pieces},
+                parts=tuple(parts),
+                minimum_m=(quantized(float(low[0]), 7), quantized(float(low[1]), 7), 0.0),
+                maximum_m=vector3(high),
+                supports=self._supports(piece, category, findings),
+            )
+            return finish(asset, files, self.folder, self.options, findings)
+
+    def _hints(self, piece: Piece, model: ObjModel) -> tuple[str, ...]:
+        """Names of the piece tell a material's class only where it has one or two materials."""
+        return (piece.name, *piece.tags) if len({s.material for s in model.surfaces}) <= 2 else ()
+
+    def _provenance(self, piece: Piece) -> Provenance:
+        """Licence, creator and rights holder of a piece, with the page it was taken from if that is named."""
+        origin = self.catalogue.origin
+        license_id = self.options.license or piece.license or origin.license
+        if not license_id:
+            raise input_error(
+                self._label(piece),
+                "license",
+                "nothing that is known",
+                "a licence in the catalogue or its LICENSE.TXT",
+                "give it with --license; only the holder of the rights can know it",
+            )
+        texts = [
+            self.catalogue.read(member).decode("utf-8", "replace")
+            for name, member in sorted(self.catalogue.beside(piece.model).items())
+            if "license" in name or name.endswith(".mtl")
+        ]
+        credit = next((m for text in texts if (m := _CREDIT.search(text))), None)
+        page = next((m[0] for text in texts if (m := _PAGE.search(text))), "")
+        author = piece.creator
+        if credit is not None and author in ("", "Blend Swap"):
+            author = (credit["author"] or credit["maker"]).strip()
+        if origin.holder and origin.holder not in author:
+            author = f"{author} ({origin.holder})" if author else origin.holder
+        source = self._source(piece) + (f", {page}" if page else "")
+        return Provenance(
+            license=license_id,
+            author=self.options.author or author,
+            source=self.options.source or source,
+            usage="evaluation_only" if self.options.evaluation_only else "any",
+        )
+
+    def _phong_materials(self, piece: Piece, model: ObjModel, findings: Findings) -> dict[str, PhongMaterial]:
+        """Materials of the MTL files that the model names."""
+        beside = self.catalogue.beside(piece.model)
+        found: dict[str, PhongMaterial] = {}
+        absent = []
+        for library in model.libraries:
+            name = PurePosixPath(library.replace("\\", "/")).name.lower()
+            if name in beside:
+                member = beside[name]
+                found.update(read_mtl(self.catalogue.read(member), f"{self.catalogue.path}/{member}"))
+            else:
+                absent.append(f"{library} (no such file)")
+        absent += sorted({f"material {s.material!r}" for s in model.surfaces if s.material not in found})
+        if absent and self.options.missing == "refuse":
+            remedy = "restore it, or import with --missing replace"
+            raise input_error(self._label(piece), "materials", ", ".join(absent), "in an MTL file", remedy)
+        for name in absent:
+            findings.approximate(f"{name}: missing, grey")
+        return found
+
+    def _surfaces(
+        self,
+        piece: Piece,
+        model: ObjModel,
+        phongs: dict[str, PhongMaterial],
+        converter: PhongConverter,
+        findings: Findings,
+    ) -> list[tuple[str, ConvertedMaterial, Mesh]]:
+        """Name, material and mesh of each part, in the asset's frame, standing on z = 0."""
+        matrix = self._asset_from_model(piece, model, findings)
+        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        pieces: list[tuple[str, ConvertedMaterial, Mesh]] = []
+        panes: list[tuple[str, ConvertedMaterial, Mesh]] = []
+        num_mended: list[int] = []
+        slots: set[str] = set()
+        for surface in model.surfaces:
+            slot = unique(surface.material or "default", slots)
+            slots.add(slot)
+            has_uv = surface.mesh.uv is not None
+            phong = phongs.get(surface.material, PhongMaterial())
+            material = converter.convert(slot, phong, is_mirror=surface.is_mirror, has_uv=has_uv)
+            mesh = surface.mesh.transformed(matrix)
+            if is_mirrored:
+                mesh = replace(mesh, faces=mesh.faces[:, ::-1].copy())
+            mesh = without_degenerate(mesh)
+            if not len(mesh.faces) or material.stand_in == "remove":
+                continue
+            mesh, mended = with_sound_normals(mesh)
+            if mended:
+                num_mended.append(mended)
+            entry = (unique(slug(slot), {name for name, _, _ in pieces + panes}), material, mesh)
+            is_flat = material.stand_in == "pane" and is_pane(mesh)
+            (panes if is_flat else pieces).append(entry)
+        if converter.problems:
+            raise InputError(*converter.problems)
+        if num_mended:
+            findings.note(mended_note(sum(num_mended), len(num_mended)))
+        if not pieces:  # a plate of glass would vanish as a whole: it stays, as opal
+            pieces = panes
+        elif panes:
+            findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat see-through panes left out")
+        if not pieces:
+            raise input_error(self._label(piece), got="no visible surface", expected="at least one")
+        low, high = _bounds([mesh for _, _, mesh in pieces])
+        shift = np.eye(4)
+        shift[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
+        return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
+
+    def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
+        """(4, 4): the catalogue's rotation, its size, and +Y up to +Z up."""
+        turn = np.eye(3) if piece.rotation is None else piece.rotation
+        points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ turn.T
+        extent = points.max(axis=0) - points.min(axis=0)
+        width, depth, height = piece.size_m
+        size = np.array([width, height, depth])
+        has_extent = extent > _FLAT * max(extent.max(), 1e-30)
+        if not has_extent.any():
+            raise input_error(self._label(piece), got="a model of a single point", expected="a surface")
+        scale = np.where(has_extent, size / np.maximum(extent, 1e-30), 1.0)
+        scale[~has_extent] = np.median(scale[has_extent])
+        ratio = float(scale[has_extent].max() / scale[has_extent].min())
+        if ratio > _STRETCH:
+            findings.note(f"{piece.name}: stretched to the catalogue's size, sides by up to {ratio:.2f} to 1")
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.diag(scale) @ turn
+        return Z_UP_FROM_Y_UP @ matrix
+
+    def _supports(self, piece: Piece, category: str, findings: Findings) -> tuple[SupportKind, ...]:
+        """Where it stands; nowhere for what hangs above the floor or is part of a wall."""
+        width, depth, height = piece.size_m
+        if piece.is_light:
+            findings.approximate(f"{piece.name}: light of the catalogue left out of the object")
+        if piece.is_door_or_window or piece.elevation_m > 0 or category in ("door", "stairs"):
+            findings.note(
+                f"{piece.name}: hangs or is built in, at {piece.elevation_m:g} m; no plan places it"
+            )
+            return ()
+        return guess_supports(category, height, max(width, depth))
+
+
+class _ImageFinder:
+    """Images of a model's folder by lower-case name, unpacked into ``scratch`` when first asked for."""
+
+    def __init__(self, catalogue: Catalogue, piece: Piece, scratch: Path):
+        self.catalogue, self.scratch = catalogue, scratch
+        self.members = catalogue.beside(piece.model)
+
+    def __call__(self, name: str) -> Path | None:
+        member = self.members.get(name)
+        if member is None or not name.endswith(_IMAGE_SUFFIXES):
+            return None
+        path = self.scratch / PurePosixPath(member).name
+        if not path.exists():
+            path.write_bytes(self.catalogue.read(member))
+        return path
+
+
+def guess_piece_category(piece: Piece) -> str:
+    """Category of a piece: by its catalogue category where that says what it is, else by name, then tags."""
+    tags = {t.lower() for t in piece.tags}
+    if piece.is_door_or_window or piece.is_stairs:
+        return "stairs" if piece.is_stairs else "door"
+    if piece.category.lower() == "characters":
+        return "animal" if "animal" in tags else "person"
+    stated = _CATEGORIES.get(piece.category.lower())
+    if stated:
+        return stated
+    names = (piece.name, *piece.tags, piece.id.rpartition("#")[2])
+    fallback = "outdoor" if piece.category.lower() == "exterior" else "other"
+    return next((c for name in names if (c := guess_category(name))), fallback)
+
+
+def _textures_of(pieces: list[tuple[str, ConvertedMaterial, Mesh]]) -> list[str]:
+    return sorted({t.texture for _, material, _ in pieces for t in material.material.textures()})
+
+
+def _bounds(meshes: list[Mesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    low = np.min([m.positions.min(axis=0) for m in meshes], axis=0).astype(np.float64)
+    high = np.max([m.positions.max(axis=0) for m in meshes], axis=0).astype(np.float64)
+    return low, high

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: MIT
+"""Furniture catalogues of Sweet Home 3D (.sh3f): a zip with ``PluginFurnitureCatalog.properties`` and models.
+
+A property ``width#12`` belongs to the twelfth piece. Sizes are centimetres: width along x, depth along the
+model's z, height along its y. ``modelRotation`` is a 3 x 3 matrix, row by row, applied to the model's points.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem, input_error
+
+CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
+MAX_SIDE_CM = 20_000.0  # a ship is less than 200 m long; more is a slip of the unit
+MAX_MEMBER_BYTES = 256 << 20  # far above any model seen (24 MB); a member that claims more is a bomb
+_DAMAGE = (  # all that zipfile raises on damaged archives
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    OSError,
+)
+_KEY = re.compile(r"(?P<name>[A-Za-z]+)#(?P<number>\d+)$")
+_ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.S)
+_LICENSES = (
+    (re.compile(r"publicdomain/zero|choose/zero|\bCC[ -]?0\b|Creative Commons Zero", re.I), "CC0-1.0"),
+    (re.compile(r"licenses/by/3\.0/us|Attribution 3\.0 United States", re.I), "CC-BY-3.0-US"),
+    (
+        re.compile(r"licenses/by/(?P<v>[234]\.0)(?!/us)|Attribution (?P<w>[234]\.0)(?! United)", re.I),
+        "CC-BY-",
+    ),
+    (re.compile(r"Free Art License|Licence Art Libre", re.I), "LAL-1.3"),
+)
+_HOLDER = re.compile(r"(?:Copyright\s*)?(?:©|\(C\))\s*(?:Copyrights?\s*)?(?P<holder>[^\n]+)", re.I)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One entry of a catalogue. ``size_m`` is width, depth, height in metres; ``rotation`` (3, 3) or None.
+
+    ``elevation_m``: height above the floor at which it is put first; above zero it hangs. ``is_back_shown``:
+    the faces are meant to be seen from behind too.
+    """
+
+    id: str
+    name: str
+    model: str
+    size_m: tuple[float, float, float]
+    category: str = ""
+    tags: tuple[str, ...] = ()
+    elevation_m: float = 0.0
+    rotation: NDArray[np.float64] | None = None
+    is_back_shown: bool = False
+    is_door_or_window: bool = False
+    is_light: bool = False
+    is_stairs: bool = False
+    creator: str = ""
+    license: str = ""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the whole catalogue comes from: its id, provider, SPDX licence ('' if unknown), rights holder."""
+
+    id: str = ""
+    provider: str = ""
+    license: str = ""
+    holder: str = ""
+
+
+@dataclass
+class Catalogue:
+    """An opened catalogue; ``problems`` are of entries that cannot be read, by name."""
+
+    path: Path
+    archive: zipfile.ZipFile
+    origin: Origin
+    pieces: list[Piece] = field(default_factory=list)
+    problems: dict[str, InputError] = field(default_factory=dict)
+
+    def __enter__(self) -> Catalogue:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.archive.close()
+
+    def read(self, member: str) -> bytes:
+        """Content of a member. Raises :class:`InputError` where it is missing, damaged or too large."""
+        where = f"{self.path}/{member}"
+        try:
+            info = self.archive.getinfo(member)
+            if info.file_size > MAX_MEMBER_BYTES:
+                raise input_error(
+                    where, got=f"{info.file_size} bytes", expected=f"at most {MAX_MEMBER_BYTES}"
+                )
+            return self.archive.read(info)
+        except KeyError:
+            raise input_error(
+                where, got="no such file in the catalogue", expected="the model", remedy="export it again"
+            ) from None
+        except InputError:
+            raise
+        except _DAMAGE as error:
+            raise input_error(
+                where, got=str(error), expected="a readable file", remedy="copy it again"
+            ) from None
+
+    def beside(self, model: str) -> dict[str, str]:
+        """Files in the folder of a model: lower-case base name to member."""
+        folder = PurePosixPath(model).parent
+        return {
+            PurePosixPath(n).name.lower(): n
+            for n in self.archive.namelist()
+            if PurePosixPath(n).parent == folder and not n.endswith("/")
+        }
+
+
+def open_catalogue(path: Path) -> Catalogue:
+    """Open a .sh3f file and read its pieces. Raises :class:`InputError` where it is no catalogue."""
+    expected = f"a Sweet Home 3D furniture library: a zip that holds {CATALOGUE_FILE}"
+    try:
+        archive = zipfile.ZipFile(path)
+    except _DAMAGE as error:
+        raise input_error(path, got=str(error), expected=expected, remedy="copy it again") from None
+    try:
+        if CATALOGUE_FILE not in archive.namelist():
+            raise input_error(path, got=f"no {CATALOGUE_FILE}", expected=expected, remedy="check the file")
+        catalogue = Catalogue(path, archive, Origin())
+        table = parse_properties(catalogue.read(CATALOGUE_FILE))
+        licence_text = "".join(
+            catalogue.read(n).decode("utf-8", "replace")[:4000]
+            for n in archive.namelist()
+            if "/" not in n and n.lower().startswith("license")
+        )
+        catalogue.origin = _origin(table, licence_text)
+        _read_pieces(catalogue, table)
+    except BaseException:
+        archive.close()
+        raise
+    return catalogue
+
+
+def parse_properties(data: bytes) -> dict[str, str]:
+    """A Java properties file: comments, continued lines, ``=`` ``:`` or blank, ``\\uXXXX`` and other escapes.
+
+    UTF-8 where that decodes, else ISO 8859-1, as Java reads them.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    table: dict[str, str] = {}
+    pending = ""
+    for raw in text.splitlines():
+        line = pending + raw.lstrip(" \t\f")
+        if not pending and (not line or line[0] in "#!"):
+            continue
+        if (len(line) - len(line.rstrip("\\"))) % 2:
+            pending = line[:-1]
+            continue
+        pending = ""
+        match = re.match(r"((?:\\.|[^\\=:\s])*)\s*[=:]?\s*(.*)", line, re.S)
+        assert match is not None  # every part of the pattern may be empty
+        table[_unescaped(match[1])] = _unescaped(match[2]).strip()
+    return table
+
+
+def _unescaped(text: str) -> str:
+    def value(match: re.Match[str]) -> str:
+        body = match[1]
+        if len(body) == 5:
+            return chr(int(body[1:], 16))
+        return {"t": "\t", "n": "\n", "r": "\r", "f": "\f"}.get(body, body)
+
+    return _ESCAPE.sub(value, text)
+
+
+def spdx_license(text: str) -> str:
+    """SPDX identifier that a licence text names; '' where it names none or several."""
+    found = set()
+    for pattern, name in _LICENSES:
+        for match in pattern.finditer(text):
+            groups = match.groupdict()
+            version = groups.get("v") or groups.get("w") or ""
+            found.add(name + version)
+    return found.pop() if len(found) == 1 else ""
+
+
+def _origin(table: dict[str, str], licence_text: str) -> Origin:
+    stated = table.get("license", "")
+    holder = _HOLDER.search(stated)
+    return Origin(
+        id=table.get("id", ""),
+        provider=table.get("provider", ""),
+        license=spdx_license(stated) or spdx_license(licence_text),
+        holder=holder["holder"].strip() if holder else "",
+    )
+
+
+def _read_pieces(catalogue: Catalogue, table: dict[str, str]) -> None:
+    entries: dict[int, dict[str, str]] = {}
+    for key, value in table.items():
+        match = _KEY.match(key)
+        if match:
+            entries.setdefault(int(match["number"]), {})[match["name"]] = value
+    for number in sorted(entries):
+        entry = entries[number]
+        label = entry.get("id") or entry.get("name") or f"#{number}"
+        try:
+            catalogue.pieces.append(_piece(entry, label, catalogue.path))
+        except InputError as error:
+            catalogue.problems[label] = error
+    if not entries:
+        raise input_error(catalogue.path, got="no pieces", expected="entries such as name#1 and model#1")
+
+
+def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
+    problems: list[Problem] = []
+    where = f"{path}: {label}"
+
+    def number(key: str, low: float, fallback: float | None = None) -> float:
+        text = entry.get(key, "")
+        if not text and fallback is not None:
+            return fallback
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= MAX_SIDE_CM or (low == 0 and value == 0 and fallback is None):
+            expected = f"centimetres up to {MAX_SIDE_CM:g}"
+            problems.append(Problem(where, key, repr(text), expected, "correct the catalogue"))
+        return round(value / 100, 9)
+
+    size = (number("width", 0), number("depth", 0), number("height", 0))
+    elevation = number("elevation", -MAX_SIDE_CM, 0.0)
+    model = entry.get("model", "").lstrip("/")
+    if not model or ".." in PurePosixPath(model).parts:
+        problems.append(
+            Problem(where, "model", repr(model), "the path of a model in the catalogue", "add it")
+        )
+    elif not model.lower().endswith(".obj"):
+        expected = "a Wavefront OBJ model"
+        problems.append(Problem(where, "model", repr(model), expected, "convert it in Sweet Home 3D"))
+    rotation = None
+    if entry.get("modelRotation"):
+        try:
+            rotation = np.array([float(x) for x in entry["modelRotation"].split()]).reshape(3, 3)
+        except ValueError:
+            rotation = np.full((3, 3), np.nan)
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01):
+            expected = "nine numbers of a rotation"
+            problems.append(
+                Problem(where, "modelRotation", repr(entry["modelRotation"]), expected, "correct it")
+            )
+    if problems:
+        raise InputError(*problems)
+    flags = entry.get("modelFlags", "0")
+    return Piece(
+        id=label,
+        name=entry.get("name") or label,
+        model=model,
+        size_m=size,
+        category=entry.get("category", ""),
+        tags=tuple(t.strip() for t in entry.get("tags", "").split(",") if t.strip()),
+        elevation_m=elevation,
+        rotation=rotation,
+        is_back_shown=entry.get("backFaceShown", "") == "true" or (flags.isdigit() and int(flags) & 1 == 1),
+        is_door_or_window=entry.get("doorOrWindow", "") == "true",
+        is_light="lightSourceX" in entry,
+        is_stairs="staircaseCutOutShape" in entry,
+        creator=entry.get("creator", ""),
+        license=spdx_license(entry.get("license", "")),
+    )

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: MIT
+"""OBJ models with their materials: one mesh a material, polygons cut into triangles, normals made up where
+the file has none.
+
+Letters: C corners of polygons, P polygons, M triangles. v of a texture coordinate runs upwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.meshes import Mesh, compacted
+
+CREASE_COSINE = 0.5
+"""Edges of less than 60 degrees are smooth within a smoothing group."""
+MIRROR_GROUP = "sweethome3d_window_mirror"
+_MAX_PAIRS = 1 << 22  # corner pairs held at once
+_NORMAL_DIGITS = 5  # equal normals of shared corners must be equal bits, or no vertex would be shared
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The faces of one material; ``is_mirror`` where the model marks them as a mirror."""
+
+    material: str
+    is_mirror: bool
+    mesh: Mesh
+
+
+@dataclass(frozen=True)
+class ObjModel:
+    """Surfaces in the order of the file, in the file's frame, and the material libraries it names."""
+
+    surfaces: tuple[Surface, ...]
+    libraries: tuple[str, ...]
+
+
+@dataclass
+class _Statements:
+    """Lines of an OBJ file sorted by kind; for each polygon its corner count, smoothing group and owner."""
+
+    positions: list[bytes] = field(default_factory=list)
+    uvs: list[bytes] = field(default_factory=list)
+    normals: list[bytes] = field(default_factory=list)
+    corners: list[bytes] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    smoothing: list[int] = field(default_factory=list)
+    owners: list[int] = field(default_factory=list)
+    keys: dict[tuple[str, bool], int] = field(default_factory=dict)
+    libraries: list[str] = field(default_factory=list)
+
+
+def read_obj_model(data: bytes, where: str | Path) -> ObjModel:
+    """Parse an OBJ file. Lines and points are passed over. Raises :class:`InputError` where it is damaged."""
+    found = _sort_lines(data)
+    try:
+        positions, uvs, normals = (
+            _table(found.positions, 3),
+            _table(found.uvs, 2),
+            _table(found.normals, 3),
+        )
+        indices = _indices(found.corners, (len(positions), len(uvs), len(normals)))
+    except (ValueError, IndexError) as error:
+        raise input_error(
+            where, got=str(error)[:200], expected="an intact OBJ file", remedy="export it again"
+        ) from None
+    if not len(indices):
+        raise input_error(where, got="no faces", expected="a model with a surface", remedy="export it again")
+    if not np.isfinite(positions[indices[:, 0]]).all():
+        raise input_error(where, got="NaN or infinite vertices", expected="finite numbers")
+    counts = np.array(found.counts)
+    triangles, polygon = _triangulated(positions[indices[:, 0]], counts)
+    corner = indices[triangles]  # (M, 3, 3): position, uv, normal
+    once = _first_of_each(corner[:, :, 0])
+    corner, polygon = corner[once], polygon[once]
+    shading = _corner_normals(positions, normals, corner, np.array(found.smoothing)[polygon])
+    owner = np.array(found.owners)[polygon]
+    surfaces = []
+    for (material, is_mirror), number in found.keys.items():
+        mine = owner == number
+        if mine.any():
+            mesh = _mesh(positions, uvs, corner[mine], shading[mine])
+            surfaces.append(Surface(material, is_mirror, mesh))
+    return ObjModel(tuple(surfaces), tuple(found.libraries))
+
+
+def _sort_lines(data: bytes) -> _Statements:
+    found = _Statements()
+    material, is_mirror, smoothing, owner = "", False, 0, -1
+    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+        head = line[:2]
+        if head == b"v ":
+            found.positions.append(line)
+        elif head == b"f ":
+            if owner < 0:
+                owner = found.keys.setdefault((material, is_mirror), len(found.keys))
+            corners = line.split()
+            if len(corners) > 3:  # some files hold faces of two corners, which have no surface
+                found.corners += corners[1:]
+                found.counts.append(len(corners) - 1)
+                found.smoothing.append(smoothing)
+                found.owners.append(owner)
+        elif head == b"vt":
+            found.uvs.append(line)
+        elif head == b"vn":
+            found.normals.append(line)
+        elif head == b"us" and line.startswith(b"usemtl"):
+            material, owner = line[6:].decode("utf-8", "replace").strip(), -1
+        elif head in (b"g ", b"o "):
+            is_mirror, owner = line[2:].strip().decode("utf-8", "replace").startswith(MIRROR_GROUP), -1
+        elif head == b"s ":
+            word = line[2:].strip()
+            smoothing = int(word) if word.isdigit() else int(word == b"on")
+        elif head == b"mt" and line.startswith(b"mtllib"):
+            found.libraries.append(line[6:].decode("utf-8", "replace").strip())
+    return found
+
+
+def _table(lines: list[bytes], width: int) -> Floats:
+    """The first ``width`` numbers after the keyword of each line, (K, width); missing ones are 0."""
+    if not lines:
+        return np.zeros((0, width))
+    tokens = b" ".join(lines).split()
+    per_line = len(lines[0].split())
+    if len(tokens) == per_line * len(lines) and per_line > width:
+        return np.array(tokens).reshape(len(lines), per_line)[:, 1 : width + 1].astype(np.float64)
+    rows = [(line.split()[1 : width + 1] + [b"0"] * width)[:width] for line in lines]
+    return np.array(rows).astype(np.float64)
+
+
+def _indices(corners: list[bytes], counts: tuple[int, int, int]) -> Ints:
+    """(C, 3) zero-based indices of position, uv and normal; -1 where a corner names none."""
+    if not corners:
+        return np.zeros((0, 3), np.int64)
+    joined = b" ".join(corners).replace(b"//", b"/0/")
+    slashes = joined.count(b"/")
+    indices = np.zeros((len(corners), 3), np.int64)
+    per_corner = slashes // len(corners)
+    numbers = joined.replace(b"/", b" ").split()
+    if slashes == per_corner * len(corners) and len(numbers) == (per_corner + 1) * len(corners):
+        is_even = all(c.count(b"/") == per_corner for c in corners[:: max(1, len(corners) // 64)])
+    else:
+        is_even = False
+    if is_even and not joined.endswith(b"/") and b"/ " not in joined:
+        indices[:, : per_corner + 1] = np.array(numbers).astype(np.int64).reshape(len(corners), -1)
+    else:
+        for row, corner in enumerate(corners):
+            for column, number in enumerate(corner.split(b"/")[:3]):
+                indices[row, column] = int(number) if number else 0
+    for column, count in enumerate(counts):
+        values = indices[:, column]
+        values[values < 0] += count + 1  # negative indices count from the end
+        if (values > count).any() or (values < 0).any() or (column == 0 and (values < 1).any()):
+            raise ValueError(f"a face refers to entry {int(values.max())} of {count}")
+    return indices - 1
+
+
+def _triangulated(points: Floats, counts: Ints) -> tuple[Ints, Ints]:
+    """Triangles as corner numbers (M, 3) and the polygon of each (M,). ``points`` (C, 3) are the corners'."""
+    starts = np.cumsum(counts) - counts
+    threes, fours = np.flatnonzero(counts == 3), np.flatnonzero(counts == 4)
+    parts = [starts[threes][:, None] + [0, 1, 2]]
+    polygons = [threes]
+    first = starts[fours]
+    if len(fours):
+        quad = points[first[:, None] + np.arange(4)]
+        even = _normal(quad[:, [0, 1, 2]]), _normal(quad[:, [0, 2, 3]])
+        odd = _normal(quad[:, [1, 2, 3]]), _normal(quad[:, [1, 3, 0]])
+        # a concave quadrangle has one diagonal whose halves face the same way
+        is_odd = (even[0] * even[1]).sum(axis=1) < 0
+        is_odd &= (odd[0] * odd[1]).sum(axis=1) > 0
+        split = np.where(is_odd[:, None], [1, 2, 3, 1, 3, 0], [0, 1, 2, 0, 2, 3])
+        parts.append((first[:, None] + split).reshape(-1, 3))
+        polygons.append(np.repeat(fours, 2))
+    for polygon in np.flatnonzero(counts > 4):
+        start, count = int(starts[polygon]), int(counts[polygon])
+        ears = triangulate(points[start : start + count])
+        parts.append(start + ears)
+        polygons.append(np.full(len(ears), polygon))
+    triangles, polygon_of = np.concatenate(parts), np.concatenate(polygons)
+    order = np.argsort(polygon_of, kind="stable")
+    return triangles[order], polygon_of[order]
+
+
+def triangulate(points: Floats) -> Ints:
+    """Triangles (K - 2, 3) of a plane polygon (K, 3) without holes, in its own winding, by cutting ears."""
+    ring = list(range(len(points)))
+    turned = np.roll(points, -1, axis=0)
+    normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell
+    axis = int(np.abs(normal).argmax())
+    flat = np.delete(points, axis, axis=1)
+    if (normal[axis] < 0) != (axis == 1):  # seen along -axis, and x-z is mirrored against z-x
+        flat = flat * [1.0, -1.0]
+    before, after = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
+    turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    if (turns >= 0).all():
+        k = np.arange(1, len(points) - 1)
+        return np.stack([np.zeros_like(k), k, k + 1], axis=1)
+    ears: list[tuple[int, int, int]] = []
+    while len(ring) > 3:
+        cut = next((k for k in range(len(ring)) if _is_ear(flat, ring, k)), None)
+        if cut is None:  # a ring that crosses itself has none: what is left becomes a fan
+            break
+        ears.append((ring[cut - 1], ring[cut], ring[(cut + 1) % len(ring)]))
+        del ring[cut]
+    ears += [(ring[0], ring[k], ring[k + 1]) for k in range(1, len(ring) - 1)]
+    return np.array(ears, dtype=np.int64)
+
+
+def _is_ear(flat: Floats, ring: list[int], k: int) -> bool:
+    a, b, c = flat[ring[k - 1]], flat[ring[k]], flat[ring[(k + 1) % len(ring)]]
+
+    def side(p: Floats, q: Floats, r: Floats) -> Floats:
+        return (q[0] - p[0]) * (r[..., 1] - p[1]) - (q[1] - p[1]) * (r[..., 0] - p[0])
+
+    if side(a, b, c) <= 0:
+        return False
+    others = flat[
+        [ring[j] for j in range(len(ring)) if j not in (k - 1, k, (k + 1) % len(ring), k - 1 + len(ring))]
+    ]
+    return not bool(((side(a, b, others) > 0) & (side(b, c, others) > 0) & (side(c, a, others) > 0)).any())
+
+
+def _normal(triangles: Floats) -> Floats:
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
+    """Mask (M,) of triangles that do not repeat an earlier one, whichever way round.
+
+    Models hold faces twice to be seen from both sides, which every surface of the project is anyway.
+    """
+    keys = np.sort(faces, axis=1)
+    order = np.lexsort(keys.T)
+    is_new = np.ones(len(keys), dtype=bool)
+    is_new[order[1:]] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
+    return is_new
+
+
+def _corner_normals(positions: Floats, normals: Floats, corner: Ints, smoothing: Ints) -> Floats:
+    """Unit normals (M, 3, 3): the file's where a corner names one, else smooth within a smoothing group."""
+    cross = _normal(positions[corner[:, :, 0]])
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
+    named = corner[:, :, 2]
+    if len(normals):
+        given = normals[np.maximum(named, 0)]
+        size = np.linalg.norm(given, axis=2, keepdims=True)
+        sound = (named >= 0) & np.isfinite(size[..., 0]) & (size[..., 0] > 1e-6)
+        if sound.all():
+            return given / size
+    else:
+        given, size = np.zeros((*corner.shape[:2], 3)), np.ones((*corner.shape[:2], 1))
+        sound = np.zeros(corner.shape[:2], dtype=bool)
+    made = _creased(positions, corner[:, :, 0], unit, smoothing)
+    return np.where(sound[..., None], given / np.maximum(size, 1e-300), made)
+
+
+def _creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints) -> Floats:
+    """Normals (M, 3, 3): at each corner the angle-weighted mean of the faces there that lie within 60 degrees
+    and in the same smoothing group; group 0 is flat."""
+    made = np.repeat(unit[:, None], 3, axis=1)
+    chosen = np.flatnonzero(smoothing > 0)
+    if not len(chosen):
+        return made
+    points = positions[faces[chosen]]
+    angle = np.empty((len(chosen), 3))
+    for k in range(3):
+        a, b = points[:, (k + 1) % 3] - points[:, k], points[:, (k + 2) % 3] - points[:, k]
+        angle[:, k] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+    vertex = faces[chosen].ravel()
+    order = np.argsort(vertex, kind="stable")
+    _, first, count = np.unique(vertex[order], return_index=True, return_counts=True)
+    first, count = np.repeat(first, count), np.repeat(count, count)  # of each sorted corner's vertex
+    normal, weight = np.repeat(unit[chosen], 3, axis=0)[order], angle.ravel()[order]
+    group = np.repeat(smoothing[chosen], 3)[order]
+    total = np.empty((len(order), 3))
+    bounds = np.searchsorted(np.cumsum(count), np.arange(_MAX_PAIRS, count.sum() + _MAX_PAIRS, _MAX_PAIRS))
+    low = 0
+    for high in (*np.minimum(bounds + 1, len(order)), len(order)):
+        if high <= low:
+            continue
+        sizes = count[low:high]
+        starts = np.cumsum(sizes) - sizes
+        one = np.repeat(np.arange(low, high), sizes)
+        other = np.repeat(first[low:high], sizes) + np.arange(sizes.sum()) - np.repeat(starts, sizes)
+        near = ((normal[one] * normal[other]).sum(axis=1) > CREASE_COSINE) & (group[one] == group[other])
+        parts = normal[other] * (weight[other] * near)[:, None]
+        total[low:high] = np.add.reduceat(parts, starts, axis=0)
+        low = int(high)
+    size = np.linalg.norm(total, axis=1, keepdims=True)
+    smooth = np.where(size > 1e-6, total / np.maximum(size, 1e-300), normal)
+    back = np.empty_like(smooth)
+    back[order] = np.round(smooth, _NORMAL_DIGITS)
+    made[chosen] = back.reshape(-1, 3, 3)
+    return made
+
+
+def _mesh(positions: Floats, uvs: Floats, corner: Ints, normals: Floats) -> Mesh:
+    """One surface; texture coordinates only where every corner has them, and they are finite."""
+    flat = corner.reshape(-1, 3)
+    uv = None
+    if len(uvs) and (flat[:, 1] >= 0).all():
+        found = uvs[flat[:, 1]].astype(np.float32)
+        uv = found if np.isfinite(found).all() else None
+    faces = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
+    points = positions[flat[:, 0]].astype(np.float32)
+    return compacted(Mesh(points, faces, normals.reshape(-1, 3).astype(np.float32), uv))

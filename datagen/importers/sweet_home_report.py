@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""What a user sees while hundreds of pieces are imported: a bar, and a table at the end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from datagen.importers.sweet_home import Step
+
+
+class ImportWatch:
+    """A progress bar for each catalogue and a summary of all of them when the import ends, however it ends.
+
+    Nothing is shown, and rich is not loaded, until the first step is reported.
+    """
+
+    def __init__(self) -> None:
+        self.steps: list[Step] = []
+        self._bar: Progress | None = None
+        self._tasks: dict[Path, TaskID] = {}
+
+    def __enter__(self) -> ImportWatch:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._bar is None:
+            return
+        self._bar.stop()
+        self._print_summary()
+        if kind is KeyboardInterrupt:
+            print("interrupted; the same command goes on where it stopped")
+
+    def step(self, path: Path, step: Step, total: int) -> None:
+        """One piece of the catalogue at ``path``, which has ``total``, is done."""
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+                TextColumn("{task.fields[piece]}"),
+                console=Console(stderr=True),
+            )
+            self._bar.start()
+        if path not in self._tasks:
+            self._tasks[path] = self._bar.add_task(path.stem, total=total, piece="")
+        self._bar.update(self._tasks[path], advance=1, piece=step.name)
+        self.steps.append(step)
+
+    def _print_summary(self) -> None:
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table("category", "imported", "there already", "refused")
+        by_category: dict[str, Counter[str]] = {}
+        for step in self.steps:
+            by_category.setdefault(step.category or "unknown", Counter())[step.outcome] += 1
+        total: Counter[str] = Counter()
+        for category, counts in sorted(by_category.items(), key=lambda item: (-item[1].total(), item[0])):
+            table.add_row(category, *(str(counts[k] or "") for k in ("imported", "kept", "refused")))
+            total.update(counts)
+        table.add_section()
+        table.add_row("all", *(str(total[k]) for k in ("imported", "kept", "refused")))
+        console = Console()
+        console.print(table)
+        reasons = Counter(
+            f"{' '.join(p.field.split()[:1]) or 'model'}: {p.got}" if len(p.got) < 60 else p.field or "model"
+            for step in self.steps
+            if step.outcome == "refused"
+            for p in step.problems[:1]
+        )
+        if reasons:
+            refused = Table("refused because", "pieces")
+            for reason, count in reasons.most_common():
+                refused.add_row(reason, str(count))
+            console.print(refused)
