@@ -192,10 +192,10 @@ def measure(renderer: SceneRenderer, configuration: Configuration, compression: 
     views: list[RenderedView] = []
     for index in range(count):
         with watch.stage("path + buffers"):
-            view = renderer._begin(index)
-            renderer._add_pass(view, renderer.recipe.path_samples or 0)
+            traced = renderer._begin(index)
+            renderer._add_pass(traced, renderer.recipe.path_samples or 0)
         with watch.stage("denoiser"):
-            views.append(renderer._finish(view))
+            views.append(renderer._finish(traced))
     inputs = [
         StatisticsView.from_buffers(camera.camera(), view.buffers)
         for camera, view in zip(configuration.cameras, views, strict=True)
