@@ -41,6 +41,9 @@ class LossConfig(StrictModel):
     num_point_lights: int = Field(default=3, ge=0)
     num_area_lights: int = Field(default=3, ge=0)
     map_l1_weight: float = Field(default=0.1, ge=0)
+    map_l2_weight: float = Field(default=0.0, ge=0)
+    """Of the maps' mean squared errors, which L1 alone does not minimise: where metal is rare, the median of
+    specular albedo is that of dielectrics (decision 0015)."""
     perceptual_weight: float = Field(default=1.0, ge=0)
     """Of every perceptual term; 0 leaves them out."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)
@@ -97,7 +100,7 @@ class MaterialLoss(nn.Module):
     def name(self) -> str:
         """What a checkpoint records: terms and the perceptual distance used."""
         distance = "none" if self.perceptual is None else str(self.perceptual.name)
-        return f"l1+{distance}"
+        return f"l1+{'l2+' if self.config.map_l2_weight > 0 else ''}{distance}"
 
     def forward(
         self,
@@ -140,6 +143,9 @@ class MaterialLoss(nn.Module):
                 l1_map = (ours - theirs).abs().mean()
             parts[f"{name}_l1"] = l1_map
             total = total + self.config.map_l1_weight * l1_map
+            if self.config.map_l2_weight > 0:
+                parts[f"{name}_l2"] = (ours - theirs).square().mean()
+                total = total + self.config.map_l2_weight * parts[f"{name}_l2"]
             if self.perceptual is not None:
                 pair = (ours.expand(-1, 3, -1, -1), theirs.expand(-1, 3, -1, -1))
                 with watch.section("perceptual"):

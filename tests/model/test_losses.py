@@ -97,6 +97,27 @@ def test_the_loss_names_its_distance():
     assert MaterialLoss(LossConfig(perceptual_weight=0.0), GradientSsim()).name == "l1+none"
 
 
+def test_squares_pull_an_uncertain_map_to_its_mean(scene):
+    """Rare metal: under L1 the best constant is the median, under squared errors the mean."""
+    truth, geometry = scene
+    metal = torch.rand(truth["roughness"].shape, generator=torch.Generator().manual_seed(3)) < 0.1
+    specular = torch.where(metal, 0.9, 0.04).expand(-1, 3, -1, -1)
+    truth = {**truth, "specular_albedo": specular}
+    nothing = {"num_point_lights": 0, "num_area_lights": 0, "perceptual_weight": 0.0}
+
+    def total(value: float, **weights: float) -> float:
+        loss = MaterialLoss(LossConfig(**nothing, **weights), None)
+        guess = {"specular_albedo": torch.full_like(specular, value)}
+        return float(loss(guess, truth, geometry, _draws(1), generator_for(1)).total)
+
+    median, mean = 0.04, float(specular[geometry.mask.expand_as(specular)].mean())
+    assert total(median, map_l1_weight=1.0) < total(mean, map_l1_weight=1.0)
+    assert total(mean, map_l1_weight=0.0, map_l2_weight=1.0) < total(
+        median, map_l1_weight=0.0, map_l2_weight=1.0
+    )
+    assert MaterialLoss(LossConfig(**nothing, map_l2_weight=1.0), None).name == "l1+l2+none"
+
+
 @pytest.mark.parametrize(("count", "calls"), [(None, 6 + 3), (2, 2 + 3), (0, 3)])
 def test_fewer_re_renderings_may_enter_the_perceptual_term(scene, count, calls):
     class Counter(torch.nn.Module):
