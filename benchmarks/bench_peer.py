@@ -1,0 +1,410 @@
+# SPDX-License-Identifier: MIT
+"""Equal error against Blender's Cycles: one configuration of the bundled library, everything counted.
+
+    python -m benchmarks.bench_peer                        40 views of 640x384 at `standard`; 20 quiet minutes
+    python -m benchmarks.bench_peer --peer-views 40        the peer renders every view instead of a sample
+    python -m benchmarks.bench_peer --views 4 --size 96 64 --quality draft --out /tmp/peer      a quick look
+
+Ours: ``datagen unit`` on a planned folder, from the start of the process to the committed shard: loading,
+compilation, paths, buffers, denoiser, statistics of all views, compression. Twice: with an empty kernel
+cache, and as the second configuration of a dataset finds it.
+
+The peer: bpy as BlenderProc drives it (peer_cycles.py): one process, persistent data, path tracing with the
+same number of segments, OIDN with prefiltered albedo and normal, an EXR a view with depth, normal, diffuse
+and glossy colour, object and material index. Its scene is a .blend made beforehand from the same exported
+configuration; making it is not counted. It has no roughness, no multi-view statistics and no error control.
+
+Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
+renderer against two independent converged images of its own, because the materials differ by more than the
+error asked for (agreement of the two is measured and reported). The peer keeps Blender's clamp of indirect
+light in its reference too, which hides what the clamp takes away: this favours the peer. Its sample count is
+found by doubling until the error is at most ours and by interpolation in logarithms.
+
+Every step is kept in --out and skipped when it is there: the same command continues. ``--peer-views N``
+renders N views with the peer and states 40 views as the fixed part + 40 x the median of a view.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import platform
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import luminance
+from datagen.farm.folder import DatasetFolder
+from datagen.formats.base import canonical_json, sha256_hex
+from datagen.formats.recipe import QUALITIES, ObjectRecipe, Recipe, RenderRecipe
+from datagen.formats.shard import ShardReader
+from datagen.rendering.error import relative_mse
+from datagen.versions import pixel_versions
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+FIRST_SAMPLES = 4
+LEAST_TIMED = 3  # views; the first pays for the scene, the median of the others is a view's cost
+
+
+def recipe_of(arguments: argparse.Namespace) -> Recipe:
+    """The configuration that is rendered."""
+    return Recipe(
+        name="peer",
+        seed=2022,
+        configurations=1,
+        views=arguments.views,
+        resolution=tuple(arguments.size),
+        objects=ObjectRecipe(count=(10, 24)),
+        render=RenderRecipe.model_validate({"quality": arguments.quality}),
+    )
+
+
+def step(path: Path, make: Callable[[], Any]) -> Any:
+    """The JSON at ``path``, made now if it is not there."""
+    if not path.is_file():
+        result = make()
+        partial = path.with_suffix(".partial")
+        partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        partial.replace(path)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def timed(*command: str, log: Path, environment: dict[str, str] | None = None) -> dict[str, float]:
+    """Run a Python module in a process of its own: when it began (epoch), wall and processor seconds."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    began, start = time.time(), time.perf_counter()
+    with log.open("wb") as out:
+        done = subprocess.run(
+            [sys.executable, "-m", *command],
+            cwd=REPOSITORY,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **(environment or {})},
+        )
+    wall = time.perf_counter() - start
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}; see {log}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"began": began, "wall_s": round(wall, 3), "cpu_s": round(cpu, 3)}
+
+
+def read_peer(path: Path) -> NDArray[np.float32]:
+    """Beauty (H, W, 3) of an EXR of the peer."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path)) as file:
+        (combined,) = [c for name, c in file.channels().items() if name.endswith("Combined")]
+        return np.asarray(combined.pixels[..., :3], np.float32)
+
+
+class Comparison:
+    """The steps, in order; each leaves its result in ``folder``."""
+
+    def __init__(self, arguments: argparse.Namespace):
+        self.arguments = arguments
+        self.recipe = recipe_of(arguments)
+        key = {"recipe": self.recipe.model_dump(mode="json"), "versions": pixel_versions()}
+        self.folder: Path = arguments.out / sha256_hex(canonical_json(key))[:12]
+        self.folder.mkdir(parents=True, exist_ok=True)
+        count = min(arguments.error_views, arguments.views)
+        self.error_views = [round((k + 0.5) * arguments.views / count - 0.5) for k in range(count)]
+        self.depth = str(self.recipe.render.max_depth)
+
+    # ---------------------------------------------------------------- the same room for both
+
+    def prepare(self) -> None:
+        """Plan, export, .blend."""
+        plan = self.folder / "plan"
+        if not (plan / "plan.json").is_file():
+            path = self.folder / "recipe.yaml"
+            path.write_bytes(canonical_json(self.recipe))  # JSON is YAML
+            timed("datagen", "plan", str(path), "--out", str(plan), log=self.folder / "plan.log")
+        blend, export = self.folder / "room.blend", self.folder / "export"
+        if not blend.is_file():
+            shutil.rmtree(export, ignore_errors=True)
+            log = self.folder / "export.log"
+            timed("benchmarks.peer_scene", "export", str(plan), str(export), log=log)
+            timed("benchmarks.peer_cycles", "build", str(export), str(blend), log=log)
+
+    def peer(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
+        """Views of the peer in ``folder/name``, with the seconds that they took."""
+        out = self.folder / name
+
+        def make() -> dict[str, Any]:
+            command = ["render", str(self.folder / "room.blend"), str(out), *map(str, views)]
+            command += ["--samples", str(samples), "--max-depth", self.depth, *options]
+            run = timed("benchmarks.peer_cycles", *command, log=self.folder / f"{name}.log")
+            times = json.loads((out / "times.json").read_text(encoding="utf-8"))
+            finished = times["finished"]
+            seconds = np.diff([times["loaded"], *finished]).round(4).tolist()
+            return {
+                **run,
+                "start_s": round(times["loaded"] - run["began"], 3),
+                "views_s": seconds,
+                "samples": samples,
+                "blender": times["blender"],
+            }
+
+        return step(self.folder / f"{name}.json", make)
+
+    # ---------------------------------------------------------------- errors
+
+    def references(self) -> dict[str, Any]:
+        """Two converged images of each error view, by both renderers."""
+        samples = str(self.arguments.reference_samples)
+        out = self.folder / f"our_references_{samples}"
+        views = [str(v) for v in self.error_views]
+        if not all((out / f"view_{int(v):03}.npz").is_file() for v in views):
+            plan = str(self.folder / "plan")
+            command = ("reference", plan, str(out), *views, "--samples", samples)
+            timed("benchmarks.peer_scene", *command, log=self.folder / "references.log")
+        pairs: dict[str, Any] = {"ours": {}, "peer": {}}
+        for view in self.error_views:
+            with np.load(out / f"view_{view:03}.npz") as data:
+                pairs["ours"][view] = (data["first"], data["second"])
+            halves = []
+            for half in (0, 1):
+                name = f"peer_reference_{samples}_{view}_{half}"
+                self.peer(name, [view], int(samples), "--noisy", "--seed", str(100 + half))
+                halves.append(read_peer(self.folder / name / f"view_{view:03}.exr"))
+            pairs["peer"][view] = tuple(halves)
+        return pairs
+
+    @staticmethod
+    def agreement(pairs: dict[str, Any]) -> dict[str, Any]:
+        """How much the two references differ: ratio of means (peer : ours), correlation of blurred images."""
+        import cv2
+
+        ratios, correlations = [], []
+        for view, (a, b) in pairs["ours"].items():
+            ours, peer = luminance(0.5 * (a + b)), luminance(0.5 * sum(pairs["peer"][view]))
+            ratios.append(float(peer.mean() / ours.mean()))
+            blurred = [
+                cv2.GaussianBlur(np.minimum(i, 4 * np.percentile(i, 95)).astype(np.float32), (0, 0), 2)
+                for i in (ours, peer)
+            ]
+            correlations.append(float(np.corrcoef(blurred[0].ravel(), blurred[1].ravel())[0, 1]))
+        return {
+            "ratio_of_means": [round(r, 4) for r in ratios],
+            "correlation": [round(c, 4) for c in correlations],
+        }
+
+    def peer_error(self, name: str, pairs: dict[int, Any]) -> float:
+        """Mean error of the peer's images in ``folder/name`` over those error views that are there."""
+        found = {v: self.folder / name / f"view_{v:03}.exr" for v in self.error_views}
+        return float(
+            np.mean(
+                [relative_mse(read_peer(p), *pairs[v], exposed=True) for v, p in found.items() if p.is_file()]
+            )
+        )
+
+    def peer_samples(self, target: float, pairs: dict[int, Any]) -> tuple[int | None, dict[int, float]]:
+        """Least sample count whose error is ``target``, None if the ceiling does not reach it; the curve."""
+        curve: dict[int, float] = {}
+        samples = FIRST_SAMPLES
+        while samples <= self.arguments.max_peer_samples:
+            name = f"peer_{samples}"
+            self.peer(name, self.error_views, samples)
+            curve[samples] = self.peer_error(name, pairs)
+            print(f"peer, {samples} samples: relMSE {curve[samples]:.5f}", file=sys.stderr)
+            if curve[samples] <= target:
+                return interpolated(curve, target), curve
+            samples *= 2
+        return None, curve
+
+    # ---------------------------------------------------------------- time
+
+    def ours(self, name: str, *, is_cold: bool) -> dict[str, Any]:
+        """One ``datagen unit`` on a fresh copy of the plan."""
+        root = self.folder / name
+
+        def make() -> dict[str, Any]:
+            shutil.rmtree(root, ignore_errors=True)
+            shutil.copytree(self.folder / "plan", root)
+            with tempfile.TemporaryDirectory() as home:
+                environment = {"HOME": home} if is_cold else {}  # Dr.Jit keeps kernels in ~/.drjit
+                log = self.folder / f"{name}.log"
+                return timed("datagen", "unit", str(root), "0", log=log, environment=environment)
+
+        return step(self.folder / f"{name}.json", make)
+
+    def our_views(self, name: str) -> tuple[dict[int, NDArray], list[dict[str, Any]], int]:
+        """Beauty of the error views, every view's render record, and the shard's bytes."""
+        folder = DatasetFolder(self.folder / name)
+        (unit,) = folder.read_plan().units
+        manifest = folder.read_manifest(unit)
+        assert manifest is not None
+        images, records = {}, []
+        for index, view in enumerate(ShardReader(folder.root / manifest.shard, ("beauty",))):
+            records.append(view.record.render.model_dump(mode="json"))
+            if index in self.error_views:
+                images[index] = view.buffers["beauty"].astype(np.float32)
+        return images, records, manifest.num_bytes
+
+    def run(self) -> dict[str, Any]:
+        """All of it."""
+        arguments = self.arguments
+        self.prepare()
+        pairs = self.references()
+        cold = self.ours("ours_cold", is_cold=True)
+        warm = [self.ours(f"ours_warm_{k}", is_cold=False) for k in range(arguments.repeats)]
+        images, records, num_bytes = self.our_views("ours_cold")
+        our_errors = {v: relative_mse(i, *pairs["ours"][v], exposed=True) for v, i in images.items()}
+        target = float(np.mean(list(our_errors.values())))
+        print(f"ours: relMSE {target:.5f}", file=sys.stderr)
+        samples, curve = self.peer_samples(target, pairs["peer"])
+        count = max(LEAST_TIMED, min(arguments.peer_views, arguments.views))
+        rest = [v for v in range(arguments.views) if v not in self.error_views]
+        chosen = rest[:: max(1, len(rest) // max(1, count - len(self.error_views)))]
+        views = sorted([*self.error_views, *chosen[: max(0, count - len(self.error_views))]])
+        used = samples or max(curve)
+        name = f"peer_timed_{used}_{len(views)}"
+        peer = self.peer(name, views, used)
+        warm_wall = statistics.median(run["wall_s"] for run in warm) if warm else None
+        result: dict[str, Any] = {
+            "machine": machine(),
+            "versions": pixel_versions(),
+            "recipe": self.recipe.model_dump(mode="json"),
+            "views": arguments.views,
+            "error_views": self.error_views,
+            "agreement": self.agreement(pairs),
+            "ours": {
+                "cold": cold,
+                "warm": warm,
+                "warm_wall_s": warm_wall,
+                "rel_mse": target,
+                "rel_mse_by_view": {str(k): v for k, v in our_errors.items()},
+                "path_samples": [r["path_samples"] for r in records],
+                "at_ceiling": sum(r["at_ceiling"] for r in records),
+                "clamped_energy": statistics.median(r["clamped_energy"] for r in records),
+                "megabytes": num_bytes / 1e6,
+            },
+            "peer": {
+                **peer,
+                "reached": samples is not None,
+                "rel_mse": self.peer_error(name, pairs["peer"]),
+                "curve": {str(k): v for k, v in curve.items()},
+                **extrapolated(peer, arguments.views),
+            },
+        }
+        total = result["peer"]["total_wall_s"]
+        result["speedup_cold"] = total / cold["wall_s"]
+        result["speedup_warm"] = total / warm_wall if warm_wall else None
+        result["speedup_cpu"] = result["peer"]["total_cpu_s"] / cold["cpu_s"]
+        return result
+
+
+def interpolated(curve: dict[int, float], target: float) -> int:
+    """Sample count at which the last two points of a falling curve cross ``target``, in logarithms."""
+    *before, high = sorted(curve)
+    if not before:
+        return high
+    low = before[-1]
+    fall = math.log(curve[low] / curve[high])
+    share = math.log(curve[low] / target) / fall if fall > 0 else 1.0
+    return math.ceil(math.exp(math.log(low) + min(1.0, share) * math.log(high / low)))
+
+
+def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
+    """Fixed part, cost of a view and total for ``views``; the first view's excess belongs to the fixed part.
+
+    Processor seconds are divided among fixed part and views as wall seconds are.
+    """
+    a_view = statistics.median(run["views_s"][1:])
+    leaving = run["wall_s"] - run["start_s"] - sum(run["views_s"])
+    fixed = run["start_s"] + max(0.0, run["views_s"][0] - a_view) + leaving
+    is_complete = len(run["views_s"]) == views
+    total = run["wall_s"] if is_complete else fixed + views * a_view
+    return {
+        "fixed_wall_s": round(fixed, 3),
+        "a_view_wall_s": round(a_view, 3),
+        "total_wall_s": round(total, 2),
+        "total_cpu_s": round(run["cpu_s"] * total / run["wall_s"], 2),
+        "is_extrapolated": not is_complete,
+    }
+
+
+def machine() -> dict[str, Any]:
+    """Processor and cores."""
+    model = platform.processor() or platform.machine()
+    information = Path("/proc/cpuinfo")
+    if information.is_file():
+        lines = information.read_text(encoding="utf-8").splitlines()
+        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), model)
+    return {"processor": model, "cores": os.cpu_count()}
+
+
+def table(result: dict[str, Any]) -> str:
+    """What is published."""
+    ours, peer, views = result["ours"], result["peer"], result["views"]
+    width, height = result["recipe"]["resolution"]
+    machine_text = f"{result['machine']['cores']} cores of {result['machine']['processor']}"
+    rows = [("ours, empty kernel cache", ours["cold"]["wall_s"], ours["cold"]["cpu_s"], ours["rel_mse"])]
+    if ours["warm_wall_s"]:
+        cpu = statistics.median(run["cpu_s"] for run in ours["warm"])
+        rows.append(("ours, kernels cached", ours["warm_wall_s"], cpu, ours["rel_mse"]))
+    label = f"Cycles {peer['blender']}, {peer['samples']} samples" + (
+        "" if peer["reached"] else " (error not reached)"
+    )
+    rows.append((label, peer["total_wall_s"], peer["total_cpu_s"], peer["rel_mse"]))
+    lines = [
+        f"{views} views of {width}x{height}, {machine_text}:",
+        "",
+        "| renderer | wall s | processor s | images an hour | relMSE | times as fast as the peer |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, wall, cpu, error in rows:
+        ratio = peer["total_wall_s"] / wall
+        lines.append(
+            f"| {name} | {wall:.1f} | {cpu:.1f} | {3600 * views / wall:,.0f} | {error:.4f} | {ratio:.1f} |"
+        )
+    if peer["is_extrapolated"]:
+        lines += [
+            "",
+            f"The peer's figures: {peer['fixed_wall_s']:.1f} s + {views} x {peer['a_view_wall_s']:.2f} s, "
+            f"from {len(peer['views_s'])} views.",
+        ]
+    agreement = result["agreement"]
+    lines += [
+        "",
+        f"Converged images, peer : ours: means {min(agreement['ratio_of_means']):.3f} to "
+        f"{max(agreement['ratio_of_means']):.3f}, correlation from {min(agreement['correlation']):.3f}.",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Parse, measure, write ``bench_peer.json`` and ``bench_peer.md``."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quality", choices=tuple(QUALITIES), default="standard")
+    parser.add_argument("--views", type=int, default=40)
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
+    parser.add_argument("--peer-views", type=int, default=8, help="views that the peer renders for its time")
+    parser.add_argument("--error-views", type=int, default=3)
+    parser.add_argument("--reference-samples", type=int, default=128, help="paths a pixel in each of two")
+    parser.add_argument("--max-peer-samples", type=int, default=1024)
+    parser.add_argument("--repeats", type=int, default=1, help="runs of ours with kernels cached")
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "peer")
+    arguments = parser.parse_args()
+    result = Comparison(arguments).run()
+    (arguments.out / "bench_peer.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    text = table(result)
+    (arguments.out / "bench_peer.md").write_text(text + "\n", encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: MIT
+"""A planned configuration for another renderer, and our own converged images of it (see bench_peer.py).
+
+    python -m benchmarks.peer_scene export FOLDER OUT              one package, lights, cameras, a sky
+    python -m benchmarks.peer_scene reference FOLDER OUT VIEW... --samples 256
+
+``export`` writes the whole room as one asset package: every placed part with the material that it wears,
+variations applied, UVs scaled, so that whoever reads packages reads exactly what our renderer renders.
+``setup.json`` beside it holds the lights (skies as an equirectangular image and a sun) and the cameras.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.assembly.daylight import _SUN_HALF_ANGLE_RAD, _sunsky, lookup, sun_of
+from datagen.color import srgb_from_linear
+from datagen.errors import InputError, Problem
+from datagen.farm.folder import DatasetFolder
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
+from datagen.formats.base import canonical_json
+from datagen.formats.configuration import Configuration
+from datagen.formats.lights import EnvironmentLight, SkyLight
+from datagen.images import encode_png, read_image
+from datagen.library import Library
+from datagen.meshes import decode_ply, encode_ply
+from datagen.rendering.materials import SurfaceMaterial, resolve_materials
+from datagen.rendering.scene_builder import _uv_scale
+from datagen.rendering.textures import NO_ADJUSTMENT, SCALAR_ROLES, _decoded, adjusted_constant
+
+SKY_SIZE = (512, 1024)
+CHANNELS = ("diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal")
+
+
+def open_folder(path: Path) -> tuple[Configuration, Library, DatasetFolder]:
+    """The first configuration of a planned folder, its library, the folder."""
+    folder = DatasetFolder(path)
+    configuration = folder.read_configuration(folder.read_plan().units[0])
+    return configuration, Library(folder.read_record().library_paths), folder
+
+
+class RoomExport:
+    """Writes one package that holds a whole configuration."""
+
+    def __init__(self, configuration: Configuration, library: Library, out: Path):
+        self.configuration, self.library, self.out = configuration, library, out
+        self.materials: dict[str, dict[str, Any]] = {}
+        self.parts: list[dict[str, Any]] = []
+        self._names: dict[Any, str] = {}
+        self._meshes: dict[tuple[str, str, float], str] = {}
+
+    def write(self) -> None:
+        """Meshes, textures and ``asset.json``."""
+        for folder in ("meshes", "textures"):
+            (self.out / folder).mkdir(parents=True, exist_ok=True)
+        problems: list[Problem] = []
+        for placed in (self.configuration.environment, *self.configuration.objects):
+            package = self.library.package(placed.asset)
+            asset = package.asset
+            assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+            surfaces = resolve_materials(placed, package, self.library, problems)
+            for part in asset.parts:
+                world_from_part = np.array(placed.world_from_asset) @ np.array(part.asset_from_part)
+                surface = surfaces[part.material]
+                scale = _uv_scale(surface, part, world_from_part)
+                self.parts.append(
+                    {
+                        "name": f"{placed.name}/{part.name}",
+                        "mesh": self._mesh(package, part.mesh, scale),
+                        "material": self._material(surface),
+                        "asset_from_part": world_from_part.tolist(),
+                    }
+                )
+        if problems:
+            raise InputError(*problems)
+        description = {
+            "format": "scene-materials/asset",
+            "version": 1,
+            "kind": "environment",
+            "id": self.configuration.id,
+            "title": self.configuration.id,
+            "provenance": {"license": "CC0-1.0"},
+            "materials": self.materials,
+            "parts": self.parts,
+        }
+        (self.out / "asset.json").write_text(json.dumps(description), encoding="utf-8")
+
+    def _mesh(self, package: Any, name: str, uv_scale: float) -> str:
+        key = (package.sha256, name, uv_scale)
+        if key not in self._meshes:
+            mesh = decode_ply(package.read_bytes(name), name)
+            if mesh.uv is not None:
+                mesh = replace(mesh, uv=(mesh.uv.astype(np.float64) * uv_scale).astype(np.float32))
+            self._meshes[key] = f"meshes/{len(self._meshes):04}.ply"
+            (self.out / self._meshes[key]).write_bytes(encode_ply(mesh))
+        return self._meshes[key]
+
+    def _material(self, surface: SurfaceMaterial) -> str:
+        key = (surface.key, surface.emission)
+        if key not in self._names:
+            name = self._names[key] = f"{len(self._names):03} {surface.name}"
+            self.materials[name] = {
+                role: self._channel(surface, role, f"{len(self._names):03}_{role}")
+                for role in CHANNELS
+                if getattr(surface.material, role) is not None
+            } | ({"emission": list(surface.emission)} if surface.emission is not None else {})
+        return self._names[key]
+
+    def _channel(self, surface: SurfaceMaterial, role: Any, stem: str) -> Any:
+        value = getattr(surface.material, role)
+        adjustment = surface.adjustment if role not in ("opacity", "normal") else NO_ADJUSTMENT
+        if not isinstance(value, Texture):
+            return adjusted_constant(value, role, adjustment).tolist()
+        source = surface.package.local_file(value.texture)
+        if adjustment == NO_ADJUSTMENT:
+            name = f"textures/{stem}{source.suffix}"
+            shutil.copyfile(source, self.out / name)
+            return {**value.model_dump(mode="json"), "texture": name}
+        values = _decoded(surface.package, value, role, adjustment)
+        is_scalar = role in SCALAR_ROLES
+        coded = values if is_scalar else srgb_from_linear(values)
+        name = f"textures/{stem}.png"
+        pixels = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
+        (self.out / name).write_bytes(encode_png(np.repeat(pixels[..., None], 3, 2) if is_scalar else pixels))
+        return {
+            "texture": name,
+            "encoding": "linear" if is_scalar else "srgb",
+            "channel": "r" if is_scalar else "rgb",
+        }
+
+
+def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[np.float32]:
+    """Radiance of a sky or environment light without its sun, as Blender lays it out: centre +X, left +Y."""
+    rows, columns = SKY_SIZE
+    elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
+    azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi
+    flat = np.cos(elevation)[:, None]
+    directions = np.stack(
+        [
+            flat * np.cos(azimuth),
+            flat * np.sin(azimuth),
+            np.broadcast_to(np.sin(elevation)[:, None], SKY_SIZE),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    if isinstance(light, SkyLight):
+        values = light.sky_scale * _sunsky(
+            light.sun_direction, light.turbidity, light.ground_albedo, 1.0, 0.0, directions
+        )
+    elif light.image is None:
+        values = np.broadcast_to(light.scale * np.array(light.radiance), directions.shape)
+    else:
+        assert light.asset is not None
+        pixels = read_image(library.package(light.asset).local_file(light.image)).astype(np.float64)
+        environment_from_world = np.array(light.world_from_environment)[:3, :3].T
+        values = light.scale * lookup(pixels[..., :3])(directions @ environment_from_world.T)
+    return values.reshape(rows, columns, 3).astype(np.float32)
+
+
+def export(folder: Path, out: Path) -> None:
+    """The package of the folder's first configuration, ``setup.json``, and ``sky.exr`` where there is one."""
+    import OpenEXR
+
+    configuration, library, _ = open_folder(folder)
+    RoomExport(configuration, library, out).write()
+    lights: list[dict[str, Any]] = []
+    for light in configuration.lights:
+        if not isinstance(light, SkyLight | EnvironmentLight):
+            lights.append(light.model_dump(mode="json"))
+            continue
+        channels = {"RGB": sky_image(light, library)}
+        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, channels) as file:
+            file.write(str(out / "sky.exr"))
+        if isinstance(light, SkyLight) and light.sun_scale > 0:
+            sun = sun_of(light).model_copy(update={"angular_diameter_rad": 2 * _SUN_HALF_ANGLE_RAD})
+            lights.append(sun.model_dump(mode="json"))
+    cameras = [camera.model_dump(mode="json") for camera in configuration.cameras]
+    (out / "setup.json").write_bytes(canonical_json({"lights": lights, "cameras": cameras}))
+
+
+def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
+    """Two independent converged images of each view that is not there yet, ``view_000.npz``."""
+    from benchmarks.bench_view import reference_half
+    from datagen.rendering.renderer import SceneRenderer
+
+    configuration, library, planned = open_folder(folder)
+    renderer = SceneRenderer(configuration, library, planned.read_recipe().render)
+    out.mkdir(parents=True, exist_ok=True)
+    for view in views:
+        path = out / f"view_{view:03}.npz"
+        if path.is_file():
+            continue
+        start = time.perf_counter()
+        halves = [reference_half(renderer, view, samples, half) for half in (0, 1)]
+        partial = path.with_suffix(".partial.npz")
+        np.savez(partial, first=halves[0], second=halves[1])
+        partial.replace(path)
+        print(f"our reference of view {view}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+
+
+def main() -> None:
+    """Parse and do."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    for verb in ("export", "reference"):
+        command = verbs.add_parser(verb)
+        command.add_argument("folder", type=Path)
+        command.add_argument("out", type=Path)
+        if verb == "reference":
+            command.add_argument("views", type=int, nargs="+")
+            command.add_argument("--samples", type=int, default=256)
+    arguments = parser.parse_args()
+    if arguments.verb == "export":
+        export(arguments.folder, arguments.out)
+    else:
+        write_references(arguments.folder, arguments.out, arguments.views, arguments.samples)
+
+
+if __name__ == "__main__":
+    main()

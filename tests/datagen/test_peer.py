@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""The comparison at equal error with Cycles: its arithmetic, and one run on a tiny configuration."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.bench_peer import extrapolated, interpolated
+from tests.conftest import REPOSITORY
+
+
+def test_interpolation_finds_the_sample_count_of_a_power_law() -> None:
+    curve = {samples: 0.5 * samples**-0.7 for samples in (4, 8, 16, 32)}
+    assert interpolated(curve, 0.5 * 21**-0.7) in (21, 22)  # the count itself, or rounded up
+    assert interpolated(curve, curve[32]) == 32
+    assert interpolated({4: 0.1}, 0.2) == 4
+    assert interpolated({4: 0.1, 8: 0.1}, 0.1) == 8  # a flat curve says nothing: the larger count
+
+
+def test_total_is_the_fixed_part_and_the_median_of_a_view() -> None:
+    run = {"start_s": 2.0, "views_s": [5.0, 3.0, 3.0, 30.0], "wall_s": 44.0, "cpu_s": 88.0}
+    result = extrapolated(run, 40)
+    assert result["fixed_wall_s"] == 2.0 + (5.0 - 3.0) + 1.0  # start, the first view's excess, leaving
+    assert result["total_wall_s"] == 5.0 + 40 * 3.0
+    assert result["total_cpu_s"] == 2 * 125.0
+    assert result["is_extrapolated"]
+    complete = extrapolated(run, 4)
+    assert (complete["total_wall_s"], complete["is_extrapolated"]) == (44.0, False)
+
+
+@pytest.mark.slow
+@pytest.mark.bpy
+@pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="needs bpy: pip install '.[blender]'")
+def test_both_renderers_on_a_tiny_configuration(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "benchmarks.bench_peer", "--out", str(tmp_path), "--size", "96", "64"]
+    command += ["--views", "4", "--quality", "draft", "--error-views", "2", "--reference-samples", "64"]
+    command += ["--peer-views", "3", "--max-peer-samples", "16"]
+    subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
+    result = json.loads((tmp_path / "bench_peer.json").read_text())
+    # the same room, the same light: what is left are the materials' models and Blender's clamp
+    assert all(0.8 < ratio < 1.2 for ratio in result["agreement"]["ratio_of_means"])
+    assert min(result["agreement"]["correlation"]) > 0.9
+    curve = [result["peer"]["curve"][key] for key in sorted(result["peer"]["curve"], key=int)]
+    assert curve == sorted(curve, reverse=True)
+    assert 0 < result["ours"]["rel_mse"] < 0.1
+    assert result["peer"]["total_wall_s"] > result["peer"]["a_view_wall_s"] * 4
+    text = (tmp_path / "bench_peer.md").read_text()
+    assert text.count("| ours") == 2 and "| Cycles" in text and "4 views of 96x64" in text
+
+    steps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json") if path.parent != tmp_path}
+    subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
+    assert {path: path.stat().st_mtime_ns for path in steps} == steps  # nothing is rendered twice
