@@ -70,10 +70,13 @@ class TextureCache:
 
     A variation is drawn for one configuration and hardly ever again: varied textures are shared within a
     configuration and forgotten with :meth:`forget_variations`. UV scales are in the meshes.
+
+    ``shrink``: textures are averaged over squares of so many texels a side, in linear values, before upload.
     """
 
-    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
+    def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES, shrink: int = 1):
         self.max_bytes = max_bytes
+        self.shrink = shrink
         self.num_bytes = 0
         self._textures: OrderedDict[tuple, tuple[Any, int]] = OrderedDict()
         self._variations: dict[tuple, Any] = {}
@@ -109,7 +112,7 @@ class TextureCache:
         if key in self._textures:
             self._textures.move_to_end(key)
             return self._textures[key][0]
-        values = _decoded(package, value, role, adjustment)
+        values = box_filtered(_decoded(package, value, role, adjustment), self.shrink)
         if flip_green:
             values = values.copy()
             values[..., 1] = 1.0 - values[..., 1]
@@ -141,6 +144,21 @@ def _decoded(package: Package, texture: Texture, role: Role, adjustment: ColorAd
         pixels = linear_from_srgb(codes / codes[-1]).astype(np.float32)[pixels]
         texture = texture.model_copy(update={"encoding": "linear"})
     return adjusted(texture_values(texture, pixels, role in SCALAR_ROLES), role, adjustment)
+
+
+def box_filtered(values: NDArray[np.float32], shrink: int) -> NDArray[np.float32]:
+    """Means of ``values`` (H, W) or (H, W, 3) over squares of ``shrink`` texels a side, at least one texel.
+
+    Sides that are no multiple of ``shrink`` are rounded to the nearest count of equal areas.
+    """
+    if shrink <= 1:
+        return values
+    import cv2
+
+    height, width = (max(1, round(side / shrink)) for side in values.shape[:2])
+    return cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA).reshape(
+        height, width, *values.shape[2:]
+    )
 
 
 def upload(values: NDArray[np.float32]) -> Any:
