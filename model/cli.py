@@ -62,12 +62,13 @@ def train(
     """
     import torch
 
+    from model.devices import parse_device
     from model.training.config import parse_overrides, resolve_config
 
     resolved = resolve_config(preset, config, parse_overrides(settings or []))
     if threads:
         torch.set_num_threads(threads)
-    chosen = torch.device(device) if device else None
+    chosen = parse_device(device) if device else None
     if dry_run:
         from model.training.dry_run import describe_run
 

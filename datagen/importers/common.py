@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import input_error
-from datagen.formats.asset import Provenance
+from datagen.formats.asset import MaterialClass, Provenance
+from datagen.formats.base import Positive, Slug
 
 DielectricPolicy = Literal["refuse", "replace"]
 DielectricStandIn = Literal["opaque", "remove"]
@@ -59,11 +60,11 @@ class ImportOptions:
     author: str = ""
     source: str = ""
     evaluation_only: bool = False
-    category: str = ""
-    classes: tuple[str, ...] = ()
+    category: Literal[""] | Slug = ""
+    classes: tuple[MaterialClass, ...] = ()
     up: UpAxis = "auto"
-    unit_scale: float = 1.0
-    tile_size_m: float | None = None
+    unit_scale: Positive = 1.0
+    tile_size_m: Positive | None = None
     dielectric: DielectricPolicy = "refuse"
     dielectric_as: dict[str, DielectricStandIn] = field(default_factory=dict)
     missing: MissingPolicy = "refuse"

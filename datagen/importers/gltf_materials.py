@@ -137,7 +137,7 @@ class GltfMaterialConverter:
 
     def _classes(self, name: str, hints: tuple[str, ...]) -> tuple[MaterialClass, ...]:
         if self.options.classes:
-            return cast("tuple[MaterialClass, ...]", self.options.classes)
+            return self.options.classes
         return (guess_class(name, *hints),)
 
     def _base(self, pbr: dict[str, Any], name: str) -> ColorValue:

@@ -184,7 +184,7 @@ class _MaterialImporter:
 
     def classes(self, color: Path, title: str) -> tuple[MaterialClass, ...]:
         if self.options.classes:
-            return self.options.classes  # type: ignore[return-value]
+            return self.options.classes
         guessed = guess_class(title, self.folder.name, color.stem)
         if guessed == "other":
             self.findings.note(f"{self.folder.name}: material class unknown; give it with --class")

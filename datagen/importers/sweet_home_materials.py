@@ -165,7 +165,7 @@ class PhongConverter:
 
     def _classes(self, slot: str, stem: str, is_mirror: bool) -> tuple[MaterialClass, ...]:
         if self.options.classes:
-            return cast("tuple[MaterialClass, ...]", self.options.classes)
+            return self.options.classes
         if is_mirror:
             return ("metal",)
         guess = guess_class(slot, stem)

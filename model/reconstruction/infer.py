@@ -131,6 +131,12 @@ def infer(
     tell = progress or (lambda stage, done, total: None)
     if checkpoint is None and not options.use_truth:
         raise input_error("infer", "checkpoint", "none", "a checkpoint", "name one with --checkpoint")
+    if checkpoint is not None:
+        from model.checkpoint import read_card
+        from model.devices import parse_device
+
+        read_card(checkpoint)  # before hours of work, and before OUT belongs to it
+        parse_device(options.device)
     select_variant()
     report = InferReport(capture.name, len(capture.views), len(capture.geometry.mesh.faces))
     report.notes += capture.notes

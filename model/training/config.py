@@ -130,10 +130,14 @@ def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 def _read_mapping(path: Path) -> dict[str, Any]:
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise input_error(path, "", str(error), "a readable YAML file") from None
+    except OSError as error:
+        got = (error.strerror or str(error)).lower()
+        raise input_error(path, "", got, "a readable YAML file", "check the path") from None
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        got = " ".join(str(error).split())
+        raise input_error(path, "", got, "a readable YAML file", "correct the file") from None
     if not isinstance(data, dict):
-        raise input_error(path, "", type(data).__name__, "keys and values")
+        raise input_error(path, "", type(data).__name__, "keys and values", "see model/training/presets/")
     return data
 
 
@@ -144,7 +148,7 @@ def resolve_config(
     ``overrides``."""
     preset = preset or "paper"
     if preset not in PRESETS:
-        raise input_error("--preset", "", preset, f"one of {', '.join(PRESETS)}")
+        raise input_error("--preset", "", preset, f"one of {', '.join(PRESETS)}", "correct it")
     data = _read_mapping(Path(__file__).parent / "presets" / f"{preset}.yaml")
     where: str | Path = f"preset {preset}"
     if file is not None:
@@ -160,7 +164,7 @@ def parse_overrides(items: list[str]) -> dict[str, Any]:
     for item in items:
         key, separator, text = item.partition("=")
         if not separator or not all(key.split(".")):
-            raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2")
+            raise input_error("--set", "", item, "KEY=VALUE, such as data.workers=2", "write it so")
         try:
             value = yaml.safe_load(text)
         except yaml.YAMLError as error:

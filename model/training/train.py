@@ -148,6 +148,9 @@ class Trainer:
                 raise input_error(path, changed, "another run's", "the same as now", remedy)
         elif self.ranks.is_first:
             self.out.mkdir(parents=True, exist_ok=True)
+            if any(not entry.name.startswith(".") for entry in self.out.iterdir()):
+                expected = "a new or empty folder, or one of an earlier run"
+                raise input_error(self.out, "--out", "a folder with other files", expected, "choose another")
             write_bytes_atomically(path, canonical_json(record))
         self.ranks.barrier()
         state = load_state(self.out)

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: MIT
+"""The device that the networks run on, as a user names it."""
+
+from __future__ import annotations
+
+import torch
+
+from datagen.errors import input_error
+
+
+def parse_device(text: str) -> torch.device:
+    """``cpu``, ``cuda`` or ``cuda:1``. Raises :class:`InputError` for anything else, and for a GPU that this
+    machine or this build of torch does not have."""
+    kind, separator, number = text.partition(":")
+    if kind not in ("cpu", "cuda") or (separator and not number.isdigit()):
+        raise input_error("--device", "", repr(text), "cpu, cuda or cuda:1", "correct it")
+    if kind == "cuda" and int(number or 0) >= torch.cuda.device_count():
+        remedy = "use --device cpu, or install a torch that is built for CUDA (`datagen doctor` says more)"
+        got = f"{text}: {torch.cuda.device_count()} GPUs are seen"
+        raise input_error("--device", "", got, "a GPU of this machine", remedy)
+    return torch.device(text)
