@@ -156,9 +156,8 @@ def box_filtered(values: NDArray[np.float32], shrink: int) -> NDArray[np.float32
     import cv2
 
     height, width = (max(1, round(side / shrink)) for side in values.shape[:2])
-    return cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA).reshape(
-        height, width, *values.shape[2:]
-    )
+    filtered = np.asarray(cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+    return filtered.reshape(height, width, *values.shape[2:])
 
 
 def upload(values: NDArray[np.float32]) -> Any:
