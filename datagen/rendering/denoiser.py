@@ -43,10 +43,14 @@ def auxiliary_albedo(
 
 @dataclass
 class OidnDenoiser:
-    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 takes all cores. One caller at a time."""
+    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 takes all cores. One caller at a time.
+
+    ``is_guided`` False leaves albedo and normal out, to measure what they bring.
+    """
 
     quality: Quality = "high"
     num_threads: int = 0
+    is_guided: bool = True
     wants_camera_normals: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -55,6 +59,8 @@ class OidnDenoiser:
         if self.quality not in QUALITIES:
             raise ValueError(f"quality {self.quality!r}; expected one of {', '.join(QUALITIES)}")
         self.name = f"oidn-{'.'.join(str(v) for v in _oidn_version())}-{self.quality}"
+        if not self.is_guided:
+            self.name += "-unguided"
         self._device = pyoidn.Device()
         if self.num_threads:
             self._device.set_int("numThreads", self.num_threads)
@@ -86,9 +92,11 @@ class OidnDenoiser:
         images = {name: np.zeros((*shape, 3), np.float32) for name in ("color", "albedo", "normal", "output")}
         oidn_filter = pyoidn.Filter(self._device, "RT")
         for name, array in images.items():
-            oidn_filter.set_image(name, array, OIDN_FORMAT_FLOAT3)
+            if self.is_guided or name in ("color", "output"):
+                oidn_filter.set_image(name, array, OIDN_FORMAT_FLOAT3)
         oidn_filter.set_bool("hdr", True)
-        oidn_filter.set_bool("cleanAux", True)
+        if self.is_guided:
+            oidn_filter.set_bool("cleanAux", True)
         oidn_filter.set_quality(_QUALITIES[self.quality])
         oidn_filter.commit()
         self._check()
