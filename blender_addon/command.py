@@ -112,7 +112,11 @@ def run(arguments: argparse.Namespace) -> int:
             problems = check(settings)
         _list(problems)
         return REFUSED if any(p.severity == "error" for p in problems) else 0
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    try:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"error: {arguments.out}: {error.strerror}; choose another --out", file=sys.stderr)
+        return REFUSED
     steps, started = export_steps(arguments.out, settings), time.monotonic()
     result: ExportResult | None = None
     try:
@@ -148,6 +152,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImportError:
         print("error: Blender's module bpy is missing; pip install bpy==4.5.*", file=sys.stderr)
         return REFUSED
-    with quiet_stdout():
-        bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), load_ui=False)
+    try:
+        with quiet_stdout():
+            bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), load_ui=False)
+    except RuntimeError:
+        print(f"error: {arguments.blend}: Blender cannot open it; give a .blend file", file=sys.stderr)
+        return REFUSED
     return run(arguments)

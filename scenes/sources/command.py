@@ -51,6 +51,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         for name, kind in known.items():
             print(kind, name)
         return 0
+    asked = [arguments.id] if arguments.verb == "preview" else getattr(arguments, "only", [])
+    unknown = sorted(set(asked) - set(known))
+    if unknown:
+        print(f"error: no source named {', '.join(unknown)}; `list` prints all", file=sys.stderr)
+        return 2
+    folder = arguments.out.parent if arguments.verb == "preview" else arguments.out
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"error: {folder}: {error.strerror}; choose another --out", file=sys.stderr)
+        return 2
     if arguments.verb == "preview":
         from scenes.sources.preview import render_preview
 
@@ -64,10 +75,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         ):
             print(path)
         return 0
-    unknown = sorted(set(arguments.only) - set(known))
-    if unknown:
-        print(f"error: no source named {', '.join(unknown)}; `list` prints all", file=sys.stderr)
-        return 2
     return _build(arguments, known)
 
 
