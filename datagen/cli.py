@@ -495,16 +495,27 @@ def report(
     cost: Annotated[float, typer.Option(min=0, help="Price of an hour of a unit's resources.")] = 0.0,
     workers: WorkersOption = 1,
     library: LibraryOption = None,
+    predictions: Annotated[
+        Optional[list[Path]],  # noqa: UP045
+        typer.Option(help="Folder of predicted maps to show against the truth, repeatable."),
+    ] = None,
+    label: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(help="Name for the predictions, repeatable, in their order."),
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be written and stop.")] = False,
 ) -> None:
     """Write a page that shows what a dataset holds, with a viewer; it opens from disk in any browser.
 
     Example: datagen report smoke --workers 2
     """
-    from datagen.inspection.report.writing import ReportOptions, parse_pixels, report_command
+    from datagen.inspection.report.command import parse_pixels, report_command
+    from datagen.inspection.report.predictions import parse_methods
+    from datagen.inspection.report.writing import ReportOptions
     from datagen.library import resolve_library_paths
 
-    options = ReportOptions(parse_pixels(pixels), sources, check, cost, workers)
+    methods = parse_methods(predictions or (), label or ())
+    options = ReportOptions(parse_pixels(pixels), sources, check, cost, workers, methods)
     paths = resolve_library_paths(library, Path.cwd()) if library else None
     raise typer.Exit(report_command(folder, out, options, paths, dry_run))
 

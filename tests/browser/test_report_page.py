@@ -399,7 +399,7 @@ def test_stepping_through_large_views_keeps_nothing(
                         array.dtype
                     )
                 key = f"many-{number:05d}/view-{view:03d}/{name}"
-                write_tile(out / "tiles" / f"{key}.js", key, picture)
+                write_tile(out / "tiles" / f"{key}.html", key, picture)
     memory = []
     with open_browser(tmp_path / "profile", logs_requests=False) as driver:
         page = Page(driver)

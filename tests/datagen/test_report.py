@@ -15,6 +15,7 @@ from datagen.formats.lights import AreaLight, PointLight, SkyLight
 from datagen.formats.shard import Dataset, DatasetIndex, ShardReader
 from datagen.inspection.findings import Fault, Report
 from datagen.inspection.report import summary
+from datagen.inspection.report.command import parse_pixels, report_command
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, count_view, hue_deg
 from datagen.inspection.report.gather import light_intensity
 from datagen.inspection.report.sources import NO_VIEW, options_of, source_views
@@ -23,8 +24,6 @@ from datagen.inspection.report.writing import (
     PAGE_FILES,
     ReportOptions,
     choose_configurations,
-    parse_pixels,
-    report_command,
     write_report,
 )
 from datagen.library import Library
@@ -67,8 +66,8 @@ def test_tiles_keep_every_bit(dtype: type, word: str, shape: tuple[int, int, int
     array = np.frombuffer(rng.bytes(size), dtype).reshape(shape)  # NaN, Inf and denormals among them
     height, width, channels = shape
     assert decode_tile(encode_tile(array), word, width, height, channels).tobytes() == array.tobytes()
-    write_tile(tmp_path / "tile.js", "a/b/c", array)
-    assert read_tile(tmp_path / "tile.js").tobytes() == array.tobytes()
+    write_tile(tmp_path / "tile.html", "a/b/c", array)
+    assert read_tile(tmp_path / "tile.html").tobytes() == array.tobytes()
 
 
 def test_smooth_pixels_become_small() -> None:
@@ -78,9 +77,9 @@ def test_smooth_pixels_become_small() -> None:
 
 
 def test_no_tile_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "x.js").write_text("REPORT.summary = {};\n")
+    (tmp_path / "x.html").write_text("<p>REPORT</p>")
     with pytest.raises(InputError, match="no tile"):
-        read_tile(tmp_path / "x.js")
+        read_tile(tmp_path / "x.html")
 
 
 # ---------------------------------------------------------------------- counting
@@ -279,14 +278,14 @@ def test_tiles_equal_the_shards(report: Path, dataset: Path) -> None:
     for view in Dataset(dataset).views():
         folder = report / "tiles" / view.record.configuration / view.record.name
         for name in ("beauty", "depth_z_m", "instance_id", "color_median", "normal_world"):
-            assert read_tile(folder / f"{name}.js").tobytes() == view.buffers[name].tobytes(), name
+            assert read_tile(folder / f"{name}.html").tobytes() == view.buffers[name].tobytes(), name
 
 
 def test_source_views_are_those_of_the_statistics(report: Path, dataset: Path) -> None:
     """As many views as the statistics counted, at every pixel; the view itself among them."""
     for view in Dataset(dataset).views():
         folder = report / "tiles" / view.record.configuration / view.record.name
-        chosen = read_tile(folder / "sources.js")
+        chosen = read_tile(folder / "sources.html")
         counts = (chosen != NO_VIEW).sum(axis=-1)
         np.testing.assert_array_equal(counts, view.buffers["observation_count"][..., 0])
         has_own = (chosen == view.record.index).any(axis=-1)
@@ -309,7 +308,7 @@ def test_source_views_follow_the_options(dataset: Path) -> None:
 def test_a_second_report_takes_what_the_first_counted(report: Path, dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "page"
     shutil.copytree(report, out)
-    tile = out / "tiles" / "small-00000" / "view-000" / "beauty.js"
+    tile = out / "tiles" / "small-00000" / "view-000" / "beauty.html"
     before = tile.stat().st_mtime_ns
     write_report(dataset, out, ReportOptions(with_verify=False))
     assert tile.stat().st_mtime_ns == before
@@ -326,7 +325,7 @@ def test_views_without_pixels_have_thumbnails_only(dataset: Path, tmp_path: Path
     assert result.num_pixel_views == 5
     assert [p.name for p in (tmp_path / "page" / "tiles").iterdir()] == ["small-00000"]
     assert len(list((tmp_path / "page" / "thumbnails").glob("*/*.jpg"))) == 10
-    assert not list((tmp_path / "page" / "tiles").glob("*/*/sources.js"))
+    assert not list((tmp_path / "page" / "tiles").glob("*/*/sources.html"))
 
 
 def test_a_damaged_shard_is_named_and_left_out(dataset: Path, tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from datagen.formats.view import ViewRecord
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_view, surface_pixels
 from datagen.inspection.report.tiles import write_tile
 
-REVISION = 1
+REVISION = 2
 """Part of the key of what is kept: raise it when the form of the gathered figures or tiles changes."""
 SHOWN_BUFFERS = (
     "beauty",
@@ -196,7 +196,7 @@ def _write_thumbnail(path: Path, view: View) -> None:
 def _write_tiles(folder: Path, view: View) -> int:
     stem = f"{view.record.configuration}/{view.record.name}"
     return sum(
-        write_tile(folder / f"{name}.js", f"{stem}/{name}", view.buffers[name])
+        write_tile(folder / f"{name}.html", f"{stem}/{name}", view.buffers[name])
         for name in (*SHOWN_BUFFERS, *_LOOKED_UP)
         if name in view.buffers
     )
@@ -217,7 +217,7 @@ def _write_sources(folder: Path, records: list[ViewRecord], geometry: list[Any])
     options = options_of(records[0].statistics)
     for record, chosen in zip(records, source_views(geometry, options), strict=True):
         key = f"{record.configuration}/{record.name}/sources"
-        written += write_tile(folder / record.name / "sources.js", key, chosen)
+        written += write_tile(folder / record.name / "sources.html", key, chosen)
     return written
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Pixels for a page that opens from disk: one buffer of one view a file, lossless, loaded when it is shown.
 
-A page opened from disk may load scripts but not read files, so a tile is a script that hands its bytes to the
-viewer. The bytes are, in this order: planes (channel by channel, rows top-down) of the stored numbers; each
-row as differences to the left neighbour, modulo the word's size; all first (lowest) bytes of the words, then
-all second bytes and so on; deflate with a zlib header; base64, as a comment inside a function, whose source
-the viewer reads: a browser keeps the text of a comment once, and that of a string twice.
+A page opened from disk may not read files, but it may show others in frames: a tile is a small page that
+unpacks its bytes and hands them to the page around it (``page/tile.html``; decision 60). The bytes are, in
+this order: planes (channel by channel, rows top-down) of the stored numbers; each row as differences to the
+left neighbour, modulo the word's size; all first (lowest) bytes of the words, then all second bytes and so
+on; deflate with a zlib header; base64.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import base64
 import json
 import re
 import zlib
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +27,8 @@ from datagen.formats.base import write_bytes_atomically
 _WORDS = {"float16": "half", "float32": "float", "uint32": "uint", "uint16": "ushort"}
 _TYPES = {word: name for name, word in _WORDS.items()}
 _LEVEL = 4  # level 9 takes ten times as long for 3 % less
-_CALL = re.compile(r"^REPORT\.tile\((\{.*?\}),\(\)=>\{/\*([A-Za-z0-9+/=]*)\*/\}\);\n$", re.DOTALL)
+_BYTES = re.compile(r'<script id="bytes" type="text/plain">([A-Za-z0-9+/=]*)</script>')
+_HEAD = re.compile(r"^\}\)\((\{.*\})\);$", re.MULTILINE)
 
 
 def encode_tile(array: NDArray) -> bytes:
@@ -48,6 +51,11 @@ def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int)
     return np.moveaxis(planes, 0, -1).astype(name)
 
 
+@cache
+def _template() -> str:
+    return (files("datagen.inspection.report") / "page" / "tile.html").read_text(encoding="utf-8")
+
+
 def write_tile(path: Path, key: str, array: NDArray) -> int:
     """Write ``array`` as the tile ``key`` (``configuration/view/buffer``); returns the file's size."""
     height, width, channels = array.shape
@@ -59,7 +67,8 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
         "channels": channels,
     }
     text = base64.b64encode(encode_tile(array)).decode()
-    content = f"REPORT.tile({json.dumps(head, separators=(',', ':'))},()=>{{/*{text}*/}});\n".encode()
+    page = _template().replace("HEAD", json.dumps(head, separators=(",", ":")), 1)
+    content = page.replace("BYTES", text, 1).encode()
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, content)
     return len(content)
@@ -67,10 +76,11 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
 
 def read_tile(path: Path) -> NDArray:
     """The array of a tile's file; raises :class:`InputError` where it is not one."""
-    match = _CALL.match(path.read_text(encoding="utf-8"))
-    if match is None:
-        raise input_error(path, "", "no tile", "a script of one REPORT.tile call", "write the report again")
-    head = json.loads(match[1])
+    page = path.read_text(encoding="utf-8")
+    packed, head_text = _BYTES.search(page), _HEAD.search(page)
+    if packed is None or head_text is None:
+        raise input_error(path, "", "no tile", "a page with bytes and head", "write the report again")
+    head = json.loads(head_text[1])
     return decode_tile(
-        base64.b64decode(match[2]), head["dtype"], head["width"], head["height"], head["channels"]
+        base64.b64decode(packed[1]), head["dtype"], head["width"], head["height"], head["channels"]
     )

@@ -3,9 +3,11 @@
 
 index.html report.css *.js    the page
 data/summary.js data/views.js figures, and one line a view
+data/predictions.js           errors of predicted maps by method and view
 configurations/<id>.js        cameras and names, loaded when a view of that configuration is opened
 thumbnails/<id>/<view>.jpg
-tiles/<id>/<view>/<buffer>.js pixels, loaded when they are shown
+tiles/<id>/<view>/<buffer>.html pixels, loaded when they are shown
+tiles/predictions/<method>/<id>/<view>/<map>.html predicted maps
 gathered/<id>.json            what was counted, so that the next report takes it from there
 """
 
@@ -14,13 +16,14 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib.resources import files
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -31,6 +34,13 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import Dataset, DatasetIndex
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
+from datagen.inspection.report.predictions import (
+    TILES,
+    CompareJob,
+    Method,
+    compare_shard,
+    prediction_table,
+)
 
 if TYPE_CHECKING:
     from datagen.inspection.findings import Report
@@ -42,6 +52,7 @@ PAGE_FILES = (
     "store.js",
     "charts.js",
     "overview.js",
+    "compare.js",
     "gallery.js",
     "panels.js",
     "viewer.js",
@@ -67,24 +78,27 @@ Progress = Callable[[str, int, int], object]
 class ReportOptions:
     """What is written. ``max_pixel_views``: of how many views pixels are written for the viewer, by whole
     configurations (None = of all); ``with_sources``: the source views of every pixel too; ``price_per_hour``
-    of a unit's resources, 0 = unknown."""
+    of a unit's resources, 0 = unknown; ``predictions`` are shown against the ground truth."""
 
     max_pixel_views: int | None = 400
     with_sources: bool = True
     with_verify: bool = True
     price_per_hour: float = 0.0
     workers: int = 1
+    predictions: tuple[Method, ...] = ()
 
 
 @dataclass(frozen=True)
 class ReportResult:
-    """What was written: the page, how many views have pixels, and how many bytes these take."""
+    """What was written: the page, how many views have pixels, how many bytes these take, and for each method
+    how many views it predicts and how many of these predictions have a problem."""
 
     page: Path
     num_views: int
     num_pixel_views: int
     tile_bytes: int
     num_faults: int | None
+    predicted: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def choose_configurations(index: DatasetIndex, max_views: int | None, first: Iterable[str] = ()) -> set[str]:
@@ -105,15 +119,6 @@ def choose_configurations(index: DatasetIndex, max_views: int | None, first: Ite
             chosen.add(identity)
             left -= views[identity]
     return chosen
-
-
-def parse_pixels(text: str) -> int | None:
-    """The option ``--pixels``: a number of views, or None for "all". Raises :class:`InputError`."""
-    if text == "all":
-        return None
-    if not text.isdecimal():
-        raise input_error("--pixels", "", repr(text), 'a number of views, or "all"', "correct it")
-    return int(text)
 
 
 def estimate_tile_bytes(index: DatasetIndex, chosen: set[str]) -> int:
@@ -139,14 +144,25 @@ def write_report(
     out.mkdir(parents=True, exist_ok=True)
     found = _verify(folder, library, options, progress) if options.with_verify else None
     worst = summary.findings(found, index, [])["views"]
-    chosen = choose_configurations(index, options.max_pixel_views, [w["configuration"] for w in worst])
+    first = [w["configuration"] for w in worst] + predicted_configurations(index, options.predictions)
+    chosen = choose_configurations(index, options.max_pixel_views, first)
     jobs = [
         GatherJob(folder / shard.file, shard, out, shard.configuration in chosen, options.with_sources)
         for shard in index.shards
     ]
-    gathered, unreadable = _gather(jobs, options.workers, progress)
+    gathered, unreadable = _walk(jobs, gather_shard, "figures", options.workers, progress)
     if not gathered:
         raise InputError(*(unreadable[0][1].problems if unreadable else ()))
+    damaged = {job.shard for job, _ in unreadable}
+    pairs = [
+        CompareJob(job.shard, job.record, out, method, job.with_pixels)
+        for method in options.predictions
+        for job in jobs
+        if job.shard not in damaged and method.covers(job.record.configuration)
+    ]
+    _remove_other_methods(out, options.predictions)
+    compared, _ = _walk(pairs, compare_shard, "predictions", options.workers, progress)
+    predictions = prediction_table(options.predictions, compared, gathered)
     data = {
         **_head(index, folder),
         "distributions": summary.distributions(gathered),
@@ -159,14 +175,34 @@ def write_report(
     }
     _write_script(out / "data" / "summary.js", "summary", data)
     _write_script(out / "data" / "views.js", "views", view_table(gathered))
+    _write_script(out / "data" / "predictions.js", "predictions", predictions)
     _write_page(out)
     return ReportResult(
         page=out / "index.html",
         num_views=sum(len(shard["views"]) for shard in gathered),
         num_pixel_views=sum(len(shard["views"]) for shard in gathered if shard["has_pixels"]),
-        tile_bytes=sum(shard["tile_bytes"] for shard in gathered),
+        tile_bytes=sum(shard["tile_bytes"] for shard in (*gathered, *compared)),
         num_faults=len(found.faults) if found is not None else None,
+        predicted={m["label"]: (m["num_views"], m["num_problems"]) for m in predictions["methods"]},
     )
+
+
+def predicted_configurations(index: DatasetIndex, methods: Iterable[Method]) -> list[str]:
+    """Configurations that a method has predictions of."""
+    return [
+        shard.configuration
+        for shard in index.shards
+        if any(method.covers(shard.configuration) for method in methods)
+    ]
+
+
+def _remove_other_methods(out: Path, methods: Iterable[Method]) -> None:
+    """What an earlier report holds of methods that this one does not show."""
+    wanted = {method.slug for method in methods}
+    for home in (out / "tiles" / TILES, out / "gathered" / "predictions"):
+        for folder in home.iterdir() if home.is_dir() else ():
+            if folder.name not in wanted:
+                shutil.rmtree(folder)
 
 
 def _check_out(out: Path) -> None:
@@ -190,9 +226,16 @@ def _verify(
     return verify_dataset(folder, library, options.workers, tell)
 
 
-def _gather(
-    jobs: list[GatherJob], workers: int, progress: Progress | None
-) -> tuple[list[dict[str, Any]], list[tuple[GatherJob, InputError]]]:
+Job = TypeVar("Job", GatherJob, CompareJob)
+
+
+def _walk(
+    jobs: Sequence[Job],
+    work: Callable[[Job], dict[str, Any]],
+    stage: str,
+    workers: int,
+    progress: Progress | None,
+) -> tuple[list[dict[str, Any]], list[tuple[Job, InputError]]]:
     """Results in the order of ``jobs``, and the jobs whose shards cannot be read."""
     results: dict[int, dict[str, Any]] = {}
     failures: dict[int, InputError] = {}
@@ -203,14 +246,14 @@ def _gather(
         except InputError as error:
             failures[position] = error
         if progress is not None:
-            progress("figures", len(results) + len(failures), len(jobs))
+            progress(stage, len(results) + len(failures), len(jobs))
 
     if workers <= 1 or len(jobs) <= 1:
         for position, job in enumerate(jobs):
-            take(position, lambda job=job: gather_shard(job))  # type: ignore[misc]
+            take(position, partial(work, job))
     else:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            futures = {pool.submit(gather_shard, job): position for position, job in enumerate(jobs)}
+            futures = {pool.submit(work, job): position for position, job in enumerate(jobs)}
             for future in as_completed(futures):
                 take(futures[future], future.result)
     ordered = [results[position] for position in sorted(results)]
@@ -292,76 +335,3 @@ def _write_page(out: Path) -> None:
     page = files("datagen.inspection.report") / "page"
     for name in PAGE_FILES:
         write_bytes_atomically(out / name, (page / name).read_bytes())
-
-
-def report_command(
-    folder: Path,
-    out: Path | None,
-    options: ReportOptions,
-    library_paths: Iterable[Path] | None = None,
-    is_dry_run: bool = False,
-) -> int:
-    """Write the report with a progress bar and say where it is; returns the exit code."""
-    from datagen.inspection.verify import library_of
-    from datagen.library import Library
-
-    index = Dataset(folder).index
-    target = out if out is not None else folder / "report"
-    chosen = choose_configurations(index, options.max_pixel_views)
-    num_bytes = estimate_tile_bytes(index, chosen)
-    num_views = sum(shard.num_views for shard in index.shards if shard.configuration in chosen)
-    print(
-        f"{target}: {index.num_views} views; pixels of {num_views} views in {len(chosen)} configurations, "
-        f"about {num_bytes / 1e6:,.0f} MB",
-        flush=True,
-    )
-    if is_dry_run:
-        return 0
-    existing = next(p for p in (target.absolute(), *target.absolute().parents) if p.exists())
-    free = shutil.disk_usage(existing).free
-    if num_bytes > free:
-        remedy = "write fewer pixels with --pixels, or choose another --out"
-        raise input_error(
-            target, "--pixels", f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB", remedy
-        )
-    paths = list(library_paths) if library_paths is not None else library_of(folder)
-    with _Bar() as bar:
-        if paths:
-            with Library(paths) as library:
-                result = write_report(folder, target, options, library, bar.set)
-        else:
-            result = write_report(folder, target, options, None, bar.set)
-    faults = "not verified" if result.num_faults is None else f"{result.num_faults} findings"
-    print(f"{result.num_views} views, {faults}, {result.tile_bytes / 1e6:,.0f} MB of pixels")
-    print(f"open {result.page.absolute().as_uri()}")
-    return 0
-
-
-class _Bar:
-    """A progress bar for the two stages."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("shards"),
-            TimeRemainingColumn(),
-        )
-        self.progress = Progress(*columns, console=Console(stderr=True))
-        self.tasks: dict[str, Any] = {}
-
-    def __enter__(self) -> _Bar:
-        self.progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.progress.stop()
-
-    def set(self, stage: str, done: int, total: int) -> None:
-        if stage not in self.tasks:
-            self.tasks[stage] = self.progress.add_task(stage, total=total)
-        self.progress.update(self.tasks[stage], completed=done)

@@ -7,7 +7,7 @@ REPORT.gallery = (() => {
   const CARD_WIDTH = 176, CARD_HEIGHT = 158, EXTRA_ROWS = 2;
   let rows = [], shown = [], scroller, canvas, status, faults;
 
-  const ORDERS = {
+  let orders = {
     "as planned": null,
     "most findings first": (v) => -v.faults,
     "largest estimated error first": (v) => -(v.rel_mse ?? -1),
@@ -30,7 +30,7 @@ REPORT.gallery = (() => {
   function choose() {
     const split = document.getElementById("by-split").value;
     const text = document.getElementById("by-name").value.trim().toLowerCase();
-    const rank = ORDERS[document.getElementById("by-order").value];
+    const rank = orders[document.getElementById("by-order").value];
     shown = rows.filter((v) => (!split || v.split === split) && (!text || v.key.toLowerCase().includes(text)));
     if (rank) shown.sort((a, b) => rank(a) - rank(b) || a.order - b.order);
     status.textContent = `${shown.length.toLocaleString("en-GB")} of ${rows.length.toLocaleString("en-GB")} views`;
@@ -59,6 +59,7 @@ REPORT.gallery = (() => {
 
   function fill(data, found) {
     rows = readTable(data, found);
+    orders = { ...orders, ...REPORT.compare.orders() };
     status = element("output", { "aria-live": "polite" });
     canvas = element("ul", { class: "cards-of-views" });
     scroller = element("div", { class: "gallery", tabindex: "0", role: "region", "aria-label": "All views" }, canvas);
@@ -66,7 +67,7 @@ REPORT.gallery = (() => {
     document.getElementById("views").append(
       element("form", { class: "controls", onsubmit: (event) => event.preventDefault() },
         element("label", {}, "split ", element("select", { id: "by-split", onchange: choose }, element("option", { value: "", text: "all" }), ...splits.map((text) => element("option", { text })))),
-        element("label", {}, "order ", element("select", { id: "by-order", onchange: choose }, ...Object.keys(ORDERS).map((text) => element("option", { text })))),
+        element("label", {}, "order ", element("select", { id: "by-order", onchange: choose }, ...Object.keys(orders).map((text) => element("option", { text })))),
         element("label", {}, "name holds ", element("input", { id: "by-name", type: "search", size: 16, oninput: choose })), status),
       scroller);
     scroller.addEventListener("scroll", () => requestAnimationFrame(() => draw()));

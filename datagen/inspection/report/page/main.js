@@ -1,19 +1,21 @@
 // SPDX-License-Identifier: MIT
-// Fills the page and goes where the address says: #views, #view/CONFIGURATION/VIEW, #view/CONFIGURATION/VIEW@X,Y
+// Fills the page and goes where the address says: #views, #view/CONFIGURATION/VIEW, #view/CONFIGURATION/VIEW@X,Y, each with
+// ?method=METHOD behind it to see its predictions too
 "use strict";
 
 (() => {
   const report = document.getElementById("report"), viewer = document.getElementById("viewer");
-  if (!REPORT.summary || !REPORT.views) {
-    report.prepend(REPORT.element("p", { class: "notice", text: "data/summary.js or data/views.js is missing: write the report again." }));
+  if (!REPORT.summary || !REPORT.views || !REPORT.predictions) {
+    report.prepend(REPORT.element("p", { class: "notice", text: "data/summary.js, data/views.js or data/predictions.js is missing: write the report again." }));
     return;
   }
   REPORT.overview.fill(REPORT.summary);
   REPORT.gallery.fill(REPORT.views, REPORT.summary.findings);
+  REPORT.compare.fill();
 
   let scrolled = 0;
   function go() {
-    const match = /^#view\/([^/]+)\/([^@]+?)(?:@(\d+),(\d+))?$/.exec(decodeURIComponent(location.hash));
+    const match = /^#view\/([^/]+)\/([^@?]+)(?:@(\d+),(\d+))?(?:\?method=([\w-]+))?$/.exec(decodeURIComponent(location.hash));
     if (!match) {
       const wasViewer = !viewer.hidden;
       viewer.hidden = true;
@@ -28,7 +30,7 @@
     report.hidden = document.getElementById("top").hidden = true;
     viewer.hidden = false;
     window.scrollTo(0, 0);
-    REPORT.viewer.open(match[1], match[2], match[3] === undefined ? null : { x: Number(match[3]), y: Number(match[4]) });
+    REPORT.viewer.open(match[1], match[2], match[3] === undefined ? null : { x: Number(match[3]), y: Number(match[4]) }, match[5]);
   }
   window.addEventListener("hashchange", go);
   go();

@@ -31,20 +31,22 @@ REPORT.panels = (() => {
     return some.length ? some[Math.min(some.length - 1, Math.floor(share * some.length))] : 1;
   }
 
-  // What a buffer's colours mean: used to draw and to say so under the picture.
-  function scaleOf(buffer, picture, view, exposure) {
+  // What a buffer's colours mean: used to draw and to say so above the picture. `high` of a scalar is at the
+  // bright end of the colour map.
+  function scaleOf(buffer, picture, view, exposure, maxError) {
+    if (buffer.kind === "error") return { kind: "scalar", low: 0, high: maxError, needsSurface: true };
     if (buffer.is_radiance) return { kind: "color", exposure, legend: `× ${REPORT.charts.number(exposure)}, sRGB` };
-    switch (buffer.name) {
+    switch (buffer.map || buffer.name) {
       case "diffuse_albedo": case "specular_albedo": return { kind: "color", exposure: 1, legend: "sRGB", needsSurface: true };
       case "normal_world": return { kind: "normal", legend: "x y z as R G B", needsSurface: true };
-      case "roughness": return { kind: "scalar", low: 0, high: 1, legend: "0 to 1", needsSurface: true };
+      case "roughness": return { kind: "scalar", low: 0, high: 1, needsSurface: true };
       case "depth_z_m": {
         const high = percentile(picture.words, 0.98);
-        return { kind: "scalar", low: 0, high, legend: `0 to ${REPORT.charts.number(high)} m`, skipZero: true };
+        return { kind: "scalar", low: 0, high, unit: "m", skipZero: true };
       }
       default: {
         const high = view.statistics ? Math.min(view.statistics.best_views, view.statistics.num_views) : 12;
-        return { kind: "scalar", low: 0, high, legend: `0 to ${high}` };
+        return { kind: "scalar", low: 0, high };
       }
     }
   }
@@ -77,6 +79,15 @@ REPORT.panels = (() => {
       out[o] = red; out[o + 1] = green; out[o + 2] = blue; out[o + 3] = 255;
     }
     context.putImageData(image, 0, 0);
+  }
+
+  // The colours of a scalar with the numbers at their ends.
+  function scaleBar(scale) {
+    const text = (value) => `${REPORT.charts.number(value)}${scale.unit ? ` ${scale.unit}` : ""}`;
+    const map = REPORT.summary.color_map, stops = [];
+    for (let k = 0; k <= 16; k++) stops.push(`rgb(${map[Math.min(255, k * 16)]})`);
+    return REPORT.element("span", { class: "scale", role: "img", "aria-label": `colours from ${text(scale.low)} to ${text(scale.high)}` },
+      text(scale.low), REPORT.element("i", { style: `background:linear-gradient(90deg,${stops})` }), text(scale.high));
   }
 
   // The part of the picture that every panel shows.
@@ -140,5 +151,5 @@ REPORT.panels = (() => {
     }
   }
 
-  return { Frame, paint, scaleOf, prepare, show, drawCursor, srgbByte };
+  return { Frame, paint, scaleOf, scaleBar, prepare, show, drawCursor, srgbByte };
 })();

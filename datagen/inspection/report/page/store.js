@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: MIT
-// Pixels and cameras, loaded when they are asked for. A page opened from disk may not read files, but it may
-// load scripts: each tile is a script that calls REPORT.tile with its bytes (datagen/inspection/report/tiles.py
-// fixes their form). Decoded tiles are kept up to a limit, the least recently used go first.
+// Pixels and cameras, loaded when they are asked for. A page opened from disk may not read files. Cameras are
+// scripts. Tiles are pages (tile.html) in sandboxed frames, which a browser gives a process of their own: their
+// text, which it would otherwise keep until it collects garbage, goes with that process. Decoded tiles are kept
+// up to a limit, the least recently used go first.
 "use strict";
 
 var REPORT = (() => {
-  const MAX_BYTES = 48 << 20;
-  const waiting = new Map(); // key -> {resolve, reject}
+  const MAX_BYTES = 48 << 20; // of decoded tiles that are kept
+  const MAX_FRAME_BYTES = 32 << 20; // of tiles decoded by one process
+  const MAX_FRAMES = 3; // at work at a time
+  const MAX_SILENCE_MS = 10000; // of a frame that has loaded something
   const loading = new Map(); // key -> promise
   const kept = new Map(); // key -> image, oldest first
   let keptBytes = 0;
@@ -37,7 +40,6 @@ var REPORT = (() => {
   }
 
   function loadScript(source) {
-    numRequested++;
     return new Promise((resolve, reject) => {
       const script = document.createElement("script");
       script.src = source;
@@ -47,69 +49,10 @@ var REPORT = (() => {
     });
   }
 
-  // Scratch memory that every tile is decoded in: new buffers a tile would wait for the collector by the
-  // hundred megabytes. Tiles are therefore decoded one after another.
-  const scratch = [new Uint8Array(0), new Uint8Array(0)];
-  let decoding = Promise.resolve();
-
-  function scratchOf(which, size) {
-    if (scratch[which].length < size) scratch[which] = new Uint8Array(size);
-    return scratch[which].subarray(0, size);
-  }
-
-  function bytesOf(base64) {
-    const padding = base64.endsWith("==") ? 2 : base64.endsWith("=") ? 1 : 0;
-    const bytes = scratchOf(0, (base64.length / 4) * 3 - padding);
-    if (bytes.setFromBase64) bytes.setFromBase64(base64);
-    else {
-      for (let start = 0, at = 0; start < base64.length; start += 65536) {
-        const text = atob(base64.slice(start, start + 65536));
-        for (let i = 0; i < text.length; i++) bytes[at++] = text.charCodeAt(i);
-      }
-    }
-    return bytes;
-  }
-
-  async function inflate(bytes, size) {
-    const raw = scratchOf(1, size);
-    const stream = new DecompressionStream("deflate");
-    const writer = stream.writable.getWriter();
-    const wrote = writer.write(bytes).then(() => writer.close());
-    wrote.catch(() => {}); // told by the reader too
-    const reader = stream.readable.getReader();
-    let at = 0;
-    for (;;) {
-      const { done, value } = await reader.read();
-      if (done) break;
-      if (at + value.length > size) throw new Error(`more than the expected ${size} bytes`);
-      raw.set(value, at);
-      at += value.length;
-    }
-    if (at !== size) throw new Error(`${at} bytes, expected ${size}`);
-    return raw;
-  }
-
-  // Undo what encode_tile did: bytes gathered by their place in the word, differences along each row.
-  function joinWords(raw, size, width, numRows) {
-    const num = width * numRows;
-    const words = size === 2 ? new Uint16Array(num) : new Uint32Array(num);
-    let i = 0;
-    for (let row = 0; row < numRows; row++) {
-      let value = 0;
-      for (let x = 0; x < width; x++, i++) {
-        value = size === 2
-          ? (value + raw[i] + (raw[num + i] << 8)) & 0xffff
-          : (value + (raw[i] | (raw[num + i] << 8) | (raw[2 * num + i] << 16) | (raw[3 * num + i] << 24))) | 0;
-        words[i] = value;
-      }
-    }
-    return words;
-  }
-
   class Picture {
-    constructor(head, words) {
+    constructor(head, buffer) {
       Object.assign(this, head); // key, dtype, width, height, channels
-      this.words = head.dtype === "float" ? new Float32Array(words.buffer) : words;
+      this.words = new { half: Uint16Array, ushort: Uint16Array, uint: Uint32Array, float: Float32Array }[head.dtype](buffer);
       this.numPixels = head.width * head.height;
     }
     // value of channel c at pixel i (row-major), as stored
@@ -122,21 +65,47 @@ var REPORT = (() => {
     }
   }
 
-  // `carrier` is a function around a comment with the bytes in base64
-  function tile(head, carrier) {
-    const waits = waiting.get(head.key);
-    if (!waits) return;
-    waiting.delete(head.key);
-    const size = head.dtype === "half" || head.dtype === "ushort" ? 2 : 4;
-    const numRows = head.height * head.channels;
-    decoding = decoding
-      .then(() => {
-        const source = carrier.toString();
-        return inflate(bytesOf(source.slice(source.indexOf("/*") + 2, source.lastIndexOf("*/"))), head.width * numRows * size);
-      })
-      .then((raw) => waits.resolve(new Picture(head, joinWords(raw, size, head.width, numRows))))
-      .catch((error) => waits.reject(new Error(`${head.key}: ${error.message}`)));
+  // Frames that decode. The last one to finish stays until the next does, and with it their common process;
+  // after MAX_FRAME_BYTES all go, and the next frame starts a fresh process.
+  const queue = []; // {key, resolve, reject}, oldest first
+  const working = new Map(); // key -> the same with its frame
+  let lastFrame = null, frameBytes = 0;
+
+  function startFrames() {
+    while (queue.length && working.size < MAX_FRAMES) {
+      const job = queue.shift();
+      job.frame = element("iframe", { sandbox: "allow-scripts", src: `tiles/${job.key}.html`, title: "pixels", hidden: true, tabindex: "-1" });
+      // a page that is not there loads as the browser's own, and says nothing
+      job.frame.addEventListener("load", () => { job.timer ??= setTimeout(() => finish(job, { error: "cannot be loaded" }), MAX_SILENCE_MS); });
+      working.set(job.key, job);
+      numRequested++;
+      document.body.append(job.frame);
+    }
   }
+
+  function finish(job, told) {
+    clearTimeout(job.timer);
+    working.delete(job.key);
+    if (lastFrame) lastFrame.remove();
+    lastFrame = job.frame;
+    frameBytes += told.words ? told.words.byteLength : 0;
+    if (frameBytes > MAX_FRAME_BYTES && !working.size) {
+      lastFrame.remove();
+      lastFrame = null;
+      frameBytes = 0;
+    }
+    if (told.words) job.resolve(new Picture(told.head, told.words));
+    else job.reject(new Error(`tiles/${job.key}.html: ${told.error}`));
+    if (frameBytes <= MAX_FRAME_BYTES) startFrames();
+  }
+
+  window.addEventListener("message", (event) => {
+    const job = event.data && working.get(event.data.key);
+    if (!job || event.source !== job.frame.contentWindow) return;
+    if (!event.data.isRead) return finish(job, event.data);
+    clearTimeout(job.timer);
+    job.timer = 0; // it speaks: no timer any more
+  });
 
   // The picture of `configuration/view/buffer`.
   function loadTile(key) {
@@ -148,8 +117,8 @@ var REPORT = (() => {
     }
     if (loading.has(key)) return loading.get(key);
     const promise = new Promise((resolve, reject) => {
-      waiting.set(key, { resolve, reject });
-      loadScript(`tiles/${key}.js`).catch((error) => { waiting.delete(key); reject(error); });
+      queue.push({ key, resolve, reject });
+      startFrames();
     }).then((picture) => {
       kept.set(key, picture);
       keptBytes += picture.words.byteLength;
@@ -180,7 +149,7 @@ var REPORT = (() => {
   }
 
   return {
-    half, element, loadTile, loadConfiguration, tile,
+    half, element, loadTile, loadConfiguration,
     configuration(data) { arrived.set(data.id, data); },
     state: () => ({ keptBytes, numKept: kept.size, numRequested }),
   };

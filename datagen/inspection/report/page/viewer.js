@@ -1,19 +1,21 @@
 // SPDX-License-Identifier: MIT
-// One view in all its buffers: side by side or under a wipe, with linked zoom, exposure and values.
+// One view in all its buffers, or predicted maps beside the truth: side by side or under a wipe, with linked
+// zoom, exposure and values.
 "use strict";
 
 REPORT.viewer = (() => {
-  const { element, loadTile, loadConfiguration } = REPORT;
-  const { Frame, paint, scaleOf, prepare, show, drawCursor } = REPORT.panels;
+  const { element, loadTile, loadConfiguration, compare } = REPORT;
+  const { Frame, paint, scaleOf, scaleBar, prepare, show, drawCursor } = REPORT.panels;
   const HIDDEN_FIRST = ["observation_count"];
   let ui = null, state = null, generation = 0, frameAsked = false;
   const shownBuffers = new Set();
   const painted = new Map(); // buffer -> canvas of its own size, kept from view to view
   const panelOf = new Map(); // buffer, or "wipe" -> its figure, likewise
-  const settings = { stops: 0, isWipe: false, wipeA: "beauty", wipeB: "diffuse_albedo", wipeAt: 0.5 };
+  const settings = { stops: 0, isWipe: false, wipeA: "beauty", wipeB: "diffuse_albedo", wipeAt: 0.5, method: "", maxError: 0.2 };
+  const ERROR_SCALES = [0.02, 0.05, 0.1, 0.2, 0.5, 1];
 
   const buffers = () => REPORT.summary.buffers;
-  const bufferOf = (name) => buffers().find((b) => b.name === name);
+  const bufferOf = (name) => buffers().find((b) => b.name === name) || compare.describe(name);
   const exposure = () => state.view.exposure * 2 ** settings.stops;
 
   // Six digits tell any half float from its neighbours, nine any 32-bit float.
@@ -33,24 +35,30 @@ REPORT.viewer = (() => {
       exposure: element("input", { id: "exposure", type: "range", min: -10, max: 10, step: 0.1, value: 0, oninput: () => setStops(Number(ui.exposure.value)) }),
       exposureText: element("output", { for: "exposure", id: "exposure-text" }),
       isWipe: element("input", { type: "checkbox", id: "is-wipe", onchange: () => setWipe(ui.isWipe.checked) }),
-      wipeA: element("select", { id: "wipe-a", "aria-label": "left of the wipe", onchange: () => { settings.wipeA = ui.wipeA.value; load(); } }, ...buffers().map(option)),
-      wipeB: element("select", { id: "wipe-b", "aria-label": "right of the wipe", onchange: () => { settings.wipeB = ui.wipeB.value; load(); } }, ...buffers().map(option)),
+      wipeA: element("select", { id: "wipe-a", "aria-label": "left of the wipe", onchange: () => { settings.wipeA = ui.wipeA.value; load(); } }),
+      wipeB: element("select", { id: "wipe-b", "aria-label": "right of the wipe", onchange: () => { settings.wipeB = ui.wipeB.value; load(); } }),
       wipeAt: element("input", { id: "wipe-at", type: "range", min: 0, max: 1, step: 0.005, value: 0.5, "aria-label": "position of the wipe", oninput: () => { settings.wipeAt = Number(ui.wipeAt.value); redraw(); } }),
+      method: element("select", { id: "method", onchange: () => setMethod(ui.method.value) }, element("option", { value: "", text: "none" }), ...compare.methods().map((m) => element("option", { value: m.slug, text: m.label }))),
+      maxError: element("select", { id: "max-error", onchange: () => setMaxError(Number(ui.maxError.value)) }, ...ERROR_SCALES.map((value) => element("option", { value, text: `0 to ${value}`, selected: value === settings.maxError }))),
       zoomText: element("output", { id: "zoom-text" }),
       panels: element("div", { id: "panels", tabindex: "0", role: "application", "aria-label": "Pictures. Arrow keys move the cursor, plus and minus zoom, S shows the source views of the pixel." }),
       pixel: element("p", { id: "pixel", text: "Point at a picture, or use the arrow keys." }),
       values: element("tbody", { id: "values" }),
+      errors: element("table", { id: "errors", hidden: true }),
       sources: element("div", { id: "sources", "aria-live": "polite" }),
       spoken: element("p", { class: "unseen", role: "status", "aria-live": "polite" }),
       message: element("p", { class: "notice", role: "alert", hidden: true }),
       wipeControls: element("span", { hidden: true }),
     };
-    ui.wipeA.value = settings.wipeA;
-    ui.wipeB.value = settings.wipeB;
+    for (const [select, value] of [[ui.wipeA, settings.wipeA], [ui.wipeB, settings.wipeB]]) {
+      select.append(...buffers().map(option), ...compare.methods().map((m) => element("optgroup", { label: m.label },
+        ...REPORT.predictions.maps.flatMap((map) => ["predicted", "error"].map((kind) => option(bufferOf(`${kind}:${m.slug}:${map}`)))))));
+      select.value = value;
+    }
     ui.wipeControls.append(ui.wipeA, " | ", ui.wipeB, ui.wipeAt);
     ui.configuration.append(...REPORT.views.configurations.map(([id, split]) => element("option", { value: id, text: `${id} (${split})` })));
     for (const b of buffers()) if (!HIDDEN_FIRST.includes(b.name)) shownBuffers.add(b.name);
-    const choices = element("fieldset", {}, element("legend", { text: "pictures" }), ...buffers().map((b) => element("label", {}, element("input", {
+    const choices = ui.choices = element("fieldset", {}, element("legend", { text: "pictures" }), ...buffers().map((b) => element("label", {}, element("input", {
       type: "checkbox", checked: shownBuffers.has(b.name),
       onchange: (event) => { event.target.checked ? shownBuffers.add(b.name) : shownBuffers.delete(b.name); load(); },
     }), ` ${b.label}`)));
@@ -61,11 +69,12 @@ REPORT.viewer = (() => {
         element("label", {}, "configuration ", ui.configuration), element("label", {}, "view ", ui.view),
         button("‹", "previous view (P)", () => step(-1)), button("›", "next view (N)", () => step(1)),
         element("label", {}, "exposure ", ui.exposure), ui.exposureText, button("auto", "the view's own exposure (0 stops)", () => setStops(0)),
+        ui.compareControls = element("span", { hidden: !compare.methods().length }, element("label", {}, "predictions ", ui.method), " ", ui.errorControl = element("label", { hidden: true }, "errors ", ui.maxError)),
         button("−", "zoom out (-)", () => zoom(0.5)), button("+", "zoom in (+)", () => zoom(2)), button("fit", "show everything (0)", fit), ui.zoomText,
         element("label", {}, ui.isWipe, " wipe"), ui.wipeControls,
         element("details", {}, element("summary", { text: "pictures" }), choices),
         element("details", {}, element("summary", { text: "keys" }), element("ul", {}, ...[
-          "arrows: move the cursor, with Shift by 10 pixels", "+ − 0: zoom in, out, fit", "[ ]: exposure down, up", "W: wipe; , .: move it", "S or Enter: source views of the pixel", "N P: next, previous view", "Esc: back to the report",
+          "arrows: move the cursor, with Shift by 10 pixels", "+ − 0: zoom in, out, fit", "[ ]: exposure down, up", "W: wipe; , .: move it", "S or Enter: source views of the pixel", "N P: next, previous view", "M: next method's predictions, or none", "Esc: back to the report",
         ].map((text) => element("li", { text }))))),
       ui.message,
       element("div", { class: "stage" }, ui.panels,
@@ -73,6 +82,7 @@ REPORT.viewer = (() => {
           element("h2", { text: "Pixel" }), ui.pixel,
           element("table", {}, element("caption", { class: "unseen", text: "Values of the pixel in linear units" }),
             element("thead", {}, element("tr", {}, element("th", { scope: "col", text: "buffer" }), element("th", { scope: "col", text: "value, as stored" }))), ui.values),
+          ui.errors,
           element("h2", { text: "Source views" }), ui.sources)),
       ui.spoken);
     ui.panels.addEventListener("keydown", onKey);
@@ -92,7 +102,7 @@ REPORT.viewer = (() => {
       "+": () => zoom(2), "=": () => zoom(2), "-": () => zoom(0.5), 0: fit,
       "[": () => setStops(settings.stops - 0.5), "]": () => setStops(settings.stops + 0.5),
       w: () => setWipe(!settings.isWipe), ",": () => moveWipe(-0.05), ".": () => moveWipe(0.05),
-      s: showSources, Enter: showSources, n: () => step(1), p: () => step(-1),
+      s: showSources, Enter: showSources, n: () => step(1), p: () => step(-1), m: nextMethod,
     };
     const act = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!act) return;
@@ -112,6 +122,32 @@ REPORT.viewer = (() => {
     const text = `${settings.stops >= 0 ? "+" : ""}${settings.stops.toFixed(1)} stops, × ${REPORT.charts.number(exposure())}`;
     ui.exposureText.textContent = text;
     ui.exposure.setAttribute("aria-valuetext", text);
+  }
+
+  // Show a method's predictions ("" = none); a wipe then goes from the truth to the prediction.
+  function setMethod(slug) {
+    settings.method = ui.method.value = slug;
+    ui.errorControl.hidden = !slug;
+    const usesOther = (name) => name.includes(":") && !name.includes(`:${slug}:`);
+    if (slug && (usesOther(settings.wipeB) || !settings.wipeB.includes(":"))) {
+      settings.wipeA = ui.wipeA.value = REPORT.predictions.maps[0];
+      settings.wipeB = ui.wipeB.value = `predicted:${slug}:${REPORT.predictions.maps[0]}`;
+    } else if (!slug) {
+      for (const [box, key, plain] of [[ui.wipeA, "wipeA", "beauty"], [ui.wipeB, "wipeB", "diffuse_albedo"]]) if (usesOther(settings[key])) settings[key] = box.value = plain;
+    }
+    ui.choices.disabled = Boolean(slug);
+    if (state) load();
+  }
+
+  function nextMethod() {
+    const all = ["", ...compare.methods().map((m) => m.slug)];
+    setMethod(all[(all.indexOf(settings.method) + 1) % all.length]);
+    ui.spoken.textContent = settings.method ? `predictions of ${compare.methodOf(settings.method).label}` : "no predictions";
+  }
+
+  function setMaxError(value) {
+    settings.maxError = value;
+    repaint((buffer) => buffer.kind === "error");
   }
 
   function setWipe(isOn) {
@@ -148,9 +184,13 @@ REPORT.viewer = (() => {
 
   // ---------------------------------------------------------------- opening a view
 
-  async function open(id, name, cursor) {
+  async function open(id, name, cursor, method) {
     if (!ui) build();
     const mine = ++generation;
+    if (method !== undefined && method !== settings.method && compare.methodOf(method)) {
+      state = null; // nothing is loaded twice
+      setMethod(method);
+    }
     ui.message.hidden = true;
     ui.sources.replaceChildren(element("p", { class: "note", text: "Click a pixel to see which views its minimum, median and maximum come from." }));
     const entry = REPORT.views.configurations.find(([other]) => other === id);
@@ -166,7 +206,7 @@ REPORT.viewer = (() => {
     if (!view) return complain(`${id} has no view ${name}.`);
     const { width_px: width, height_px: height } = view.camera;
     const before = state && state.frame.width === width && state.frame.height === height ? state.frame : null;
-    state = { configuration, view, hasPixels: entry[2], frame: before || new Frame(width, height), pictures: {}, scales: {}, mask: null, cursor: null, isReady: false };
+    state = { configuration, view, hasPixels: entry[2], frame: before || new Frame(width, height), pictures: {}, coming: {}, scales: {}, mask: null, cursor: null, isReady: false };
     ui.configuration.value = id;
     ui.view.replaceChildren(...configuration.views.map((v) => element("option", { value: v.name, text: v.name })));
     ui.view.value = name;
@@ -174,7 +214,6 @@ REPORT.viewer = (() => {
     ui.pixel.textContent = "Point at a picture, or use the arrow keys.";
     document.title = `${id} / ${name}: ${REPORT.summary.name}`;
     tellExposure();
-    if (!state.hasPixels) complain("The pixels of this configuration are not part of this report. `datagen report DATASET --pixels all` writes those of every view.");
     await load(cursor);
   }
 
@@ -183,35 +222,54 @@ REPORT.viewer = (() => {
     ui.message.hidden = false;
   }
 
-  const wanted = () => (settings.isWipe ? [...new Set([settings.wipeA, settings.wipeB])] : buffers().map((b) => b.name).filter((n) => shownBuffers.has(n)))
-    .filter((name) => state.view.buffers.includes(name));
+  function wanted() {
+    const key = `${state.configuration.id}/${state.view.name}`, available = state.view.buffers;
+    const isThere = (name) => {
+      const { kind, slug, map } = bufferOf(name);
+      return kind ? available.includes(map) && Boolean(compare.errorsOf(slug, key)?.has.includes(map)) : available.includes(name);
+    };
+    if (settings.isWipe) return [...new Set([settings.wipeA, settings.wipeB])].filter(isThere);
+    if (settings.method) return compare.namesOf(settings.method, key, available);
+    return buffers().map((b) => b.name).filter((name) => shownBuffers.has(name) && isThere(name));
+  }
 
-  // Load what is shown and not there yet, one tile after another, and draw each as it comes.
+  // Load what is shown and not there yet, and draw each picture as it comes.
   async function load(cursor) {
     if (!state) return;
     const mine = ++generation, current = state;
     current.isReady = false;
     document.getElementById("viewer").dataset.ready = "false";
+    ui.message.hidden = true;
     layOut();
-    if (!current.hasPixels) return showThumbnail();
-    const stem = `${current.configuration.id}/${current.view.name}`;
-    try {
-      if (!current.mask && current.view.buffers.includes("surface_mask")) current.mask = await loadTile(`${stem}/surface_mask`);
-      for (const name of wanted()) {
-        if (mine !== generation) return;
-        if (current.pictures[name]) continue;
-        current.pictures[name] = await loadTile(`${stem}/${name}`);
-        if (mine !== generation) return;
-        repaint((buffer) => buffer.name === name);
-      }
-      for (const name of ["instance_id", "material_id"]) {
-        if (!current.pictures[name] && current.view.buffers.includes(name)) current.pictures[name] = await loadTile(`${stem}/${name}`);
-      }
-    } catch (error) {
-      if (mine === generation) complain(`${error.message}: write the report again.`);
-      return;
+    if (!current.hasPixels) {
+      complain("The pixels of this configuration are not part of this report. `datagen report DATASET --pixels all` writes those of every view.");
+      return showThumbnail();
     }
+    tellMethod();
+    const stem = `${current.configuration.id}/${current.view.name}`, available = current.view.buffers;
+    const failures = [];
+    const get = (name) => {
+      if (current.pictures[name]) return Promise.resolve(current.pictures[name]);
+      return current.coming[name] ??= (name.includes(":") ? compare.picture(name, stem, get) : loadTile(`${stem}/${name}`))
+        .then((picture) => (current.pictures[name] = picture))
+        .finally(() => { delete current.coming[name]; });
+    };
+    async function bring(name, isShown) {
+      try {
+        await get(name);
+        if (isShown && mine === generation) repaint((buffer) => buffer.name === name);
+      } catch (error) {
+        failures.push(error.message);
+      }
+    }
+    if (available.includes("surface_mask")) await bring("surface_mask", false);
+    current.mask = current.pictures.surface_mask || null;
+    await Promise.all(wanted().map((name) => bring(name, true)));
+    await Promise.all(["instance_id", "material_id"].filter((name) => available.includes(name)).map((name) => bring(name, false)));
     if (mine !== generation) return;
+    if (failures.length) complain(`${[...new Set(failures)].join("; ")}: write the report again.`);
+    const shown = new Set(wanted());
+    for (const name of [...painted.keys()]) if (!shown.has(name)) painted.delete(name); // canvases that nothing shows
     current.isReady = true;
     if (cursor) {
       setCursor(cursor.x, cursor.y);
@@ -219,6 +277,19 @@ REPORT.viewer = (() => {
     } else tellValues();
     redraw();
     document.getElementById("viewer").dataset.ready = "true";
+  }
+
+  // What a method lacks in this view, and its errors.
+  function tellMethod() {
+    const { method } = settings, key = `${state.configuration.id}/${state.view.name}`;
+    ui.errors.hidden = !method;
+    if (!method) return;
+    const { label, problems } = compare.methodOf(method), found = compare.errorsOf(method, key);
+    const problem = problems.find(([id, view]) => `${id}/${view}` === key);
+    if (!found) complain(`${label} has no prediction of this view.`);
+    else if (problem) complain(`${label}: ${problem[2]}.`);
+    ui.errors.replaceChildren(element("caption", { text: `Mean squared error, ${label}` }), element("tbody", {}, ...(found ? REPORT.predictions.maps.map((map, k) =>
+      element("tr", { "data-mse": map }, element("th", { scope: "row", text: bufferOf(map)?.label ?? map }), element("td", { text: compare.figure(found.mse[k]) }))) : [])));
   }
 
   function showThumbnail() {
@@ -233,13 +304,16 @@ REPORT.viewer = (() => {
     const { width, height } = state.frame;
     ui.wipeControls.hidden = !settings.isWipe;
     ui.panels.classList.toggle("wipe", settings.isWipe);
+    ui.panels.classList.toggle("compare", Boolean(settings.method) && !settings.isWipe);
     const names = settings.isWipe ? ["wipe"] : wanted();
     const figures = names.map((name) => {
       if (!panelOf.has(name)) panelOf.set(name, newPanel(name));
       const figure = panelOf.get(name), canvas = figure.querySelector("canvas");
-      const label = name === "wipe" ? `${bufferOf(settings.wipeA).label} | ${bufferOf(settings.wipeB).label}` : bufferOf(name).label;
+      const isTruth = settings.method && !settings.isWipe && !name.includes(":");
+      const label = name === "wipe" ? `${bufferOf(settings.wipeA).label} | ${bufferOf(settings.wipeB).label}` : `${bufferOf(name).label}${isTruth ? " (truth)" : ""}`;
       figure.querySelector("b").textContent = label;
       canvas.style.aspectRatio = `${width}/${height}`;
+      if (name !== "wipe") tellScale(name);
       canvas.setAttribute("aria-label", `${label} of ${state.configuration.id}, ${state.view.name}`);
       return figure;
     });
@@ -255,14 +329,23 @@ REPORT.viewer = (() => {
   }
 
   function repaint(test) {
+    if (!state) return;
+    const shown = wanted();
     for (const [name, picture] of Object.entries(state.pictures)) {
       const buffer = bufferOf(name);
-      if (!buffer || !test(buffer)) continue;
-      state.scales[name] = scaleOf(buffer, picture, state.view, exposure());
+      if (!buffer || !shown.includes(name) || !test(buffer)) continue;
+      state.scales[name] = scaleOf(buffer, picture, state.view, exposure(), settings.maxError);
+      tellScale(name);
       if (!painted.has(name)) painted.set(name, document.createElement("canvas"));
       paint(painted.get(name), picture, state.scales[name], state.mask);
     }
     redraw();
+  }
+
+  // Legend or scale above a picture.
+  function tellScale(name) {
+    const figure = panelOf.get(name), scale = state.scales[name];
+    if (figure) figure.querySelector(".facts").replaceChildren(scale ? (scale.kind === "scalar" ? scaleBar(scale) : scale.legend) : "loading ...");
   }
 
   function redraw() {
@@ -280,14 +363,12 @@ REPORT.viewer = (() => {
   function drawPanel(canvas) {
     const name = canvas.dataset.buffer, { frame } = state;
     const context = prepare(canvas);
-    const facts = canvas.parentElement.querySelector(".facts");
     if (name !== "wipe") {
-      if (state.scales[name]) show(context, canvas, painted.get(name), frame);
-      facts.textContent = state.scales[name] ? state.scales[name].legend : "loading ...";
+      if (state.scales[name] && painted.has(name)) show(context, canvas, painted.get(name), frame);
     } else {
       const at = settings.wipeAt * canvas.clientWidth;
       for (const [which, left, wide] of [[settings.wipeA, 0, at], [settings.wipeB, at, canvas.clientWidth - at]]) {
-        if (!state.scales[which]) continue;
+        if (!state.scales[which] || !painted.has(which)) continue;
         context.save();
         context.beginPath();
         context.rect(left, 0, wide, canvas.clientHeight);
@@ -372,7 +453,8 @@ REPORT.viewer = (() => {
       return id === null ? "" : id === 0 ? "none" : names[table][id] || `id ${id}`;
     };
     ui.pixel.textContent = `column ${x}, row ${y}; instance ${nameOf("instance_id", "instances")}; material ${nameOf("material_id", "materials")}`;
-    ui.values.replaceChildren(...buffers().filter((b) => state.pictures[b.name]).map((b) => {
+    const derived = Object.keys(state.pictures).filter((name) => name.includes(":")).map(bufferOf).sort((a, b) => a.slug.localeCompare(b.slug) || b.kind.localeCompare(a.kind));
+    ui.values.replaceChildren(...[...buffers(), ...derived].filter((b) => state.pictures[b.name]).map((b) => {
       const picture = state.pictures[b.name];
       const values = picture.all(pixel).map((v) => format(v, digitsOf(picture)));
       return element("tr", { "data-buffer": b.name }, element("th", { scope: "row", title: `${b.description} [${b.unit}]` }, b.label, element("small", { text: unitOf(b) })),

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: MIT
+"""The verb ``report``: says what will be written, shows progress, says what came out."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from datagen.errors import input_error
+from datagen.formats.shard import Dataset
+from datagen.inspection.report.writing import (
+    ReportOptions,
+    choose_configurations,
+    estimate_tile_bytes,
+    predicted_configurations,
+    write_report,
+)
+
+
+def parse_pixels(text: str) -> int | None:
+    """The option ``--pixels``: a number of views, or None for "all". Raises :class:`InputError`."""
+    if text == "all":
+        return None
+    if not text.isdecimal():
+        raise input_error("--pixels", "", repr(text), 'a number of views, or "all"', "correct it")
+    return int(text)
+
+
+def report_command(
+    folder: Path,
+    out: Path | None,
+    options: ReportOptions,
+    library_paths: Iterable[Path] | None = None,
+    is_dry_run: bool = False,
+) -> int:
+    """Write the report with a progress bar and say where it is; returns the exit code."""
+    from datagen.inspection.verify import library_of
+    from datagen.library import Library
+
+    index = Dataset(folder).index
+    target = out if out is not None else folder / "report"
+    first = predicted_configurations(index, options.predictions)
+    chosen = choose_configurations(index, options.max_pixel_views, first)
+    num_bytes = estimate_tile_bytes(index, chosen)
+    num_views = sum(shard.num_views for shard in index.shards if shard.configuration in chosen)
+    print(
+        f"{target}: {index.num_views} views; pixels of {num_views} views in {len(chosen)} configurations, "
+        f"about {num_bytes / 1e6:,.0f} MB",
+        flush=True,
+    )
+    if is_dry_run:
+        return 0
+    existing = next(p for p in (target.absolute(), *target.absolute().parents) if p.exists())
+    free = shutil.disk_usage(existing).free
+    if num_bytes > free:
+        remedy = "write fewer pixels with --pixels, or choose another --out"
+        raise input_error(
+            target, "--pixels", f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB", remedy
+        )
+    paths = list(library_paths) if library_paths is not None else library_of(folder)
+    with _Bar() as bar:
+        if paths:
+            with Library(paths) as library:
+                result = write_report(folder, target, options, library, bar.set)
+        else:
+            result = write_report(folder, target, options, None, bar.set)
+    faults = "not verified" if result.num_faults is None else f"{result.num_faults} findings"
+    print(f"{result.num_views} views, {faults}, {result.tile_bytes / 1e6:,.0f} MB of pixels")
+    for label, (num_views, num_problems) in result.predicted.items():
+        what = f"{num_views} of {result.num_views} views predicted"
+        print(f"{label}: {what}, {num_problems} with problems" if num_problems else f"{label}: {what}")
+    print(f"open {result.page.absolute().as_uri()}")
+    return 0
+
+
+class _Bar:
+    """A progress bar for each stage."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("shards"),
+            TimeRemainingColumn(),
+        )
+        self.progress = Progress(*columns, console=Console(stderr=True))
+        self.tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> _Bar:
+        self.progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.progress.stop()
+
+    def set(self, stage: str, done: int, total: int) -> None:
+        if stage not in self.tasks:
+            self.tasks[stage] = self.progress.add_task(stage, total=total)
+        self.progress.update(self.tasks[stage], completed=done)

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: MIT
+"""Predicted maps of a dataset's views against their ground truth: errors, problems, pixels for the viewer.
+
+A method's folder holds one EXR a view with the channels of D, S and R as the dataset names them (half
+floats, linear), in one of these places; the first that is there counts:
+
+    FOLDER/<configuration>/<view>.exr
+    FOLDER/<configuration>/views/<view>.exr    from ``materials infer SHARD --out FOLDER/<configuration>``
+    FOLDER/views/<view>.exr                    one result of ``materials infer``; report.json names the
+                                               configuration
+
+A figure is the mean squared error over the view's surface pixels (``figures.surface_pixels``) and the map's
+channels, of linear values.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem
+from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.formats.exr import decode_view
+from datagen.formats.shard import ShardReader, ShardRecord, View
+from datagen.inspection.report.figures import surface_pixels
+from datagen.inspection.report.tiles import write_tile
+
+MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
+TILES = "predictions"
+"""Folder of predicted pixels beside those of the configurations, and part of their tiles' names."""
+MAX_LISTED_PROBLEMS = 200
+_REVISION = 1
+_NEEDED = ("depth_z_m", "surface_mask", *MAPS)
+
+
+@dataclass(frozen=True)
+class Method:
+    """Predictions to show: what the page calls them, its name in file names, and where they are."""
+
+    label: str
+    slug: str
+    folder: Path
+
+    def find(self, configuration: str, view: str) -> Path | None:
+        """The file of one view, or None."""
+        name = f"{view}.exr"
+        places = [self.folder / configuration / name, self.folder / configuration / "views" / name]
+        if self.own_configuration() == configuration:
+            places.append(self.folder / "views" / name)
+        return next((path for path in places if path.is_file()), None)
+
+    def covers(self, configuration: str) -> bool:
+        """Whether any view of a configuration may have a prediction."""
+        return (self.folder / configuration).is_dir() or self.own_configuration() == configuration
+
+    def own_configuration(self) -> str | None:
+        """The configuration of a folder that is one result of ``materials infer``."""
+        try:
+            report = json.loads((self.folder / "report.json").read_bytes())
+        except (OSError, ValueError):
+            return None
+        name = report.get("name") if isinstance(report, dict) else None
+        return name if isinstance(name, str) else None
+
+
+def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Method, ...]:
+    """The options ``--predictions`` and ``--label``: labels belong to folders in order, the rest are called
+    after their folders. Raises :class:`InputError` on folders that are none, and on labels too many, empty
+    or equal."""
+    problems = [
+        Problem("--predictions", str(path), "no such folder", "a folder of predicted maps", "check the path")
+        for path in folders
+        if not path.is_dir()
+    ]
+    if len(labels) > len(folders):
+        expected = f"at most {len(folders)}, one for each --predictions"
+        problems.append(Problem("--label", "", f"{len(labels)} labels", expected, "leave some out"))
+    names = [*labels, *(path.resolve().name for path in folders[len(labels) :])][: len(folders)]
+    for name in sorted({name for name in names if names.count(name) > 1 or not name.strip()}):
+        remedy = "name each with --label, in the order of --predictions"
+        problems.append(Problem("--label", "", repr(name), "a name of its own for each method", remedy))
+    if problems:
+        raise InputError(*problems)
+    slugs: list[str] = []
+    for number, name in enumerate(names):
+        slug = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "method"
+        slugs.append(slug if slug not in slugs else f"{slug}-{number}")
+    return tuple(Method(*parts) for parts in zip(names, slugs, folders, strict=True))
+
+
+@dataclass(frozen=True)
+class CompareJob:
+    """One shard's views against one method's maps; ``with_pixels`` writes the predicted maps as tiles."""
+
+    shard: Path
+    record: ShardRecord
+    out: Path
+    method: Method
+    with_pixels: bool
+
+    @property
+    def key(self) -> str:
+        """Names what the result depends on: files by size and time of change, so that none is read."""
+        configuration = self.record.configuration
+        folders = [self.method.folder / configuration, self.method.folder / configuration / "views"]
+        if self.method.own_configuration() == configuration:
+            folders.append(self.method.folder / "views")
+        found = [
+            [str(path), path.stat().st_size, path.stat().st_mtime_ns]
+            for folder in folders
+            for path in sorted(folder.glob("*.exr"))
+        ]
+        return sha256_hex(canonical_json([_REVISION, self.record.sha256, self.with_pixels, found]))
+
+    @property
+    def kept_path(self) -> Path:
+        name = f"{self.record.configuration}.json"
+        return self.out / "gathered" / "predictions" / self.method.slug / name
+
+
+def compare_shard(job: CompareJob) -> dict[str, Any]:
+    """Errors of every view of a shard as plain data; writes tiles of predicted maps.
+
+    What is missing or wrong with a prediction is part of the result. Raises :class:`InputError` where the
+    shard itself is damaged.
+    """
+    key = job.key
+    try:
+        kept = json.loads(job.kept_path.read_bytes())
+    except (OSError, ValueError):
+        kept = None
+    if isinstance(kept, dict) and kept.get("key") == key:
+        return kept
+    views = []
+    tile_bytes = 0
+    for view in ShardReader(job.shard):
+        truth = {name: view.buffers[name] for name in _NEEDED if name in view.buffers}
+        figures, maps = _compare_view(job.method, view, truth)
+        views.append(figures)
+        if job.with_pixels:
+            stem = f"{TILES}/{job.method.slug}/{view.record.configuration}/{view.record.name}"
+            for name, predicted in maps.items():
+                tile_bytes += write_tile(
+                    job.out / "tiles" / f"{stem}/{name}.html", f"{stem}/{name}", predicted
+                )
+    result = {
+        "key": key,
+        "configuration": job.record.configuration,
+        "method": job.method.slug,
+        "views": views,
+        "tile_bytes": tile_bytes,
+    }
+    job.kept_path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(job.kept_path, canonical_json(result))
+    return result
+
+
+def _compare_view(
+    method: Method, view: View, truth: Mapping[str, NDArray]
+) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """A view's figures, and those predicted maps that can be shown."""
+    name = view.record.name
+    path = method.find(view.record.configuration, name)
+    figures: dict[str, Any] = {"name": name, "file": path is not None, "mse": {}, "pixels": 0, "problems": []}
+    figures["maps"] = []
+    if path is None:
+        return figures, {}
+    mask = surface_pixels(truth)
+    figures["pixels"] = int(mask.sum())
+    maps: dict[str, NDArray] = {}
+    for map_name in MAPS:
+        try:
+            predicted = decode_view(path, [map_name])[map_name]
+        except InputError as error:
+            figures["problems"] += [f"{map_name}: {p.got}; expected {p.expected}" for p in error.problems]
+            continue
+        if predicted.shape[:2] != mask.shape:
+            got, expected = (" x ".join(map(str, shape[1::-1])) for shape in (predicted.shape, mask.shape))
+            figures["problems"].append(f"{map_name}: {got} pixels; expected {expected}")
+            continue
+        maps[map_name] = predicted
+        if map_name not in truth:
+            figures["problems"].append(f"{map_name}: the dataset has no ground truth of it")
+            continue
+        error_or_none = mean_squared_error(predicted, truth[map_name], mask)
+        if error_or_none is None:
+            bad = int((~np.isfinite(predicted[mask]).all(axis=-1)).sum())
+            figures["problems"].append(f"{map_name}: {bad} surface pixels are NaN or Inf; expected numbers")
+        else:
+            figures["mse"][map_name] = error_or_none
+    figures["problems"] = list(dict.fromkeys(figures["problems"]))
+    figures["maps"] = list(maps)
+    return figures, maps
+
+
+def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool_]) -> float | None:
+    """Mean over masked pixels and channels; None where there is none, or one of them is not finite."""
+    difference = predicted[mask].astype(np.float64) - truth[mask].astype(np.float64)
+    return float(np.mean(difference**2)) if difference.size and np.isfinite(difference).all() else None
+
+
+def prediction_table(
+    methods: Sequence[Method], compared: Iterable[dict[str, Any]], gathered: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """What the page shows: whole-set errors (over all counted pixels) and, in the order of the page's views,
+    each view's errors by method: a number a map (None = unknown) and, as bits, which maps can be shown; or
+    None where nothing was predicted."""
+    by_place: dict[tuple[str, str, str], dict[str, Any]] = {}
+    for result in compared:
+        for view in result["views"]:
+            by_place[result["method"], result["configuration"], view["name"]] = view
+    order = [(shard["id"], view["name"]) for shard in gathered for view in shard["views"]]
+    methods_out, errors = [], {}
+    for method in methods:
+        found = [by_place.get((method.slug, *place)) for place in order]
+        there = [view for view in found if view is not None and view["file"]]
+        problems = [
+            [configuration, name, "; ".join(view["problems"])]
+            for (configuration, name), view in zip(order, found, strict=True)
+            if view is not None and view["problems"]
+        ]
+        missing = [f"{c}/{n}" for (c, n), v in zip(order, found, strict=True) if v is None or not v["file"]]
+        methods_out.append(
+            {
+                "label": method.label,
+                "slug": method.slug,
+                "folder": method.folder.resolve().name,
+                "total": {name: _total(there, name) for name in MAPS},
+                "num_views": len(there),
+                "num_missing": len(missing),
+                "missing": missing[:MAX_LISTED_PROBLEMS],
+                "num_problems": len(problems),
+                "problems": problems[:MAX_LISTED_PROBLEMS],
+            }
+        )
+        errors[method.slug] = [
+            [*(_rounded(view["mse"].get(name)) for name in MAPS), _bits(view["maps"])]
+            if view is not None and view["file"]
+            else None
+            for view in found
+        ]
+    return {"maps": list(MAPS), "methods": methods_out, "errors": errors}
+
+
+def _total(views: Sequence[dict[str, Any]], name: str) -> float | None:
+    counted = [(view["mse"][name], view["pixels"]) for view in views if name in view["mse"]]
+    pixels = sum(num for _, num in counted)
+    return sum(error * num for error, num in counted) / pixels if pixels else None
+
+
+def _bits(maps: Sequence[str]) -> int:
+    return sum(1 << bit for bit, name in enumerate(MAPS) if name in maps)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.6g}")
