@@ -4,7 +4,8 @@
 Letters: ``a`` and ``b`` are the images of the two halves, n samples a pixel each, independent and with the
 right expectation r; ``A`` and ``B`` the same images denoised; all of them (H, W, 3), scene-linear, and here
 multiplied by the image's exposure. Errors are relMSE as :mod:`datagen.rendering.error` defines it: per-pixel
-squares are divided by r^2 + 0.01, for which (A + B) / 2 stands in.
+squares are divided by r^2 + 0.01, for which (A + B) / 2 stands in (dark details that the denoiser drowns in
+their surroundings therefore weigh too little).
 
 The error of a denoised half is a spread V, which the halves show, and a bias of the denoiser, which both
 share and their difference hides. What shows the bias is that each half is an unbiased witness of the other:
@@ -107,11 +108,13 @@ def estimate_error(
 def _squared_bias(spread: float, measured: float, standard_error: float) -> float:
     """Squared bias of a denoised half from its measurement and from the spread, weighed by what each knows.
 
-    Before anything is measured the bias is ``BIAS_PER_SPREAD`` times the spread, give or take as much; the
-    mean of two such figures with weights 1 / variance. Never negative.
+    Before anything is measured the bias is ``BIAS_PER_SPREAD`` times the spread, give or take as much, or
+    more where the measurement is further off than its own error explains. The mean of the two figures with
+    weights 1 / variance; never negative.
     """
     expected = BIAS_PER_SPREAD * spread
-    prior_variance, variance = expected**2, standard_error**2
+    variance = standard_error**2
+    prior_variance = max(expected**2, (measured - expected) ** 2 - variance)
     if prior_variance + variance == 0.0:
         return 0.0
     return max(0.0, (expected * variance + measured * prior_variance) / (prior_variance + variance))

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: MIT
+"""Rendering to an error: what recipes may say, the estimate from two halves, ceilings, clamp, equal bytes."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.color import exposure_for, luminance
+from datagen.errors import InputError
+from datagen.formats.base import parse_model, read_yaml
+from datagen.formats.recipe import QUALITIES, Recipe, RenderRecipe
+from datagen.rendering.error import relative_mse
+from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.sample_budget import (
+    ErrorEstimate,
+    PathSums,
+    SampleBudget,
+    estimate_error,
+)
+from tests.datagen.rendering_scenes import renderer
+from tests.datagen.test_rendering_renderer import CAMERAS, LIGHTS, OBJECTS, box_room, digest
+
+# ---------------------------------------------------------------------- recipes
+
+
+def render(**fields: Any) -> RenderRecipe:
+    return parse_model(RenderRecipe, fields, "recipe.yaml")
+
+
+def test_a_quality_becomes_numbers_that_read_back_as_themselves(tmp_path: Path) -> None:
+    for name, numbers in QUALITIES.items():
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(f"name: a\nconfigurations: 1\nviews: 2\nrender: {{quality: {name}}}\n")
+        recipe = read_yaml(Recipe, path)
+        assert numbers.items() <= recipe.render.model_dump().items()
+        assert recipe.render.quality is None and recipe.render.path_samples is None
+        assert parse_model(Recipe, recipe.model_dump(mode="json"), "saved") == recipe
+    assert render(quality="draft", max_path_samples=64).max_path_samples == 64
+    assert render(quality="standard", firefly_clamp=None).firefly_clamp is None
+    assert render().path_samples == 8 and render().max_depth == 8
+    assert render(max_rel_mse=0.01).max_path_samples == 1024 and render(max_rel_mse=0.01).path_samples is None
+    assert QUALITIES["reference"]["firefly_clamp"] is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"quality": "draft", "path_samples": 3}, "either quality or path_samples"),
+        ({"quality": "draft", "max_rel_mse": 0.01}, "either quality or max_rel_mse"),
+        ({"quality": "reference", "firefly_clamp": 9}, "no firefly_clamp with quality reference"),
+        ({"path_samples": 3, "max_rel_mse": 0.1}, "either path_samples, a fixed number, or max_rel_mse"),
+        ({"path_samples": 3, "max_path_samples": 8}, "either path_samples, a fixed number, or max_path_sam"),
+        ({"max_path_samples": 8}, "max_path_samples only beside max_rel_mse or quality"),
+        ({"max_depth": 3, "max_energy_left": 0.1}, "either max_depth or max_energy_left"),
+        ({"quality": "best"}, "'draft', 'standard' or 'reference'"),
+        ({"max_rel_mse": 0.0}, "greater than 0"),
+        ({"max_rel_mse": 0.1, "max_path_samples": 1}, "greater than or equal to 2"),
+        ({"denoise": None}, "valid boolean"),
+    ],
+)
+def test_contradictions_are_refused(fields: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        render(**fields)
+
+
+# ---------------------------------------------------------------------- the estimate
+
+Image = NDArray[np.float32]
+SIZE = (96, 128)
+NUM_TRIALS = 12
+
+
+def blur(image: Image, width: int) -> Image:
+    """A denoiser of known kind: the mean over width x width neighbours, mirrored at the border."""
+    from scipy.ndimage import uniform_filter
+
+    return uniform_filter(image, (width, width, 0), mode="mirror").astype(np.float32)
+
+
+def truth() -> Image:
+    """Stripes, which blurring spoils, in colour; brighter at the top."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    stripes = 1.0 + 0.3 * np.sin(columns[..., None] * np.array([0.15, 0.2, 0.3]))
+    return (stripes * (0.2 + rows[..., None] / SIZE[0])).astype(np.float32)
+
+
+def noisy_pair(rng: np.random.Generator, sigma: float, shared: float = 0.0) -> tuple[Image, Image]:
+    """Two halves with relative noise ``sigma``; ``shared`` of its variance is the same in both."""
+    noise = rng.normal(0.0, sigma, (3, *SIZE, 3))
+    own, common = math.sqrt(1 - shared), math.sqrt(shared)
+    a, b = (truth() * (1 + own * n + common * noise[2]) for n in noise[:2])
+    return a.astype(np.float32), b.astype(np.float32)
+
+
+def estimated_and_true(width: int, sigma: float, shared: float = 0.0) -> NDArray[np.float64]:
+    """(trials, 2): estimated error and true error of the mean of the denoised halves."""
+    rng = np.random.default_rng(5)
+    black = np.zeros((*SIZE, 3), np.float32)
+    pairs = []
+    for _ in range(NUM_TRIALS):
+        a, b = noisy_pair(rng, sigma, shared)
+        clean = (blur(a, width), blur(b, width))
+        estimate = estimate_error((a, b), clean, black)
+        pairs.append((estimate.rel_mse, relative_mse(0.5 * (clean[0] + clean[1]), truth(), exposed=True)))
+    return np.array(pairs)
+
+
+@pytest.mark.parametrize(("width", "sigma"), [(3, 0.3), (9, 0.3), (15, 0.3), (1, 0.1)])
+def test_estimate_knows_spread_and_bias_of_a_denoiser(width: int, sigma: float) -> None:
+    estimated, true = estimated_and_true(width, sigma).mean(axis=0)
+    assert estimated == pytest.approx(true, rel=0.1)
+
+
+def test_dependent_halves_deceive_the_estimate() -> None:
+    """The twin: half of the noise is in both halves, and passes for a bias of the denoiser."""
+    estimated, true = estimated_and_true(3, 0.3, shared=0.5).mean(axis=0)
+    assert estimated > 2 * true
+
+
+def test_without_a_denoiser_the_spread_is_all() -> None:
+    a, b = noisy_pair(np.random.default_rng(1), 0.2)
+    estimate = estimate_error((a, b), (a, b), np.zeros_like(a))
+    assert estimate.rel_mse == pytest.approx(relative_mse(0.5 * (a + b), truth(), exposed=True), rel=0.1)
+
+
+def test_estimate_does_not_depend_on_brightness() -> None:
+    a, b = noisy_pair(np.random.default_rng(2), 0.3)
+    black = np.zeros_like(a)
+    dim = [np.float32(1e-4) * image for image in (a, b, blur(a, 5), blur(b, 5))]
+    bright = estimate_error((a, b), (blur(a, 5), blur(b, 5)), black)
+    assert estimate_error((dim[0], dim[1]), (dim[2], dim[3]), black).rel_mse == pytest.approx(
+        bright.rel_mse, rel=1e-4
+    )
+
+
+def test_black_image_has_no_error_and_missing_light_counts() -> None:
+    black = np.zeros((4, 4, 3), np.float32)
+    assert estimate_error((black, black), (black.copy(), black.copy()), black).rel_mse == 0.0
+    assert estimate_error((black, black), (black.copy(), black.copy()), black, 0.1).rel_mse == pytest.approx(
+        0.01
+    )
+
+
+def test_passes_double_until_target_or_ceiling() -> None:
+    def totals(budget: SampleBudget, met_at: int) -> Iterator[int]:
+        total, following = 0, budget.first_total()
+        while following > total:
+            total = following
+            yield total
+            error = budget.max_rel_mse * (0.9 if total >= met_at else 1.1)
+            following = budget.next_total(total, ErrorEstimate(error, 0.0, 0.0, 0.0))
+
+    assert list(totals(SampleBudget(0.01, 1000), met_at=30)) == [4, 8, 16, 32]
+    assert list(totals(SampleBudget(0.01, 21), met_at=30)) == [4, 8, 16, 20]
+    assert list(totals(SampleBudget(0.01, 2), met_at=30)) == [2]
+    assert list(totals(SampleBudget(0.01, 1000), met_at=1)) == [4]
+
+
+# ---------------------------------------------------------------------- rendering
+
+
+def make(root: Path, **fields: Any) -> SceneRenderer:
+    shutil.rmtree(root, ignore_errors=True)
+    return renderer(
+        root, box_room(), CAMERAS, render(auxiliary_samples=16, **fields), lights=LIGHTS, objects=OBJECTS
+    )
+
+
+@pytest.fixture(scope="module")
+def budgeted(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> SceneRenderer:
+    return make(
+        tmp_path_factory.mktemp("budget") / "room", max_rel_mse=0.01, max_path_samples=256, firefly_clamp=30
+    )
+
+
+def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
+    record = (view := budgeted.render_view(1)).render
+    assert record.estimated_rel_mse is not None and 0 < record.estimated_rel_mse <= 0.01
+    assert not record.at_ceiling and 4 < record.path_samples < 256
+    assert set(view.seconds) == {"path", "buffers", "estimate", "denoise"}
+    sensor = budgeted._sensor(CAMERAS[1])
+    pair = [budgeted._tracer.render(sensor, 512, seed) for seed in (71, 72)]
+    true = relative_mse(view.buffers["beauty"], *pair, exposed=True)
+    assert 0.3 * record.estimated_rel_mse < true < 2 * record.estimated_rel_mse
+
+
+def test_ceiling_is_kept_and_recorded(tmp_path: Path) -> None:
+    record = make(tmp_path / "room", max_rel_mse=1e-6, max_path_samples=11).render_view(1).render
+    assert record.at_ceiling and record.path_samples == 10
+    assert record.estimated_rel_mse is not None and record.estimated_rel_mse > 1e-6
+
+
+def test_budgeted_views_do_not_depend_on_order_or_company(budgeted: SceneRenderer) -> None:
+    """What an interrupted run leaves is made alone later: the same bytes, and the same record."""
+    together = list(budgeted.render_views([2, 0, 1]))
+    assert [view.index for view in together] == [2, 0, 1]
+    alone = budgeted.render_view(0)
+    assert digest(alone) == digest(together[1])
+    assert alone.render == together[1].render
+
+
+def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
+    view = budgeted._begin(1)
+    for total in (16, 64):
+        budgeted._add_pass(view, total)
+    sensor = budgeted._sensor(CAMERAS[1])
+    reference = budgeted._tracer.add_up(sensor, 512, 5).mean()
+
+    def correlation(a: PathSums, b: PathSums) -> float:
+        """Of the noise of two images; the deviation is 1 / sqrt(pixels) = 0.026 for independent ones."""
+        left, right = (
+            luminance(half.mean() - reference) / (reference.mean(axis=-1) + 0.01) for half in (a, b)
+        )
+        ranks = [noise.ravel().argsort().argsort() for noise in (left, right)]
+        return float(np.corrcoef(*ranks)[0, 1])
+
+    assert [half.num_samples for half in view.halves] == [32, 32]
+    assert abs(correlation(*view.halves)) < 0.13
+    shared = view.halves[0] + view.halves[1]
+    assert correlation(shared, view.halves[1]) > 0.5  # the twin: halves that share samples
+
+
+# ---------------------------------------------------------------------- clamp
+
+
+def test_clamp_takes_away_what_it_says(budgeted: SceneRenderer) -> None:
+    sensor = budgeted._sensor(CAMERAS[1])
+    free = budgeted._tracer.add_up(sensor, 32, 9)
+    limit = float(np.percentile(free.radiance / 32, 90))
+    clamped = budgeted._tracer.add_up(sensor, 32, 9, limit=limit)
+    assert free.removed_luminance.sum() == 0.0 and free.removed_share() == 0.0
+    assert 0.02 < clamped.removed_share() < 0.9
+    kept, taken = luminance(clamped.radiance), clamped.removed_luminance
+    assert kept + taken == pytest.approx(luminance(free.radiance), rel=1e-4, abs=1e-4)
+    assert (clamped.radiance <= 32 * limit * (1 + 1e-5)).all()
+    removed = 1 - kept.sum() / luminance(free.radiance).sum()
+    assert clamped.removed_share() == pytest.approx(removed, rel=1e-3)
+
+
+def test_clamp_is_relative_to_exposure_and_recorded(tmp_path: Path) -> None:
+    tight = make(tmp_path / "room", path_samples=16, firefly_clamp=2, denoise=False)
+    view = tight.render_view(1)
+    white = 1 / exposure_for(view.buffers["beauty"])
+    assert view.render.firefly_clamp_radiance == pytest.approx(2 * white, rel=0.15)
+    assert 0.001 < view.render.clamped_energy < 0.5
+    sums = tight._begin(1)
+    tight._add_pass(sums, 16)
+    assert view.render.clamped_energy == pytest.approx(sums.halves[0].removed_share(), rel=1e-3)
+
+
+def test_reference_quality_clamps_nothing(tmp_path: Path) -> None:
+    record = make(tmp_path / "room", quality="reference", max_path_samples=4).render_view(0).render
+    assert record.firefly_clamp_radiance is None and record.clamped_energy == 0.0
