@@ -6,6 +6,9 @@ Arrays are (H, W, C), row 0 at the top, channels in the order R G B A.
 
 from __future__ import annotations
 
+import struct
+import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,8 @@ from datagen.formats.asset import Texture
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 MAX_IMAGE_SIDE_PX = 16384
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_REPLACE = "replace the file"
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 
 
@@ -32,21 +37,27 @@ def read_image(path: Path) -> NDArray:
         raise input_error(
             path, got="no such file", expected="an image", remedy="restore it or correct its name"
         )
-    return _read_exr(path) if suffix == ".exr" else _read_ldr(path)
+    return _read_exr(path) if suffix == ".exr" else read_ldr(path)
 
 
-def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) without decoding pixels where the format allows. Raises :class:`InputError`."""
+def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
+    """(width, height) without decoding pixels where the format allows; ``formats`` as Pillow names them, by
+    content. Raises :class:`InputError`."""
     if path.suffix.lower() == ".exr":
         height, width = read_image(path).shape[:2]
         return width, height
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
+    if not path.is_file():  # a pipe would wait for ever
+        raise input_error(path, got="no such file", expected="an image", remedy="correct its name")
     try:
-        with Image.open(path) as image:
-            return image.size
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
-        raise input_error(path, got=str(error), expected="a readable image") from None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # sizes are checked here
+            with Image.open(path, formats=formats) as image:
+                return image.size
+    except Exception as error:  # Pillow raises whatever its parsers meet
+        expected = f"a readable image ({', '.join(formats)})"
+        raise input_error(path, got=str(error)[:200], expected=expected, remedy=_REPLACE) from None
 
 
 def texture_values(texture: Texture, pixels: NDArray, is_scalar: bool) -> NDArray[np.float32]:
@@ -96,19 +107,30 @@ def encode_png(pixels: NDArray) -> bytes:
     return data.tobytes()
 
 
-def _read_ldr(path: Path) -> NDArray:
+def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray:
+    """Pixels (H, W, C) as stored of an image that is one of ``formats`` by content, whatever its name says.
+
+    OpenCV would decode some twenty formats, and take what a damaged header claims: sizes and the lengths of
+    chunks are checked first. Raises :class:`InputError`.
+    """
     import cv2
 
-    width, height = image_size(path)
+    from datagen.formats.exr import check_claim
+
+    width, height = image_size(path, formats)
     if max(width, height) > MAX_IMAGE_SIDE_PX:
         raise input_error(
             path, "size", f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} a side", "shrink it"
         )
-    data = np.fromfile(path, dtype=np.uint8)
-    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    check_claim((width, height), 8, path.stat().st_size, path)  # at most four channels of 16 bits
+    data = path.read_bytes()
+    pixels = None
+    if data[:8] != _PNG_SIGNATURE or _has_whole_chunks(data):
+        with suppress(cv2.error):  # what it could not decode is told below
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise input_error(
-            path, got="corrupt data", expected="a readable PNG or JPEG", remedy="replace the file"
+            path, got="corrupt data", expected=f"a readable {' or '.join(formats)}", remedy=_REPLACE
         )
     if pixels.ndim == 2:
         return pixels[..., None]
@@ -116,14 +138,21 @@ def _read_ldr(path: Path) -> NDArray:
     return np.ascontiguousarray(pixels[..., order])
 
 
-def _read_exr(path: Path) -> NDArray[np.float32]:
-    import OpenEXR
+def _has_whole_chunks(png: bytes) -> bool:
+    """Whether every chunk of a PNG ends within it, up to the last that is read."""
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(png):
+        length, kind = struct.unpack_from(">I4s", png, position)
+        position += 12 + length
+        if kind == b"IEND":
+            break
+    return position <= len(png)
 
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
-    except Exception as error:  # OpenEXR raises bare exceptions of several kinds for corrupt files
-        raise input_error(path, got=str(error)[:200], expected="a readable EXR image") from None
+
+def _read_exr(path: Path) -> NDArray[np.float32]:
+    from datagen.formats.exr import decode_channels
+
+    channels = decode_channels(path.read_bytes(), path)
     names = [name for name in ("R", "G", "B", "A") if name in channels] or sorted(channels)[:1]
     if not names:
         raise input_error(path, got="no channels", expected="R, G and B or Y")

@@ -380,6 +380,9 @@ def _read_binary(
             (p, f"<{kind}") if not size else (p, [("n", f"<{size}"), ("i", f"<{kind}", (3,))])
             for p, kind, size in properties
         ]
+        names = [p for p, _, _ in properties]
+        if not names or len(set(names)) != len(names):
+            raise input_error(where, f"element {name}", names, "properties that differ", _PLY_REMEDY)
         record = np.dtype(dtype)
         if offset + count * record.itemsize <= len(body):
             table = np.frombuffer(body, record, count, offset)
@@ -409,6 +412,8 @@ def _read_polygons(
                     offset += np.dtype(kind).itemsize
                     continue
                 num = int(np.frombuffer(body, f"<{size}", 1, offset)[0])
+                if num < 0:  # numpy would take -1 for all there is
+                    raise ValueError
                 offset += np.dtype(size).itemsize
                 corners = np.frombuffer(body, f"<{kind}", num, offset).tolist()
                 offset += np.dtype(kind).itemsize * num

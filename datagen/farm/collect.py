@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from datagen.errors import InputError, Problem
+from datagen.errors import InputError, Problem, input_error
 from datagen.farm.folder import DatasetFolder, UnitManifest
-from datagen.formats.base import canonical_json, sha256_file, write_bytes_atomically
+from datagen.formats.base import canonical_json, inside, sha256_file, write_bytes_atomically
 from datagen.formats.configuration import Split
 from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
+from datagen.formats.view import ViewRecord
 
 
 def collect(root: Path, deep: bool = False) -> DatasetIndex:
@@ -21,7 +22,8 @@ def collect(root: Path, deep: bool = False) -> DatasetIndex:
     folder = DatasetFolder(root)
     plan = folder.read_plan()
     recipe = folder.read_recipe()
-    shards, missing, problems = [], [], []
+    shards, missing = [], []
+    problems: list[Problem] = []
     buffers: tuple[str, ...] = ()
     splits: dict[Split, int] = {}
     for unit in plan.units:
@@ -29,10 +31,15 @@ def collect(root: Path, deep: bool = False) -> DatasetIndex:
         if manifest is None:
             missing.append(unit.id)
             continue
+        try:
+            inside(root, root / manifest.shard)
+        except InputError as error:
+            problems += error.problems
+            continue
         if deep:
             problems += _check_hash(folder, manifest)
         if not buffers:
-            buffers = next(ShardReader(root / manifest.shard).records()).buffers
+            buffers = _first_record(root / manifest.shard).buffers
         splits[unit.split] = splits.get(unit.split, 0) + 1
         shards.append(
             ShardRecord(
@@ -66,6 +73,12 @@ def collect(root: Path, deep: bool = False) -> DatasetIndex:
     )
     write_bytes_atomically(folder.index_path, canonical_json(index))
     return index
+
+
+def _first_record(shard: Path) -> ViewRecord:
+    for record in ShardReader(shard).records():
+        return record
+    raise input_error(shard, "", "no views", "at least one", f"remove {shard.name} and run again")
 
 
 def _check_hash(folder: DatasetFolder, manifest: UnitManifest) -> list[Problem]:

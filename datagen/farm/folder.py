@@ -18,6 +18,8 @@ No other state exists: any process that sees this folder can go on with it.
 
 from __future__ import annotations
 
+import os
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -25,7 +27,16 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from datagen.errors import InputError, Problem, input_error
-from datagen.formats.base import StrictModel, canonical_json, read_json, read_yaml, sha256_hex
+from datagen.formats.base import (
+    RelativePath,
+    Slug,
+    StrictModel,
+    canonical_json,
+    inside,
+    read_json,
+    read_yaml,
+    sha256_hex,
+)
 from datagen.formats.configuration import Configuration, Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord
@@ -46,9 +57,9 @@ class PlannedUnit(StrictModel):
     """A unit of work: one configuration. ``key`` hashes all that decides its bytes."""
 
     index: Annotated[int, Field(ge=0)]
-    id: str
+    id: Slug
     split: Split
-    key: str
+    key: Slug
     num_views: int
     seed: int
     assets: tuple[str, ...]
@@ -77,9 +88,9 @@ class UnitManifest(StrictModel):
 
     format: Literal["scene-materials/unit"] = "scene-materials/unit"
     version: Literal[1] = 1
-    key: str
-    id: str
-    shard: str
+    key: Slug
+    id: Slug
+    shard: RelativePath
     sha256: str
     num_bytes: int
     num_views: int
@@ -93,11 +104,11 @@ class UnitManifest(StrictModel):
 class FailureRecord(StrictModel):
     """``failed/<id>.json``: a unit that was set aside."""
 
-    id: str
+    id: Slug
     index: int
     attempts: int
     reason: str
-    log: str
+    log: RelativePath | Literal[""]
     command: str
 
 
@@ -153,10 +164,10 @@ class DatasetFolder:
         return self.units_path / f"{unit.key}.json"
 
     def read_recipe(self) -> Recipe:
-        return read_yaml(Recipe, self.recipe_path)
+        return read_yaml(Recipe, inside(self.root, self.recipe_path))
 
     def read_record(self) -> FolderRecord:
-        return read_json(FolderRecord, self.record_path)
+        return read_json(FolderRecord, inside(self.root, self.record_path))
 
     def read_plan(self) -> Plan:
         """The plan; raises :class:`InputError` where the folder has none."""
@@ -164,19 +175,22 @@ class DatasetFolder:
             raise input_error(
                 self.plan_path, "", "no plan here", "a planned dataset folder", "run `datagen plan` first"
             )
-        return read_json(Plan, self.plan_path)
+        return read_json(Plan, inside(self.root, self.plan_path))
 
     def read_configuration(self, unit: PlannedUnit) -> Configuration:
-        return read_json(Configuration, self.configuration_path(unit.id))
+        return read_json(Configuration, inside(self.root, self.configuration_path(unit.id)))
 
     def read_manifest(self, unit: PlannedUnit) -> UnitManifest | None:
         """The unit's manifest, or None while it is not done. The file is opened, not merely looked up:
         network file systems cache negative look-ups."""
         path = self.manifest_path(unit)
         try:
-            path.open("rb").close()
+            # Neither followed where it is a link, nor waited for where it is a pipe.
+            os.close(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK))
         except FileNotFoundError:
             return None
+        except OSError as error:
+            raise input_error(path, "", str(error), "a marker", "remove this file") from None
         manifest = read_json(UnitManifest, path)
         if manifest.key != unit.key:
             raise input_error(
@@ -186,7 +200,7 @@ class DatasetFolder:
 
     def read_failure(self, unit_id: str) -> FailureRecord:
         """Record of a unit that was set aside."""
-        return read_json(FailureRecord, self.failed_path / f"{unit_id}.json")
+        return read_json(FailureRecord, inside(self.root, self.failed_path / f"{unit_id}.json"))
 
     def is_done(self, unit: PlannedUnit) -> bool:
         """Whether the unit's manifest and its shard, of the stated size, are there."""
@@ -197,9 +211,10 @@ class DatasetFolder:
         if manifest is None:
             return False
         try:
-            return (self.root / manifest.shard).stat().st_size == manifest.num_bytes
+            status = (self.root / manifest.shard).lstat()
         except OSError:
             return False
+        return stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
 
     def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
         """Raise :class:`InputError` where the folder was started from something else than ``recipe`` and

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from datagen.errors import InputError
 from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit, UnitManifest
+from datagen.formats.base import inside
 
 RUNNING_AGE_S = 600.0
 """A unit whose heartbeat is younger counts as running."""
@@ -156,14 +157,16 @@ def forget_failures(root: Path) -> list[str]:
     return forgotten
 
 
-def last_lines(path: Path, count: int = 5) -> list[str]:
-    """The last lines of a log, read from its end."""
+def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
+    """The last lines of a log of the folder, read from its end; none where no log was kept."""
+    if not log:
+        return []
     try:
-        with path.open("rb") as file:
+        with inside(root, root / log).open("rb") as file:
             file.seek(0, os.SEEK_END)
             file.seek(max(0, file.tell() - 8192))
             return file.read().decode(errors="replace").splitlines()[-count:]
-    except OSError as error:
+    except (OSError, InputError) as error:
         return [f"(no log: {error})"]
 
 
@@ -185,7 +188,7 @@ def print_status(root: Path, cost_per_core_hour: float = 0.0) -> FarmStatus:
     for failure in status.failed:
         print(f"failed   {failure.id} after {failure.attempts} attempts: {failure.reason}")
         print(f"         reproduce: {failure.command}")
-        for line in last_lines(root / failure.log) if failure.log else []:
+        for line in last_lines(root, failure.log):
             print(f"         | {line}")
     if status.array_spec:
         print(f"not done --array={status.array_spec}")

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import reprlib
+import stat
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -17,6 +18,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from datagen.errors import InputError, Problem
 
 MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file is not one of ours
+_MAX_SLUG = 200  # with a suffix it is still a file name
+_MAX_PROBLEMS = 100  # of one file; a small one can have a million
 
 
 class StrictModel(BaseModel):
@@ -28,15 +31,21 @@ class StrictModel(BaseModel):
 
 
 def _check_slug(value: str) -> str:
-    if not value or any(c not in "abcdefghijklmnopqrstuvwxyz0123456789_-." for c in value) or ".." in value:
-        raise ValueError("expected lower-case letters, digits, '_', '-' and '.' only")
+    known = all(c in "abcdefghijklmnopqrstuvwxyz0123456789_-." for c in value)
+    if not known or value in ("", ".") or ".." in value or len(value) > _MAX_SLUG:
+        raise ValueError(f"expected lower-case letters, digits, '_', '-' and '.' only, at most {_MAX_SLUG}")
     return value
 
 
 def _check_relative_path(value: str) -> str:
     parts = value.replace("\\", "/").split("/")
-    if not value or value.startswith(("/", "\\")) or ":" in value or any(p in ("", ".", "..") for p in parts):
-        raise ValueError("expected a relative path inside the package, without '..'")
+    if (
+        not value.isprintable()  # a zero byte ends a name for the system, not for Python
+        or value.startswith(("/", "\\"))
+        or ":" in value
+        or any(p in ("", ".", "..") for p in parts)
+    ):
+        raise ValueError("expected a relative path inside the folder, without '..'")
     return value
 
 
@@ -96,7 +105,8 @@ def _field_path(location: tuple[int | str, ...]) -> str:
 
 def _problems(where: str | Path, error: ValidationError) -> list[Problem]:
     problems = []
-    for entry in error.errors(include_url=False):
+    entries = error.errors(include_url=False)
+    for entry in entries[:_MAX_PROBLEMS]:
         got = "" if entry["type"] == "missing" else _SHORT.repr(entry.get("input"))
         expected = entry["msg"].removeprefix("Value error, ")
         expected = expected[0].lower() + expected[1:]
@@ -113,6 +123,9 @@ def _problems(where: str | Path, error: ValidationError) -> list[Problem]:
         else:
             remedy = "correct the value"
         problems.append(Problem(where, _field_path(entry["loc"]), got, expected, remedy))
+    if len(entries) > _MAX_PROBLEMS:
+        more = f"{len(entries) - _MAX_PROBLEMS} more problems"
+        problems.append(Problem(where, "", more, "none", "correct those above first"))
     return problems
 
 
@@ -126,7 +139,12 @@ def parse_model(model: type[ModelT], data: Any, where: str | Path) -> ModelT:
 
 def _read_text(path: Path) -> str:
     try:
-        if path.stat().st_size > MAX_TEXT_BYTES:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise IsADirectoryError
+        if not stat.S_ISREG(status.st_mode):  # a pipe would wait for ever, a device never end
+            raise InputError(Problem(path, "", "a pipe or a device", "a text file", "check the path"))
+        if status.st_size > MAX_TEXT_BYTES:
             raise InputError(Problem(path, "", "a file of over 256 MB", "a text file", "check the path"))
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -138,6 +156,23 @@ def _read_text(path: Path) -> str:
     except OSError as error:
         got = (error.strerror or str(error)).lower()
         raise InputError(Problem(path, "", got, "a readable file", "check the path and its rights")) from None
+
+
+def inside(root: Path, path: Path) -> Path:
+    """``path``, if it stays below ``root`` when links are followed, and is no pipe, device or folder.
+
+    A file that is not there is for its reader to report. Raises :class:`InputError`.
+    """
+    try:
+        real, base = path.resolve(), root.resolve()
+        mode = real.stat().st_mode if real.exists() else stat.S_IFREG
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(Problem(path, "", str(error), "a regular file", "remove it")) from None
+    if not real.is_relative_to(base):
+        raise InputError(Problem(path, "", f"leads to {real}", f"a file in {base}", "copy the file there"))
+    if not stat.S_ISREG(mode):
+        raise InputError(Problem(path, "", "a folder, pipe or device", "a regular file", "remove it"))
+    return path
 
 
 def read_json(model: type[ModelT], path: Path) -> ModelT:

@@ -19,7 +19,7 @@ from datagen.buffers import BUFFERS, Buffer, get_buffer
 from datagen.errors import InputError, Problem
 
 MAX_SIDE_PX = 16384  # refuses headers that claim absurd sizes before any pixel is allocated
-_MAX_COMPRESSION = 2100  # deflate shrinks at most 1032-fold; halves count as floats here
+_MAX_COMPRESSION = 500  # of anything that is not a bomb; halves count as floats here
 _CLAIM_FREE_BYTES = 256 << 20
 COMPRESSIONS = {
     "none": OpenEXR.NO_COMPRESSION,
@@ -67,14 +67,29 @@ def encode_view(buffers: Mapping[str, NDArray], compression: str = "zip", num_th
     return stream.getvalue()
 
 
-def _check_claim(file: OpenEXR.File, num_bytes: int, where: Path | str) -> None:
-    """Refuse a header that claims more pixels than a file of this size can hold, before they take memory."""
-    low, high = (np.asarray(corner, dtype=np.int64) for corner in file.header()["dataWindow"])
-    width, height = high - low + 1
-    claimed = int(width) * int(height) * 4 * len(file.header()["channels"])
-    if claimed > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:
+def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, where: Path | str) -> None:
+    """Refuse an image whose header claims more pixels than a file of ``num_bytes`` sensibly holds, before
+    they take memory. Raises :class:`InputError`."""
+    width, height = size_px
+    if width * height * pixel_bytes > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:
         got = f"{width} x {height} pixels in {num_bytes} bytes"
-        raise InputError(Problem(where, "dataWindow", got, "a size that the file can hold", _READ_REMEDY))
+        raise InputError(Problem(where, "size", got, "a size that the file can hold", _READ_REMEDY))
+
+
+def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray]:
+    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged or lying file."""
+    OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
+    try:
+        with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
+            low, high = (np.asarray(corner, dtype=np.int64) for corner in file.header()["dataWindow"])
+            width, height = (int(side) for side in high - low + 1)
+            check_claim((width, height), 4 * len(file.header()["channels"]), len(data), where)
+        with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
+            return {name: channel.pixels for name, channel in file.channels().items()}
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, OSError, MemoryError, TypeError, IndexError, KeyError) as error:
+        raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
 
 
 def decode_view(
@@ -85,20 +100,11 @@ def decode_view(
     Raises :class:`InputError` where the file is damaged, too large, or lacks a requested buffer.
     """
     where = source if isinstance(source, Path) else "EXR data"
-    OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
     try:
         data = source if isinstance(source, bytes) else source.read_bytes()
     except OSError as error:
         raise InputError(Problem(where, "", str(error), "a readable EXR file", _READ_REMEDY)) from None
-    try:
-        with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
-            _check_claim(file, len(data), where)
-        with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
-            pixels = {name: channel.pixels for name, channel in file.channels().items()}
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, OSError, MemoryError, TypeError, IndexError) as error:
-        raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
+    pixels = decode_channels(data, where, num_threads)
     wanted = (
         tuple(names)
         if names is not None

@@ -19,7 +19,7 @@ from typing import BinaryIO, Literal
 from numpy.typing import NDArray
 
 from datagen.errors import InputError, Problem
-from datagen.formats.base import StrictModel, parse_model, read_json
+from datagen.formats.base import RelativePath, StrictModel, inside, parse_model, read_json
 from datagen.formats.configuration import Configuration, Split
 from datagen.formats.exr import decode_view
 from datagen.formats.recipe import Recipe
@@ -44,7 +44,7 @@ class AssetRecord(StrictModel):
 class ShardRecord(StrictModel):
     """One shard in the index. ``file`` is relative to the index."""
 
-    file: str
+    file: RelativePath
     sha256: str
     num_bytes: int
     configuration: str
@@ -109,10 +109,13 @@ class ShardReader:
 
     def members(self) -> Iterator[tuple[str, bytes]]:
         """Raw members in order: (name, content)."""
+        if self.path.exists() and not self.path.is_file():
+            raise InputError(Problem(self.path, "", "a folder, pipe or device", "a shard", "check the path"))
         try:
             with tarfile.open(self.path, mode="r:") as tar:
                 for info in tar:
-                    if not info.isreg() or info.size > MAX_MEMBER_BYTES:
+                    # `isreg` holds for sparse members too, of which a few bytes stand for any number
+                    if not info.isreg() or info.issparse() or info.size > MAX_MEMBER_BYTES:
                         what = f"{info.name!r}, type {info.type!r}, {info.size} bytes"
                         raise InputError(Problem(self.path, "member", what, "a regular file", _REMEDY))
                     file = tar.extractfile(info)
@@ -176,11 +179,13 @@ class Dataset:
 
     def __init__(self, folder: Path):
         self.folder = Path(folder)
-        self.index = read_json(DatasetIndex, self.folder / INDEX_FILE)
+        self.index = read_json(DatasetIndex, inside(self.folder, self.folder / INDEX_FILE))
 
     def shard_paths(self, split: Split | None = None) -> list[Path]:
-        """Paths of the shards of ``split`` (None = all), in the index's order."""
-        return [self.folder / s.file for s in self.index.shards if split is None or s.split == split]
+        """Paths of the shards of ``split`` (None = all), in the index's order. Raises :class:`InputError`
+        for one that leads out of the folder."""
+        shards = [s for s in self.index.shards if split is None or s.split == split]
+        return [inside(self.folder, self.folder / s.file) for s in shards]
 
     def views(self, split: Split | None = None, names: Iterable[str] | None = None) -> Iterator[View]:
         """Every view of ``split``, with the buffers in ``names`` (None = all)."""

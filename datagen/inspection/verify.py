@@ -19,7 +19,7 @@ import numpy as np
 
 from datagen.errors import InputError, input_error
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
-from datagen.formats.base import read_json
+from datagen.formats.base import inside, read_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
@@ -77,11 +77,11 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
     report.applied["index"] += 1
     on_disk = sorted({*folder.glob("*.tar"), *folder.glob("shards/*.tar")})
     try:
-        index = read_json(DatasetIndex, folder / INDEX_FILE)
+        index = read_json(DatasetIndex, inside(folder, folder / INDEX_FILE))
     except InputError as error:
         for p in error.problems:
             report.faults.append(Fault("index", str(p.where), f"{p.field} {p.got}".strip(), p.expected))
-        return [ShardJob(path, str(path.relative_to(folder))) for path in on_disk]
+        return [ShardJob(path, str(path.relative_to(folder))) for path in on_disk if path.is_file()]
     where = str(folder / INDEX_FILE)
 
     def add(got: str, expected: str, severity: Severity = "error") -> None:
@@ -106,8 +106,10 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
         report.faults += _check_split(index, where)
     jobs = []
     for record in index.shards:
-        if Path(record.file).is_absolute() or ".." in Path(record.file).parts:
-            add(f"shard {record.file!r}", "a path inside the dataset")
+        try:
+            inside(folder, folder / record.file)
+        except InputError as error:
+            add(f"shard {record.file!r}: {error.problems[0].got}", "a file inside the dataset")
             continue
         jobs.append(ShardJob(folder / record.file, record.file, record, index.buffers))
     return jobs

@@ -200,7 +200,7 @@ def test_escaping_paths_in_the_description_are_refused(tmp_path: Path, name: str
     data = json.loads(description.read_text())
     data["parts"][0]["mesh"] = name
     description.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=r"parts\[0\].mesh.*relative path inside the package"):
+    with pytest.raises(InputError, match=r"parts\[0\].mesh.*relative path inside the folder"):
         open_package(tmp_path / "cube")
 
 

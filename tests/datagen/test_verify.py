@@ -310,8 +310,14 @@ def test_index_faults(dataset):
 def test_index_path_that_leaves_the_dataset(dataset):
     dataset.write()
     index = json.loads((dataset.folder / "index.json").read_text())
+    name = index["shards"][0]["file"]
     index["shards"][0]["file"] = "../boxes-00000.tar"
     (dataset.folder / "index.json").write_text(json.dumps(index))
+    assert any("without '..'" in fault.expected for fault in found(dataset.folder)["index"])
+    index["shards"][0]["file"] = name
+    (dataset.folder / "index.json").write_text(json.dumps(index))
+    outside = (dataset.folder / name).rename(dataset.folder.parent / "outside.tar")
+    (dataset.folder / name).symlink_to(outside)
     assert any("inside the dataset" in fault.expected for fault in found(dataset.folder)["index"])
 
 
