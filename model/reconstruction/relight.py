@@ -163,6 +163,7 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
 def write_renders(path: Path, out: Path, options: RelightOptions | None = None) -> list[Path]:
     """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views under the first's
     exposure)."""
+    open_package(path).close()  # a package that cannot be read leaves no folder behind
     out.mkdir(parents=True, exist_ok=True)
     written = []
     exposure = 0.0
