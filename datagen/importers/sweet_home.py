@@ -45,8 +45,10 @@ from datagen.meshes import Mesh, encode_ply, with_sound_normals, without_degener
 
 SUFFIX = ".sh3f"
 _IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")
+_OUTER = 0.02  # share of an extent by which a pane must reach beyond the rest to stay
 _STRETCH = 1.05  # a model whose sides are scaled more unequally than this is said to be stretched
 _FLAT = 1e-9  # a side without extent cannot be scaled to any size
+_Surface = tuple[str, ConvertedMaterial, Mesh]  # part name, material, mesh in the asset's frame
 _CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
 _PAGE = re.compile(r"https?://(?:www\.)?blendswap\.com/blends?/(?:view/)?\d+")
 _CATEGORIES = {
@@ -270,12 +272,12 @@ class _SweetHomeImporter:
         phongs: dict[str, PhongMaterial],
         converter: PhongConverter,
         findings: Findings,
-    ) -> list[tuple[str, ConvertedMaterial, Mesh]]:
+    ) -> list[_Surface]:
         """Name, material and mesh of each part, in the asset's frame, standing on z = 0."""
         matrix = self._asset_from_model(piece, model, findings)
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
-        pieces: list[tuple[str, ConvertedMaterial, Mesh]] = []
-        panes: list[tuple[str, ConvertedMaterial, Mesh]] = []
+        pieces: list[_Surface] = []
+        panes: list[_Surface] = []
         num_mended: list[int] = []
         slots: set[str] = set()
         for surface in model.surfaces:
@@ -300,9 +302,8 @@ class _SweetHomeImporter:
             raise InputError(*converter.problems)
         if num_mended:
             findings.note(mended_note(sum(num_mended), len(num_mended)))
-        if not pieces:  # a plate of glass would vanish as a whole: it stays, as opal
-            pieces = panes
-        elif panes:
+        pieces, panes = _with_outer_panes(pieces, panes)
+        if panes:
             findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat see-through panes left out")
         if not pieces:
             raise input_error(self._label(piece), got="no visible surface", expected="at least one")
@@ -375,7 +376,23 @@ def guess_piece_category(piece: Piece) -> str:
     return next((c for name in names if (c := guess_category(name))), fallback)
 
 
-def _textures_of(pieces: list[tuple[str, ConvertedMaterial, Mesh]]) -> list[str]:
+def _with_outer_panes(pieces: list[_Surface], panes: list[_Surface]) -> tuple[list[_Surface], list[_Surface]]:
+    """Parts that stay and panes that are left out. A pane that reaches beyond everything else (a table top, a
+    plate of glass) makes the thing what it is: it stays, as opal."""
+    if not pieces or not panes:
+        return panes + pieces, []
+    low, high = _bounds([mesh for _, _, mesh in pieces])
+    all_low, all_high = _bounds([mesh for _, _, mesh in pieces + panes])
+    slack = _OUTER * (all_high - all_low)
+    stay = [
+        ((p[2].positions.min(axis=0) < low - slack) | (p[2].positions.max(axis=0) > high + slack)).any()
+        for p in panes
+    ]
+    pieces = pieces + [p for p, stays in zip(panes, stay, strict=True) if stays]
+    return pieces, [p for p, stays in zip(panes, stay, strict=True) if not stays]
+
+
+def _textures_of(pieces: list[_Surface]) -> list[str]:
     return sorted({t.texture for _, material, _ in pieces for t in material.material.textures()})
 
 

@@ -69,7 +69,7 @@ class ConvertedMaterial:
 
 
 def phong_roughness(exponent: float) -> float:
-    """R of a Blinn-Phong lobe: the Beckmann lobe with the same peak curvature, alpha^2 = 2 / (Ns + 2)."""
+    """R of a Blinn-Phong lobe: the Beckmann lobe with an equally high peak, alpha^2 = 2 / (Ns + 2)."""
     return float(perceptual_roughness(np.sqrt(2 / (max(exponent, 0.0) + 2)), "beckmann"))
 
 
@@ -179,9 +179,11 @@ class PhongConverter:
         if not statement:
             return None
         name = _file_name(statement)
-        file = self.find_file(name.lower())
-        if file is not None:
-            return ImageSource(file, "srgb")
+        # Sweet Home 3D takes the last word of a name with blanks, and some models rely on that
+        for candidate in (name, name.split()[-1]):
+            file = self.find_file(candidate.lower())
+            if file is not None:
+                return ImageSource(file, "srgb")
         if self.options.missing == "refuse":
             remedy = "restore it, or import with --missing replace"
             self.problems.append(
