@@ -80,8 +80,8 @@ def png_bytes(pixels: NDArray) -> bytes:
             rows - _paeth(left, above, corner),
         ]
     )
-    cost = np.abs(candidates.view(np.int8).astype(np.int32)).sum(axis=2)
-    best = cost.argmin(axis=0)
+    size = np.minimum(candidates, np.negative(candidates))  # of each byte as a signed number
+    best = size.sum(axis=2, dtype=np.uint32).argmin(axis=0)
     filtered = candidates[best, np.arange(height)]
     data = np.concatenate([best[:, None].astype(np.uint8), filtered], axis=1).tobytes()
     colour_type = {1: 0, 3: 2, 4: 6}[channels]
@@ -96,8 +96,10 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
 
 def _paeth(left: NDArray, above: NDArray, corner: NDArray) -> NDArray:
     a, b, c = left.astype(np.int16), above.astype(np.int16), corner.astype(np.int16)
-    p = a + b - c
-    pa, pb, pc = np.abs(p - a), np.abs(p - b), np.abs(p - c)
+    # distances of a + b - c from a, b and c
+    pa, pb = b - c, a - c
+    pc = np.abs(pa + pb)
+    pa, pb = np.abs(pa), np.abs(pb)
     return np.where((pa <= pb) & (pa <= pc), a, np.where(pb <= pc, b, c)).astype(np.uint8)
 
 

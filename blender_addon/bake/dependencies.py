@@ -37,13 +37,15 @@ class Dependencies:
     """What values depend on.
 
     ``uv_layers`` read ("" is the layer that renders); ``frames`` in which image textures read them, None for
-    any other use of UVs; ``repeats``: no image ends at its border; ``mesh``: needs the mesh itself;
-    ``world``: needs the instance's place; ``object_info``: needs Object Info values.
+    any other use of UVs; ``repeats``: no image ends at its border; ``image_px``: largest width and height of
+    the images; ``mesh``: needs the mesh itself; ``world``: needs the instance's place; ``object_info``: needs
+    Object Info values.
     """
 
     uv_layers: set[str] = field(default_factory=set)
     frames: set[UvFrame | None] = field(default_factory=set)
     repeats: bool = True
+    image_px: tuple[int, int] = (0, 0)
     mesh: bool = False
     world: bool = False
     object_info: bool = False
@@ -56,6 +58,16 @@ class Dependencies:
     def is_periodic(self) -> bool:
         """Whether everything repeats with each unit of the one frame that images are read in."""
         return self.repeats and None not in self.frames
+
+    @property
+    def detail_px(self) -> tuple[int, int] | None:
+        """Texels a unit of the one frame, along u and v, that hold all detail: those of the images.
+
+        None where anything but images varies, or where they are read in several frames.
+        """
+        if self.needs_mesh or None in self.frames or len(self.frames) != 1:
+            return None
+        return self.image_px
 
     @property
     def needs_mesh(self) -> bool:
@@ -71,9 +83,14 @@ class Dependencies:
         self.uv_layers |= other.uv_layers
         self.frames |= other.frames
         self.repeats &= other.repeats
+        self.see_image(*other.image_px)
         self.mesh |= other.mesh
         self.world |= other.world
         self.object_info |= other.object_info
+
+    def see_image(self, width: int, height: int) -> None:
+        """Count in the size of an image."""
+        self.image_px = (max(self.image_px[0], width), max(self.image_px[1], height))
 
 
 class DependencyWalk:
@@ -214,6 +231,9 @@ class DependencyWalk:
         else:
             self._result.uv_layers.add(frame.layer)
             self._result.frames.add(frame)
+            self._result.see_image(*node.image.size)
+            if node.image.source == "TILED":
+                self._result.frames.add(None)  # each tile has a size of its own
             if node.extension != "REPEAT" or node.image.source == "TILED":
                 self._result.repeats = False
 

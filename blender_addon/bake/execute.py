@@ -261,7 +261,8 @@ class BakeSession:
             working.target.image = None
             self.discard(image)
         pixels = pixels.reshape(size, size, 4)
-        return np.ascontiguousarray(pixels[..., :3]), (pixels[..., :3] != _NOT_BAKED).any(axis=2)
+        red, green, blue = (pixels[..., component] != _NOT_BAKED for component in range(3))
+        return np.ascontiguousarray(pixels[..., :3]), red | green | blue
 
 
 UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)

@@ -7,6 +7,7 @@ texels the surface covers; the others are filled from their neighbours and do no
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 _NUM_RINGS = 2
+_BLOCK_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,20 @@ def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArr
 
 def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> Image:
     """Bilinear lookup at the texel centres of a finer grid; at the borders as renderers do, which repeat."""
-    low, high, t = _axis_weights(image.shape[0], height, repeats)
-    rows = image[low] * (1 - t)[:, None, None] + image[high] * t[:, None, None]
+    return _interpolate_rows(image, slice(0, height), height, width, repeats)
+
+
+def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeats: bool = True) -> Image:
+    """Rows ``rows`` of :func:`interpolate`. An axis that keeps its size is left alone."""
+    if image.shape[0] == height:
+        result = image[rows]
+    else:
+        low, high, t = (values[rows] for values in _axis_weights(image.shape[0], height, repeats))
+        result = image[low] * (1 - t)[:, None, None] + image[high] * t[:, None, None]
+    if image.shape[1] == width:
+        return result
     low, high, t = _axis_weights(image.shape[1], width, repeats)
-    return rows[:, low] * (1 - t)[None, :, None] + rows[:, high] * t[None, :, None]
+    return result[:, low] * (1 - t)[None, :, None] + result[:, high] * t[None, :, None]
 
 
 def _shifted(values: NDArray, rows: int, columns: int) -> NDArray:
@@ -125,7 +137,7 @@ def smallest_level(
                 continue
             smaller, smaller_weight = halve(current, weight, axis)
             filled = fill(smaller, smaller_weight[..., 0] > 0)
-            error = level_error(filled, image, counted)
+            error = level_error(filled, image, counted, tolerance)
             if error > tolerance:
                 axes.remove(axis)
                 continue
@@ -133,7 +145,21 @@ def smallest_level(
     return best
 
 
-def level_error(level: Image, image: Image, mask: Mask) -> float:
-    """Mean absolute difference over covered texels, of the worst component."""
-    difference = np.abs(interpolate(level, image.shape[0], image.shape[1]) - image)
-    return float(difference[mask].mean(axis=0).max())
+def level_error(level: Image, image: Image, mask: Mask, enough: float = math.inf) -> float:
+    """Mean absolute difference over covered texels, of the worst component.
+
+    Rows are added in blocks, which stay in the cache, until the sum alone brings the mean above ``enough``:
+    what is returned then is a lower bound.
+    """
+    height, width = image.shape[:2]
+    count = np.count_nonzero(mask)
+    is_full = count == mask.size
+    total = np.zeros(image.shape[2])
+    for start in range(0, height, _BLOCK_ROWS):
+        rows = slice(start, min(start + _BLOCK_ROWS, height))
+        difference = np.abs(_interpolate_rows(level, rows, height, width) - image[rows])
+        covered = difference.reshape(-1, difference.shape[2]) if is_full else difference[mask[rows]]
+        total += covered.sum(axis=0, dtype=np.float64)
+        if total.max() > enough * count:
+            break
+    return float(total.max()) / max(count, 1)

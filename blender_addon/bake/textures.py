@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -55,6 +56,21 @@ def padded_mask(size: int) -> NDArray[np.bool_]:
     centre = (np.arange(size) + 0.5) / size
     inside = (centre > BORDER) & (centre < 1 - BORDER)
     return inside[:, None] & inside[None, :]
+
+
+def _enough_px(plan: MaterialPlan, window: Window) -> int | None:
+    """Side of a square texture over the window that holds all that the material's images hold.
+
+    Where its texels are the images' own they are read at their centres; else twice as many are taken. None
+    where anything but images varies.
+    """
+    detail = plan.dependencies.detail_px
+    if detail is None or plan.frame is None:
+        return None
+    u0, v0, u1, v1 = window
+    side = max(detail[0] * (u1 - u0), detail[1] * (v1 - v0), 1.0)
+    size = 1 << math.ceil(math.log2(side))
+    return size if window == UNIT_WINDOW and size in detail else 2 * size
 
 
 Channel = tuple[float, ...] | BakedTexture | PlainImage
@@ -116,14 +132,15 @@ class MaterialBaker:
             working.material, {name: uv for name in names}, size_m, frame.layer or "UVMap"
         )
         covered = None if window == UNIT_WINDOW else padded_mask
+        enough = _enough_px(plan, window)
         for name in pending:
             if name in plan.constants:
                 pixels, _ = self.session.bake(thing, working, name, 4)
                 result.channels[name] = _constant(name, tuple(pixels.reshape(-1, 3).mean(axis=0).tolist()))
             else:
-                result.channels[name] = self._grow(thing, working, name, plan.name, covered)
+                result.channels[name] = self._grow(thing, working, name, plan.name, covered, enough)
         if plan.bakes_normal:
-            result.normal = self._normal(thing, working, plan.name, covered)
+            result.normal = self._normal(thing, working, plan.name, covered, enough)
         self._release(thing, working)
         return self._finish(result, plan)
 
@@ -181,13 +198,17 @@ class MaterialBaker:
         name: str,
         material: str,
         covered: Callable[[int], NDArray[np.bool_]] | None = None,
+        enough: int | None = None,
     ) -> Channel:
         """Bake at rising sizes until a level of half the size or less represents the bake.
 
-        ``covered`` gives, for a size, the texels that count where the bake itself hits more.
+        ``covered`` gives, for a size, the texels that count where the bake itself hits more. ``enough`` is a
+        size that holds all detail, if one is known.
         """
         limit, tolerance = self.settings.max_texture_px, self.settings.tolerance
-        size = min(_FIRST_PX, limit)
+        is_cut = enough is None or enough > limit
+        limit = limit if enough is None else min(enough, limit)
+        size = min(_FIRST_PX, limit) if enough is None else limit
         while True:
             pixels, mask = self._bake(thing, working, name, size)
             counted = mask & covered(size) if covered is not None else mask
@@ -204,7 +225,7 @@ class MaterialBaker:
             return self._mean_emission(pixels[mask], material)
         if np.ptp(level.image.reshape(-1, level.image.shape[2]), axis=0).max() < _FLAT:
             return _constant(name, tuple(float(v) for v in level.image.mean(axis=(0, 1))))
-        if level.image.size == pixels.size and size == limit:
+        if level.image.size == pixels.size and size == limit and is_cut:
             error = _last_change(pixels, mask, counted)
             self.problems.add(
                 APPROXIMATION,
@@ -230,9 +251,10 @@ class MaterialBaker:
         working: WorkingMaterial,
         material: str,
         covered: Callable[[int], NDArray[np.bool_]] | None,
+        enough: int | None = None,
     ) -> BakedTexture | None:
         """The normal texture, None where the surface is flat."""
-        channel = self._grow(thing, working, NORMAL, material, covered)
+        channel = self._grow(thing, working, NORMAL, material, covered, enough)
         return channel if isinstance(channel, BakedTexture) else None
 
     def _is_trusted(
