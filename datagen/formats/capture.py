@@ -154,13 +154,14 @@ class CaptureGeometry:
 @dataclass(frozen=True)
 class Capture:
     """Cameras, images and geometry. ``lights`` are known for rendered captures only; ``notes`` say in words
-    what was decided while reading."""
+    what was decided while reading; ``mesh_up`` is the axis of the mesh's file that was taken for up."""
 
     name: str
     views: tuple[CaptureView, ...]
     geometry: CaptureGeometry
     lights: tuple[Light, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
+    mesh_up: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"
 
     def __post_init__(self) -> None:
         if not self.views:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 def register_verbs(app: typer.Typer) -> None:
     """Add the verbs of this module to the command."""
+    app.command()(check)
     app.command()(infer)
     app.command()(render)
 
@@ -57,6 +58,9 @@ def infer(
     precision: Annotated[str, typer.Option("--precision", help="auto, float32 or bfloat16.")] = "auto",
     device: Annotated[str, typer.Option("--device", help="cpu or cuda, for the networks.")] = "cpu",
     no_filter: Annotated[bool, typer.Option("--no-filter", help="Leave the bilateral solver out.")] = False,
+    no_check: Annotated[
+        bool, typer.Option("--no-check", help="Do not compare the mesh with the photographs first.")
+    ] = False,
     truth: Annotated[
         bool, typer.Option("--truth", help="Merge a rendered capture's ground truth; no checkpoint.")
     ] = False,
@@ -86,6 +90,7 @@ def infer(
         is_filtered=not no_filter,
         device=device,
         use_truth=truth,
+        is_checked=not no_check,
         **doing,
     )
     try:
@@ -110,6 +115,65 @@ def infer(
     )
     typer.echo(report.table())
     typer.echo(str(out / "asset"))
+
+
+def check(
+    capture: Annotated[
+        Path, typer.Argument(help="Cameras of any form (docs/captures.md), a shard, a package, capture.json.")
+    ],
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--out", help="Folder for check.json and the contact sheets."),
+    ] = None,
+    mesh: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--mesh", help="PLY, OBJ, glTF or GLB in the cameras' frame."),
+    ] = None,
+    images: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--images", help="Folder of the photographs."),
+    ] = None,
+    library: Annotated[
+        Optional[list[Path]],  # noqa: UP045
+        typer.Option("--library", help="Packages that a shard was rendered with, repeatable."),
+    ] = None,
+    up: Annotated[str, typer.Option("--up", help="As for infer.")] = "auto",
+    mesh_up: Annotated[str, typer.Option("--mesh-up", help="As for infer.")] = "same",
+    unit: Annotated[str, typer.Option("--unit", help="As for infer.")] = "auto",
+    encoding: Annotated[str, typer.Option("--encoding", help="As for infer.")] = "auto",
+    exposure: Annotated[str, typer.Option("--exposure", help="As for infer.")] = "common",
+    max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = 640,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+) -> None:
+    """Say whether a mesh projects onto the photographs; exit code 1 with warnings.
+
+    Example: materials check photos --mesh room.glb --out check
+    """
+    from model.reconstruction.captures import read_capture
+    from model.reconstruction.check import check_capture
+
+    opened = read_capture(
+        capture, _reading(mesh, images, library, up, mesh_up, unit, encoding, exposure, max_width)
+    )
+    if quiet:
+        report = check_capture(opened, out)
+    else:
+        with _Bars() as bars:
+            report = check_capture(opened, out, bars.tell)
+    for note in report.notes:
+        typer.echo(f"note: {note}", err=True)
+    warnings = report.all_warnings
+    for warning in warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    judged = [view for view in report.views if view.is_judged]
+    typer.echo(
+        f"{len(report.views)} views, {len(judged)} with edges to go by, fit {report.fit:.1f} standard "
+        f"deviations; {len(warnings)} warnings"
+    )
+    if out is not None:
+        typer.echo(str(out / "sheet-01.png"))
+    if warnings:
+        raise typer.Exit(1)
 
 
 def _check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:

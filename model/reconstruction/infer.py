@@ -5,6 +5,7 @@ OUT/state.json      what the work belongs to: a hash over checkpoint, cameras, g
 OUT/views/          predicted maps, one EXR a view; a run that was stopped continues after them
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 seen, 128 filled in, 0 no surface)
 OUT/asset/          the asset package; OUT/NAME.glb and OUT/mitsuba/scene.xml for others
+OUT/check/          what the check of mesh against photographs found, with pictures
 OUT/report.json     unwrap, size, coverage, warnings, seconds by stage
 
 Everything appears whole or not at all, and ``report.json`` last.
@@ -24,14 +25,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import luminance
 from datagen.errors import InputError, input_error
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
-from datagen.formats.capture import Capture, CaptureGeometry, CaptureView
+from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage
 from datagen.formats.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
+from model.reconstruction.check import Look, check_looks, view_warnings
 from model.reconstruction.fill import atlas_size, fill_unseen
 from model.reconstruction.geometry import (
     TracedGeometry,
@@ -46,8 +47,6 @@ from model.reconstruction.uv import UvReport, unwrapped
 
 MAP_NAMES = tuple(MAP_CHANNELS)
 Progress = Callable[[str, int, int], None]
-_MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room that the mesh is of
-_CLIPPED_LEVEL, _MAX_CLIPPED = 0.99, 0.5
 MEMORY_ATLAS = 4096
 """Atlases up to this side are held in memory, larger ones in files beside the result while they are made."""
 
@@ -55,7 +54,8 @@ MEMORY_ATLAS = 4096
 @dataclass(frozen=True)
 class InferOptions:
     """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``use_truth`` merges
-    the capture's own ground truth instead of predictions: what the rest of the way loses."""
+    the capture's own ground truth instead of predictions: what the rest of the way loses. ``is_checked``:
+    whether the mesh is compared with the photographs first."""
 
     atlas: int | Literal["auto"] = "auto"
     visibility: Literal["depth", "trace"] = "depth"
@@ -65,6 +65,7 @@ class InferOptions:
     device: str = "cpu"
     use_truth: bool = False
     has_exr: bool = True
+    is_checked: bool = True
     jobs: int = 2
 
     def __post_init__(self) -> None:
@@ -114,6 +115,7 @@ class _Seen:
 
     statistics: list[StatisticsView]
     geometry: list[ViewGeometry]
+    valid_masks: list[NDArray[np.bool_]]
 
 
 def infer(
@@ -143,7 +145,13 @@ def infer(
     _claim(out, capture, checkpoint, options)
     with report.stage("trace"):
         traced = TracedGeometry(capture.geometry)
-        seen = _look(capture, traced, report, tell)
+        seen = _look(capture, traced, tell)
+    if options.is_checked:
+        with report.stage("check"):
+            _check(capture, seen, out, report)
+    else:
+        for view, statistics, geometry in zip(capture.views, seen.statistics, seen.geometry, strict=True):
+            report.warnings += view_warnings(view.name, statistics.color, geometry)
     if options.use_truth:
         with report.stage("read truth"):
             maps = [_truth(view) for view in capture.views]
@@ -204,9 +212,9 @@ def _read(checkpoint: Path) -> bytes:
         ) from None
 
 
-def _look(capture: Capture, traced: TracedGeometry, report: InferReport, tell: Progress) -> _Seen:
-    """Read and trace every view; note the ones that will be of little use."""
-    seen = _Seen([], [])
+def _look(capture: Capture, traced: TracedGeometry, tell: Progress) -> _Seen:
+    """Read and trace every view."""
+    seen = _Seen([], [], [])
     for number, view in enumerate(capture.views, start=1):
         image = view.read()
         geometry = traced.trace_view(view.camera, image.valid_mask)
@@ -221,7 +229,7 @@ def _look(capture: Capture, traced: TracedGeometry, report: InferReport, tell: P
                 view.name,
             )
         )
-        report.warnings += _view_warnings(view, image.color, geometry)
+        seen.valid_masks.append(image.valid_mask)
         tell("trace", number, len(capture.views))
     if not any(geometry.surface_mask.any() for geometry in seen.geometry):
         expected = "cameras that look at the mesh"
@@ -230,19 +238,19 @@ def _look(capture: Capture, traced: TracedGeometry, report: InferReport, tell: P
     return seen
 
 
-def _view_warnings(view: CaptureView, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
-    found = []
-    coverage = float((geometry.face >= 0).mean())
-    if coverage < _MIN_COVERAGE:
-        found.append(f"{view.name}: only {coverage:.1%} of its pixels show the mesh")
-    elif float((~geometry.is_front)[geometry.face >= 0].mean()) > 0.5:
-        found.append(f"{view.name}: sees mostly the back of the mesh; is the camera inside a wall?")
-    brightness = luminance(color)
-    if not brightness.any():
-        found.append(f"{view.name}: is black")
-    elif float((brightness >= _CLIPPED_LEVEL).mean()) > _MAX_CLIPPED and float(brightness.max()) <= 1.0:
-        found.append(f"{view.name}: over half of it is at the sensor's limit")
-    return found
+def _check(capture: Capture, seen: _Seen, out: Path, report: InferReport) -> None:
+    """Check the capture and keep what was found beside the result; refuse a mesh in the wrong frame."""
+    looks = [
+        Look(view.name, view.camera, ColorImage(statistics.color, valid_mask), geometry)
+        for view, statistics, valid_mask, geometry in zip(
+            capture.views, seen.statistics, seen.valid_masks, seen.geometry, strict=True
+        )
+    ]
+    found = check_looks(capture, looks, out / "check")
+    if found.better:
+        remedy = "do that, or leave the check out with --no-check"
+        raise input_error(capture.name, "mesh", found.warnings[-1], "a mesh in the cameras' frame", remedy)
+    report.warnings += found.all_warnings
 
 
 def _truth(view: CaptureView) -> dict[str, NDArray]:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from datagen.cameras import Camera
 
@@ -43,6 +43,13 @@ def world_from_source(up: Axis, unit_m: float) -> NDArray[np.float64]:
     matrix = np.eye(4)
     matrix[:3, :3] = unit_m * z_up_from(up)
     return matrix
+
+
+def up_of(matrix: ArrayLike) -> Axis:
+    """The axis that a (4, 4) world_from_source takes nearest to +z."""
+    row = np.asarray(matrix, dtype=np.float64)[2, :3]
+    at = int(np.abs(row).argmax())
+    return AXES[at if row[at] > 0 else at + 3]
 
 
 def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:

@@ -44,7 +44,14 @@ from model.reconstruction.captures import (
     realitycapture,
     transforms_json,
 )
-from model.reconstruction.captures.frames import Axis, judged_unit, judged_up, world_from_source, z_up_from
+from model.reconstruction.captures.frames import (
+    Axis,
+    judged_unit,
+    judged_up,
+    up_of,
+    world_from_source,
+    z_up_from,
+)
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
 from model.reconstruction.captures.package import is_package, read_package
 from model.reconstruction.captures.posed import Calibration, ImageFinder
@@ -107,13 +114,35 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
         return _shrunk(_read_rendered(path, options), options.max_width_px)
     if (path / CAPTURE_FILE).is_file() or (path.is_file() and path.name.endswith(CAPTURE_FILE)):
         file = path if path.is_file() else path / CAPTURE_FILE
-        return open_capture(read_json(CaptureFile, file), file.parent, options.max_width_px)
+        record = read_json(CaptureFile, file)
+        given = [folder.resolve() for folder in (file.parent, options.images, options.mesh) if folder]
+        _check_paths(record, file, given)
+        return open_capture(record, file.parent, options.max_width_px)
     if is_package(path):
         capture = read_package(path, options.images, options.encoding)
         return _shrunk(capture, options.max_width_px)
     record, notes, mesh = _calibrated(path, options)
     capture = open_capture(record, Path(), options.max_width_px, mesh)
     return replace(capture, notes=notes + capture.notes)
+
+
+def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None:
+    """Refuse images and meshes outside the folders that the user gave: captures come from strangers."""
+    problems = []
+    for field, name in [
+        *((f"photographs[{k}].image", p.image) for k, p in enumerate(record.photographs)),
+        ("mesh.file", record.mesh.file),
+    ]:
+        try:
+            real = (file.parent / name).resolve()
+        except (OSError, RuntimeError, ValueError) as error:
+            problems.append(Problem(file, field, str(error), "a path", "correct it"))
+            continue
+        if not any(real.is_relative_to(root) for root in given):
+            remedy = "copy it there, or name where it is with --images or --mesh"
+            problems.append(Problem(file, field, name[:200], "a file in the capture's folder", remedy))
+    if problems:
+        raise InputError(*problems)
 
 
 def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
@@ -141,6 +170,9 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
     """The above, and the mesh where it had to be read for them."""
     form, found = _form_of(path)
     calibration = form.read(found, options.images)
+    if options.images is None and calibration.folder.is_symlink():
+        got = f"a link to {calibration.folder.resolve()}"
+        raise input_error(calibration.folder, "", got, "a folder", "name it with --images")
     mesh = options.mesh.resolve() if options.mesh is not None else find_mesh(path)
     notes = [f"cameras: {len(calibration.images)} of {found.name} ({form.name})", *calibration.notes]
     up, unit_m = options.up, options.unit_m
@@ -243,7 +275,10 @@ def open_capture(
     raw = load_mesh(file) if mesh_in_its_frame is None else mesh_in_its_frame
     mesh, notes = sound_mesh(raw, np.asarray(record.mesh.world_from_mesh), file)
     geometry = CaptureGeometry(mesh, (GeometryPart("mesh", 0, len(mesh.faces)),))
-    return _shrunk(Capture(record.name, tuple(views), geometry, record.lights, notes), max_width_px)
+    capture = Capture(
+        record.name, tuple(views), geometry, record.lights, notes, up_of(record.mesh.world_from_mesh)
+    )
+    return _shrunk(capture, max_width_px)
 
 
 def _shrunk(capture: Capture, max_width_px: int) -> Capture:

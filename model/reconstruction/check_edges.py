@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: MIT
+"""How well a mesh's edges lie on a photograph's: a score for every shift of one against the other.
+
+Both are fields of double angles: length = how much of an edge, direction = twice the angle of its normal, so
+that parallel edges agree (+1), perpendicular ones disagree (-1) and textures without direction cancel. The
+score of a shift is the mean agreement over the mesh's edges. A camera that is turned by a small angle shifts
+the picture by focal length x angle, so that the score over shifts tells whether the camera is right (the peak
+is at 0), by how much it is off, and how sure that is (the peak against the scores of all other shifts).
+
+Letters: H, W size; R largest shift in pixels. Image axes: x right, y down; a shift (dx, dy) moves the mesh's
+edges onto the photograph's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from datagen.cameras import Camera
+from datagen.color import luminance, srgb_from_linear
+from model.reconstruction.geometry import ViewGeometry
+
+CREASE_RAD = np.radians(25.0)
+_JUMP = 0.03  # of the depth, against the plane through the neighbour
+_BORDER_PX = 3
+_FLAT_LEVEL = 0.01  # gradients below this are noise of 8-bit images
+MIN_EDGE_PX = 60  # fewer pixels of edges say nothing
+_PEAK_RADIUS_PX = 4
+_NEARLY = 0.15  # of the peak's height: shifts this near to the best are not told from it
+
+
+@dataclass(frozen=True)
+class EdgeMatch:
+    """``shift_px`` (dx, dy): the smallest shift that scores nearly as well as the best, ``peak_px`` the best
+    one, ``blur_px2`` the mean of (dx^2, dx dy, dy^2) around it over shifts that do nearly as well: long where
+    edges may slide along themselves. ``at_zero`` and ``at_peak``: scores in standard deviations of the scores
+    of other shifts. ``num_edge_px``: pixels of mesh edges."""
+
+    shift_px: tuple[float, float]
+    peak_px: tuple[float, float]
+    blur_px2: tuple[float, float, float]
+    at_zero: float
+    at_peak: float
+    num_edge_px: int
+
+    @property
+    def length_px(self) -> float:
+        """Length of the shift."""
+        return float(np.hypot(*self.shift_px))
+
+
+def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
+    """(H, W): creases and depth discontinuities that the view shows, as lines two pixels wide."""
+    z = geometry.depth_z_m[..., 0].astype(np.float64)
+    hit = geometry.face >= 0
+    normal = geometry.normal_world.astype(np.float64) @ camera.world_from_camera[:3, :3]
+    centers = camera.pixel_centers()
+    rays = np.stack(
+        [
+            (centers[..., 0] - camera.cx_px) / camera.fx_px,
+            (centers[..., 1] - camera.cy_px) / camera.fy_px,
+            np.ones(z.shape),
+        ],
+        axis=-1,
+    )
+    edges = np.zeros(z.shape, dtype=bool)
+    for axis in (0, 1):
+        a = tuple(slice(None, -1) if k == axis else slice(None) for k in (0, 1))
+        b = tuple(slice(1, None) if k == axis else slice(None) for k in (0, 1))
+        is_bent = (normal[a] * normal[b]).sum(axis=-1) < np.cos(CREASE_RAD)
+        gap = np.minimum(
+            _plane_gap(z[a], z[b], normal[a], rays[a], rays[b]),
+            _plane_gap(z[b], z[a], normal[b], rays[b], rays[a]),
+        )
+        found = hit[a] & hit[b] & (is_bent | (gap > _JUMP))
+        found |= hit[a] != hit[b]  # the mesh's rim
+        edges[a] |= found
+        edges[b] |= found
+    edges[:_BORDER_PX] = edges[-_BORDER_PX:] = False
+    edges[:, :_BORDER_PX] = edges[:, -_BORDER_PX:] = False
+    return edges
+
+
+def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
+    """How far ``other`` lies from the plane through a pixel, as a share of its depth."""
+    across = (normal * other_ray).sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = z * (normal * ray).sum(axis=-1) / across
+        gap = np.abs(other - expected) / np.maximum(other, 1e-9)
+    return np.where(np.isfinite(gap) & (expected > 0), gap, np.inf)
+
+
+def edge_field(edges: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W, 2) double angles of lines: a ridge's normal is where its blurred image curves most."""
+    soft = cv2.GaussianBlur(edges.astype(np.float32), (0, 0), 1.5)
+    xx, yy = cv2.Sobel(soft, cv2.CV_32F, 2, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 2)
+    xy = cv2.Sobel(soft, cv2.CV_32F, 1, 1)
+    field = -np.stack([xx - yy, 2 * xy], axis=-1)
+    length = np.linalg.norm(field, axis=-1)
+    typical = float(np.quantile(length[edges], 0.75)) if edges.any() else 1.0
+    field /= np.maximum(length, max(typical, 1e-6))[..., None]  # corners have no direction and stay short
+    return np.where(edges[..., None], field, 0).astype(np.float32)
+
+
+def photograph_field(color: NDArray[np.float32], valid_mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W, 2) double angles of a linear photograph's gradients; strong ones are all alike."""
+    grey = luminance(np.maximum(color, 0))
+    level = float(np.quantile(grey[valid_mask], 0.9)) if valid_mask.any() else 0.0
+    shown = srgb_from_linear(np.clip(grey * (0.7 / max(level, 1e-6)), 0, 1))
+    shown = cv2.GaussianBlur(shown.astype(np.float32), (0, 0), 1.0)
+    gx, gy = cv2.Scharr(shown, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(shown, cv2.CV_32F, 0, 1) / 32
+    squared = gx * gx + gy * gy
+    length = np.sqrt(squared)
+    inside = np.asarray(cv2.erode(valid_mask.astype(np.float32), np.ones((5, 5)))) > 0
+    typical = max(float(np.quantile(length[inside], 0.85)) if inside.any() else 1.0, _FLAT_LEVEL)
+    weight = np.where(inside, length / (length + typical) / np.maximum(squared, 1e-12), 0)
+    return np.stack([(gx * gx - gy * gy) * weight, 2 * gx * gy * weight], axis=-1).astype(np.float32)
+
+
+def match_edges(
+    edges: NDArray[np.bool_], photograph: NDArray[np.float32], radius_px: int
+) -> EdgeMatch | None:
+    """The scores of all shifts up to ``radius_px`` a side, summed up; None where the mesh shows no edges."""
+    num = int(edges.sum())
+    if num < MIN_EDGE_PX:
+        return None
+    scores = shift_scores(edge_field(edges), photograph, radius_px)
+    peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
+    rows, columns = np.indices(scores.shape)
+    others = scores[np.hypot(rows - peak[0], columns - peak[1]) > _PEAK_RADIUS_PX]
+    middle = float(np.median(others))
+    spread = max(1.4826 * float(np.median(np.abs(others - middle))), float(others.std()) * 0.5, 1e-6)
+    best = float(scores[tuple(peak)])
+    # A line may slide along itself: of all shifts that do nearly as well, the smallest is told.
+    near = np.argwhere(scores >= best - _NEARLY * (best - middle)) - radius_px
+    dy, dx = near[np.hypot(*near.T).argmin()].astype(float)
+    sub = peak - radius_px + _vertex(scores, peak)
+    away = near - sub
+    xx, xy, yy = (float((away[:, a] * away[:, b]).mean()) for a, b in ((1, 1), (0, 1), (0, 0)))
+    at_zero = (float(scores[radius_px, radius_px]) - middle) / spread
+    peak_px = (float(sub[1]), float(sub[0]))
+    return EdgeMatch((dx, dy), peak_px, (xx, xy, yy), at_zero, (best - middle) / spread, num)
+
+
+def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
+    """Where between the shifts a parabola through the peak and its neighbours is highest, (2,)."""
+    found = np.zeros(2)
+    for axis in (0, 1):
+        step = np.eye(2, dtype=int)[axis]
+        if 0 < peak[axis] < scores.shape[axis] - 1:
+            low, middle, high = (float(scores[tuple(peak + k * step)]) for k in (-1, 0, 1))
+            bend = low - 2 * middle + high
+            found[axis] = 0.5 * (low - high) / bend if bend < 0 else 0.0
+    return found
+
+
+def shift_scores(
+    mesh_field: NDArray[np.float32], photograph: NDArray[np.float32], radius_px: int
+) -> NDArray[np.float64]:
+    """(2 R + 1, 2 R + 1): mean agreement of the fields with the mesh's moved by (column - R, row - R)."""
+    height, width = mesh_field.shape[:2]
+    shape = [cv2.getOptimalDFTSize(side + radius_px) for side in (height, width)]
+    total = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex64)
+    for k in (0, 1):
+        total += np.conj(fft.rfft2(mesh_field[..., k], shape)) * fft.rfft2(photograph[..., k], shape)
+    scores = fft.irfft2(total, shape).astype(np.float64)
+    scores = np.roll(scores, (radius_px, radius_px), axis=(0, 1))[: 2 * radius_px + 1, : 2 * radius_px + 1]
+    weight = float(np.linalg.norm(mesh_field, axis=-1).sum())
+    return scores / max(weight, 1e-9)
