@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Times the export of a large scene; prints JSON.
-
-``python -m tests.blender_addon.scale OUT`` exports one mesh of a million triangles, then 4M triangles in 40
-meshes with 200 materials (half of them procedural) shown by 2,000 instances, and bakes one 1024-px material.
-"""
+"""Times the export of large scenes; prints JSON: ``python -m tests.blender_addon.scale OUT [NAME...]``."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ import json
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,39 +66,53 @@ def _export(bpy: Any, out: Path, measured: dict[str, float], name: str, **values
     measured[f"{name}_cpu_s"] = time.process_time() - cpu
 
 
-def main(out: Path) -> None:
-    import bpy
-
-    measured: dict[str, float] = {}
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+def million_triangles(bpy: Any) -> dict[str, Any]:
+    """One mesh of a million triangles with a material of constants: nothing is baked."""
     mesh = _grid(bpy, "million", 708, [_material(bpy, 0)])
     bpy.context.scene.collection.objects.link(bpy.data.objects.new("million", mesh))
-    bpy.context.view_layer.update()
-    _export(bpy, out / "million", measured, "million_triangles")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return {}
+
+
+def room(bpy: Any) -> dict[str, Any]:
+    """4M triangles in 40 meshes with 200 materials, half of them procedural, shown by 2,000 instances."""
     materials = [_material(bpy, index) for index in range(200)]
     meshes = [_grid(bpy, f"mesh {i}", 224, materials[5 * i : 5 * i + 5]) for i in range(40)]
     for index in range(2000):
         thing = bpy.data.objects.new(f"thing {index}", meshes[index % 40])
         thing.location = (index % 50, index // 50, 0)
         bpy.context.scene.collection.objects.link(thing)
-    bpy.context.view_layer.update()
-    _export(bpy, out / "room", measured, "room", max_texture_px=512)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return {"max_texture_px": 512}
+
+
+def three_channels_1024_px(bpy: Any) -> dict[str, Any]:
+    """One material whose three channels need 1024 px each."""
     material = _material(bpy, 1)
     noise = next(n for n in material.node_tree.nodes if n.type == "TEX_NOISE")
     noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 200, 8
     shader = material.node_tree.nodes["Principled BSDF"]
     for name in ("Roughness", "Metallic"):
         material.node_tree.links.new(noise.outputs[0], shader.inputs[name])
-    bpy.context.scene.collection.objects.link(
-        bpy.data.objects.new("sample", _grid(bpy, "sample", 4, [material]))
-    )
-    bpy.context.view_layer.update()
-    _export(bpy, out / "bake", measured, "three_channels_1024_px", max_texture_px=1024)
+    thing = bpy.data.objects.new("sample", _grid(bpy, "sample", 4, [material]))
+    bpy.context.scene.collection.objects.link(thing)
+    return {"max_texture_px": 1024}
+
+
+SCENES = {build.__name__: build for build in (million_triangles, room, three_channels_1024_px)}
+
+
+def main(out: Path, names: Sequence[str]) -> None:
+    """Export the named scenes, each as ``OUT/<name>``; prints wall and processor seconds."""
+    import bpy
+
+    measured: dict[str, float] = {}
+    for name in names:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        values = SCENES[name](bpy)
+        bpy.context.view_layer.update()
+        _export(bpy, out / name, measured, name, **values)
     measured["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print("\n" + json.dumps(measured))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:] or list(SCENES))
