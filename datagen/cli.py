@@ -10,6 +10,7 @@ import typer
 
 from datagen.command_line import run_command
 from datagen.farm.commands import farm
+from datagen.tradeoff.command import tradeoff
 
 if TYPE_CHECKING:
     from datagen.farm.local import Event, RunSummary
@@ -543,6 +544,7 @@ def schema(
         typer.echo(path)
 
 
+app.command()(tradeoff)
 app.add_typer(farm, name="farm")
 
 

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+"""The verb ``datagen tradeoff``; heavy imports happen in the body."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
+
+import typer
+
+if TYPE_CHECKING:
+    from datagen.tradeoff.selection import Point
+    from datagen.tradeoff.sweep import Sweep
+
+EXIT_INTERRUPTED = 75
+
+
+def tradeoff(
+    folder: Annotated[Path, typer.Argument(help="Planned dataset folder whose configurations are measured.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for references, trials and results.")],
+    configuration: Annotated[
+        Optional[list[int]],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
+        typer.Option("--configuration", help="Index of a configuration, repeatable; the first if left out."),
+    ] = None,
+    sweep: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(help="What to vary: NAME or NAME=VALUE,VALUE, repeatable; everything if left out."),
+    ] = None,
+    factorial: Annotated[
+        bool, typer.Option(help="Also samples x auxiliary samples x denoiser, all combinations.")
+    ] = True,
+    size: Annotated[tuple[int, int], typer.Option(help="Resolution, pixels.")] = (160, 96),
+    views: Annotated[int, typer.Option(min=1, help="Views a configuration, spread evenly.")] = 4,
+    reference_samples: Annotated[
+        int, typer.Option(min=16, help="Paths a pixel in each of the reference's two images.")
+    ] = 512,
+    max_rel_mse: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="Recommend the cheapest setting with at most this error of the beauty image."),
+    ] = None,
+    max_maps_error: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="... and at most this mean absolute error of the ground-truth maps."),
+    ] = None,
+    max_statistics_error: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="... and at most this mean absolute error of the statistics."),
+    ] = None,
+    variant: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="Mitsuba variant of the base point; the machine's best if left out."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be measured and stop.")] = False,
+) -> None:
+    """Measure error against time over everything that costs time, and recommend a setting for an error.
+
+    Example: datagen tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
+    """
+    from datagen.tradeoff.settings import SWEEPS
+    from datagen.tradeoff.sweep import Sweep, SweepOptions
+
+    options = SweepOptions(
+        configurations=tuple(configuration or (0,)),
+        size=size,
+        views=views,
+        reference_samples=reference_samples,
+        sweeps=tuple(sweep or SWEEPS),
+        with_factorial=factorial,
+        variant=variant,
+    )
+    planned = Sweep(folder, out, options)
+    limits = {"rel_mse": max_rel_mse, "maps_error": max_maps_error, "statistics_error": max_statistics_error}
+    _announce(planned)
+    if dry_run:
+        return
+    _run(planned)
+    _write(planned, {name: limit for name, limit in limits.items() if limit is not None})
+
+
+def _announce(sweep: Sweep) -> None:
+    pending = len(sweep.pending())
+    total = len(sweep.settings) * len(sweep.subjects)
+    typer.echo(
+        f"{len(sweep.settings)} settings x {len(sweep.subjects)} configurations: {total - pending} of "
+        f"{total} trials are there; {sweep.missing_views()} views of references are to be made"
+    )
+    for setting in sweep.unavailable:
+        typer.echo(f"not available on this machine: {setting.text(sweep.base)}")
+
+
+def _run(sweep: Sweep) -> None:
+    """Measure with a bar; an interrupt ends the command with 75."""
+    from datagen.cli import _Progress
+
+    total = sweep.missing_views() + len(sweep.pending())
+    done = 0
+    with _Progress("measuring", total, "steps") as progress:
+
+        def report(what: str, steps: int) -> None:
+            nonlocal done
+            done += steps
+            progress.set(done)
+
+        try:
+            sweep.run(report)
+        except KeyboardInterrupt:
+            typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+
+
+def _write(sweep: Sweep, limits: dict[str, float]) -> None:
+    from datagen.errors import InputError
+    from datagen.tradeoff.selection import front_of, points_of, recommend
+    from datagen.tradeoff.writing import Results, write_results
+
+    trials = sweep.trials()
+    points = points_of(trials)
+    recommended: Point | None = None
+    failure: InputError | None = None
+    if limits:
+        try:
+            recommended = recommend(points, sweep.base, limits)
+        except InputError as error:  # the results are written all the same
+            failure = error
+    results = Results(trials, sweep.base, sweep.unavailable, sweep.description(), recommended, limits or None)
+    for path in write_results(results, sweep.out):
+        typer.echo(path)
+    typer.echo("settings that nothing beats (processor seconds a view, relMSE):")
+    for point in front_of(points, sweep.base):
+        typer.echo(f"  {point.cpu_s:8.3f} s  {point.rel_mse:.5f}  {point.setting.text(sweep.base)}")
+    if failure is not None:
+        raise failure
+    if recommended is not None:
+        typer.echo(
+            f"recommended: {recommended.setting.text(sweep.base)}: relMSE {recommended.rel_mse:.5f} "
+            f"(worst configuration {recommended.worst_rel_mse:.5f}), maps {recommended.maps_error:.4f}, "
+            f"statistics {recommended.statistics_error:.4f}, {recommended.cpu_s:.3f} processor s a view"
+        )

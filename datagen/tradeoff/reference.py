@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: MIT
+"""What settings are judged against: converged views of a configuration, made once and kept.
+
+A reference holds, for each view, two independent images (their own noise then adds nothing to the errors,
+see ``datagen.rendering.error``), maps of many samples, and statistics over all views: of the denoised mean of
+both images, traced visibility, the most best views. It is named by the hash of all that decides it, so that
+another library, configuration, resolution, sample count or renderer never meets an old one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.buffers import BUFFERS
+from datagen.color import exposure_for
+from datagen.formats.base import canonical_json, sha256_hex
+from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.formats.recipe import RenderRecipe
+from datagen.versions import pixel_versions
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+SAMPLES_A_CHUNK = 64
+MAX_DEPTH = 32
+RUSSIAN_ROULETTE_DEPTH = 8
+MAP_SAMPLES = 1024
+BEST_VIEWS = 24
+MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world", "depth_z_m", "surface_mask")
+STATISTICS = ("color_min", "color_median", "color_max")
+
+
+def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -> Configuration:
+    """The configuration at another resolution with ``num_views`` of its views, spread evenly."""
+    total = len(configuration.cameras)
+    count = min(num_views, total)
+    chosen = [configuration.cameras[k * total // count] for k in range(count)]
+    cameras = tuple(ViewCamera.from_camera(c.name, c.camera().scaled(*size)) for c in chosen)
+    return configuration.model_copy(update={"cameras": cameras})
+
+
+def reference_key(configuration: Configuration, samples: int) -> str:
+    """Hash of all that decides a reference. The configuration names its assets by their hashes."""
+    parts = {
+        "configuration": configuration.model_dump(mode="json"),
+        "samples": samples,
+        "depths": (MAX_DEPTH, RUSSIAN_ROULETTE_DEPTH),
+        "maps": MAP_SAMPLES,
+        "best_views": BEST_VIEWS,
+        "versions": pixel_versions(),
+    }
+    return sha256_hex(canonical_json(parts))[:16]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Converged views on disk: ``folder`` holds ``view_000.npz`` ... and ``statistics.npz``."""
+
+    folder: Path
+    num_views: int
+
+    def view_path(self, index: int) -> Path:
+        return self.folder / f"view_{index:03}.npz"
+
+    @property
+    def statistics_path(self) -> Path:
+        return self.folder / "statistics.npz"
+
+    @property
+    def num_made(self) -> int:
+        """Views that are there."""
+        return sum(self.view_path(k).is_file() for k in range(self.num_views))
+
+    @property
+    def is_complete(self) -> bool:
+        return self.num_made == self.num_views and self.statistics_path.is_file()
+
+    def halves(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Two independent images (H, W, 3) of a view."""
+        with np.load(self.view_path(index)) as data:
+            return data["first"], data["second"]
+
+    def maps(self, index: int) -> dict[str, NDArray[np.float32]]:
+        """Ground truth (H, W, C) of a view by buffer."""
+        with np.load(self.view_path(index)) as data:
+            return {name: data[name] for name in MAPS}
+
+    def statistics(self, index: int) -> dict[str, NDArray[np.float32]]:
+        """Statistics (H, W, 3) of a view by buffer."""
+        with np.load(self.statistics_path) as data:
+            return {name: data[f"{name}_{index}"] for name in STATISTICS}
+
+    def exposure(self, index: int) -> float:
+        """Factor that makes errors of radiance independent of the lights' brightness."""
+        first, second = self.halves(index)
+        return exposure_for(0.5 * (first + second))
+
+
+def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
+    """Write an ``npz`` that appears whole or not at all."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
+    np.savez(partial, **arrays)
+    partial.replace(path)
+
+
+def make_reference(
+    configuration: Configuration,
+    library: Library,
+    reference: Reference,
+    samples: int,
+    report: Callable[[], None],
+) -> None:
+    """Make what is missing of a reference; ``report`` is called after each view."""
+    from datagen.rendering.renderer import SceneRenderer
+
+    reference.folder.mkdir(parents=True, exist_ok=True)
+    recipe = RenderRecipe(
+        variant="auto",
+        path_samples=1,
+        auxiliary_samples=MAP_SAMPLES,
+        max_depth=MAX_DEPTH,
+        russian_roulette_depth=RUSSIAN_ROULETTE_DEPTH,
+        denoise=False,
+    )
+    renderer = SceneRenderer(configuration, library, recipe)
+    for index in range(reference.num_views):
+        if reference.view_path(index).is_file():
+            continue
+        buffers = renderer.render_view(index).buffers
+        halves = [_converged(renderer, index, samples, half) for half in (0, 1)]
+        maps = {name: buffers[name].astype(BUFFERS[name].dtype).astype(np.float32) for name in MAPS}
+        write_arrays(reference.view_path(index), {"first": halves[0], "second": halves[1], **maps})
+        report()
+    if not reference.statistics_path.is_file():
+        write_arrays(reference.statistics_path, _statistics(renderer, configuration, reference))
+    renderer.close()
+
+
+def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np.float32]:
+    """Mean of ``samples`` paths a pixel in small launches, what lights send straight included."""
+    sensor = renderer._sensor(renderer.configuration.cameras[index].camera())
+    total, done = np.zeros((1, 1, 3)), 0
+    while done < samples:
+        count = min(SAMPLES_A_CHUNK, samples - done)
+        seed = 0x5EED0000 + 65536 * half + done
+        total = total + renderer._tracer.render(sensor, count, seed).astype(np.float64) * count
+        done += count
+    return (total / samples).astype(np.float32)
+
+
+def _statistics(
+    renderer: Any, configuration: Configuration, reference: Reference
+) -> dict[str, NDArray[np.float32]]:
+    """Statistics of all views, of their converged and denoised colours."""
+    from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+    from datagen.multiview.visibility import VisibilityOptions
+    from datagen.rendering.denoiser import auxiliary_albedo, make_denoiser
+
+    denoiser = make_denoiser(renderer.variant)
+    views = []
+    for index, camera in enumerate(configuration.cameras):
+        maps, halves = reference.maps(index), reference.halves(index)
+        mean = 0.5 * (halves[0] + halves[1])
+        albedo = auxiliary_albedo(maps["diffuse_albedo"], maps["specular_albedo"], maps["surface_mask"])
+        normal = maps["normal_world"]
+        if denoiser.wants_camera_normals:
+            normal = normal @ camera.camera().world_from_camera[:3, :3].astype(np.float32)
+        # lights in view are not denoised well, but their pixels have no statistics
+        color = denoiser.denoise(mean, albedo, normal)
+        views.append(
+            StatisticsView(
+                camera.camera(), color, maps["depth_z_m"], maps["normal_world"], maps["surface_mask"]
+            )
+        )
+    options = StatisticsOptions(best_views=BEST_VIEWS, visibility=VisibilityOptions(mode="trace"))
+    found = compute_statistics(views, options, scene=renderer.built.scene)
+    return {f"{name}_{k}": result[name] for k, result in enumerate(found) for name in STATISTICS}

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""From trials to a choice: means over configurations, the front of what nothing beats, the recommendation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from datagen.errors import InputError, Problem
+from datagen.tradeoff.settings import Setting
+from datagen.tradeoff.trial import Trial
+
+RENDER_FIELDS = (
+    "quality",
+    "path_samples",
+    "auxiliary_samples",
+    "denoiser",
+    "max_depth",
+    "russian_roulette_depth",
+    "firefly_clamp",
+)
+"""What a recommendation may change: the other fields change what a view is, not how well it is rendered."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A setting's means over all configurations; ``worst_rel_mse`` is that of the worst one."""
+
+    setting: Setting
+    rel_mse: float
+    worst_rel_mse: float
+    maps_error: float
+    statistics_error: float
+    bytes_a_view: float
+    path_samples: float
+    cpu_s: float
+    wall_s: float
+
+
+def points_of(trials: Iterable[Trial]) -> list[Point]:
+    """One point for each setting that was tried on every configuration of ``trials``."""
+    by_setting: dict[Setting, dict[str, Trial]] = {}
+    for trial in trials:
+        by_setting.setdefault(Setting(**trial.setting), {})[trial.configuration] = trial
+    configurations = {name for found in by_setting.values() for name in found}
+
+    def mean(found: dict[str, Trial], name: str) -> float:
+        return float(np.mean([getattr(trial, name) for trial in found.values()]))
+
+    return [
+        Point(
+            setting=setting,
+            rel_mse=mean(found, "rel_mse"),
+            worst_rel_mse=max(trial.rel_mse for trial in found.values()),
+            **{
+                name: mean(found, name)
+                for name in (
+                    "maps_error",
+                    "statistics_error",
+                    "bytes_a_view",
+                    "path_samples",
+                    "cpu_s",
+                    "wall_s",
+                )
+            },
+        )
+        for setting, found in by_setting.items()
+        if set(found) == configurations
+    ]
+
+
+def pareto_front(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
+    """Indices of the pairs that no other beats, cheapest first.
+
+    A pair is beaten by one that is at most as costly and at most as wrong, and better in one of the two. Of
+    equal pairs the first stays.
+    """
+    order = sorted(range(len(costs)), key=lambda k: (costs[k], errors[k], k))
+    front: list[int] = []
+    for k in order:
+        if not front or errors[k] < errors[front[-1]]:
+            front.append(k)
+    return front
+
+
+def comparable(points: Iterable[Point], base: Setting) -> list[Point]:
+    """Points that differ from the base in :data:`RENDER_FIELDS` alone."""
+    return [p for p in points if set(p.setting.differences(base)) <= set(RENDER_FIELDS)]
+
+
+def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
+    """The front of processor seconds against relMSE, among :func:`comparable` points."""
+    found = comparable(points, base)
+    return [found[k] for k in pareto_front([p.cpu_s for p in found], [p.rel_mse for p in found])]
+
+
+def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) -> Point:
+    """The cheapest comparable point whose errors are at most ``limits`` (by field of :class:`Point`).
+
+    Raises :class:`InputError` where none is, with the best that was measured.
+    """
+    found = comparable(points, base)
+    meets = [p for p in found if all(getattr(p, name) <= limit for name, limit in limits.items())]
+    if meets:
+        return min(meets, key=lambda p: (p.cpu_s, p.rel_mse))
+    problems = []
+    for name, limit in limits.items():
+        best = min((getattr(p, name) for p in found), default=float("nan"))
+        remedy = "allow a larger error, or sweep what costs more (--sweep path_samples=128,256)"
+        got, expected = f"{best:.3g} at best", f"at most {limit:g}"
+        problems.append(Problem("tradeoff", name, got, expected, remedy))
+    raise InputError(*problems)
+
+
+def excess_over_front(point: Point, others: Sequence[Point]) -> float:
+    """Processor seconds of ``point`` over those that the front of ``others`` needs for its error.
+
+    Between the front's points time is interpolated in logarithms; below 1 the point extends the front. An
+    error that no other point reaches gives 0, one larger than the front's cheapest point is held against
+    that point.
+    """
+    front = [others[k] for k in pareto_front([p.cpu_s for p in others], [p.rel_mse for p in others])]
+    if not front or point.rel_mse < front[-1].rel_mse:
+        return 0.0
+    errors = np.log([p.rel_mse for p in reversed(front)])  # rising
+    seconds = np.log([p.cpu_s for p in reversed(front)])
+    needed = float(np.exp(np.interp(np.log(point.rel_mse), errors, seconds)))
+    return point.cpu_s / needed
+
+
+def as_row(point: Point) -> dict[str, Any]:
+    """A point as flat values."""
+    values = asdict(point)
+    return {**values.pop("setting"), **values}

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""What can be traded for time: one setting, the sweeps around a base point, and the factorial.
+
+Every field of :class:`Setting` costs or saves time. The base point is the recipe's defaults with a fixed
+number of samples; a sweep changes one field, the factorial crosses the three that interact: clean auxiliary
+buffers are worth what the denoiser makes of them, and both decide how many samples are needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from typing import Any, Literal, get_args
+
+from pydantic import ValidationError
+
+from datagen.errors import InputError, Problem
+from datagen.formats.base import canonical_json, sha256_hex
+from datagen.formats.exr import COMPRESSIONS
+from datagen.formats.recipe import DEFAULT_MAX_DEPTH, QUALITIES, RenderRecipe
+
+DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
+"""OIDN's network sizes, guided by albedo and normal; ``unguided``: ``high`` with colours alone; OptiX."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to render, gather and store a view.
+
+    ``quality`` names a target of the recipe (its samples, clamp and auxiliary samples then count, not those
+    given here). ``firefly_clamp`` 0 clamps nothing. ``texture_shrink``: texels a side that become one.
+    ``image_scale``: share of the resolution's side; such images are enlarged again to be judged. ``storage``
+    float keeps every channel in single precision.
+    """
+
+    quality: str = ""
+    path_samples: int = 8
+    auxiliary_samples: int = 64
+    denoiser: str = "high"
+    max_depth: int = DEFAULT_MAX_DEPTH
+    russian_roulette_depth: int = 5
+    firefly_clamp: float = 0.0
+    texture_shrink: int = 1
+    image_scale: float = 1.0
+    best_views: int = 12
+    visibility: str = "depth"
+    storage: str = "half"
+    compression: str = "zip"
+    variant: str = "llvm_ad_rgb"
+
+    def key(self) -> str:
+        """Hash of the setting's values."""
+        return sha256_hex(canonical_json(asdict(self)))[:16]
+
+    def recipe(self) -> RenderRecipe:
+        """The part of it that the renderer reads."""
+        common = {
+            "variant": self.variant,
+            "max_depth": self.max_depth,
+            "russian_roulette_depth": self.russian_roulette_depth,
+            "denoise": self.denoiser != "none",
+        }
+        if self.quality:
+            return RenderRecipe.model_validate({**common, "quality": self.quality})
+        samples = {"path_samples": self.path_samples, "auxiliary_samples": self.auxiliary_samples}
+        clamp = {"firefly_clamp": self.firefly_clamp} if self.firefly_clamp else {}
+        return RenderRecipe.model_validate({**common, **samples, **clamp})
+
+    def differences(self, base: Setting) -> dict[str, Any]:
+        """Fields in which it differs from another."""
+        theirs = asdict(base)
+        return {name: value for name, value in asdict(self).items() if value != theirs[name]}
+
+    def text(self, base: Setting) -> str:
+        """Short description against a base point."""
+        found = self.differences(base)
+        return ", ".join(f"{name} {value}" for name, value in found.items()) or "base"
+
+
+SWEEPS: dict[str, tuple[Any, ...]] = {
+    "path_samples": (1, 2, 4, 8, 16, 32, 64),
+    "auxiliary_samples": (4, 16, 64, 256),
+    "denoiser": tuple(mode for mode in get_args(DenoiserMode) if mode != "optix"),
+    "max_depth": (2, 3, 4, 6, 8, 12, 16),
+    "russian_roulette_depth": (2, 3, 5, 8),
+    "firefly_clamp": (0.0, 3.0, 10.0, 30.0, 100.0),
+    "texture_shrink": (1, 2, 4, 8),
+    "image_scale": (1.0, 0.75, 0.5),
+    "best_views": (4, 8, 12, 24),
+    "visibility": ("depth", "trace"),
+    "storage": ("half", "float"),
+    "compression": tuple(COMPRESSIONS),
+    "variant": ("llvm_ad_rgb", "cuda_ad_rgb"),
+    "quality": tuple(QUALITIES),
+}
+"""Values of each field that are tried by themselves."""
+FACTORIAL: dict[str, tuple[Any, ...]] = {
+    "path_samples": (2, 4, 8, 16, 32),
+    "auxiliary_samples": (16, 64),
+    "denoiser": ("fast", "balanced", "high"),
+}
+"""Fields that interact; all combinations are tried."""
+_LIMITS: dict[str, tuple[float, float]] = {
+    "firefly_clamp": (0.0, 1e6),
+    "image_scale": (0.05, 1.0),
+    "best_views": (4, 24),
+}
+
+
+def base_setting(variant: str) -> Setting:
+    """The point around which sweeps go."""
+    return Setting(variant=variant, denoiser="optix" if variant.startswith("cuda") else "high")
+
+
+def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
+    """Base, one-at-a-time sweeps and factorial, each setting once, in a fixed order.
+
+    A sweep is a field's name, or ``NAME=VALUE,VALUE`` with values of one's own. Raises :class:`InputError`.
+    """
+    settings, problems = [base], []
+    for text in sweeps:
+        name, _, listed = text.partition("=")
+        if name not in SWEEPS:
+            expected = f"one of {', '.join(SWEEPS)}"
+            problems.append(Problem("--sweep", "", repr(text), expected, "NAME, or NAME=VALUE,VALUE"))
+            continue
+        for value in SWEEPS[name] if not listed else listed.split(","):
+            try:
+                changed = replace(base, **{name: _checked(name, value)})
+                if name == "variant":  # each has a denoiser of its own
+                    changed = replace(changed, denoiser=base_setting(changed.variant).denoiser)
+                changed.recipe()
+            except ValueError as error:
+                problems.append(Problem("--sweep", name, repr(value), _reason(error), "correct the value"))
+                continue
+            settings.append(changed)
+    if problems:
+        raise InputError(*problems)
+    if with_factorial and not base.variant.startswith("cuda"):
+        for values in product(*FACTORIAL.values()):
+            settings.append(replace(base, **dict(zip(FACTORIAL, values, strict=True))))
+    return list(dict.fromkeys(settings))
+
+
+def _checked(name: str, value: Any) -> Any:
+    """``value`` as the field's type; ``ValueError`` for one that it cannot have."""
+    kind = type(getattr(Setting(), name))
+    if kind is str and value not in SWEEPS[name]:
+        raise ValueError(f"one of {', '.join(SWEEPS[name])}")
+    converted = kind(value)
+    low, high = _LIMITS.get(name, (1, 1 << 20))
+    if kind is not str and not low <= converted <= high:
+        raise ValueError(f"{low} ... {high}")
+    return converted
+
+
+def _reason(error: ValueError) -> str:
+    return str(error).splitlines()[0] if not isinstance(error, ValidationError) else error.errors()[0]["msg"]

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: MIT
+"""Runs a sweep: references, then trials, each in a worker process of its variant and each kept on disk.
+
+``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` hold what is finished; an interrupted sweep goes on
+from there, and another sweep in the same folder uses them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from datagen.errors import InputError, Problem, input_error
+from datagen.farm.folder import DatasetFolder
+from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.formats.configuration import Configuration
+from datagen.formats.recipe import QUALITIES
+from datagen.library import Library
+from datagen.tradeoff.reference import Reference, make_reference, reference_key, sized
+from datagen.tradeoff.settings import Setting, base_setting, planned_settings
+from datagen.tradeoff.trial import Trial, measure
+from datagen.versions import pixel_versions
+from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, has_cuda, resolve_variant
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """What is swept, on what, and against what: ``reference_samples`` paths a pixel in each of two images."""
+
+    configurations: tuple[int, ...] = (0,)
+    size: tuple[int, int] = (160, 96)
+    views: int = 4
+    reference_samples: int = 512
+    sweeps: tuple[str, ...] = ()
+    with_factorial: bool = True
+    variant: str | None = None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A configuration at the sweep's size, with its reference."""
+
+    configuration: Configuration
+    library_paths: tuple[str, ...]
+    reference: Reference
+    reference_samples: int
+
+    def trial_path(self, out: Path, setting: Setting) -> Path:
+        """Where a trial is kept. What a quality stands for, and the code's version, are part of the name."""
+        meaning = QUALITIES[setting.quality] if setting.quality else None  # type: ignore[index]
+        key = sha256_hex(canonical_json([asdict(setting), meaning, pixel_versions()]))[:16]
+        return out / "trials" / f"{self.reference.folder.name}-{key}.json"
+
+
+class Sweep:
+    """A sweep over the configurations of a planned dataset folder. Raises :class:`InputError`."""
+
+    def __init__(self, folder: Path, out: Path, options: SweepOptions):
+        self.out, self.options = out, options
+        self.base = base_setting(resolve_variant(options.variant))
+        self.settings = planned_settings(self.base, options.sweeps, options.with_factorial)
+        self.unavailable = tuple(s for s in self.settings if not _is_available(s))
+        self.settings = [s for s in self.settings if s not in self.unavailable]
+        self.subjects = self._find_subjects(DatasetFolder(folder))
+
+    def _find_subjects(self, folder: DatasetFolder) -> list[Subject]:
+        options = self.options
+        units = folder.read_plan().units
+        wrong = [index for index in options.configurations if not 0 <= index < len(units)]
+        if wrong:
+            raise InputError(
+                *(
+                    Problem(folder.root, "--configuration", str(index), f"0 ... {len(units) - 1}")
+                    for index in wrong
+                )
+            )
+        paths = folder.read_record().library_paths
+        subjects = []
+        for index in options.configurations:
+            configuration = sized(folder.read_configuration(units[index]), options.size, options.views)
+            key = reference_key(configuration, options.reference_samples)
+            reference = Reference(self.out / "references" / key, len(configuration.cameras))
+            subjects.append(
+                Subject(configuration, tuple(str(p) for p in paths), reference, options.reference_samples)
+            )
+        return subjects
+
+    def pending(self) -> list[tuple[Subject, Setting]]:
+        """Trials that are not on disk yet, in order."""
+        return [
+            (subject, setting)
+            for subject in self.subjects
+            for setting in self.settings
+            if not subject.trial_path(self.out, setting).is_file()
+        ]
+
+    def missing_views(self) -> int:
+        """Views of references that are not on disk yet."""
+        return sum(s.reference.num_views - s.reference.num_made for s in self.subjects)
+
+    def trials(self) -> list[Trial]:
+        """All that is on disk of this sweep."""
+        paths = (s.trial_path(self.out, setting) for s in self.subjects for setting in self.settings)
+        return [read_trial(path) for path in paths if path.is_file()]
+
+    def description(self) -> dict[str, str]:
+        """What was measured, on what, with what."""
+        options = self.options
+        return {
+            "configurations": ", ".join(s.configuration.id for s in self.subjects),
+            "views": f"{options.views} of {options.size[0]}x{options.size[1]} a configuration",
+            "reference": f"2 x {options.reference_samples} paths a pixel",
+            "base": ", ".join(f"{name} {value}" for name, value in asdict(self.base).items() if value != ""),
+            "machine": f"{os.cpu_count()} cores, {platform.processor() or platform.machine()}",
+            "versions": ", ".join(f"{name} {version}" for name, version in pixel_versions().items()),
+        }
+
+    def run(self, report: Callable[[str, int], None] = lambda what, done: None) -> list[Trial]:
+        """Make what is missing. ``report(what, steps)`` is called as views and trials are finished.
+
+        An interrupt leaves everything that is finished; so does a worker that dies, which raises
+        ``RuntimeError``.
+        """
+        for subject in self.subjects:
+            if not subject.reference.is_complete:
+                with _worker() as pool:
+                    before = subject.reference.num_made
+                    future = pool.submit(_make_reference, subject)
+                    while not future.done():
+                        before = _report_views(subject, before, report)
+                        _wait(future)
+                    _report_views(subject, before, report)
+                    future.result()
+        (self.out / "trials").mkdir(parents=True, exist_ok=True)
+        for variant in (CPU_VARIANT, CUDA_VARIANT):
+            todo = [(subject, s) for subject, s in self.pending() if s.variant == variant]
+            if not todo:
+                continue
+            with _worker() as pool:
+                for subject, setting in todo:
+                    trial = pool.submit(_measure, subject, setting).result()
+                    path = subject.trial_path(self.out, setting)
+                    write_bytes_atomically(path, canonical_json(asdict(trial)))
+                    report(f"{subject.configuration.id}: {setting.text(self.base)}", 1)
+        return self.trials()
+
+
+def read_trial(path: Path) -> Trial:
+    """A trial on disk. Raises :class:`InputError` where it is damaged."""
+    try:
+        return Trial(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise input_error(path, "", str(error), "a trial", "remove the file; it is measured again") from None
+
+
+def _is_available(setting: Setting) -> bool:
+    return setting.variant != CUDA_VARIANT or has_cuda()
+
+
+def _report_views(subject: Subject, before: int, report: Callable[[str, int], None]) -> int:
+    made = subject.reference.num_made
+    if made > before:
+        report(f"{subject.configuration.id}: reference", made - before)
+    return made
+
+
+def _wait(future: object) -> None:
+    from concurrent.futures import Future, wait
+
+    assert isinstance(future, Future)
+    wait([future], timeout=0.5)
+
+
+@contextmanager
+def _worker() -> Iterator[ProcessPoolExecutor]:
+    """One process that renders: a variant is for a process's life."""
+    pool = ProcessPoolExecutor(1, get_context("spawn"), _start_worker)
+    try:
+        yield pool
+    except BrokenProcessPool:
+        raise RuntimeError(
+            "the process that renders has died (out of memory, or killed); "
+            "what is finished is kept, the same command goes on from here"
+        ) from None
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who started it ends it
+
+
+def _make_reference(subject: Subject) -> None:
+    with Library(subject.library_paths) as library:
+        make_reference(
+            subject.configuration, library, subject.reference, subject.reference_samples, lambda: None
+        )
+
+
+def _measure(subject: Subject, setting: Setting) -> Trial:
+    with Library(subject.library_paths) as library:
+        return measure(subject.configuration, library, subject.reference, setting)

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: MIT
+"""Measures one setting on one configuration: seconds by stage, errors against the reference, bytes a view.
+
+Stages run one after the other so that each one's seconds are its own; in production they overlap, and a view
+costs about their processor seconds divided by the cores. The first view is rendered twice: what it compiles
+is not counted. Seconds are medians over views.
+
+* ``rel_mse``: exposed relMSE of the stored beauty (``datagen.rendering.error``), mean over views;
+* ``maps_error``: mean absolute error of D, S, R and the normal, over pixels that are surface;
+* ``statistics_error``: mean absolute error of minimum, median and maximum at the view's exposure.
+"""
+
+from __future__ import annotations
+
+import io
+import statistics as stats
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.buffers import BUFFERS
+from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.formats.exr import COMPRESSIONS, decode_view, encode_view, to_storage
+from datagen.rendering.denoiser import OidnDenoiser
+from datagen.rendering.error import relative_mse
+from datagen.tradeoff.reference import STATISTICS, Reference
+from datagen.tradeoff.settings import Setting
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+ERROR_MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world")
+STAGES = ("render", "statistics", "compress")
+
+
+class Stopwatch:
+    """Wall and processor seconds by stage, one entry a view."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, list[tuple[float, float]]] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block."""
+        cpu, wall = time.process_time(), time.perf_counter()
+        yield
+        entry = (time.perf_counter() - wall, time.process_time() - cpu)
+        self.seconds.setdefault(name, []).append(entry)
+
+    def medians(self) -> dict[str, dict[str, float]]:
+        """Medians over views of each stage, and of all stages together."""
+        found = {
+            name: {
+                "wall_s": stats.median(wall for wall, _ in entries),
+                "cpu_s": stats.median(cpu for _, cpu in entries),
+            }
+            for name, entries in self.seconds.items()
+        }
+        found["total"] = {kind: sum(stage[kind] for stage in found.values()) for kind in ("wall_s", "cpu_s")}
+        return found
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one setting gave on one configuration (see the module's head)."""
+
+    configuration: str
+    setting: dict[str, Any]
+    rel_mse: float
+    rel_mse_by_view: list[float]
+    maps_error: float
+    map_errors: dict[str, float]
+    statistics_error: float
+    bytes_a_view: int
+    path_samples: float
+    cpu_s: float
+    wall_s: float
+    stages: dict[str, dict[str, float]]
+    passes_wall_s: dict[str, float]
+    build_cpu_s: float
+    num_views: int
+
+
+def measure(configuration: Configuration, library: Library, reference: Reference, setting: Setting) -> Trial:
+    """Render, gather, store and judge every view of ``configuration`` (the reference's) with ``setting``."""
+    from datagen.rendering.geometry import MeshCache
+    from datagen.rendering.renderer import SceneRenderer
+    from datagen.rendering.scene_builder import AssetCaches
+    from datagen.rendering.textures import TextureCache
+
+    at_size = _scaled(configuration, setting.image_scale)
+    caches = AssetCaches(MeshCache(), TextureCache(shrink=setting.texture_shrink))
+    start = time.process_time()
+    renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
+    build_cpu_s = time.process_time() - start
+    renderer.render_view(0)
+    watch = Stopwatch()
+    rendered = []
+    for index in range(reference.num_views):
+        with watch.stage("render"):
+            rendered.append(renderer.render_view(index))
+    stored = [
+        {name: to_storage(BUFFERS[name], array) for name, array in view.buffers.items()} for view in rendered
+    ]
+    gathered = list(_gather(at_size, stored, setting, renderer.built.scene, watch))
+    num_bytes = []
+    for index, (view, found) in enumerate(zip(rendered, gathered, strict=True)):
+        with watch.stage("compress"):
+            data = encode({**view.buffers, **found}, setting)
+        num_bytes.append(len(data))
+        if setting.storage == "half":
+            stored[index] = decode_view(data)
+        else:
+            stored[index] = {**view.buffers, **found}
+    renderer.close()
+    errors = [_errors(reference, index, buffers) for index, buffers in enumerate(stored)]
+    seconds = watch.medians()
+    total = seconds.pop("total")
+    passes = sorted({name for view in rendered for name in view.seconds})
+    map_errors = {name: float(np.mean([e[name] for e in errors])) for name in ERROR_MAPS}
+    return Trial(
+        configuration=configuration.id,
+        setting=asdict(setting),
+        rel_mse=float(np.mean([e["rel_mse"] for e in errors])),
+        rel_mse_by_view=[e["rel_mse"] for e in errors],
+        maps_error=float(np.mean(list(map_errors.values()))),
+        map_errors=map_errors,
+        statistics_error=float(np.mean([e["statistics"] for e in errors])),
+        bytes_a_view=int(stats.median(num_bytes)),
+        path_samples=float(np.mean([view.render.path_samples for view in rendered])),
+        cpu_s=total["cpu_s"],
+        wall_s=total["wall_s"],
+        stages=seconds,
+        passes_wall_s={
+            name: stats.median(view.seconds.get(name, 0.0) for view in rendered) for name in passes
+        },
+        build_cpu_s=build_cpu_s,
+        num_views=len(rendered),
+    )
+
+
+def _scaled(configuration: Configuration, share: float) -> Configuration:
+    if share == 1.0:
+        return configuration
+    cameras = tuple(
+        ViewCamera.from_camera(
+            view.name, view.camera().scaled(round(view.width_px * share), round(view.height_px * share))
+        )
+        for view in configuration.cameras
+    )
+    return configuration.model_copy(update={"cameras": cameras})
+
+
+def _denoiser(setting: Setting) -> OidnDenoiser | None:
+    """The denoiser of a setting; None where the renderer's own choice fits."""
+    if setting.denoiser in ("none", "optix"):
+        return None
+    is_guided = setting.denoiser != "unguided"
+    return OidnDenoiser(quality=setting.denoiser if is_guided else "high", is_guided=is_guided)
+
+
+def _gather(
+    configuration: Configuration,
+    stored: list[dict[str, NDArray]],
+    setting: Setting,
+    scene: Any,
+    watch: Stopwatch,
+) -> Iterator[dict[str, NDArray]]:
+    """Statistics of all views; what the first launch compiles is not counted."""
+    from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+    from datagen.multiview.visibility import VisibilityOptions
+
+    views = [
+        StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
+        for camera, buffers in zip(configuration.cameras, stored, strict=True)
+    ]
+    options = StatisticsOptions(
+        best_views=setting.best_views,
+        visibility=VisibilityOptions(mode="trace" if setting.visibility == "trace" else "depth"),
+    )
+    next(iter(compute_statistics(views, options, scene=scene)))
+    results = iter(compute_statistics(views, options, scene=scene))
+    for _ in views:
+        with watch.stage("statistics"):
+            result = next(results)
+        yield result
+
+
+def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
+    """A view as EXR: as shards hold it, or with every channel in single precision."""
+    if setting.storage == "half":
+        return encode_view(buffers, setting.compression)
+    import OpenEXR
+
+    channels = {
+        channel: np.ascontiguousarray(
+            array[..., k], dtype=np.uint32 if BUFFERS[name].pixel_type == "uint" else np.float32
+        )
+        for name, array in buffers.items()
+        for k, channel in enumerate(BUFFERS[name].exr_channels)
+    }
+    header = {"compression": COMPRESSIONS[setting.compression], "type": OpenEXR.scanlineimage}
+    stream = io.BytesIO()
+    with OpenEXR.File(header, channels) as file:
+        file.write(stream)
+    return stream.getvalue()
+
+
+def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> dict[str, float]:
+    """Errors of one view's stored buffers."""
+    first, second = reference.halves(index)
+    size = (first.shape[1], first.shape[0])
+    found = {"rel_mse": relative_mse(_at_size(buffers["beauty"], size), first, second, exposed=True)}
+    maps = reference.maps(index)
+    is_surface = maps["surface_mask"][..., 0] > 0.5
+    for name in ERROR_MAPS:
+        difference = np.abs(_at_size(buffers[name], size) - maps[name])[is_surface]
+        found[name] = float(difference.mean()) if difference.size else 0.0
+    exposure, expected = reference.exposure(index), reference.statistics(index)
+    found["statistics"] = float(
+        np.mean([np.abs(_at_size(buffers[n], size) - expected[n]).mean() * exposure for n in STATISTICS])
+    )
+    return found
+
+
+def _at_size(array: NDArray, size: tuple[int, int]) -> NDArray[np.float32]:
+    """``array`` (H, W, C), enlarged where it is smaller than ``size`` (width, height)."""
+    image = array.astype(np.float32)
+    if image.shape[1::-1] == size:
+        return image
+    import cv2
+
+    enlarged = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), np.float32)
+    return enlarged.reshape(size[1], size[0], -1)
