@@ -62,6 +62,28 @@ def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatc
     return time.perf_counter() - start
 
 
+def predicted_step(
+    phase: Phase, config: TrainingConfig, device: torch.device, budget_s: float = 3.0
+) -> tuple[float, int]:
+    """Seconds of a step of a whole batch, and with how many crops they were measured.
+
+    One crop is timed, then as many as fit ``budget_s`` (at most the batch): what a step costs besides its
+    crops, which one crop alone would count for each, is told apart by the difference.
+    """
+
+    def fastest(crops: int) -> float:
+        batch = synthetic_batch(crops, config.data.crop_px, device)
+        return min(timed_step(phase, batch, key, Stopwatch()) for key in (1, 2))  # the least disturbed
+
+    timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch())  # warms up
+    one = fastest(1)
+    crops = min(config.batch_size, max(1, int(budget_s / (2 * one))))
+    if crops == 1:
+        return one * config.batch_size, 1
+    several = fastest(crops)
+    return several + max(several - one, 0.0) / (crops - 1) * (config.batch_size - crops), crops
+
+
 def saved_bytes(run: Callable[[], Any]) -> int:
     """Bytes that autograd keeps for the backward pass of ``run``, each storage once."""
     seen: dict[int, int] = {}
@@ -91,7 +113,7 @@ def make_workshop(
 
 
 def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
-    """Text for ``--dry-run``. One step with a single crop is timed a phase and scaled to the whole."""
+    """Text for ``--dry-run``. Steps of a few crops are timed a phase and scaled to the whole."""
     device = device or default_device()
     data = open_data(folders, config.network, config.data.crop_px)
     shop = make_workshop(config, data, device)
@@ -110,16 +132,15 @@ def describe_run(config: TrainingConfig, folders: list[Path], device: torch.devi
         phase = Phase(shop, index)
         steps = phase.num_steps
         activations = saved_bytes(lambda p=phase: p.terms(batch, generator_for(0)))  # type: ignore[misc]
-        timed_step(phase, batch, 0, Stopwatch())
-        seconds = min(timed_step(phase, batch, k, Stopwatch()) for k in (1, 2))  # the least disturbed
+        seconds, crops = predicted_step(phase, config, device)
         weights = sum(p.numel() for p in shop.models.parameters()) * 4
         moving = sum(p.numel() for p in phase.parameters) * 4 * 3  # gradient and two moments
         memory = (activations * config.batch_size + weights + moving) / 2**30
-        hours = steps * config.accumulation * config.batch_size * seconds / 3600
+        hours = steps * config.accumulation * seconds / 3600
         total += hours
         lines.append(
             f"{phase.config.name}: {steps:,} steps, about {memory:.1f} GiB and {hours:.2f} h "
-            f"({seconds:.2f} s a crop, measured with one crop)"
+            f"({seconds:.2f} s a batch, measured with {crops} crop{'s' * (crops > 1)})"
         )
     lines.append(f"in all about {total:.2f} h, without validation")
     return "\n".join(lines)
