@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: MIT
+"""Seconds from the start of a process to the first pixels of a 40-view configuration, stage by stage.
+
+    python -m benchmarks.bench_first_pixel                    the bundled library, 640x384, warm caches
+    python -m benchmarks.bench_first_pixel --cold             an empty cache of compiled kernels each time
+    python -m benchmarks.bench_first_pixel --profile          what takes the time of building the scene
+
+A process of its own does what ``datagen unit`` does: imports, opens the library, reads plan and
+configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view at one path
+and one auxiliary sample a pixel: what then stands in memory are the first pixels. Warm means that the
+operating system has the files and Dr.Jit the kernels of an earlier run; one run beforehand sees to that.
+Medians of --repeats runs; the target is 10 s on 2 cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+RESULTS = REPOSITORY / "benchmarks" / "results"
+TARGET_S = 10.0
+
+
+def first_pixels(folder: Path, profile: Path | None) -> None:
+    """What the measured process does; prints the stages as JSON: (name, epoch, processor seconds) at ends."""
+    marks: list[tuple[str, float, float]] = [("interpreter", time.time(), time.process_time())]
+
+    def mark(name: str) -> None:
+        marks.append((name, time.time(), time.process_time()))
+
+    from datagen.farm.folder import DatasetFolder
+    from datagen.formats.recipe import RenderRecipe
+    from datagen.library import Library
+
+    mark("imports")
+    from mitsuba_plugins.variant import select_variant
+
+    select_variant("llvm_ad_rgb")
+    mark("mitsuba")
+    planned = DatasetFolder(folder)
+    configuration = planned.read_configuration(planned.read_plan().units[0])
+    library = Library(planned.read_record().library_paths)
+    mark("plan and library")
+    from datagen.rendering.renderer import SceneRenderer
+
+    mark("renderer's imports")
+    recipe = RenderRecipe(variant="llvm_ad_rgb", path_samples=1, auxiliary_samples=1, denoise=False)
+    if profile is not None:
+        import cProfile
+
+        profiler = cProfile.Profile()
+        profiler.enable()
+    renderer = SceneRenderer(configuration, library, recipe)
+    if profile is not None:
+        profiler.disable()
+        profiler.dump_stats(str(profile))
+    mark("scene")
+    view = renderer.render_view(0)
+    assert view.buffers["beauty"].max() > 0
+    mark("first view")
+    print(json.dumps({"marks": marks}))
+
+
+def planned_folder(cache: Path, size: tuple[int, int], views: int) -> Path:
+    """The configuration that is measured, planned once."""
+    from datagen.formats.base import canonical_json
+    from datagen.formats.recipe import ObjectRecipe, Recipe
+
+    folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}"
+    if not (folder / "plan.json").is_file():
+        recipe = Recipe(
+            name="first",
+            seed=2022,
+            configurations=1,
+            views=views,
+            resolution=size,
+            objects=ObjectRecipe(count=(10, 24)),
+        )
+        cache.mkdir(parents=True, exist_ok=True)
+        path = cache / "first_pixel.yaml"
+        path.write_bytes(canonical_json(recipe))  # JSON is YAML
+        command = [sys.executable, "-m", "datagen", "plan", str(path), "--out", str(folder)]
+        subprocess.run(command, check=True, cwd=REPOSITORY, stdout=subprocess.DEVNULL)
+    return folder
+
+
+def run_once(folder: Path, is_cold: bool, profile: Path | None) -> dict[str, Any]:
+    """Wall and processor seconds by stage of one process, and of all of it."""
+    with tempfile.TemporaryDirectory() as home:
+        environment = {**os.environ, **({"HOME": home} if is_cold else {})}  # kernels lie in ~/.drjit
+        command = [sys.executable, "-m", "benchmarks.bench_first_pixel", "--child", str(folder)]
+        if profile is not None:
+            command += ["--profile-to", str(profile)]
+        began = time.time()
+        done = subprocess.run(
+            command, cwd=REPOSITORY, env=environment, check=True, capture_output=True, text=True
+        )
+    found = json.loads(done.stdout.splitlines()[-1])
+    stages, before, cpu_before = {}, began, 0.0
+    for name, moment, cpu in found["marks"]:
+        stages[name] = {"wall_s": round(moment - before, 3), "cpu_s": round(cpu - cpu_before, 3)}
+        before, cpu_before = moment, cpu
+    return {"stages": stages, "wall_s": round(before - began, 3), "cpu_s": round(cpu_before, 3)}
+
+
+def main() -> None:
+    """Parse, measure, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
+    parser.add_argument("--views", type=int, default=40)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--cold", action="store_true")
+    parser.add_argument("--profile", action="store_true")
+    parser.add_argument("--cache", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS / "bench_first_pixel.json")
+    parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--profile-to", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.child is not None:
+        first_pixels(arguments.child, arguments.profile_to)
+        return
+    folder = planned_folder(arguments.cache, tuple(arguments.size), arguments.views)
+    if arguments.profile:
+        import pstats
+
+        path = arguments.cache / "first_pixel.prof"
+        run_once(folder, arguments.cold, path)
+        pstats.Stats(str(path)).sort_stats("cumulative").print_stats(35)
+        return
+    if not arguments.cold:
+        run_once(folder, False, None)
+    runs = [run_once(folder, arguments.cold, None) for _ in range(arguments.repeats)]
+    stages = {
+        name: {
+            kind: statistics.median(run["stages"][name][kind] for run in runs) for kind in ("wall_s", "cpu_s")
+        }
+        for name in runs[0]["stages"]
+    }
+    total = {kind: statistics.median(run[kind] for run in runs) for kind in ("wall_s", "cpu_s")}
+    result = {
+        "cores": os.cpu_count(),
+        "is_cold": arguments.cold,
+        "stages": stages,
+        "total": total,
+        "target_s": TARGET_S,
+    }
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    print("| stage | wall s | processor s |\n|---|---|---|")
+    for name, seconds in {**stages, "start of process to first pixels": total}.items():
+        print(f"| {name} | {seconds['wall_s']:.2f} | {seconds['cpu_s']:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
