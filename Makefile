@@ -69,5 +69,8 @@ library: setup-dev ## Rebuild the bundled library from its sources
 extension: setup-dev ## Build and validate the Blender extension into dist/
 	@$(BIN)/python .ci/build_extension.py dist
 
+three: ## Rebuild the 3D page's three.js from npm, at the version that .ci/three pins
+	@cd .ci/three && npm ci --silent --ignore-scripts --no-audit --no-fund && npm run --silent build && rm -rf node_modules
+
 clean: ## Remove the environment and caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache build dist *.egg-info

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``infer`` and ``render`` of the command ``materials``. Heavy imports happen in the verbs."""
+"""The verbs ``infer``, ``render`` and ``view`` of ``materials``. Heavy imports happen in the verbs."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ def register_verbs(app: typer.Typer) -> None:
     app.command()(check)
     app.command()(infer)
     app.command()(render)
+    app.command()(view)
 
 
 def infer(
@@ -252,6 +253,27 @@ def render(
     )
     for path in write_renders(asset, out, options):
         typer.echo(str(path))
+
+
+def view(
+    asset: Annotated[Path, typer.Argument(help="What `materials infer` wrote, or an asset package.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the page.")],
+    max_side: Annotated[
+        int, typer.Option("--max-side", min=64, max=4096, help="Larger textures are averaged down.")
+    ] = 4096,
+) -> None:
+    """Write a page that shows an asset in 3D, with a light to move; it opens from disk in any browser.
+
+    Example: materials view room --out room-page
+    """
+    from model.reconstruction.atlas_page.writing import write_view
+
+    result = write_view(asset, out, max_side)
+    for note in result.notes:
+        typer.echo(f"note: {note}", err=True)
+    size = f"{result.num_bytes / 1e6:,.0f} MB"
+    typer.echo(f"{result.num_triangles} triangles, {result.num_materials} materials, {size}")
+    typer.echo(f"open {result.page.absolute().as_uri()}")
 
 
 def _numbers(text: str, counts: tuple[int, ...], option: str) -> tuple[float, ...]:

@@ -27,6 +27,9 @@ _FLAGS = (
     "--disable-sync",
     "--disable-extensions",
 )
+SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""WebGL without a graphics card."""
+_ADVICE = ("willReadFrequently", "GPU stall due to ReadPixels")
 WAIT_S = 60.0
 """Longest wait for the page; a crowded machine may need tens of seconds for what else takes one."""
 
@@ -43,7 +46,11 @@ def find_browser() -> tuple[str, str]:
 
 @contextmanager
 def open_browser(
-    profile: Path, width: int = 1500, height: int = 1000, logs_requests: bool = True
+    profile: Path,
+    width: int = 1500,
+    height: int = 1000,
+    logs_requests: bool = True,
+    flags: tuple[str, ...] = (),
 ) -> Iterator[Chrome]:
     """A browser with an empty profile in ``profile``; closed at the end.
 
@@ -55,7 +62,7 @@ def open_browser(
 
     options = ChromeOptions()
     options.binary_location = browser
-    for flag in (*_FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}"):
+    for flag in (*_FLAGS, *flags, f"--user-data-dir={profile}", f"--window-size={width},{height}"):
         options.add_argument(flag)
     logs = {"browser": "ALL", **({"performance": "ALL"} if logs_requests else {})}
     options.set_capability("goog:loggingPrefs", logs)
@@ -135,11 +142,12 @@ class Page:
 
     def console(self) -> list[str]:
         """Everything that the console said at warning level or above since the last call, but for advice
-        about reading pixels back, which only the tests do."""
+        about reading pixels back, which the tests do, and software GL to show them."""
         return [
             entry["message"]
             for entry in self.driver.get_log("browser")
-            if entry["level"] in ("WARNING", "SEVERE") and "willReadFrequently" not in entry["message"]
+            if entry["level"] in ("WARNING", "SEVERE")
+            and not any(advice in entry["message"] for advice in _ADVICE)
         ]
 
     def requested(self) -> list[str]:

@@ -25,13 +25,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-
 from datagen.buffers import BUFFERS
 from datagen.errors import InputError, input_error
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import Dataset, DatasetIndex
+from datagen.inspection.color_maps import cividis
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
 from datagen.inspection.report.predictions import (
@@ -292,16 +291,8 @@ def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
         "min_coverage": MIN_COVERAGE,
         "depth_agreement": visibility.depth_tolerance + visibility.slope_limit,
         "luminance_weights": LUMINANCE_WEIGHTS.tolist(),
-        "color_map": _color_map(),
+        "color_map": cividis(),
     }
-
-
-def _color_map() -> list[list[int]]:
-    """Cividis as 256 sRGB colours: colour-blind readers see it as others do."""
-    from matplotlib import colormaps
-
-    colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]
-    return (colors * 255 + 0.5).astype(int).tolist()
 
 
 VIEW_COLUMNS = (

@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: MIT
+"""The colour map of everything that is one number a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def cividis() -> list[list[int]]:
+    """256 sRGB colours from 0 to 1: colour-blind readers see them as others do."""
+    from matplotlib import colormaps
+
+    colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]
+    return (colors * 255 + 0.5).astype(int).tolist()

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""Material channels as images for the page: PNG, 8 bits, at most ``max_side`` texels a side.
+
+Three images a material: D and S sRGB-encoded; R in red with, in green, what was seen of the atlas (255 seen,
+128 filled in; 255 where nothing is known about it). Row 0 is at v = 1. Larger images are averaged down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import srgb_from_linear
+from datagen.errors import input_error
+from datagen.formats.asset import Material, Texture
+from datagen.formats.package import Package
+from datagen.images import encode_png, read_image, texture_values
+from model.reconstruction.atlas_images import SEEN, quantized_bytes
+
+KINDS = ("diffuse", "specular", "rough")
+
+
+@dataclass(frozen=True)
+class PageImage:
+    """One image: what it holds (of :data:`KINDS`), its PNG, its sides, and the sides it was made from."""
+
+    kind: str
+    pixels: NDArray[np.uint8]
+    original_side: int
+
+    def png(self, max_side: int | None = None) -> bytes:
+        """PNG bytes, averaged down to ``max_side`` if that is given."""
+        return encode_png(self.pixels if max_side is None else shrunk(self.pixels, max_side))
+
+
+def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
+    """Means of squares of texels, so that neither side is longer than ``max_side``."""
+    longest = max(pixels.shape[:2])
+    if longest <= max_side:
+        return pixels
+    import cv2
+
+    size = tuple(max(1, side * max_side // longest) for side in pixels.shape[1::-1])
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return small.reshape(size[1], size[0], -1).astype(np.uint8, copy=False)
+
+
+def material_images(
+    package: Package, material: Material, mask: NDArray[np.uint8] | None, max_side: int
+) -> Iterator[PageImage]:
+    """The images of a material; ``mask`` (N, N) belongs to its roughness texture.
+
+    Raises :class:`InputError` where an image cannot be read or differs from the mask in size.
+    """
+    for kind, channel in (("diffuse", material.diffuse_albedo), ("specular", material.specular_albedo)):
+        pixels, side = _color_bytes(package, channel, max_side)
+        yield PageImage(kind, pixels, side)
+    rough, side = _rough_bytes(package, material.roughness)
+    if mask is None:
+        mask = np.full(rough.shape, SEEN, np.uint8)
+    elif mask.shape != rough.shape:
+        got, expected = (" x ".join(map(str, array.shape)) for array in (mask, rough))
+        raise input_error("mask.png", "size", got, expected, "write both by one `materials infer`")
+    packed = np.stack([rough, mask, np.zeros_like(rough)], axis=-1)
+    yield PageImage("rough", shrunk(packed, max_side), side)
+
+
+def _pixels(package: Package, texture: Texture) -> NDArray:
+    path = package.local_file(texture.texture)
+    return read_image(path)
+
+
+def _color_bytes(package: Package, channel: object, max_side: int) -> tuple[NDArray[np.uint8], int]:
+    if not isinstance(channel, Texture):
+        return quantized_bytes(srgb_from_linear(np.array(channel, np.float64).reshape(1, 1, 3))), 1
+    pixels = _pixels(package, channel)
+    is_stored_so = (
+        pixels.dtype == np.uint8
+        and pixels.shape[2] == 3
+        and (channel.encoding, channel.channel, channel.scale, channel.offset) == ("srgb", "rgb", 1, 0)
+    )
+    if not is_stored_so:
+        pixels = quantized_bytes(srgb_from_linear(texture_values(channel, pixels, is_scalar=False)))
+    return shrunk(pixels, max_side), max(pixels.shape[:2])
+
+
+def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], int]:
+    if not isinstance(channel, Texture):
+        return quantized_bytes(np.full((1, 1), channel, np.float64)), 1
+    values = quantized_bytes(texture_values(channel, _pixels(package, channel), is_scalar=True))
+    return values, max(values.shape)
+
+
+def read_mask(path: Path) -> NDArray[np.uint8]:
+    """The mask (N, N) that ``materials infer`` writes; raises :class:`InputError`."""
+    pixels = read_image(path)
+    if pixels.dtype != np.uint8:
+        raise input_error(path, "", str(pixels.dtype), "8 bits", "write it by `materials infer`")
+    return pixels[..., 0]

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""Makes the folder of the 3D page of an asset.
+
+index.html *.css *.js     the page; three.js is its library
+data/scene.js             meshes, cameras, materials without their images
+data/preview.js           images of at most 1024 texels a side, for a quick first picture
+data/<material>-<kind>.js larger images at their full size, at most ``max_side``
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.package import Package, is_package, open_package
+from datagen.inspection.color_maps import cividis
+from datagen.meshes import Mesh, joined, read_ply, vertex_normals
+from model.reconstruction.atlas_page.textures import material_images, read_mask
+
+MAX_SIDE = 4096
+"""Longest side of an image: more is beyond many GPUs, and 4096 takes 256 MB of theirs already."""
+PREVIEW_SIDE = 1024
+PAGE_FILES = ("index.html", "view.css", "three.js", "shader.js", "controls.js", "view.js")
+_MARKER = "scene.js"
+
+
+@dataclass(frozen=True)
+class ViewResult:
+    """What was written: the page, how many triangles and materials, and notes on what is not as stored."""
+
+    page: Path
+    num_triangles: int
+    num_materials: int
+    num_bytes: int
+    notes: tuple[str, ...]
+
+
+def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
+    """Write the page of an asset package, or of a folder that ``materials infer`` has written, into ``out``.
+
+    The mask of seen texels is taken from ``atlas/mask.png`` beside the package, where it is. Raises
+    :class:`InputError` for other input, and where ``out`` holds other files.
+    """
+    package_path = source / "asset" if is_package(source / "asset") else source
+    mask_path = package_path.parent / "atlas" / "mask.png"
+    _check_out(out)
+    package = open_package(package_path)
+    notes: list[str] = []
+    previews: dict[str, str] = {}
+    try:
+        asset = package.asset
+        if not isinstance(asset, EnvironmentAsset | ObjectAsset):
+            expected = "an environment or an object"
+            raise input_error(package_path, "kind", asset.kind, expected, "name another package")
+        slots = _meshes_by_material(package, asset)
+        has_atlas = sum(bool(asset.materials[slot].textures()) for slot in slots) == 1
+        mask = read_mask(mask_path) if has_atlas and mask_path.is_file() else None
+        materials = []
+        for number, (slot, mesh) in enumerate(slots.items()):
+            material = asset.materials[slot]
+            described: dict[str, Any] = {"slot": slot, "emission": material.emission, "images": []}
+            own_mask = mask if material.textures() else None
+            described["hasMask"] = own_mask is not None
+            if material.emission is None:
+                for image in material_images(package, material, own_mask, max_side):
+                    name = f"{number}-{image.kind}"
+                    described["images"].append([name, image.kind, *image.pixels.shape[1::-1]])
+                    previews[name] = _text(image.png(PREVIEW_SIDE))
+                    if max(image.pixels.shape) > PREVIEW_SIDE:
+                        _write_script(out / "data" / f"{name}.js", f'images["{name}"]', _text(image.png()))
+                    if image.original_side > max_side:
+                        shown = f"{max_side} of {image.original_side} texels a side"
+                        notes.append(f"{slot}: {image.kind} is shown at {shown}")
+                if material.normal is not None or material.opacity is not None:
+                    notes.append(f"{slot}: its normal map and opacity are not shown")
+            materials.append({**described, **_encode_mesh(mesh)})
+        scene = {
+            "title": asset.title or asset.id,
+            "materials": materials,
+            "cameras": _cameras(asset),
+            "bounds": _bounds(list(slots.values())),
+            "colorMap": cividis(),
+            "notes": notes,
+        }
+    finally:
+        package.close()
+    _write_script(out / "data" / "preview.js", "preview", previews)
+    _write_script(out / "data" / _MARKER, "scene", scene)
+    page = files("model.reconstruction.atlas_page") / "page"
+    for name in PAGE_FILES:
+        write_bytes_atomically(out / name, (page / name).read_bytes())
+    triangles = sum(len(mesh.faces) for mesh in slots.values())
+    num_bytes = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    return ViewResult(out / "index.html", triangles, len(materials), num_bytes, tuple(notes))
+
+
+def _check_out(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise input_error(out, "--out", "a file", "a folder", "choose another --out")
+    if out.is_dir() and any(out.iterdir()) and not (out / "data" / _MARKER).is_file():
+        expected = "an empty folder, or an earlier page"
+        raise input_error(out, "--out", "a folder with other files", expected, "choose another --out")
+    (out / "data").mkdir(parents=True, exist_ok=True)
+
+
+def _meshes_by_material(package: Package, asset: EnvironmentAsset | ObjectAsset) -> dict[str, Mesh]:
+    """All parts with one material as one mesh in the asset's frame, with normals and UVs."""
+    parts: dict[str, list[Mesh]] = {}
+    for part in asset.parts:
+        mesh = read_ply(package.local_file(part.mesh)).transformed(np.array(part.asset_from_part))
+        normals = mesh.normals if mesh.normals is not None else vertex_normals(mesh)
+        uv = mesh.uv if mesh.uv is not None else np.zeros((len(mesh.positions), 2), np.float32)
+        parts.setdefault(part.material, []).append(Mesh(mesh.positions, mesh.faces, normals, uv))
+    return {slot: joined(meshes) for slot, meshes in parts.items()}
+
+
+def _encode_mesh(mesh: Mesh) -> dict[str, str]:
+    assert mesh.normals is not None and mesh.uv is not None
+    return {
+        "positions": _base64(mesh.positions, "<f4"),
+        "normals": _base64(mesh.normals, "<f4"),
+        "uv": _base64(mesh.uv, "<f4"),
+        "faces": _base64(mesh.faces, "<u4"),
+    }
+
+
+def _base64(array: NDArray, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype).tobytes()).decode()
+
+
+def _bounds(meshes: list[Mesh]) -> list[list[float]]:
+    points = np.concatenate([mesh.positions for mesh in meshes])
+    return [points.min(axis=0).tolist(), points.max(axis=0).tolist()]
+
+
+def _cameras(asset: EnvironmentAsset | ObjectAsset) -> list[dict[str, Any]]:
+    """Name, vertical field of view in degrees, position and where it looks (a point 1 m ahead)."""
+    found = []
+    for camera in getattr(asset, "cameras", ()):
+        matrix = np.array(camera.asset_from_camera)
+        found.append(
+            {
+                "name": camera.name,
+                "fov": math.degrees(2 * math.atan(0.5 * camera.height_px / camera.fy_px)),
+                "position": matrix[:3, 3].tolist(),
+                "target": (matrix[:3, 3] + matrix[:3, 2]).tolist(),
+            }
+        )
+    return found
+
+
+def _text(png: bytes) -> str:
+    return base64.b64encode(png).decode()
+
+
+def _write_script(path: Path, name: str, data: Any) -> None:
+    text = json.dumps(data, separators=(",", ":"), sort_keys=True, allow_nan=False)
+    write_bytes_atomically(path, f"VIEW.{name} = {text};\n".encode())

@@ -1,0 +1,376 @@
+# SPDX-License-Identifier: MIT
+"""The 3D page in a real browser, opened from disk: its shader against the oracle, light, camera, channels."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.color import linear_from_srgb, srgb_from_linear
+from datagen.errors import InputError
+from datagen.formats.asset import AssetCamera, EnvironmentAsset, Part, Provenance, SlotMaterial, Texture
+from datagen.formats.package import write_package
+from datagen.images import encode_png
+from datagen.meshes import Mesh, encode_ply
+from model.reconstruction.atlas_page.writing import PAGE_FILES, write_view
+from tests.browser.driver import SOFTWARE_GL, Page, find_browser, open_browser
+from tests.conftest import REPOSITORY
+from tests.oracles import brdf
+
+SIDE, PATCHES = 64, 8
+CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+@dataclass(frozen=True)
+class Quad:
+    """A square of 2 m in z = 0 with tilted normals, patches of random materials, and a lamp above it."""
+
+    images: dict[str, np.ndarray]
+    normals: np.ndarray
+    asset: Path
+
+
+def make_quad(root: Path, side: int = SIDE, seed: int = 5) -> Quad:
+    rng = np.random.default_rng(seed)
+
+    def patches(channels: int, low: int = 0) -> np.ndarray:
+        colors = rng.integers(low, 256, (PATCHES, PATCHES, channels)).astype(np.uint8)
+        return colors.repeat(side // PATCHES, axis=0).repeat(side // PATCHES, axis=1)
+
+    images = {"diffuse_albedo": patches(3), "specular_albedo": patches(3), "roughness": patches(1, 40)}
+    normals = np.array([[-0.3, -0.2, 1], [0.3, -0.1, 1], [0.2, 0.3, 1], [-0.1, 0.2, 1]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    floor = Mesh(CORNERS.astype("f4"), FACES.astype(np.int32), normals.astype("f4"), uv)
+    lamp = Mesh((0.1 * CORNERS + [0, 0, 1.9]).astype("f4"), FACES.astype(np.int32), normals.astype("f4"), uv)
+    textures = {
+        name: Texture(
+            texture=f"{name}.png",
+            encoding="linear" if name == "roughness" else "srgb",
+            channel="r" if name == "roughness" else "rgb",
+        )
+        for name in images
+    }
+    pose = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, -2.0), (0.0, -1.0, 0.0, 0.3), (0.0, 0.0, 0.0, 1.0))
+    camera = {"width_px": 64, "height_px": 48, "fx_px": 50.0, "fy_px": 50.0, "cx_px": 32.0, "cy_px": 24.0}
+    asset = EnvironmentAsset(
+        id="quad",
+        title="A square & its lamp",
+        provenance=Provenance(license="CC0-1.0", source="made by a test"),
+        materials={"surface": SlotMaterial(**textures), "lamp-0": SlotMaterial(emission=(2.0, 3.0, 0.1))},
+        parts=(
+            Part(name="surface", mesh="surface.ply", material="surface"),
+            Part(name="lamp-0", mesh="lamp-0.ply", material="lamp-0"),
+        ),
+        cameras=(AssetCamera(name="front", **camera, asset_from_camera=pose),),
+    )
+    content = {"surface.ply": encode_ply(floor), "lamp-0.ply": encode_ply(lamp)}
+    content |= {f"{name}.png": encode_png(image) for name, image in images.items()}
+    write_package(root / "asset", asset, content).close()
+    mask = np.full((side, side), 255, np.uint8)
+    mask[: side // 2] = 128
+    (root / "atlas").mkdir()
+    (root / "atlas" / "mask.png").write_bytes(encode_png(mask))
+    return Quad(images, normals, root)
+
+
+@pytest.fixture(scope="module")
+def quad(tmp_path_factory: pytest.TempPathFactory) -> Quad:
+    return make_quad(tmp_path_factory.mktemp("quad"))
+
+
+@pytest.fixture(scope="module")
+def folder(quad: Quad, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("view") / "a page with spaces & signs"
+    result = write_view(quad.asset, out)
+    assert (result.num_triangles, result.num_materials, result.notes) == (4, 2, ())
+    return out
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    find_browser()
+    with open_browser(tmp_path_factory.mktemp("profile"), 760, 520, flags=SOFTWARE_GL) as driver:
+        yield Page(driver)
+
+
+@pytest.fixture
+def page(browser: Page, folder: Path) -> Iterator[Page]:
+    """The page, freshly opened; at the end its console must be empty and nothing may have left the disk."""
+    browser.console()
+    browser.driver.get("about:blank")
+    browser.open(folder / "index.html")
+    yield browser
+    assert browser.console() == []
+    inside = ("file:", "data:", "about:", "blob:", "chrome:", "chrome-")
+    assert [url for url in browser.requested() if not url.startswith(inside)] == []
+
+
+CAMERA, TARGET, FOV_DEG = np.array([0.4, -1.6, 1.5]), np.array([0.1, 0.0, 0.0]), 50.0
+
+
+def pose(page: Page, light: tuple[float, float, float] = (0.3, 0.5, 1.1), **more: object) -> None:
+    """A fixed camera and light, nothing but this light, no ball before the picture."""
+    wanted = {"camera": CAMERA.tolist(), "target": TARGET.tolist(), "fov": FOV_DEG, "light": light, "fill": 0}
+    page.run("VIEW.set(arguments[0])", {**wanted, "showsLight": False, **more})
+
+
+def read(page: Page) -> np.ndarray:
+    """The canvas (H, W, 3)."""
+    width, height = page.run("const c = document.getElementById('picture'); return [c.width, c.height]")
+    script = """
+        const bytes = VIEW.read(0, 0, arguments[0], arguments[1]);
+        let text = "";
+        for (let k = 0; k < bytes.length; k += 8192) text += String.fromCharCode(...bytes.slice(k, k + 8192));
+        return btoa(text);
+    """
+    data = base64.b64decode(page.run(script, width, height))
+    return np.frombuffer(data, np.uint8).reshape(height, width, 4)[..., :3]
+
+
+def points_seen(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the pixels' rays meet z = 0, (H, W, 3), and the mask of those that meet the square."""
+    forward = (TARGET - CAMERA) / np.linalg.norm(TARGET - CAMERA)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    rows, columns = np.indices((height, width))
+    scale = np.tan(np.radians(FOV_DEG) / 2) / (height / 2)
+    x, y = (columns + 0.5 - width / 2) * scale, (height / 2 - rows - 0.5) * scale
+    rays = forward + x[..., None] * right + y[..., None] * up
+    points = CAMERA + rays * (-CAMERA[2] / rays[..., 2:])
+    return points, (np.abs(points[..., :2]).max(axis=-1) < 0.999) & (rays[..., 2] < 0)
+
+
+def expected_bytes(
+    quad: Quad,
+    points: np.ndarray,
+    light: np.ndarray,
+    intensity: float,
+    exposure: float,
+    alpha_factor: float = 1,
+) -> np.ndarray:
+    """Screen colours (N, 3) of points (N, 3) by the oracle, in double precision."""
+    u, v = (points[:, 0] + 1) / 2, (points[:, 1] + 1) / 2
+    row, column = ((1 - v) * SIDE).astype(int), (u * SIDE).astype(int)
+    at = {name: image[row, column].astype(np.float64) / 255 for name, image in quad.images.items()}
+    is_lower = (points[:, 0] >= points[:, 1])[:, None]  # which of the two triangles
+    n = quad.normals
+    lower = n[0] * (1 - u)[:, None] + n[1] * (u - v)[:, None] + n[2] * v[:, None]
+    upper = n[0] * (1 - v)[:, None] + n[2] * u[:, None] + n[3] * (v - u)[:, None]
+    normal = np.where(is_lower, lower, upper)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    tangent = np.cross(normal, [0.0, 1.0, 0.0])
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
+
+    def local(target: np.ndarray) -> np.ndarray:
+        away = target - points
+        return np.einsum("nij,nj->ni", frame, away / np.linalg.norm(away, axis=1, keepdims=True))
+
+    roughness = at["roughness"][:, 0] * np.sqrt(alpha_factor)
+    value = brdf.eval_cos(
+        local(CAMERA),
+        local(light),
+        linear_from_srgb(at["diffuse_albedo"]),
+        linear_from_srgb(at["specular_albedo"]),
+        roughness,
+    )
+    radiance = value * intensity / ((light - points) ** 2).sum(axis=1, keepdims=True)
+    return 255 * srgb_from_linear(np.clip(radiance * exposure, 0, 1))
+
+
+@pytest.mark.parametrize("light", [(0.3, 0.5, 1.1), (-0.6, 1.2, 0.5)])
+def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float, float, float]) -> None:
+    """At hundreds of pixels inside patches, diffuse and glossy, to the rounding of 8 bits."""
+    pose(page, light, exposure=-1, power=1)
+    shown = read(page)
+    points, is_seen = points_seen(*shown.shape[:2])
+    texel = (points[..., :2] + 1) / 2 * SIDE % (SIDE // PATCHES)
+    is_seen &= (np.abs(texel - SIDE // PATCHES / 2) < 2.5).all(axis=-1)  # beyond the filter of other patches
+    chosen = np.flatnonzero(is_seen)[::7]
+    assert len(chosen) > 500
+    got, at = shown.reshape(-1, 3)[chosen].astype(float), points.reshape(-1, 3)[chosen]
+    state = page.run("return VIEW.state()")
+    assert state["light"] == pytest.approx(light)
+    expected = expected_bytes(quad, at, np.array(light), state["intensity"], 0.5)
+    between = (expected > 3) & (expected < 252)
+    assert between.mean() > 0.5 and np.ptp(expected) > 150
+    assert np.abs(got - expected).max() <= 1.0
+    wrong = expected_bytes(quad, at, np.array(light), state["intensity"], 0.5, alpha_factor=1.05)
+    assert np.abs(got - wrong).max() > 3.0
+
+
+def test_channels_are_the_textures(page: Page, quad: Quad) -> None:
+    pose(page)
+    blank = read(page)
+    assert np.ptp(blank.reshape(-1, 3), axis=0).min() > 50  # not empty
+    points, is_seen = points_seen(*blank.shape[:2])
+    texel = (points[..., :2] + 1) / 2 * SIDE % (SIDE // PATCHES)
+    is_seen &= (np.abs(texel - SIDE // PATCHES / 2) < 2.5).all(axis=-1)
+    at = points[is_seen]
+    row, column = ((1 - (at[:, 1] + 1) / 2) * SIDE).astype(int), ((at[:, 0] + 1) / 2 * SIDE).astype(int)
+    colors = np.array(
+        json.loads((page_data(page) / "scene.js").read_text()[len("VIEW.scene = ") : -2])["colorMap"]
+    )
+    for key, expected in (
+        ("2", quad.images["diffuse_albedo"][row, column]),
+        ("3", quad.images["specular_albedo"][row, column]),
+        ("4", colors[quad.images["roughness"][row, column, 0]]),
+        ("5", colors[np.where(row < SIDE // 2, 38, 242)]),
+    ):
+        page.keys(key, to="#picture")
+        difference = np.abs(read(page)[is_seen].astype(int) - expected)
+        assert difference.max() <= 2, key
+    assert "filled in" in page.run("return document.getElementById('legend').innerText")
+
+
+def page_data(page: Page) -> Path:
+    from urllib.parse import unquote, urlparse
+
+    return Path(unquote(urlparse(page.driver.current_url).path)).parent / "data"
+
+
+def test_light_moves_by_keys_sliders_and_pointer(page: Page) -> None:
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.by import By
+
+    pose(page)
+    before, state = read(page), page.run("return VIEW.state()")
+    page.keys("l", "l", "o", to="#picture")
+    moved = page.run("return VIEW.state()")
+    assert moved["light"][0] > state["light"][0] and moved["light"][2] > state["light"][2]
+    assert page.run("return Number(document.getElementById('light-x').value)") == pytest.approx(
+        moved["light"][0], abs=0.01
+    )
+    after = read(page)
+    assert (np.abs(after.astype(int) - before).max(axis=-1) > 5).mean() > 0.05
+    page.run(
+        "const s = document.getElementById('light-y'); s.value = -0.7; s.dispatchEvent(new Event('input'))"
+    )
+    assert page.run("return VIEW.state().light[1]") == pytest.approx(-0.7, abs=0.01)
+    assert (np.abs(read(page).astype(int) - after).max(axis=-1) > 5).mean() > 0.05
+    pose(page, (0.1, 0.0, 0.3), showsLight=True)  # on the line of sight: in the middle of the picture
+    canvas = page.driver.find_element(By.ID, "picture")
+    light = np.array(page.run("return VIEW.state().light"))
+    forward = (TARGET - CAMERA) / np.linalg.norm(TARGET - CAMERA)
+    on_axis = CAMERA + forward * ((light - CAMERA) @ forward)
+    pose(page, tuple(on_axis.tolist()), showsLight=True)
+    camera = page.run("return VIEW.state().camera")
+    ActionChains(page.driver).drag_and_drop_by_offset(canvas, 90, 0).perform()
+    dragged = np.array(page.run("return VIEW.state().light"))
+    assert dragged[0] > on_axis[0] + 0.05
+    assert (dragged - on_axis) @ forward == pytest.approx(0, abs=1e-6)  # in the plane of the picture
+    assert page.run("return VIEW.state().camera") == camera
+
+
+def test_camera_turns_and_moves(page: Page) -> None:
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.by import By
+
+    state = page.run("return VIEW.state()")
+    np.testing.assert_allclose(state["camera"], (0, -2, 0.3), atol=1e-6)  # the asset's own camera
+    assert state["fov"] == pytest.approx(np.degrees(2 * np.arctan(24 / 50)))
+    assert page.run("return document.getElementById('mode').value") == "fly"
+    page.keys("w", to="#picture")
+    np.testing.assert_allclose(page.run("return VIEW.state().camera[1]") > -2, True)
+    here = page.run("return VIEW.state()")
+    page.keys("\ue012", to="#picture")  # left
+    turned = page.run("return VIEW.state()")
+    np.testing.assert_allclose(turned["camera"], here["camera"], atol=1e-9)
+    assert turned["target"][0] < here["target"][0]
+    page.keys("c", to="#picture")
+    outside = page.run("return VIEW.state()")
+    assert page.run("return document.getElementById('mode').value") == "orbit"
+    canvas = page.driver.find_element(By.ID, "picture")
+    ActionChains(page.driver).move_to_element_with_offset(canvas, 100, 150).click_and_hold().move_by_offset(
+        80, 0
+    ).release().perform()
+    orbited = page.run("return VIEW.state()")
+    np.testing.assert_allclose(orbited["target"], outside["target"])
+    assert np.linalg.norm(np.subtract(orbited["camera"], outside["camera"])) > 0.2
+    radius = [np.linalg.norm(np.subtract(s["camera"], s["target"])) for s in (orbited, outside)]
+    assert radius[0] == pytest.approx(radius[1])
+    page.keys("]", to="#picture")
+    assert "+0.5 EV" in page.run("return document.getElementById('exposure').getAttribute('aria-valuetext')")
+
+
+def test_every_control_has_a_name(page: Page) -> None:
+    tree = page.driver.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
+    roles = {"combobox", "slider", "application", "button", "complementary", "heading"}
+    found = [n for n in tree if not n.get("ignored") and n.get("role", {}).get("value") in roles]
+    nameless = [n["role"]["value"] for n in found if not n.get("name", {}).get("value", "").strip()]
+    assert len(found) >= 10 and nameless == []
+    page.keys("4", to="#picture")
+    assert page.run("return document.getElementById('spoken').textContent") == "shown: R, roughness"
+
+
+def test_large_textures_come_after_a_small_picture(browser: Page, tmp_path: Path) -> None:
+    large = make_quad(tmp_path / "large", side=1536)
+    result = write_view(large.asset, tmp_path / "page")
+    assert result.notes == ()
+    assert sorted(p.name for p in (tmp_path / "page" / "data").iterdir()) == [
+        "0-diffuse.js", "0-rough.js", "0-specular.js", "preview.js", "scene.js",
+    ]  # fmt: skip
+    browser.driver.get("about:blank")
+    browser.open(tmp_path / "page" / "index.html")
+    assert "1536 texels" in browser.run("return document.getElementById('sizes').textContent")
+    (tmp_path / "page" / "data" / "0-rough.js").unlink()
+    browser.driver.get("about:blank")
+    browser.driver.get((tmp_path / "page" / "index.html").as_uri())
+    browser.wait("return document.getElementById('notice').innerText.includes('0-rough.js')")
+    assert read(browser).std() > 5  # the preview is shown all the same
+    assert len(browser.console()) == 1  # the browser's own word on the missing file
+
+
+# ---------------------------------------------------------------------- without a browser
+
+
+def test_page_is_whole_and_asks_for_nothing_else(folder: Path) -> None:
+    page = (folder / "index.html").read_text()
+    assert "http" not in page
+    assert all(f'"{name}"' in page for name in PAGE_FILES if name != "index.html")
+    for name in PAGE_FILES:
+        assert (folder / name).stat().st_size > 500
+
+
+def test_large_textures_are_averaged_down_and_named(tmp_path: Path) -> None:
+    quad = make_quad(tmp_path / "quad", side=1024)
+    result = write_view(quad.asset / "asset", tmp_path / "page", max_side=256)
+    assert len(result.notes) == 3 and "256 of 1024 texels" in result.notes[0]
+    assert write_view(quad.asset, tmp_path / "page", max_side=256).notes == result.notes  # brought up to date
+
+
+def test_refusals(quad: Quad, tmp_path: Path) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "dear.txt").write_text("do not lose")
+    with pytest.raises(InputError, match="other files"):
+        write_view(quad.asset, tmp_path / "letters")
+    with pytest.raises(InputError, match="nothing there"):
+        write_view(tmp_path / "nowhere", tmp_path / "page")
+    material = next((REPOSITORY / "scenes" / "library").glob("*/oak*"), None)
+    if material is not None:
+        with pytest.raises(InputError, match="environment or an object"):
+            write_view(material, tmp_path / "page")
+
+
+def test_vendored_library_is_the_pinned_one() -> None:
+    """`make three` builds it: the versions of lock, script and notice are one."""
+    pinned = json.loads((REPOSITORY / ".ci" / "three" / "package.json").read_text())
+    version = pinned["devDependencies"]["three"]
+    locked = json.loads((REPOSITORY / ".ci" / "three" / "package-lock.json").read_text())
+    assert locked["packages"]["node_modules/three"]["version"] == version
+    script = (REPOSITORY / "model/reconstruction/atlas_page/page/three.js").read_text()
+    assert f"three.js {version}," in script[:200] and f"three.js {version}," in pinned["scripts"]["build"]
+    revision = re.match(r"0\.(\d+)\.", version)
+    assert revision is not None and f'"{revision[1]}"' in script  # the library's own word
+    notice = (REPOSITORY / "LICENSES" / "three.js.txt").read_text()
+    assert "three.js authors" in notice and "MIT License" in notice
