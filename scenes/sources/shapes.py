@@ -184,7 +184,7 @@ def grid(points: NDArray, closed_u: bool = False, unit_uv: bool = False) -> Shap
     return Shape(points.reshape(-1, 3), faces, np.array(uvs), unit_uv)
 
 
-def _without_degenerate(shape: Shape) -> Shape:
+def without_degenerate(shape: Shape) -> Shape:
     """Corners that fall together merged, faces that keep fewer than three dropped."""
     keys = np.round(shape.points, 7) + 0.0
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -215,7 +215,7 @@ def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
     points = np.empty((len(p), segments, 3))
     points[..., :2] = p[:, None, :1] * ring
     points[..., 2] = p[:, None, 1]
-    return outward(_without_degenerate(grid(points, closed_u=True)))
+    return outward(without_degenerate(grid(points, closed_u=True)))
 
 
 def outward(shape: Shape) -> Shape:
@@ -279,10 +279,10 @@ def tube(
     lattice = np.array(rings)
     if closed:
         lattice = np.concatenate([lattice, lattice[:1]])
-        return _without_degenerate(_along_u(grid(lattice, closed_u=True)))
+        return without_degenerate(_along_u(grid(lattice, closed_u=True)))
     start, end = _cap(lattice[0], -tangents[0], r[0]), _cap(lattice[-1], tangents[-1], r[-1])
     lattice = np.concatenate([start[::-1], lattice, end])
-    return _without_degenerate(_along_u(grid(lattice, closed_u=True)))
+    return without_degenerate(_along_u(grid(lattice, closed_u=True)))
 
 
 def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
@@ -306,7 +306,7 @@ def loft(sections: NDArray, capped: bool = True) -> Shape:
             centre = ring.mean(axis=0)
             ends.append(np.stack([np.broadcast_to(centre, ring.shape), centre + 0.6 * (ring - centre)]))
         rings = np.concatenate([ends[0], rings, ends[1][::-1]])
-    return outward(_without_degenerate(grid(rings, closed_u=True)))
+    return outward(without_degenerate(grid(rings, closed_u=True)))
 
 
 def extrude(outline: ArrayLike, height: float, bevel: float = 0.001, segments: int = 1) -> Shape:
@@ -447,7 +447,7 @@ def pillow(size: Point, steps: int = 14, pinch: float = 0.07, wrinkle: float = 0
     top = grid(np.stack([x, y, z], axis=-1))
     # the underside is flatter: a cushion lies on it
     bottom = grid(np.stack([x, y, -0.8 * size[2] / 2 * height], axis=-1)).flipped()
-    return _without_degenerate(top + bottom).moved(z=0.8 * size[2] / 2)
+    return without_degenerate(top + bottom).moved(z=0.8 * size[2] / 2)
 
 
 def panel(width: float, height: float, at: Point = (0.0, 0.0, 0.0)) -> Shape:

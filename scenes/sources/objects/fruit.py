@@ -16,9 +16,14 @@ from scenes.sources.objects.registry import (
 )
 from scenes.sources.shapes import (
     Shape,
+    grid,
     lathe,
+    outward,
+    smooth_curve,
+    soft_box,
     sphere,
     tube,
+    without_degenerate,
 )
 
 
@@ -148,20 +153,75 @@ def lemons(w: Workshop) -> None:
         w.add("lemons", "skin", body.moved(x, y, -body.points[:, 2].min()))
 
 
-@thing("bananas", "Bananas", "fruit", skin=organic("d8b43a", 0.5), tip=organic("4a3a1c", 0.8))
+def _banana_skin(g: Graph) -> bpy.types.Material:
+    """v runs from the stalk (0) to the blossom end (1), u once around; the ridges lie at multiples of 1/5."""
+    _, v = g.uv()
+    along = g.add(v, g.mul(g.noise(5, 4, detail=2, seed=3.0), 0.03))
+    ripe = g.ramp(
+        along,
+        (0.0, srgb("5d4a22")),
+        (0.05, srgb("857a35")),
+        (0.16, srgb("a8a23a")),
+        (0.3, srgb("d8b737")),
+        (0.86, srgb("d9b334")),
+        (0.95, srgb("93832f")),
+        (0.985, srgb("33271a")),
+    )
+    specks = g.fit(g.voronoi(13, 26, seed=2.0).outputs["Distance"], 0.1, 0.2, 1.0, 0.0)
+    bruise = g.fit(g.noise(4, 7, detail=4, seed=9.0), 0.72, 0.95)
+    ridge = g.fit(g.wave(5, 0, g.noise(6, 8, seed=5.0), 0.5), 0.965, 1.0)
+    marks = g.add(g.mul(specks, g.fit(g.noise(5, 6, seed=6.0), 0.45, 0.8, 0.0, 0.7)), g.mul(ridge, 0.45))
+    color = g.mix(g.math("MAXIMUM", marks, g.mul(bruise, 0.6)), ripe, srgb("6a4a1f"))
+    return g.finish(color, g.line(g.noise(12, 20, seed=7.0), 0, 1, 0.4, 0.52), ior=1.42)
+
+
+def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
+    """A fruit with five soft ridges. It leaves the origin along +x and bends towards -z."""
+    stations = np.array([0, 0.03, 0.1, 0.17, 0.26, 0.38, 0.52, 0.68, 0.8, 0.89, 0.945, 0.965, 0.985, 1.0])
+    radii = np.array([8.0, 6.6, 6.2, 7.2, 11.2, 16.2, 17.8, 17.4, 15.2, 11.0, 6.4, 4.6, 4.4, 3.2]) * 1e-3
+    curve = smooth_curve(np.column_stack([stations, radii]), 3)
+    t, radius = curve[:, 0], np.maximum(curve[:, 1], 0.003)
+    # nearly straight at the stalk, bent along the body
+    turn = np.radians(bend_degrees) * (t - 0.12 * np.sin(2 * np.pi * t) / (2 * np.pi) * 4) * 0.9
+    heading = np.column_stack([np.cos(turn), 0 * t, -np.sin(turn)])
+    steps = 0.5 * (heading[1:] + heading[:-1]) * (np.diff(t) * length)[:, None]
+    path = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    up = np.column_stack([np.sin(turn), 0 * t, np.cos(turn)])
+    around = 2 * np.pi * np.arange(30) / 30
+    ridges = 0.055 * np.clip((radius - 0.005) / 0.01, 0, 1)
+    swell = 1 + ridges[:, None] * (np.cos(5 * around) - 0.15 * np.cos(10 * around))
+    ring = radius[:, None] * swell
+    points = path[:, None] + ring[..., None] * (
+        np.cos(around)[:, None] * up[:, None] + np.sin(around)[:, None] * np.array([0.0, 1.0, 0.0])
+    )
+    ends = [np.broadcast_to(points[k].mean(axis=0), points[k].shape) for k in (0, -1)]
+    lattice = np.concatenate([ends[0][None], points, ends[1][None]])
+    return unit(outward(without_degenerate(grid(lattice, closed_u=True, unit_uv=True))))
+
+
+@thing(
+    "bananas",
+    "Bananas",
+    "fruit",
+    skin=Slot(("organic",), (), graph=_banana_skin),
+    crown=organic("54431f", 0.75),
+)
 def bananas(w: Workshop) -> None:
-    for k, spread in enumerate((-20, 2, 24)):
-        t = np.linspace(0, 1, 9)
-        x = 0.19 * t - 0.02
-        arch = 0.062 * np.sin(np.pi * (0.12 + 0.8 * t))
-        path = np.column_stack([x, 0 * t, arch])
-        radius = 0.0175 * np.array([0.35, 0.55, 0.86, 1.0, 1.03, 1.0, 0.9, 0.6, 0.28])
-        fruit = tube(path, radius, 5, smooth=3)
-        # five soft edges: turn the section so that an edge looks out
-        fruit = fruit.turned("x", 62 - 10 * k).turned("z", spread)
-        low = fruit.points[:, 2].min()
-        w.add("bananas", "skin", fruit.moved(0, 0.012 * k, -low))
-    w.add("bananas", "tip", sphere(0.011, (-0.018, 0.012, 0.012), 12, 1.0))
+    """A hand of four: it stands on its blossom ends and on the crown."""
+    height = 0.0115  # of the stalks above the table at the crown
+    for k, (yaw, bend, length) in enumerate(
+        ((-29, 84, 0.178), (-10, 77, 0.19), (9, 76, 0.192), (28, 83, 0.181))
+    ):
+        fruit = banana(length, bend).turned("x", (-9, -3, 3, 9)[k])
+        low, high = -20.0, 60.0  # pitch that lets the blossom end touch the table
+        for _ in range(40):
+            pitch = 0.5 * (low + high)
+            lowest = fruit.turned("y", -pitch).points[:, 2].min() + height
+            low, high = (pitch, high) if lowest < 0 else (low, pitch)
+        fruit = fruit.turned("y", -high).turned("z", yaw)
+        w.add("bananas", "skin", fruit.moved(0.002, 0.0085 * (k - 1.5), height))
+    crown = soft_box((0.022, 0.044, 0.02), (-0.004, 0, 0), 0.008, (0.001, 0.002, 0.001), 8)
+    w.add("bananas", "crown", crown)
 
 
 @thing(

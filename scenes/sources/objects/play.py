@@ -7,7 +7,18 @@ import numpy as np
 
 from scenes.sources.modelling import Slot, Workshop
 from scenes.sources.objects.registry import cloth, fixed, painted, plastic, rubber, thing, wood_tone
-from scenes.sources.shapes import Shape, box, cylinder, extrude, lathe, soft_box, sphere, tube
+from scenes.sources.shapes import (
+    Shape,
+    box,
+    cylinder,
+    extrude,
+    lathe,
+    loft,
+    smooth_curve,
+    soft_box,
+    sphere,
+    tube,
+)
 
 ON = "table, shelf, floor, seat, bed"
 
@@ -65,67 +76,126 @@ def toy_bear(w: Workshop) -> None:
     w.add("bow", "bow", ball(0.008, (0, -0.06, 0.112)))
 
 
+def _hull(stations: np.ndarray, tumblehome: float, sharpness: float, segments: int = 28) -> Shape:
+    """A coachwork: ``stations`` rows (x, half width, bottom, top); the sections are soft rectangles whose upper
+    half leans inwards by the share ``tumblehome``."""
+    rows = smooth_curve(stations, 3)
+    angle = 2 * np.pi * (np.arange(segments) + 0.5) / segments
+    c, s = np.cos(angle), np.sin(angle)
+    across = np.sign(c) * np.abs(c) ** (2 / sharpness)
+    upward = np.sign(s) * np.abs(s) ** (2 / sharpness)
+    lean = 1 - tumblehome * np.clip(upward, 0, 1)
+    rings = np.empty((len(rows), segments, 3))
+    rings[..., 0] = rows[:, :1]
+    rings[..., 1] = rows[:, 1:2] * across * lean
+    rings[..., 2] = 0.5 * (rows[:, 2:3] + rows[:, 3:]) + 0.5 * (rows[:, 3:] - rows[:, 2:3]) * upward
+    return loft(rings)
+
+
+def _half_ring(radius: float, x: float, y: float, z: float, degrees: tuple[float, float]) -> np.ndarray:
+    angle = np.radians(np.linspace(*degrees, 15))
+    return np.column_stack([x + radius * np.cos(angle), np.full(15, y), z + radius * np.sin(angle)])
+
+
 @thing(
     "toy_car",
     "Toy car",
     "toy",
     supports="table, shelf, floor",
-    paint=painted("a32a22", 0.12),
+    paint=painted("a32a22", 0.14),
     glass=fixed("14181c", 0.08, "glass"),
+    dark=fixed("17181a", 0.6, "plastic"),
     tyre=rubber(),
     hub=painted("d8d6cf", 0.25),
     chrome=Slot(("metal",), ("metal",), color=(0.55, 0.55, 0.56), roughness=0.12, metallic=1.0),
+    lens=fixed("d9d5c4", 0.15, "plastic"),
+    lamp=fixed("7a0d0c", 0.2, "plastic"),
 )
 def toy_car(w: Workshop) -> None:
-    body = soft_box((0.15, 0.066, 0.032), (0, 0, 0.014), 0.013, (0.004, 0.001, 0.004), 9)
-    cabin = soft_box((0.084, 0.056, 0.03), (0.008, 0, 0.04), 0.012, (0.002, 0, 0.003), 8)
-
-    def taper(p: np.ndarray) -> np.ndarray:
-        q = p.copy()
-        s = 1 - 0.25 * np.clip((p[:, 2] - 0.045) / 0.028, 0, 1)
-        q[:, 0] = 0.008 + (p[:, 0] - 0.008) * s
-        q[:, 1] *= 0.4 + 0.6 * s
-        return q
-
-    w.add("car", "paint", body)
-    w.add("car", "glass", cabin.bent(taper))
-    w.add("car", "paint", soft_box((0.06, 0.047, 0.006), (0.008, 0, 0.066), 0.0028, (0, 0, 0.0015), 6))
-    for x in (-0.046, 0.046):
-        for side in (-1, 1):
-            wheel = lathe(
-                [
-                    (0, 0),
-                    (0.012, 0),
-                    (0.0165, 0.0015),
-                    (0.0175, 0.004),
-                    (0.0175, 0.0095),
-                    (0.016, 0.012),
-                    (0, 0.012),
-                ],
-                28,
-            ).turned("x", -90 * side)
-            w.add("wheels", "tyre", wheel.moved(x, side * 0.0255, 0.0175))
-            w.add(
-                "wheels",
-                "hub",
-                lathe([(0, 0), (0.0095, 0), (0.009, 0.0012), (0.004, 0.003), (0, 0.0032)], 24)
-                .turned("x", 90 if side < 0 else -90)
-                .moved(x, side * 0.0374, 0.0175),
-            )
-    for x, length in ((-0.079, 0.06), (0.079, 0.06)):
-        w.add(
-            "car",
-            "chrome",
-            tube([(x, -length / 2, 0.02), (x * 1.01, 0, 0.02), (x, length / 2, 0.02)], 0.0032, 8),
-        )
+    """A saloon of 15 cm as cast in metal: coachwork, glass with pillars, arches, bumpers, lamps, door seams."""
+    body = [
+        (-0.0745, 0.0235, 0.0205, 0.034), (-0.0715, 0.029, 0.0165, 0.0395), (-0.061, 0.0325, 0.0135, 0.0435),
+        (-0.036, 0.0336, 0.0125, 0.0465), (-0.02, 0.034, 0.0125, 0.0482), (0.02, 0.0342, 0.0125, 0.049),
+        (0.046, 0.034, 0.0125, 0.0485), (0.062, 0.033, 0.0135, 0.046), (0.0715, 0.03, 0.0165, 0.0415),
+        (0.0745, 0.025, 0.021, 0.0365),
+    ]  # fmt: skip
+    w.add("car", "paint", _hull(np.array(body), 0.09, 4.2))
+    cabin = [
+        (-0.0315, 0.0288, 0.044, 0.0492), (-0.0275, 0.0288, 0.044, 0.0535), (-0.013, 0.0286, 0.044, 0.0692),
+        (-0.0075, 0.0284, 0.044, 0.0714), (0.011, 0.0284, 0.044, 0.0724), (0.029, 0.0284, 0.044, 0.0714),
+        (0.0345, 0.0286, 0.044, 0.0692), (0.0495, 0.0288, 0.044, 0.0535), (0.0535, 0.0288, 0.044, 0.0492),
+    ]  # fmt: skip
+    w.add("car", "glass", _hull(np.array(cabin), 0.2, 5.5))
+    roof = [
+        (-0.0165, 0.0222, 0.067, 0.0694), (-0.013, 0.0236, 0.0674, 0.0712), (-0.0055, 0.0242, 0.0682, 0.073),
+        (0.011, 0.0244, 0.0688, 0.0738), (0.027, 0.0242, 0.0682, 0.073), (0.0345, 0.0236, 0.0674, 0.0712),
+        (0.038, 0.0222, 0.067, 0.0694),
+    ]  # fmt: skip
+    w.add("car", "paint", _hull(np.array(roof), 0.12, 3.2))
     for side in (-1, 1):
+        for bottom, top in ((-0.0298, -0.0135), (0.0518, 0.0355)):
+            ends = [(bottom, side * 0.0277, 0.0478), (top, side * 0.0225, 0.0686)]
+            w.add("car", "paint", tube(ends, 0.0013, 8))
+        middle = ((0.0478, 0.0277), (0.052, 0.0283), (0.059, 0.0281), (0.064, 0.0261), (0.0685, 0.0237))
+        w.add("car", "paint", tube([(0.01, side * y, z) for z, y in middle], 0.0011, 8, smooth=2))
+        for x in (-0.046, 0.046):
+            arch = _half_ring(0.0208, 0, 0, 0, (-10, 190))[:, [0, 2]]
+            plate = extrude(arch, 0.01, 0.0003).turned("x", 90)  # now from y = 0 to -0.01
+            w.add("car", "dark", plate.moved(x, 0.0343 if side > 0 else -0.0243, 0.0175))
+            w.add("car", "paint", tube(_half_ring(0.0214, x, side * 0.0338, 0.0175, (-8, 188)), 0.0013, 8))
+            _wheel(w, x, side)
+        seam = [(-0.023, 0.0466), (-0.0225, 0.02), (-0.019, 0.0158), (0.0195, 0.0158), (0.0228, 0.0195),
+                (0.0228, 0.0466)]  # fmt: skip
+        w.add("car", "dark", tube([(x, side * _side_of_body(z), z) for x, z in seam], 0.00045, 6, smooth=3))
+        handle = [
+            (0.0125, side * 0.0342, 0.0405),
+            (0.0155, side * 0.0353, 0.0406),
+            (0.0185, side * 0.0342, 0.0405),
+        ]
+        w.add("car", "chrome", tube(handle, 0.0008, 6, smooth=2))
+        rim = lathe([(0, 0), (0.0056, 0), (0.0062, 0.0008), (0.0058, 0.0022), (0.0048, 0.0024), (0.0047, 0.0014),
+                     (0, 0.0014)], 24).turned("y", -90)  # fmt: skip
+        lens = lathe([(0, 0.001), (0.0047, 0.0012), (0.0035, 0.0024), (0, 0.0029)], 20).turned("y", -90)
+        for slot, shape in (("chrome", rim), ("lens", lens)):
+            w.add("car", slot, shape.moved(-0.0728, side * 0.0205, 0.0318))
         w.add(
             "car",
-            "chrome",
-            lathe([(0, 0), (0.006, 0), (0.0055, 0.003), (0, 0.004)], 18)
-            .turned("y", -90)
-            .moved(-0.0775, side * 0.022, 0.034),
+            "lamp",
+            soft_box((0.003, 0.009, 0.0065), (0.0735, side * 0.0205, 0.0285), 0.0012, (0, 0, 0), 5),
         )
+    w.add("car", "dark", soft_box((0.003, 0.026, 0.0075), (-0.0738, 0, 0.0275), 0.001, (0, 0, 0), 5))
+    for z in (0.0292, 0.0313, 0.0334):
+        w.add("car", "chrome", tube([(-0.0756, -0.0115, z), (-0.0756, 0.0115, z)], 0.0005, 6))
+    w.add("car", "dark", soft_box((0.118, 0.05, 0.005), (0, 0, 0.0098), 0.0015, (0, 0, 0), 6))
+    for end in (-1, 1):
+        path = [(end * x, y, 0.0222) for x, y in ((0.066, -0.0335), (0.0725, -0.0305), (0.0768, -0.022),
+                (0.0775, 0.0), (0.0768, 0.022), (0.0725, 0.0305), (0.066, 0.0335))]  # fmt: skip
+        w.add("car", "chrome", tube(path, 0.0021, 8, smooth=3))
+
+
+def _side_of_body(z: float) -> float:
+    """Half width of the car's coachwork at its middle, at the height ``z``."""
+    upward = np.clip((z - 0.03075) / 0.01825, -0.999, 0.999)
+    s = abs(upward) ** (4.2 / 2)
+    across = (1 - s**2) ** (1 / 4.2)
+    return float(0.0341 * across * (1 - 0.09 * max(upward, 0.0)))
+
+
+def _wheel(w: Workshop, x: float, side: int) -> None:
+    """Tyre with a shoulder and a groove, hub with a rim, and a cap; its outer face is 36 mm off the middle."""
+    tyre = [(0, 0), (0.0135, 0), (0.0166, 0.0012), (0.0175, 0.0034), (0.0175, 0.0056), (0.0169, 0.006),
+            (0.0169, 0.0066), (0.0175, 0.007), (0.0175, 0.0092), (0.0166, 0.0114), (0.0135, 0.0124),
+            (0.0118, 0.0116), (0, 0.0116)]  # fmt: skip
+    hub = [(0, 0), (0.0116, 0), (0.0118, 0.0014), (0.0108, 0.0016), (0.0098, 0.0006), (0.0062, 0.0002),
+           (0.0052, 0.0012), (0, 0.0012)]  # fmt: skip
+    cap = [(0, 0), (0.0042, 0), (0.0038, 0.0011), (0.002, 0.0017), (0, 0.0019)]
+    for slot, profile, y, segments in (
+        ("tyre", tyre, 0.0236, 26),
+        ("hub", hub, 0.0352, 22),
+        ("chrome", cap, 0.0364, 14),
+    ):
+        shape = lathe(profile, segments).turned("x", -90 * side)
+        w.add("wheels", slot, shape.moved(x, side * y, 0.0175))
 
 
 @thing(
