@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: MIT
+"""Small things under the names that the pages use: recipes, a library, a dataset, photographs, a checkpoint.
+
+Each is made once a session by the project's own code and copied to where it is asked for.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from tests.conftest import REPOSITORY
+from tests.docs.pages import read_page
+
+SIZE_PX = (64, 48)
+LIBRARY = ".library"
+PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
+
+
+def write_recipes(folder: Path) -> None:
+    """The project's recipes, with two configurations of three small views of a small library."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in sorted((REPOSITORY / "scenes" / "recipes").glob("*.yaml")):
+        recipe: dict[str, Any] = yaml.safe_load(path.read_text())
+        recipe.update(configurations=2, views=3, resolution=list(SIZE_PX), objects={"count": [2, 3]})
+        recipe.setdefault("library", [LIBRARY])
+        recipe["cameras"] = {"min_content": 2}
+        recipe["render"] = {"path_samples": 2, "auxiliary_samples": 4}
+        if "splits" in recipe:
+            recipe["splits"] = {"train": 0.5, "validation": 0.5}
+        (folder / path.name).write_text(yaml.safe_dump(recipe))
+
+
+def _library(out: Path) -> None:
+    from tests.datagen.small_library import write_small_library
+
+    write_small_library(out, num_rooms=2)
+
+
+def _rooms(out: Path) -> None:
+    """A rendered dataset of two configurations, each in a split of its own."""
+    desk = out.parent / "desk"
+    write_recipes(desk / "scenes" / "recipes")
+    _library(desk / LIBRARY)
+    recipe = desk / "scenes" / "recipes" / "paper.yaml"
+    command = [sys.executable, "-m", "datagen", "run", str(recipe), "--out", str(out), "--workers", "1"]
+    subprocess.run(command, cwd=desk, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, check=True)
+
+
+def _staircase(out: Path) -> None:
+    """A Mitsuba scene of a few shapes with the licence beside it."""
+    out.mkdir()
+    (out / "LICENSE.txt").write_text("https://creativecommons.org/publicdomain/zero/1.0/\n")
+    wall = '<shape type="rectangle"><transform name="to_world">{}</transform><ref id="Walls"/></shape>'
+    turns = [
+        '<scale value="2"/><rotate x="1" angle="-90"/>',
+        '<scale value="2"/><translate z="-2" y="2"/>',
+        '<scale value="2"/><rotate y="1" angle="90"/><translate x="-2" y="2"/>',
+        '<scale value="2"/><rotate y="1" angle="-90"/><translate x="2" y="2"/>',
+        '<scale value="2"/><rotate x="1" angle="90"/><translate y="4"/>',
+    ]
+    (out / "scene.xml").write_text(
+        '<scene version="3.0.0"><integrator type="path"/>'
+        '<sensor type="perspective"><float name="fov" value="60"/><transform name="to_world">'
+        '<lookat origin="0, 1.5, 1.9" target="0, 1.2, 0" up="0, 1, 0"/></transform>'
+        '<film type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="48"/></film>'
+        '</sensor><bsdf type="diffuse" id="Walls"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>'
+        '<bsdf type="dielectric" id="Glass"/>'
+        + "".join(wall.format(turn) for turn in turns)
+        + '<shape type="cube"><transform name="to_world"><scale value="0.3"/><translate y="0.3"/></transform>'
+        '<ref id="Glass"/></shape>'
+        '<shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/>'
+        '<translate y="3.9"/></transform><emitter type="area"><rgb name="radiance" value="8"/></emitter>'
+        "</shape></scene>"
+    )
+
+
+def _sofa(out: Path) -> None:
+    import trimesh
+
+    out.write_bytes(trimesh.creation.box(extents=(1.6, 0.7, 0.8)).export(file_type="glb"))
+
+
+def _photographs(out: Path) -> None:
+    """A room as COLMAP leaves it: photographs, cameras and a mesh."""
+    from PIL import Image
+
+    from datagen.cameras import Camera, look_at
+    from datagen.meshes import encode_ply
+    from tests.datagen.small_library import box, with_uv
+    from tests.model.test_reconstruction_captures import quaternion_of
+
+    cameras, images = [], []
+    (out / "images").mkdir(parents=True)
+    (out / "sparse" / "0").mkdir(parents=True)
+    for index, angle in enumerate(np.linspace(0, 4, 3)):
+        pose = look_at([1.3 * np.cos(angle), 1.3 * np.sin(angle), 1.3], [0, 0, 0.4])
+        view = Camera(*SIZE_PX, 50.0, 50.0, 32.0, 24.0, pose).camera_from_world
+        cameras.append(f"{index + 1} PINHOLE {SIZE_PX[0]} {SIZE_PX[1]} 50 50 32 24")
+        numbers = [*quaternion_of(view[:3, :3]), *view[:3, 3]]
+        images.append(" ".join(map(str, [index + 1, *numbers, index + 1, f"img{index}.png"])) + "\n")
+        pixels = np.random.default_rng(index).integers(60, 200, (SIZE_PX[1], SIZE_PX[0], 3)).astype(np.uint8)
+        Image.fromarray(pixels).save(out / "images" / f"img{index}.png")
+    (out / "sparse" / "0" / "cameras.txt").write_text("\n".join(cameras) + "\n")
+    (out / "sparse" / "0" / "images.txt").write_text("\n".join(images) + "\n")
+    room = box([-2, -2, 0], [2, 2, 2.5])
+    room.invert()
+    (out / "room.ply").write_bytes(encode_ply(with_uv(room)))
+
+
+def _checkpoint(out: Path) -> None:
+    """A checkpoint of random weights with a tiny network."""
+    from model.checkpoint import CheckpointCard, save_checkpoint
+    from model.confidence import ConfidenceNets
+    from model.networks import MaterialNetwork, NetworkConfig
+
+    out.mkdir()
+    network = NetworkConfig(base_channels=4, global_channels=4)
+    card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
+    save_checkpoint(out / "final.safetensors", card, MaterialNetwork(network), ConfidenceNets())
+
+
+def _room_blend(out: Path) -> None:
+    """The tagged room that a page of the documentation makes."""
+    blocks = read_page(REPOSITORY / "docs" / "tutorials" / "blender-scene.md").blocks
+    script = next(block.text for block in blocks if block.note == "file make_room.py")
+    subprocess.run([sys.executable, "-"], input=script, text=True, cwd=out.parent, check=True)
+
+
+def _oak(out: Path) -> None:
+    """Textures of a wood."""
+    from PIL import Image
+
+    out.mkdir()
+    noise = np.random.default_rng(1).integers(90, 160, (32, 32, 3)).astype(np.uint8)
+    Image.fromarray(noise).save(out / "oak_color.jpg")
+    Image.fromarray(noise[..., 0]).save(out / "oak_roughness.png")
+
+
+def _source(out: Path) -> None:
+    """A copy of the packages, to try patches on."""
+    for name in PACKAGES:
+        shutil.copytree(REPOSITORY / name, out / name, ignore=shutil.ignore_patterns("__pycache__"))
+
+
+STAND_INS: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "my-library": ("my-library", _library),
+    "rooms": ("rooms", _rooms),
+    "staircase": ("staircase", _staircase),
+    "sofa": ("sofa.glb", _sofa),
+    "photographs": ("kitchen", _photographs),
+    "checkpoint": ("run", _checkpoint),
+    "room.blend": ("room.blend", _room_blend),
+    "oak": ("", _oak),
+    "source": ("", _source),
+}
+"""Name in the pages' notes: where it lies in the working folder, and who makes it."""
+
+
+class StandIns:
+    """Makes each stand-in once below ``root`` and copies it."""
+
+    def __init__(self, root: Path):
+        self.root = root
+
+    def begin(self, folder: Path) -> None:
+        """What every page finds: the recipes with their library, and the bundled library."""
+        write_recipes(folder / "scenes" / "recipes")
+        (folder / "scenes" / "library").symlink_to(REPOSITORY / "scenes" / "library")
+        self._copy(LIBRARY, folder / LIBRARY, _library)
+
+    def bring(self, name: str, folder: Path) -> None:
+        """Put a stand-in where the pages expect it, unless something is there."""
+        place, make = STAND_INS[name]
+        if not place or not (folder / place).exists():
+            self._copy(place or name, folder / place, make)
+
+    def _copy(self, name: str, target: Path, make: Callable[[Path], None]) -> None:
+        made = self.root / name / name
+        if not made.exists():
+            made.parent.mkdir()
+            make(made)
+        if made.is_dir():
+            shutil.copytree(made, target, dirs_exist_ok=True)
+        else:
+            shutil.copy(made, target)
