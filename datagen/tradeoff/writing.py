@@ -140,6 +140,11 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
         xscale="log", yscale="log", xlabel="processor seconds a view", ylabel="relMSE of the beauty image"
     )
     axes.grid(which="both", alpha=0.25)
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:.3g}" if high < 12 * low else "")  # a decade has labels enough
+    axes.tick_params(which="minor", labelsize=7)
     _add_legend(axes)
     return figure
 
@@ -174,14 +179,15 @@ def _add_legend(axes: Axes) -> None:
     names = {"none": "no denoiser", "fast": "OIDN fast", "balanced": "OIDN balanced", "high": "OIDN high"}
     entries = [Line2D([], [], marker="o", ls="", color=_COLORS[k], label=text) for k, text in names.items()]
     entries += [
-        Line2D([], [], marker="D", ls="", color="#cc79a7", label="other denoiser"),
+        Line2D([], [], marker="o", ls="", color="#cc79a7", label="other denoiser"),
         Line2D([], [], marker="s", ls="", color="#333333", label="16 auxiliary samples"),
         Line2D([], [], marker="o", ls="", color="#333333", label="64 auxiliary samples"),
+        Line2D([], [], marker="D", ls="", color="#333333", label="other auxiliary samples"),
         Line2D([], [], marker="x", ls="", color="#777777", label="other depth, roulette, clamp"),
         Line2D([], [], marker="*", ls="", ms=11, color="#009e73", mec="black", label="named quality"),
         Line2D([], [], ls="-", color="#333333", label="front; numbers are path samples"),
     ]
-    axes.legend(handles=entries, fontsize=8, loc="upper right")
+    axes.legend(handles=entries, fontsize=8, loc="best")
 
 
 def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
@@ -204,6 +210,8 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
             axes.plot(values, ratios, "o-", ms=4, lw=1.2, label=label)
         axes.set_yscale("log", base=2)
         axes.axhline(1.0, color="#333333", lw=0.7)
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, 0.5), max(high, 2.0))  # so that a hundredth does not look like much
         axes.set_title(f"{name} (base {getattr(base, name)})", fontsize=9)
         axes.tick_params(axis="x", labelrotation=45 if max(map(len, values)) > 4 else 0, labelsize=8)
         axes.tick_params(axis="y", labelsize=8)
