@@ -31,16 +31,19 @@ MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room
 CLIPPED_LEVEL, MAX_CLIPPED = 0.99, 0.5
 _NEAR_M, _MAX_NEAR = 0.05, 0.5  # half a view nearer than this: the camera is in or at a wall
 SEARCH_RAD = np.radians(3.5)  # how far off a camera is looked for
+_MIN_RADIUS_PX = 24  # enough other shifts to tell a peak from accidents
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 2.0
 SURE = 5.0  # standard deviations: a peak of this height is no accident
+_LOST = 0.6  # of SURE: a view that fits worse, among views that fit, is of another place
 _OFFSET_M, _OFFSET_SIGMAS = 0.008, 3.0
 _MIN_VIEWS_FOR_OFFSET = 4
 _FLOOR_PX2 = 0.25  # added to the blur of a peak: no shift is known better than half a pixel
 _OUTLIER = 1.5  # of a peak's blur: views that are further off count less
 _EXPLAINED = 0.75  # what the offset must leave at most of the median shift
-_MAX_TRIED_VIEWS = 6
+_MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
-_MIN_FIT = 4.0  # median score at zero of a capture whose mesh fits at all
+_MIN_FIT = 4.0  # median score at zero, times coverage, of a capture whose mesh fits
+_BETTER = 1.5  # times the score that another frame must have
 
 Progress = Callable[[str, int, int], None]
 
@@ -112,7 +115,7 @@ def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None
     sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
     report = CheckReport(capture.name, [look.checked(sides) for look in looks], notes=list(capture.notes))
     _judge(report, looks)
-    if report.fit < _MIN_FIT:
+    if report.fit * float(np.median([view.coverage for view in report.views])) < _MIN_FIT:
         _try_other_frames(report, capture, looks)
     if out is not None:
         from model.reconstruction.check_pictures import write_contact_sheets
@@ -158,8 +161,8 @@ class Look:
     @property
     def radius_px(self) -> int:
         """The largest shift to look for."""
-        limit = min(self.camera.width_px, self.camera.height_px) // 4
-        return int(np.clip(self.camera.fx_px * np.tan(SEARCH_RAD), 6, max(limit, 6)))
+        wanted = max(self.camera.fx_px * float(np.tan(SEARCH_RAD)), _MIN_RADIUS_PX)
+        return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
 
     def checked(self, sides: NDArray[np.float32]) -> ViewCheck:
         hit = self.geometry.face >= 0
@@ -220,15 +223,14 @@ def _judge(report: CheckReport, looks: Sequence[Look]) -> None:
     for view, look in zip(report.views, looks, strict=True):
         if view.edges is None:
             continue
-        if view.is_judged:
-            shift = float(np.hypot(*rest[view.name]))
-            if shift > look.tolerance_px():
-                degrees = np.degrees(np.arctan(shift / look.camera.fx_px))
-                view.warnings.append(
-                    f"{view.name}: its edges are {shift:.0f} pixels from the mesh's ({degrees:.1f} degrees); "
-                    "correct its pose or leave it out"
-                )
-        elif is_fitting and view.edges.at_zero < 0.5 * SURE:
+        shift = float(np.hypot(*rest[view.name])) if view.is_judged else np.inf
+        if look.tolerance_px() < shift <= look.camera.fx_px * np.tan(SEARCH_RAD):
+            degrees = np.degrees(np.arctan(shift / look.camera.fx_px))
+            view.warnings.append(
+                f"{view.name}: its edges are {shift:.0f} pixels from the mesh's ({degrees:.1f} degrees); "
+                "correct its pose or leave it out"
+            )
+        elif shift > look.tolerance_px() and is_fitting and view.edges.at_zero < _LOST * SURE:
             view.warnings.append(
                 f"{view.name}: its edges are nowhere near the mesh's; it shows another place or its pose is "
                 "wrong; correct its pose or leave it out"
@@ -290,7 +292,8 @@ def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Loo
     step = max(1, len(looks) // _MAX_TRIED_VIEWS)
     chosen = looks[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T
-    best, name = max(report.fit, 0.0) + SURE, ""
+    now = _fit_of(capture, np.eye(3), chosen)
+    best, name = max(_BETTER * now, _MIN_FIT), ""
     trials: list[tuple[str, NDArray[np.float64]]] = [
         (f"--mesh-up {axis}", z_up_from(axis) @ in_file) for axis in AXES if axis != capture.mesh_up
     ]
@@ -299,19 +302,19 @@ def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Loo
         fit = _fit_of(capture, linear, chosen)
         if fit > best:
             best, name = fit, remedy
-    fitting = f"the mesh's edges do not lie on the photographs' (fit {report.fit:.1f} standard deviations"
+    fitting = "the mesh's edges do not lie on the photographs'"
     if name:
         report.better = name
-        report.warnings.append(f"{fitting}); with {name} they do (fit {best:.1f})")
-    else:
+        report.warnings.append(f"{fitting} (score {now:.1f}); with {name} they do (score {best:.1f})")
+    elif report.fit < _MIN_FIT:
         report.warnings.append(
-            f"{fitting}, {SURE:.0f} are sure; no other up axis or unit does better); look at the pictures "
-            "and compare the frames of cameras and mesh"
+            f"{fitting} (score {report.fit:.1f}, {_MIN_FIT:.0f} would do), and no other up axis or unit does "
+            "better; look at the pictures and compare the frames of cameras and mesh"
         )
 
 
 def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]) -> float:
-    """Median score at zero of some views with the mesh under another transform; 0 where none sees edges."""
+    """Median of score at zero times coverage with the mesh under another transform."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear
     mesh = replace(capture.geometry.mesh.transformed(matrix), normals=None)
@@ -320,7 +323,8 @@ def _fit_of(capture: Capture, linear: NDArray[np.float64], looks: Sequence[Look]
     for look in looks:
         geometry = traced.trace_view(look.camera, look.image.valid_mask)
         found = match_edges(mesh_edges(geometry, look.camera), look.field, look.radius_px)
-        scores.append(0.0 if found is None else found.at_zero)
+        coverage = float((geometry.face >= 0).mean())
+        scores.append(0.0 if found is None else found.at_zero * coverage)
     return float(np.median(scores))
 
 

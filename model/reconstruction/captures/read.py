@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem, input_error
@@ -196,9 +197,17 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
             expected = f"this image, once, in {calibration.folder}"
             problems.append(Problem(path, image.file, "not found", expected, "name its folder with --images"))
             continue
-        name = unique(slug(Path(image.file.replace("\\", "/")).with_suffix("").as_posix()), names)
+        root = calibration.folder.resolve()
+        below = file.relative_to(root) if file.is_relative_to(root) else Path(file.name)
+        name = unique(slug(below.with_suffix("").as_posix()), names)
         names.add(name)
-        camera = ViewCamera.from_camera(name, _in_world(image.camera, z_up_from(up), unit_m))
+        try:
+            camera = ViewCamera.from_camera(name, _in_world(image.camera, z_up_from(up), unit_m))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            got, field = repr(first["input"])[:80], f"{image.file} {'.'.join(map(str, first['loc']))}"
+            problems.append(Problem(path, field, got, first["msg"].lower(), "export the cameras again"))
+            continue
         photographs.append(PhotographRecord(camera=camera, image=str(file), distortion=image.distortion))
     if problems:
         raise InputError(*problems)
