@@ -14,6 +14,7 @@ from .execute import BAKE_UV, BakeSession
 from .textures import BORDER
 
 _ISLAND_MARGIN = 0.004  # of the unit square: two texels at 512
+_DOMAINS = {"vert": "POINT", "edge": "EDGE", "poly": "FACE"}
 _LARGEST_CHECKED = 200_000  # triangles; above, testing the mesh's own layout costs more than a new one
 
 
@@ -47,8 +48,7 @@ def _smart_project(session: BakeSession, thing: bpy.types.Object, arrays: MeshAr
     mesh.uv_layers.active = mesh.uv_layers[BAKE_UV]
     mesh.polygons.foreach_set("hide", np.zeros(num_polygons, bool))
     with session.only(thing):
-        mesh.polygons.foreach_set("select", chosen)
-        _select_edges_and_vertices(mesh, chosen)
+        _select(mesh, chosen)
         bpy.ops.object.mode_set(mode="EDIT")
         try:
             with bpy.context.temp_override(edit_object=thing):
@@ -59,7 +59,12 @@ def _smart_project(session: BakeSession, thing: bpy.types.Object, arrays: MeshAr
             bpy.ops.object.mode_set(mode="OBJECT")
 
 
-def _select_edges_and_vertices(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
+def _select(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
+    """Select the chosen polygons with their edges and vertices.
+
+    By attributes: Blender 5.0 makes ``.select_edge`` of the wrong type in some meshes, and setting ``select``
+    of their edges ends the program.
+    """
     totals = np.empty(len(mesh.polygons), np.int32)
     mesh.polygons.foreach_get("loop_total", totals)
     corner_chosen = np.repeat(chosen, totals)
@@ -71,5 +76,12 @@ def _select_edges_and_vertices(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) 
     vertices[vertex_of_corner[corner_chosen]] = True
     edges = np.zeros(len(mesh.edges), bool)
     edges[edge_of_corner[corner_chosen]] = True
-    mesh.vertices.foreach_set("select", vertices)
-    mesh.edges.foreach_set("select", edges)
+    for domain, values in (("vert", vertices), ("edge", edges), ("poly", chosen)):
+        name = f".select_{domain}"
+        layer = mesh.attributes.get(name)
+        if layer is not None and layer.data_type != "BOOLEAN":
+            mesh.attributes.remove(layer)
+            layer = None
+        if layer is None:
+            layer = mesh.attributes.new(name, "BOOLEAN", _DOMAINS[domain])
+        layer.data.foreach_set("value", values)

@@ -368,6 +368,8 @@ def light_path_is_a_camera_ray(s: Stage) -> None:
 def material_without_nodes(s: Stage) -> None:
     s.material.use_nodes = False
     s.material.diffuse_color = (0.37, 0.37, 0.37, 1)
+    if s.material.use_nodes:  # since Blender 5.0 every material has nodes
+        s.surface(_diffuse(s, (0.37,) * 3))
 
 
 # ---- groups, reroutes, muted nodes

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from blender_addon.command import REFUSED
 from datagen.formats.asset import ObjectAsset
 from datagen.formats.package import Package, open_package
 from datagen.meshes import decode_ply
@@ -39,6 +40,21 @@ def test_extension_validates_installs_and_enables(installed: tuple[Path, dict[st
     assert len(outcome["tagged"]) == 1
     assert outcome["disabled"]
     assert outcome["export"] == ["FINISHED"], outcome["problems"]
+
+
+def test_command_of_blender_exports_like_the_operator(installed: tuple[Path, dict[str, Any]]) -> None:
+    folder, outcome = installed
+    assert outcome["is_command_registered"]
+    assert outcome["is_command_unregistered"], "disabling the extension takes its command along"
+    assert outcome["command"] == 0
+    assert outcome["refused_command"] == REFUSED
+    assert not any((folder / "refused").iterdir())
+    wanted, got = (
+        {str(path.relative_to(folder / which)): path.read_bytes() for path in (folder / which).rglob("*.*")}
+        for which in ("again", "by_command")
+    )
+    assert wanted == got
+    assert len(wanted) >= 2 * len(ROUND_TRIP)
 
 
 def _values(package: Package, channel: str) -> list[np.ndarray]:
