@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -90,7 +91,7 @@ class Page:
         """Follow a link inside the page; views are waited for."""
         self.run("location.hash = arguments[0]", fragment)
         if fragment.startswith("#view/"):
-            self.wait_for_view(fragment.removeprefix("#view/").partition("@")[0])
+            self.wait_for_view(re.split(r"[@?]", fragment.removeprefix("#view/"))[0])
 
     def wait_for_view(self, key: str) -> None:
         ready = (

@@ -17,12 +17,14 @@ import pytest
 from datagen.color import srgb_from_linear
 from datagen.formats.exr import decode_view, encode_view
 from datagen.formats.shard import Dataset, ShardReader, View
+from datagen.inspection.color_maps import cividis
 from datagen.inspection.report.gather import SHOWN_BUFFERS
+from datagen.inspection.report.predictions import MAPS, parse_methods
 from datagen.inspection.report.tiles import write_tile
 from datagen.inspection.report.writing import VIEW_COLUMNS, ReportOptions, write_report
 from datagen.library import Library
 from tests.browser.driver import Page, find_browser, open_browser
-from tests.datagen.small_rendered import rendered_dataset
+from tests.datagen.small_rendered import predict, rendered_dataset
 
 FAULTY = "small-00001/view-002"
 MAX_OPEN_S, MAX_MEMORY_MB = 2.0, 300
@@ -55,10 +57,22 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def report(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def predictions(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two methods; the second, worse one lacks a view and has another that is broken."""
+    root = tmp_path_factory.mktemp("predictions")
+    source = rendered_dataset(tmp_path_factory)
+    folders = [predict(source, root / name, seed) for seed, name in enumerate(("ours", "theirs"))]
+    (folders[1] / "small-00001" / "view-003.exr").unlink()
+    (folders[1] / "small-00001" / "view-004.exr").write_bytes(b"no picture")
+    return folders
+
+
+@pytest.fixture(scope="module")
+def report(dataset: Path, predictions: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("browser") / "a page with spaces & signs"
+    options = ReportOptions(predictions=parse_methods(predictions, ["ours", "Their <method>"]))
     with Library([rendered_dataset(tmp_path_factory).parent / "library"]) as library:
-        write_report(dataset, out, ReportOptions(), library)
+        write_report(dataset, out, options, library)
     return out
 
 
@@ -111,7 +125,17 @@ def cursor(page: Page) -> tuple[int, int]:
 
 def test_opens_and_tells_what_there_is(page: Page) -> None:
     assert page.driver.title == "small: dataset report"
-    for section in ("overview", "findings", "distributions", "coverage", "assets", "splits", "views"):
+    sections = (
+        "overview",
+        "findings",
+        "distributions",
+        "coverage",
+        "assets",
+        "splits",
+        "predictions",
+        "views",
+    )
+    for section in sections:
         assert len(page.run("return document.getElementById(arguments[0]).innerText", section)) > 60, section
     assert page.run("return document.querySelectorAll('#distributions svg').length") >= 12
     assert page.run("return document.querySelectorAll('.cards-of-views li').length") == 10
@@ -283,6 +307,113 @@ def test_source_views_give_the_statistics(page: Page, views: dict[str, View]) ->
     page.until(lambda: cursor(page) == tuple(map(int, at.split(","))), "the source pixel")
 
 
+def choose(page: Page, box: str, value: str) -> None:
+    script = (
+        "const s = document.getElementById(arguments[0]); s.value = arguments[1];"
+        "s.dispatchEvent(new Event('change'))"
+    )
+    page.run(script, box, value)
+
+
+def test_prediction_is_chosen_and_its_error_is_read(
+    page: Page, views: dict[str, View], predictions: list[Path]
+) -> None:
+    """Values and errors under the cursor, the view's figure and the error map's colours, against the EXRs."""
+    key, slug = "small-00000/view-001", "ours"
+    predicted = decode_view(predictions[0] / f"{key}.exr")
+    truth = views[key].buffers
+    page.go(f"#view/{key}")
+    choose(page, "method", slug)
+    page.wait_for_view(key)
+    shown = page.run("return [...document.querySelectorAll('#panels canvas')].map((c) => c.dataset.buffer)")
+    assert shown == [n for m in MAPS for n in (m, f"predicted:{slug}:{m}", f"error:{slug}:{m}")]
+    for x, y in ((5, 5), (40, 20), (63, 47)):
+        page.hover(f"error:{slug}:roughness", x, y)
+        page.until(lambda x=x, y=y: cursor(page) == (x, y), f"{x}, {y}")
+        for name in MAPS:
+            told = np.array(page.values(f"predicted:{slug}:{name}")).astype(np.float16)
+            assert told.tobytes() == predicted[name][y, x].tobytes()
+            error = np.abs(predicted[name][y, x].astype(float) - truth[name][y, x].astype(float))
+            np.testing.assert_allclose(page.values(f"error:{slug}:{name}"), error, rtol=1e-5, atol=1e-12)
+    mask = (truth["depth_z_m"][..., 0] > 0) & (truth["surface_mask"][..., 0] >= 0.5)
+    squares = (predicted["roughness"].astype(float) - truth["roughness"].astype(float))[mask] ** 2
+    told = page.run("return document.querySelector(`tr[data-mse='roughness'] td`).textContent")
+    assert float(told) == pytest.approx(squares.mean(), rel=6e-3)  # three digits
+    page.keys("+", "+")  # larger pixels: no filter between them
+    errors = np.abs(predicted["diffuse_albedo"].astype(float) - truth["diffuse_albedo"].astype(float)).mean(
+        axis=-1
+    )
+    colors = np.array(cividis())
+    seen = []
+    for largest in (0.2, 0.05):
+        choose(page, "max-error", str(largest))
+        y, x = 30, 50
+        assert mask[y, x]
+        expected = colors[round(min(255, 255 * errors[y, x] / largest))]
+        seen.append(shown_color(page, f"error:{slug}:diffuse_albedo", x, y))
+        np.testing.assert_allclose(seen[-1], expected, atol=4)  # two steps of the map
+        bar = "document.querySelector(`figure:has([data-buffer^='error']) .scale`)"
+        assert page.run(f"return {bar}.getAttribute('aria-label')") == f"colours from 0 to {largest}"
+    assert seen[0] != seen[1]
+
+
+def test_wipe_between_truth_and_prediction(
+    page: Page, views: dict[str, View], predictions: list[Path]
+) -> None:
+    key = "small-00001/view-001"
+    page.go(f"#view/{key}?method=ours")
+    page.wait_for_view(key)
+    page.keys("w")
+    page.wait("return document.querySelectorAll('#panels canvas').length === 1")
+    page.wait_for_view(key)
+    predicted = decode_view(predictions[0] / f"{key}.exr")["diffuse_albedo"]
+    truth = views[key].buffers["diffuse_albedo"]
+    row = int(np.argmax(np.abs(predicted[:, 8].astype(float) - truth[:, 8]).max(axis=-1)))
+    page.keys("0")
+    np.testing.assert_allclose(shown_color(page, "wipe", 8, row), screen_bytes(truth[row, 8]), atol=1)
+    page.keys(*"," * 10)
+    np.testing.assert_allclose(shown_color(page, "wipe", 8, row), screen_bytes(predicted[row, 8]), atol=1)
+    assert np.abs(screen_bytes(truth[row, 8]) - screen_bytes(predicted[row, 8])).max() > 5
+
+
+def test_missing_and_broken_predictions_are_named(page: Page) -> None:
+    text = page.run("return document.getElementById('predictions').innerText")
+    assert "1 view not predicted" in text and "1 prediction with problems" in text and "intact EXR" in text
+    notice = "return document.querySelector('#viewer .notice').innerText"
+    for name, expected in (("view-003", "has no prediction of this view"), ("view-004", "intact EXR file")):
+        key = f"small-00001/{name}"
+        page.go(f"#view/{key}?method=their-method")
+        page.wait_for_view(key)
+        assert page.run(notice).startswith("Their <method>") and expected in page.run(notice)
+        assert page.run("return document.querySelectorAll('#panels canvas').length") == 3  # the truth
+    page.keys("m")  # after the last method comes none
+    page.wait_for_view("small-00001/view-004")
+    assert page.run("return document.querySelectorAll('#panels canvas').length") > 5
+    page.keys("m")
+    page.wait_for_view("small-00001/view-004")
+    assert page.run("return document.getElementById('method').value") == "ours"
+    assert page.run("return document.querySelectorAll('#panels canvas').length") == 9
+
+
+def test_worst_predictions_come_first(page: Page, report: Path) -> None:
+    table = json.loads((report / "data" / "predictions.js").read_text()[len("REPORT.predictions = ") : -2])
+    rows = [f"small-{c:05d}/view-{v:03d}" for c in range(2) for v in range(5)]
+    roughness = {key: row[2] for key, row in zip(rows, table["errors"]["their-method"], strict=True) if row}
+    choose(page, "worst-method", "their-method")
+    choose(page, "worst-map", "roughness")
+    listed = page.run(
+        "return [...document.querySelectorAll('#worst-views tbody tr')].map((n) => n.dataset.view)"
+    )
+    worst = sorted(roughness, key=lambda key: -(roughness[key] if roughness[key] is not None else np.inf))
+    assert listed == worst and listed[0] == "small-00001/view-004"  # unknown comes before all
+    choose(page, "by-order", "largest error, Their <method>")
+    cards = page.run("return [...document.querySelectorAll('.cards-of-views a')].map((a) => a.hash)")
+    assert cards[0] == "#view/small-00001/view-004" and cards[-1] == "#view/small-00001/view-003"
+    page.run("document.querySelectorAll('#worst-views tbody a')[1].click()")
+    page.wait_for_view(listed[1])
+    assert page.run("return document.getElementById('method').value") == "their-method"
+
+
 def test_every_control_and_picture_has_a_name(page: Page) -> None:
     named = {
         "button",
@@ -296,8 +427,8 @@ def test_every_control_and_picture_has_a_name(page: Page) -> None:
         "region",
         "table",
     }
-    for fragment in ("#overview", "#view/small-00000/view-000@5,5"):
-        page.go(fragment.partition("@")[0] if fragment.startswith("#v") else fragment)
+    for fragment in ("#overview", "#view/small-00000/view-000@5,5", "#view/small-00000/view-001?method=ours"):
+        page.go(fragment)
         tree = page.driver.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
         found = [n for n in tree if not n.get("ignored") and n.get("role", {}).get("value") in named]
         nameless = [n["role"]["value"] for n in found if not n.get("name", {}).get("value", "").strip()]
@@ -336,26 +467,64 @@ def synthetic_report(report: Path, out: Path, num_configurations: int, num_views
         "rows": [[n, f"view-{v:03d}", *values] for n in range(num_configurations) for v in range(num_views)],
     }
     (out / "data" / "views.js").write_text(f"REPORT.views = {json.dumps(table)};\n")
+    text = (out / "data" / "predictions.js").read_text()
+    compared = json.loads(text.removeprefix("REPORT.predictions = ").removesuffix(";\n"))
+    number = num_configurations * num_views
+    for slug in compared["errors"]:
+        compared["errors"][slug] = [
+            [k % 97 / 1e4 + 1e-6, k % 89 / 1e4, k % 83 / 1e4, 7] for k in range(number)
+        ]
+    (out / "data" / "predictions.js").write_text(f"REPORT.predictions = {json.dumps(compared)};\n")
     return out
 
 
-def renderer_memory_mb(page: Page) -> float:
-    """Memory of its own of the largest process that shows a page."""
-    root = psutil.Process(page.driver.service.process.pid)
-    renderers = [p for p in root.children(recursive=True) if "--type=renderer" in p.cmdline()]
-    assert renderers
-    return max(p.memory_full_info().uss for p in renderers) / 1e6
+def renderers(page: Page) -> list[psutil.Process]:
+    """The processes that show the page and its frames; also one or two that the browser keeps ready."""
+    found = []
+    for process in psutil.Process(page.driver.service.process.pid).children(recursive=True):
+        try:
+            if "--type=renderer" in process.cmdline():
+                found.append(process)
+        except psutil.Error:
+            continue  # it has just ended
+    assert found
+    return found
+
+
+def page_memory_mb(page: Page) -> float:
+    """Memory that is not shared, of all these processes together."""
+    total = 0.0
+    for process in renderers(page):
+        try:
+            total += process.memory_full_info().uss / 1e6
+        except psutil.Error:
+            continue
+    return total
+
+
+def processor_s(page: Page) -> float:
+    """Processor time of these processes, which a crowded machine does not stretch."""
+    total = 0.0
+    for process in renderers(page):
+        try:
+            times = process.cpu_times()
+        except psutil.Error:
+            continue
+        total += times.user + times.system
+    return total
 
 
 def test_thousands_of_views_stay_light(report: Path, tmp_path: Path) -> None:
     out = synthetic_report(report, tmp_path / "many", 160, 40)
-    times = []
+    times, spent = [], []
     with open_browser(tmp_path / "profile") as driver:
         page = Page(driver)
         for _ in range(3):
             driver.get("about:blank")
+            before = processor_s(page)
             page.open(out / "index.html")
             page.wait("return performance.getEntriesByType('navigation')[0].loadEventEnd > 0")
+            spent.append(processor_s(page) - before)
             times.append(page.run("return performance.getEntriesByType('navigation')[0].loadEventEnd") / 1000)
         assert page.run("return document.querySelectorAll('.cards-of-views li').length") < 100
         page.run(
@@ -368,10 +537,11 @@ def test_thousands_of_views_stay_light(report: Path, tmp_path: Path) -> None:
         assert page.run("return document.querySelectorAll('.cards-of-views li').length") < 100
         pictures = {url for url in page.requested() if url.endswith(".jpg")}
         assert len(pictures) < 300
-        memory = renderer_memory_mb(page)
-        print(f"6,400 views: opened in {min(times):.2f} s (best of 3), {memory:.0f} MB")
+        memory = page_memory_mb(page)
+        took = f"{min(times):.2f} s ({min(spent):.2f} s of processor time)"
+        print(f"6,400 views: opened in {took}, best of 3; {memory:.0f} MB")
         assert page.console() == []
-    assert min(times) < MAX_OPEN_S
+    assert min(spent) < MAX_OPEN_S
     assert memory < MAX_MEMORY_MB
 
 
@@ -379,7 +549,8 @@ def test_thousands_of_views_stay_light(report: Path, tmp_path: Path) -> None:
 def test_stepping_through_large_views_keeps_nothing(
     report: Path, tmp_path: Path, views: dict[str, View]
 ) -> None:
-    """Thirty views of 640 x 384, every buffer of each: what a collection leaves stays small."""
+    """Thirty views of 640 x 384, every buffer of each, and then with a prediction: the page and its frames
+    stay small all the time, not only once garbage is collected."""
     out = synthetic_report(report, tmp_path / "many", 6, 5)
     rows, columns = np.indices((384, 640))
     rng = np.random.default_rng(3)
@@ -392,27 +563,33 @@ def test_stepping_through_large_views_keeps_nothing(
         )
         path.write_text(text)
         for view in range(5):
-            for name, array in views["small-00000/view-000"].buffers.items():
+            buffers = views["small-00000/view-000"].buffers
+            for name, array in (*buffers.items(), *((f"ours/{m}", buffers[m]) for m in MAPS)):
                 picture = array[rows // 8, columns // 10]
                 if array.dtype.kind == "f":
                     picture = picture * (1 + 0.01 * rng.random(picture.shape, dtype=np.float32)).astype(
                         array.dtype
                     )
                 key = f"many-{number:05d}/view-{view:03d}/{name}"
+                if name.startswith("ours/"):
+                    key = f"predictions/ours/many-{number:05d}/view-{view:03d}/{name.removeprefix('ours/')}"
                 write_tile(out / "tiles" / f"{key}.html", key, picture)
     memory = []
     with open_browser(tmp_path / "profile", logs_requests=False) as driver:
         page = Page(driver)
         page.open(out / "index.html")
         for number in range(6):
+            peak = 0.0
             for view in range(5):
-                page.go(f"#view/many-{number:05d}/view-{view:03d}")
-            memory.append(renderer_memory_mb(page))
+                method = "?method=ours" if number >= 4 else ""
+                page.go(f"#view/many-{number:05d}/view-{view:03d}{method}")
+                peak = max(peak, page_memory_mb(page))
+            memory.append(peak)
         state = page.run("return REPORT.state()")
         assert page.console() == []
         driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
-        kept = renderer_memory_mb(page)
+        kept = page_memory_mb(page)
     each = " ".join(f"{m:.0f}" for m in memory)
-    print(f"memory after each 5 views: {each} MB; after a collection: {kept:.0f} MB")
-    assert state["numRequested"] > 30 * 12 and state["keptBytes"] <= 48 << 20
-    assert kept < MAX_MEMORY_MB / 2
+    print(f"largest memory in each 5 views: {each} MB; after a collection: {kept:.0f} MB")
+    assert state["numRequested"] > 20 * 12 + 10 * 9 and state["keptBytes"] <= 48 << 20
+    assert max(memory) < MAX_MEMORY_MB

@@ -5,10 +5,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from datagen.farm.collect import collect
 from datagen.farm.local import LocalOptions, run_local
+from datagen.formats.exr import encode_view
+from datagen.formats.shard import Dataset
 from tests.datagen.small_plan import plan_small
 
 _MADE: list[Path] = []
@@ -25,3 +28,18 @@ def rendered_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     collect(folder.root)
     _MADE.append(folder.root)
     return folder.root
+
+
+def predict(dataset: Path, out: Path, seed: int) -> Path:
+    """Maps that are wrong by a little noise, in ``out/<configuration>/<view>.exr``."""
+    rng = np.random.default_rng(seed)
+    for view in Dataset(dataset).views():
+        maps = {}
+        for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+            truth = view.buffers[name].astype(np.float32)
+            noise = rng.normal(0, 0.05 * (1 + seed), truth.shape).astype(np.float32)
+            maps[name] = np.clip(truth + noise, 0, 1)
+        folder = out / view.record.configuration
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{view.record.name}.exr").write_bytes(encode_view(maps))
+    return out

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from datagen.errors import InputError
+from datagen.formats.exr import decode_view, encode_view
 from datagen.formats.lights import AreaLight, PointLight, SkyLight
 from datagen.formats.shard import Dataset, DatasetIndex, ShardReader
 from datagen.inspection.findings import Fault, Report
@@ -18,6 +19,7 @@ from datagen.inspection.report import summary
 from datagen.inspection.report.command import parse_pixels, report_command
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, count_view, hue_deg
 from datagen.inspection.report.gather import light_intensity
+from datagen.inspection.report.predictions import MAPS, parse_methods
 from datagen.inspection.report.sources import NO_VIEW, options_of, source_views
 from datagen.inspection.report.tiles import decode_tile, encode_tile, read_tile, write_tile
 from datagen.inspection.report.writing import (
@@ -28,7 +30,7 @@ from datagen.inspection.report.writing import (
 )
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsView
-from tests.datagen.small_rendered import rendered_dataset
+from tests.datagen.small_rendered import predict, rendered_dataset
 
 
 @pytest.fixture(scope="module")
@@ -357,3 +359,111 @@ def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.Ca
     assert report_command(dataset, tmp_path / "page", ReportOptions(), is_dry_run=True) == 0
     assert "10 views; pixels of 10 views in 2 configurations" in capsys.readouterr().out
     assert not (tmp_path / "page").exists()
+
+
+# ---------------------------------------------------------------------- predictions
+
+
+@pytest.fixture(scope="module")
+def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """A report with two methods; the second lacks one view and has four others that are wrong."""
+    root = tmp_path_factory.mktemp("predictions")
+    good, bad = (predict(dataset, root / name, seed) for seed, name in enumerate(("good", "B & W")))
+    places = {f"{v.record.configuration}/{v.record.name}": v for v in Dataset(dataset).views()}
+    (bad / "small-00000" / "view-000.exr").unlink()
+    (bad / "small-00000" / "view-001.exr").write_bytes(b"no picture")
+    maps = {name: places["small-00000/view-002"].buffers[name].astype(np.float32) for name in MAPS}
+    del maps["roughness"]
+    (bad / "small-00000" / "view-002.exr").write_bytes(encode_view(maps))
+    maps = {name: places["small-00000/view-003"].buffers[name][:-8] for name in MAPS}
+    (bad / "small-00000" / "view-003.exr").write_bytes(encode_view(maps))
+    maps = {name: places["small-00000/view-004"].buffers[name].copy() for name in MAPS}
+    maps["specular_albedo"][20, 20] = np.nan
+    (bad / "small-00000" / "view-004.exr").write_bytes(encode_view(maps))
+    # what `materials infer` writes: a folder views/ in the folder of each configuration
+    (good / "small-00001" / "views").mkdir()
+    for path in (good / "small-00001").glob("*.exr"):
+        path.rename(path.parent / "views" / path.name)
+    out = root / "page"
+    methods = parse_methods([good, bad], ["ours"])
+    result = write_report(dataset, out, ReportOptions(with_verify=False, predictions=methods))
+    assert result.predicted == {"ours": (10, 0), "B & W": (9, 4)}
+    return out, good, bad
+
+
+def test_prediction_errors_agree_with_another_count(compared: tuple[Path, Path, Path], dataset: Path) -> None:
+    out, good, _ = compared
+    table = read_script(out / "data" / "predictions.js", "predictions")
+    sums, num = np.zeros(3), 0
+    for row, view in enumerate(Dataset(dataset).views()):
+        folder = good / view.record.configuration
+        path = next(folder.rglob(f"{view.record.name}.exr"))
+        predicted = decode_view(path)
+        mask = (view.buffers["depth_z_m"][..., 0] > 0) & (view.buffers["surface_mask"][..., 0] >= 0.5)
+        squares = [
+            ((predicted[m].astype(float) - view.buffers[m].astype(float)) ** 2)[mask].mean(axis=-1)
+            for m in MAPS
+        ]
+        np.testing.assert_allclose(table["errors"]["ours"][row][:3], [s.mean() for s in squares], rtol=1e-5)
+        assert table["errors"]["ours"][row][3] == 0b111
+        sums += [s.sum() for s in squares]
+        num += int(mask.sum())
+    ours = table["methods"][0]
+    assert ours["num_views"] == 10 and ours["num_missing"] == ours["num_problems"] == 0
+    np.testing.assert_allclose([ours["total"][m] for m in MAPS], sums / num, rtol=1e-6)
+    assert sums.min() / num > 1e-4  # there is something to count
+
+
+def test_wrong_predictions_are_named_and_the_rest_is_shown(compared: tuple[Path, Path, Path]) -> None:
+    out, _, _ = compared
+    table = read_script(out / "data" / "predictions.js", "predictions")
+    method, errors = table["methods"][1], table["errors"]["b-w"]
+    assert method["missing"] == ["small-00000/view-000"] and errors[0] is None
+    problems = {view: text for _, view, text in method["problems"]}
+    assert sorted(problems) == ["view-001", "view-002", "view-003", "view-004"]
+    assert problems["view-001"].startswith("the file:") and "intact EXR" in problems["view-001"]
+    assert problems["view-002"].startswith("roughness: no channel roughness") and errors[2][3] == 0b011
+    assert problems["view-003"] == "the file: 64 x 40 pixels; expected 64 x 48" and errors[3][3] == 0
+    assert "1 surface pixels are NaN" in problems["view-004"]
+    assert errors[4][1] is None and errors[4][0] == 0 and errors[4][3] == 0b111
+    assert all(error is not None for error in errors[5:])
+    tile = out / "tiles" / "predictions" / "b-w" / "small-00000" / "view-004" / "specular_albedo.html"
+    assert np.isnan(read_tile(tile)[20, 20]).all()
+    assert not (tile.parent.parent / "view-003").exists()
+
+
+def test_methods_come_and_go(compared: tuple[Path, Path, Path], dataset: Path, tmp_path: Path) -> None:
+    out, good, _ = compared
+    copy = tmp_path / "page"
+    shutil.copytree(out, copy)
+    tile = copy / "tiles" / "predictions" / "ours" / "small-00000" / "view-000" / "roughness.html"
+    before = tile.stat().st_mtime_ns
+    options = ReportOptions(with_verify=False, predictions=parse_methods([good], ["ours"]))
+    write_report(dataset, copy, options)
+    assert tile.stat().st_mtime_ns == before  # nothing has changed, so nothing is compared again
+    assert [p.name for p in (copy / "tiles" / "predictions").iterdir()] == ["ours"]
+    write_report(dataset, copy, ReportOptions(with_verify=False))
+    assert read_script(copy / "data" / "predictions.js", "predictions")["methods"] == []
+    assert not tile.exists()
+
+
+def test_one_result_of_infer_is_found_by_its_report(dataset: Path, tmp_path: Path) -> None:
+    predict(dataset, tmp_path / "all", 0)
+    (tmp_path / "all" / "small-00001").rename(tmp_path / "views")
+    (tmp_path / "report.json").write_text('{"name": "small-00001"}')
+    (method,) = parse_methods([tmp_path], [])
+    assert method.label == tmp_path.name
+    assert method.find("small-00001", "view-002") == tmp_path / "views" / "view-002.exr"
+    assert method.find("small-00000", "view-002") is None and not method.covers("small-00000")
+
+
+def test_options_for_predictions_are_checked(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name / "x").mkdir(parents=True)
+    folders = [tmp_path / "a" / "x", tmp_path / "b" / "x"]
+    with pytest.raises(InputError, match="a name of its own"):
+        parse_methods(folders, [])
+    assert [m.slug for m in parse_methods(folders, ["A+", "A-"])] == ["a", "a-1"]
+    with pytest.raises(InputError) as caught:
+        parse_methods([tmp_path / "none"], ["x", "y"])
+    assert len(caught.value.problems) == 2

@@ -168,36 +168,47 @@ def _compare_view(
     """A view's figures, and those predicted maps that can be shown."""
     name = view.record.name
     path = method.find(view.record.configuration, name)
-    figures: dict[str, Any] = {"name": name, "file": path is not None, "mse": {}, "pixels": 0, "problems": []}
-    figures["maps"] = []
+    figures: dict[str, Any] = {"name": name, "file": path is not None, "pixels": 0}
+    figures |= {"mse": {}, "maps": [], "problems": []}
     if path is None:
         return figures, {}
     mask = surface_pixels(truth)
     figures["pixels"] = int(mask.sum())
-    maps: dict[str, NDArray] = {}
-    for map_name in MAPS:
-        try:
-            predicted = decode_view(path, [map_name])[map_name]
-        except InputError as error:
-            figures["problems"] += [f"{map_name}: {p.got}; expected {p.expected}" for p in error.problems]
-            continue
-        if predicted.shape[:2] != mask.shape:
-            got, expected = (" x ".join(map(str, shape[1::-1])) for shape in (predicted.shape, mask.shape))
-            figures["problems"].append(f"{map_name}: {got} pixels; expected {expected}")
-            continue
-        maps[map_name] = predicted
+    maps, problems = _read_maps(path, mask.shape)
+    for map_name, predicted in maps.items():
         if map_name not in truth:
-            figures["problems"].append(f"{map_name}: the dataset has no ground truth of it")
+            problems.append(f"{map_name}: the dataset has no ground truth of it")
             continue
-        error_or_none = mean_squared_error(predicted, truth[map_name], mask)
-        if error_or_none is None:
+        error = mean_squared_error(predicted, truth[map_name], mask)
+        if error is not None:
+            figures["mse"][map_name] = error
+        elif mask.any():
             bad = int((~np.isfinite(predicted[mask]).all(axis=-1)).sum())
-            figures["problems"].append(f"{map_name}: {bad} surface pixels are NaN or Inf; expected numbers")
-        else:
-            figures["mse"][map_name] = error_or_none
-    figures["problems"] = list(dict.fromkeys(figures["problems"]))
-    figures["maps"] = list(maps)
+            problems.append(f"{map_name}: {bad} surface pixels are NaN or Inf; expected numbers")
+    figures["problems"], figures["maps"] = problems, list(maps)
     return figures, maps
+
+
+def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], list[str]]:
+    """Those maps of a file that can be read and have a view's size (H, W), and what is wrong with the
+    rest."""
+    maps: dict[str, NDArray] = {}
+    problems: dict[str, str] = {}
+    for name in MAPS:
+        try:
+            predicted = decode_view(path, [name])[name]
+        except InputError as error:
+            problems[name] = "; ".join(f"{p.got}; expected {p.expected}" for p in error.problems)
+            continue
+        if predicted.shape[:2] == shape:
+            maps[name] = predicted
+        else:
+            got, expected = (" x ".join(map(str, size[1::-1])) for size in (predicted.shape, shape))
+            problems[name] = f"{got} pixels; expected {expected}"
+    whole = set(problems.values())
+    if len(problems) == len(MAPS) and len(whole) == 1:
+        return maps, [f"the file: {whole.pop()}"]
+    return maps, [f"{name}: {text}" for name, text in problems.items()]
 
 
 def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool_]) -> float | None:

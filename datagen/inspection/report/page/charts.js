@@ -116,7 +116,7 @@ REPORT.charts = (() => {
         element("caption", { class: "unseen", text: label }),
         element("thead", {}, element("tr", {}, ...head.map((text) => element("th", { scope: "col", text })))),
         element("tbody", {}, ...rows.map((row) => element("tr", {}, ...row.map((cell) =>
-          cell instanceof Node ? element("td", {}, cell) : element("td", { text: typeof cell === "number" ? number(cell) : cell, class: isNumber(cell) ? "number" : null })))))));
+          cell instanceof Node ? element("td", { class: isNumber(cell.textContent) ? "number" : null }, cell) : element("td", { text: typeof cell === "number" ? number(cell) : cell, class: isNumber(cell) ? "number" : null })))))));
   }
 
   function cssColor(share) {

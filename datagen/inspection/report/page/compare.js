@@ -67,6 +67,8 @@ REPORT.compare = (() => {
   // four digits, so that tables compare at a glance
   const figure = (value) => (value === null || value === undefined ? "unknown" : value === 0 ? "0" : value < 1e-4 ? value.toExponential(2) : value.toPrecision(3));
 
+  const count = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
+
   function mean(errors) {
     const known = errors.slice(0, 3).filter((value) => value !== null);
     return known.length ? known.reduce((a, b) => a + b, 0) / known.length : null;
@@ -76,7 +78,7 @@ REPORT.compare = (() => {
     const best = Object.fromEntries(maps().map((map) => [map, Math.min(...methods().map((m) => m.total[map] ?? Infinity))]));
     const cell = (m, map) => {
       const text = figure(m.total[map]);
-      return methods().length > 1 && m.total[map] === best[map] ? element("b", { text: `${text} (least)` }) : text;
+      return methods().length > 1 && m.total[map] === best[map] ? element("b", { text, title: "the least of all methods" }) : text;
     };
     return REPORT.charts.table(["method", "views", ...maps().map((map) => `MSE of ${SHORT[map]}`), "not predicted", "with problems"],
       methods().map((m) => [m.label, m.num_views, ...maps().map((map) => cell(m, map)), m.num_missing, m.num_problems]), "Errors of the whole dataset by method");
@@ -86,10 +88,10 @@ REPORT.compare = (() => {
     const link = (key) => element("a", { href: `#view/${key}?method=${method.slug}`, text: key });
     const parts = [];
     if (method.num_problems) parts.push(element("details", { class: "problems", open: method.num_problems <= 10 },
-      element("summary", { text: `${method.label}: ${method.num_problems} predictions with problems` }),
+      element("summary", { text: `${method.label}: ${count(method.num_problems, "prediction")} with problems` }),
       element("ul", {}, ...method.problems.map(([id, view, text]) => element("li", {}, link(`${id}/${view}`), `: ${text}`)))));
     if (method.num_missing) parts.push(element("details", { class: "problems" },
-      element("summary", { text: `${method.label}: ${method.num_missing} views not predicted` }),
+      element("summary", { text: `${method.label}: ${count(method.num_missing, "view")} not predicted` }),
       element("p", {}, ...method.missing.flatMap((key) => [link(key), " "]), method.num_missing > method.missing.length ? `and ${method.num_missing - method.missing.length} more` : "")));
     return parts;
   }

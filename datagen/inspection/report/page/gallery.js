@@ -4,7 +4,7 @@
 
 REPORT.gallery = (() => {
   const { element } = REPORT;
-  const CARD_WIDTH = 176, CARD_HEIGHT = 158, EXTRA_ROWS = 2;
+  const CARD_WIDTH = 176, CARD_HEIGHT = 176, EXTRA_ROWS = 2;
   let rows = [], shown = [], scroller, canvas, status, faults;
 
   let orders = {
@@ -38,6 +38,8 @@ REPORT.gallery = (() => {
     draw(true);
   }
 
+  const effort = (view) => [`${view.samples} samples`, view.rel_mse === null ? null : `error ${REPORT.charts.number(view.rel_mse, 2)}`].filter(Boolean).join(", ");
+
   let first = -1, last = -1, perRow = 0;
 
   function draw(isForced = false) {
@@ -53,7 +55,8 @@ REPORT.gallery = (() => {
       const more = [view.split, view.mean_count === null ? null : `${view.mean_count.toFixed(1)} obs.`, view.hasPixels ? null : "no pixels"].filter(Boolean).join(", ");
       return element("li", { "aria-setsize": shown.length, "aria-posinset": index + 1, style: `top:${Math.floor(index / columns) * CARD_HEIGHT}px;left:${(index % columns) * CARD_WIDTH}px` },
         element("a", { href: `#view/${view.key}`, class: view.faults >= 1000 ? "error" : view.faults ? "warning" : null }, REPORT.overview.thumbnail(view.id, view.name),
-          element("span", { text: `${view.id} / ${view.name}` }), element("small", { text: view.faults ? `${more}, has findings` : more })));
+          element("span", { text: `${view.id} / ${view.name}` }), element("small", { text: view.faults ? `${more}, has findings` : more }),
+          element("small", { text: effort(view) })));
     }));
   }
 

@@ -21,7 +21,7 @@ REPORT.viewer = (() => {
   // Six digits tell any half float from its neighbours, nine any 32-bit float.
   const format = (value, digits = 6) => (Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : String(value));
   const unitOf = (b) => (b.is_radiance ? "W/(m² sr)" : b.unit === "1" ? "" : b.unit.replace(/^1 \((.*)\)$/, "$1"));
-  const digitsOf = (picture) => (picture.dtype === "float" ? 9 : 6);
+  const digitsOf = (picture) => (picture.dtype === "float" && !picture.truth ? 9 : 6); // errors to six digits
 
   // ---------------------------------------------------------------- controls
 
@@ -44,6 +44,7 @@ REPORT.viewer = (() => {
       panels: element("div", { id: "panels", tabindex: "0", role: "application", "aria-label": "Pictures. Arrow keys move the cursor, plus and minus zoom, S shows the source views of the pixel." }),
       pixel: element("p", { id: "pixel", text: "Point at a picture, or use the arrow keys." }),
       values: element("tbody", { id: "values" }),
+      facts: element("p", { id: "facts", class: "note" }),
       errors: element("table", { id: "errors", hidden: true }),
       sources: element("div", { id: "sources", "aria-live": "polite" }),
       spoken: element("p", { class: "unseen", role: "status", "aria-live": "polite" }),
@@ -83,7 +84,8 @@ REPORT.viewer = (() => {
           element("table", {}, element("caption", { class: "unseen", text: "Values of the pixel in linear units" }),
             element("thead", {}, element("tr", {}, element("th", { scope: "col", text: "buffer" }), element("th", { scope: "col", text: "value, as stored" }))), ui.values),
           ui.errors,
-          element("h2", { text: "Source views" }), ui.sources)),
+          element("h2", { text: "Source views" }), ui.sources,
+          element("h2", { text: "View" }), ui.facts)),
       ui.spoken);
     ui.panels.addEventListener("keydown", onKey);
     document.addEventListener("keydown", (event) => {
@@ -214,6 +216,9 @@ REPORT.viewer = (() => {
     ui.pixel.textContent = "Point at a picture, or use the arrow keys.";
     document.title = `${id} / ${name}: ${REPORT.summary.name}`;
     tellExposure();
+    const { render } = view, { number } = REPORT.charts;
+    ui.facts.textContent = [`${width} × ${height} pixels`, `${render.path_samples} light paths a pixel`, render.estimated_rel_mse === null ? null : `estimated error ${number(render.estimated_rel_mse)}`,
+      `${number(render.clipped_pixels)} clipped pixels`, `exposure ${number(view.exposure)}`].filter(Boolean).join(", ");
     await load(cursor);
   }
 

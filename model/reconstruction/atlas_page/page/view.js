@@ -150,8 +150,8 @@
       setMode("fly");
     } else { // from outside, or where an asset has no cameras
       const at = controls.center.clone().add(new T.Vector3(-0.75, -1, 0.6).normalize().multiplyScalar(1.1 * controls.size));
+      setMode("orbit"); // before the camera moves: it keeps the point to turn around
       controls.look(at.toArray(), controls.center.toArray(), 50);
-      setMode("orbit");
     }
     ui.camera.value = from ? number : -1;
     $("spoken").textContent = `camera ${from ? from.name : "outside"}`;
