@@ -326,7 +326,7 @@ def test_every_control_has_a_name(page: Page) -> None:
 
 
 def test_large_textures_come_after_a_small_picture(browser: Page, tmp_path: Path) -> None:
-    large = make_quad(tmp_path / "large", side=1536)
+    large = make_quad(tmp_path / "large", side=1152)
     result = write_view(large.asset, tmp_path / "page")
     assert result.notes == ()
     assert sorted(p.name for p in (tmp_path / "page" / "data").iterdir()) == [
@@ -334,7 +334,7 @@ def test_large_textures_come_after_a_small_picture(browser: Page, tmp_path: Path
     ]  # fmt: skip
     browser.driver.get("about:blank")
     browser.open(tmp_path / "page" / "index.html")
-    assert "1536 texels" in browser.run("return document.getElementById('sizes').textContent")
+    assert "1152 texels" in browser.run("return document.getElementById('sizes').textContent")
     (tmp_path / "page" / "data" / "0-rough.js").unlink()
     browser.driver.get("about:blank")
     browser.driver.get((tmp_path / "page" / "index.html").as_uri())
