@@ -151,6 +151,16 @@ def _source(out: Path) -> None:
         shutil.copytree(REPOSITORY / name, out / name, ignore=shutil.ignore_patterns("__pycache__"))
 
 
+def _cork(out: Path) -> None:
+    """A texture folder as ambientCG names them."""
+    from PIL import Image
+
+    out.mkdir()
+    noise = np.random.default_rng(2).integers(90, 160, (32, 32, 3)).astype(np.uint8)
+    Image.fromarray(noise).save(out / "Cork001_1K_Color.png")
+    Image.fromarray(noise[..., 0]).save(out / "Cork001_1K_Roughness.png")
+
+
 STAND_INS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "my-library": ("my-library", _library),
     "rooms": ("rooms", _rooms),
@@ -160,6 +170,7 @@ STAND_INS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "checkpoint": ("run", _checkpoint),
     "room.blend": ("room.blend", _room_blend),
     "oak": ("", _oak),
+    "cork": ("Cork001", _cork),
     "source": ("", _source),
 }
 """Name in the pages' notes: where it lies in the working folder, and who makes it."""

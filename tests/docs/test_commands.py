@@ -93,7 +93,7 @@ def _run_block(block: Block, folder: Path) -> None:
         path.write_text(block.text + "\n")
         return
     if block.action == "patch":
-        command, given = ["patch", "-p1", "--no-backup-if-mismatch", "--fuzz=0"], block.text + "\n"
+        command, given = ["git", "apply", "--recount", "-C1", "-"], block.text + "\n"
     elif block.is_python:
         command, given = [sys.executable, "-"], block.text
     else:
