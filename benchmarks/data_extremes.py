@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: MIT
+"""Statistics, projection, encodings and rendering at their extremes: the tables of docs/speed.md.
+
+    python -m benchmarks.data_extremes            all tables as Markdown
+
+What a table says is what ``tests/datagen/test_extremes.py`` holds; both call the functions below. The scene
+of boxes is that of the tests.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.buffers import BUFFERS
+from datagen.cameras import Camera
+from datagen.color import linear_from_log, log_from_linear
+from datagen.formats.exr import decode_view, encode_view, to_storage
+from datagen.formats.lights import AreaLight
+from datagen.formats.recipe import RenderRecipe
+from datagen.multiview.statistics import StatisticsView, compute_statistics
+from datagen.multiview.visibility import PackedViews, observe_points
+from mitsuba_plugins.variant import select_variant
+from tests.datagen.multiview_scenes import make_views
+from tests.datagen.rendering_scenes import SmallScene, down_camera, quad, renderer
+
+SCALES = (1e-3, 1e-1, 1e2, 1e4)
+RADIANCES = (1e-6, 1e-3, 1e3, 1e6)
+HALF_VALUES = (0.0, 3e-8, 1e-6, 1e-4, 0.01, 1.0, 65504.0, 65520.0, 1e6, np.inf)
+COLORS = ("color_min", "color_median", "color_max")
+
+
+def scaled_views(views: Sequence[StatisticsView], factor: float) -> list[StatisticsView]:
+    """The same views of a scene that is ``factor`` times as large."""
+    found = []
+    for view in views:
+        pose = view.camera.world_from_camera.copy()
+        pose[:3, 3] *= factor
+        camera = replace(view.camera, world_from_camera=pose)
+        found.append(replace(view, camera=camera, depth_z_m=(view.depth_z_m * factor).astype(np.float32)))
+    return found
+
+
+def scale_of_scene(factor: float, size: tuple[int, int] = (60, 40)) -> dict[str, float]:
+    """How statistics and projections change when the whole scene is ``factor`` times as large."""
+    views = make_views((size,), is_noise=False)
+    larger = scaled_views(views, factor)
+    changed, difference = [], 0.0
+    for one, other in zip(compute_statistics(views), compute_statistics(larger), strict=True):
+        is_same = (one["observation_count"] == other["observation_count"])[..., 0]
+        changed.append(1.0 - is_same.mean())
+        for name in COLORS:
+            difference = max(difference, float(np.abs(one[name] - other[name])[is_same].max()))
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-2, 2, (2000, 3)) * factor
+    normals = rng.normal(size=(2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    seen = observe_points(
+        PackedViews([v.camera for v in larger], [v.depth_z_m for v in larger]), points, normals
+    )
+    pixel_error = 0.0
+    for index, view in enumerate(larger):
+        mask = seen.visible_mask[index]
+        if mask.any():
+            expected, _ = view.camera.project(points[mask])
+            pixel_error = max(pixel_error, float(np.abs(seen.pixels[index][mask] - expected).max()))
+    return {
+        "pixels with another count": float(np.mean(changed)),
+        "largest difference of a colour": difference,
+        "largest error of a projection, px": pixel_error,
+    }
+
+
+def scale_of_radiance(factor: float, size: tuple[int, int] = (33, 22)) -> float:
+    """Largest relative difference of statistics when all colours are ``factor`` times as bright."""
+    views = make_views((size,))
+    brighter = [replace(v, color=v.color * np.float32(factor)) for v in views]
+    largest = 0.0
+    for one, other in zip(compute_statistics(views), compute_statistics(brighter), strict=True):
+        assert (one["observation_count"] == other["observation_count"]).all()
+        for name in COLORS:
+            expected = one[name].astype(np.float64) * np.float64(np.float32(factor))
+            error = np.abs(other[name] - expected) / np.maximum(expected, 1e-30)
+            largest = max(largest, float(error.max()))
+    return largest
+
+
+def stored_as_half(value: float) -> float:
+    """What becomes of a radiance that goes through a view's file."""
+    image = np.full((2, 2, 3), value, np.float32)
+    stored = to_storage(BUFFERS["beauty"], image)
+    return float(decode_view(encode_view({"beauty": stored}))["beauty"][0, 0, 0])
+
+
+def log_round_trip(dtype: Any) -> float:
+    """Largest error of decoding what was encoded, over [0, 1], for inputs of ``dtype``."""
+    values = np.concatenate([np.linspace(0, 1, 20001), np.geomspace(1e-7, 1, 2001)]).astype(dtype)
+    return float(np.abs(linear_from_log(log_from_linear(values)).astype(np.float64) - values).max())
+
+
+def alike_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
+    """The same view again and again."""
+    (view,) = make_views((size,), num_views=1)
+    return [replace(view, name=f"view_{k:03}") for k in range(num_views)]
+
+
+def spread_of_alike_views(num_views: int) -> float:
+    """Largest relative difference between maximum and minimum where all views are alike."""
+    views = alike_views(num_views)
+    (result,) = compute_statistics(views, only=(0,))
+    own = np.maximum(views[0].color, 1e-30)
+    return float(((result["color_max"] - result["color_min"]) / own).max())
+
+
+def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
+    """Views of the boxes from places beside the usual ones, each rendered anew."""
+    from datagen.cameras import look_at
+    from tests.datagen.multiview_scenes import _POSES, hit_boxes
+
+    rng = np.random.default_rng(3)
+    base = make_views((size,))
+    found = []
+    for index in range(num_views):
+        position, target = (np.array(p) for p in _POSES[index % len(_POSES)])
+        camera: Camera = base[index % len(base)].camera
+        camera = replace(camera, world_from_camera=look_at(position + rng.uniform(-0.2, 0.2, 3), target))
+        directions = camera.ray_directions().reshape(-1, 3)
+        t, normals = hit_boxes(np.broadcast_to(camera.position_m, directions.shape), directions)
+        shape = (camera.height_px, camera.width_px)
+        depth = np.where(np.isfinite(t), t * (directions @ camera.forward), 0).reshape(*shape, 1)
+        found.append(
+            StatisticsView(
+                camera,
+                rng.random((*shape, 3)).astype(np.float32),
+                depth.astype(np.float32),
+                normals.reshape(*shape, 3).astype(np.float32),
+                (depth > 0).astype(np.float32),
+                f"view_{index:03}",
+            )
+        )
+    return found
+
+
+def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
+    """Image (8, 8, 3) of a floor under a square light of ``radiance``, all ``metres`` times as large."""
+    size = 10 * metres
+    floor = quad([-size / 2, -size / 2, 0], [size, 0, 0], [0, size, 0])
+    light = AreaLight(
+        name="light",
+        origin_m=(-metres, metres, 2 * metres),
+        edge_u_m=(2 * metres, 0, 0),
+        edge_v_m=(0, -2 * metres, 0),
+        radiance=(radiance,) * 3,
+    )
+    camera = down_camera(view_m=metres, z=metres)
+    recipe = RenderRecipe(path_samples=64, auxiliary_samples=4, max_depth=3, denoise=False)
+    with tempfile.TemporaryDirectory() as folder:
+        scene = SmallScene(parts={"floor": (floor, "grey")})
+        one = renderer(Path(folder), scene, [camera], recipe, lights=(light,))
+        buffers = one.render_view(0).buffers
+    np.testing.assert_allclose(buffers["depth_z_m"], metres, rtol=1e-5)
+    return buffers["beauty"].astype(np.float64)
+
+
+def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[float]:
+    """Largest relative difference of a pixel from the room of metres and of radiance 1, case by case.
+
+    The random numbers are the same: what differs is rounding and where rays start.
+    """
+    expected = lit_floor(1.0, 1.0)
+    return [
+        float(np.abs(lit_floor(metres, radiance) / radiance / expected - 1).max())
+        for metres, radiance in cases
+    ]
+
+
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Markdown."""
+    lines = [f"**{title}**", "", f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
+    lines += [f"| {' | '.join(_text(cell) for cell in row)} |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _text(cell: object) -> str:
+    return f"{cell:.3g}" if isinstance(cell, float) else str(cell)
+
+
+def relative(got: NDArray | float, expected: float) -> str:
+    """Relative error as text; none for 0 and what half floats do not reach."""
+    if expected == 0 or not 0 < expected < 65519:
+        return ""
+    return f"{abs(float(got) - expected) / expected:.1e}"
+
+
+def main() -> None:
+    """Print all tables."""
+    select_variant()
+    scales = {factor: scale_of_scene(factor) for factor in SCALES}
+    names = list(next(iter(scales.values())))
+    rows = [[f"{f:g}", *(found[name] for name in names)] for f, found in scales.items()]
+    print(table("Scale of the scene, against 1", ["metres to a metre", *names], rows))
+    rows = [[f"{f:g}", scale_of_radiance(f)] for f in (*RADIANCES, 2.0**-20, 2.0**20)]
+    print(table("Radiance, against 1", ["factor", "largest relative difference of a statistic"], rows))
+    cases = [(f, 1.0) for f in (1e-3, 1e-2, 1e-1, 10.0, 1e2, 1e4)] + [
+        (1.0, r) for r in (1e-6, 1e-3, 1e3, 1e5)
+    ]
+    found_images = zip(cases, image_at_scales(cases), strict=True)
+    rows = [[f"{metres:g}", f"{radiance:g}", error] for (metres, radiance), error in found_images]
+    print(table("Rendering", ["metres to a metre", "radiance", "largest relative difference"], rows))
+    halves = [(value, stored_as_half(value)) for value in HALF_VALUES]
+    rows = [[f"{v:g}", f"{stored:g}", relative(stored, v)] for v, stored in halves]
+    print(table("Radiance in a file", ["value", "stored", "relative error"], rows))
+    rows = [[kind.__name__, log_round_trip(kind)] for kind in (np.float64, np.float32, np.float16)]
+    print(table("Log encoding and back, [0, 1]", ["input", "largest error"], rows))
+    rows = [[count, spread_of_alike_views(count)] for count in (1, 2, 12, 300)]
+    print(table("All views alike", ["views", "largest (maximum - minimum) / own colour"], rows))
+
+
+if __name__ == "__main__":
+    main()
