@@ -59,7 +59,7 @@ def write_target(
 def _library_material(reader: Reader, material: bpy.types.Material, writer: PackageWriter) -> dict[str, Any]:
     plan = reader.plan(material.name)
     size = float(material.get("sm_tile_size_m", 1.0))
-    layers = tuple(sorted(layer for layer in plan.dependencies.uv_layers if layer))
+    layers = plan.dependencies.layer_names
     info = {"Location": (0.0,) * 3, "Color": (1.0,) * 3, "Alpha": (1.0,), "Object Index": (0.0,),
             "Material Index": (0.0,), "Random": (0.5,)}  # fmt: skip
     baked = MaterialBaker(reader.session, reader.settings, reader.problems).on_plane(
@@ -228,7 +228,8 @@ class _Assembly:
             if (plan.varying or plan.bakes_normal) and plan.frame is not None and not repeats:
                 window = padded_window(*self._boxes[name])
             size = self._side_m(instance, slot, plan, window) if plan.bakes_normal else 1.0
-            baked = self.baker.on_plane(material, plan, window, info, size)
+            layers = plan.dependencies.layer_names
+            baked = self.baker.on_plane(material, plan, window, info, size, layers)
         number = 1
         if plan.needs_mesh or plan.is_per_instance:
             slot_name = base = f"{name} on {instance.name}"

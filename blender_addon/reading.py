@@ -47,6 +47,19 @@ class Contents:
     num_triangles: int = 0
 
 
+def rendering_layers() -> dict[str, str]:
+    """Material -> the name of the UV layer that renders, where it is the same on all meshes that have it."""
+    found: dict[str, set[str]] = {}
+    for thing in bpy.data.objects:
+        is_mesh = isinstance(thing.data, bpy.types.Mesh)
+        layers = thing.data.uv_layers if is_mesh else ()
+        name = next((layer.name for layer in layers if layer.active_render), "")
+        for slot in thing.material_slots:
+            if slot.material is not None:
+                found.setdefault(slot.material.name, set()).add(name)
+    return {material: names.pop() for material, names in found.items() if len(names) == 1}
+
+
 class Reader:
     """Reads the targets of one export from ``scene``; each material is planned once."""
 
@@ -62,20 +75,20 @@ class Reader:
         self.scene, self.depsgraph = scene, depsgraph
         self.metres = scene.unit_settings.scale_length or 1.0
         self._plans: dict[str, MaterialPlan] = {}
+        self._rendering_layers = rendering_layers()
 
     def plan(self, name: str) -> MaterialPlan:
         """A material's plan, made once; its problems join the list."""
         if name not in self._plans:
-            self._plans[name] = plan_material(bpy.data.materials[name], self.settings.bake_normals)
+            self._plans[name] = plan_material(
+                bpy.data.materials[name], self.settings.bake_normals, self._rendering_layers.get(name, "")
+            )
             self.problems.extend(self._plans[name].problems)
         return self._plans[name]
 
     def uv_layers(self) -> dict[str, tuple[str, ...]]:
         """Name of each planned material -> the UV maps that its nodes name."""
-        return {
-            name: tuple(sorted(layer for layer in plan.dependencies.uv_layers if layer))
-            for name, plan in sorted(self._plans.items())
-        }
+        return {name: plan.dependencies.layer_names for name, plan in sorted(self._plans.items())}
 
     # ---- reading
 

@@ -36,13 +36,15 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 class Dependencies:
     """What values depend on.
 
-    ``uv_layers`` read ("" is the layer that renders); ``frames`` in which image textures read them, None for
+    ``uv_layers`` read ("" is the layer that renders; ``named`` lists the names by which nodes call it);
+    ``frames`` in which image textures read them, None for
     any other use of UVs; ``repeats``: no image ends at its border; ``image_px``: largest width and height of
     the images; ``mesh``: needs the mesh itself; ``world``: needs the instance's place; ``object_info``: needs
     Object Info values.
     """
 
     uv_layers: set[str] = field(default_factory=set)
+    named: set[str] = field(default_factory=set)
     frames: set[UvFrame | None] = field(default_factory=set)
     repeats: bool = True
     image_px: tuple[int, int] = (0, 0)
@@ -58,6 +60,11 @@ class Dependencies:
     def is_periodic(self) -> bool:
         """Whether everything repeats with each unit of the one frame that images are read in."""
         return self.repeats and None not in self.frames
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """Every UV layer that nodes call by a name."""
+        return tuple(sorted(layer for layer in self.uv_layers | self.named if layer))
 
     @property
     def detail_px(self) -> tuple[int, int] | None:
@@ -81,6 +88,7 @@ class Dependencies:
     def merge(self, other: Dependencies) -> None:
         """Add what ``other`` depends on."""
         self.uv_layers |= other.uv_layers
+        self.named |= other.named
         self.frames |= other.frames
         self.repeats &= other.repeats
         self.see_image(*other.image_px)
@@ -94,10 +102,17 @@ class Dependencies:
 
 
 class DependencyWalk:
-    """Walks upstream of expressions of one material's tree."""
+    """Walks upstream of expressions of one material's tree.
 
-    def __init__(self, tree: bpy.types.NodeTree, material: str, problems: ProblemList):
+    ``rendering_layer``: the name of the UV layer that renders on every mesh with the material, if it is the
+    same on all: nodes that call it by that name and nodes that call none read the same.
+    """
+
+    def __init__(
+        self, tree: bpy.types.NodeTree, material: str, problems: ProblemList, rendering_layer: str = ""
+    ):
         self.tree, self.material, self.problems = tree, material, problems
+        self.rendering_layer = rendering_layer
         self._seen: set[tuple[tuple[str, ...], str, str]] = set()
         self._result = Dependencies()
         self._is_normal = False
@@ -165,7 +180,7 @@ class DependencyWalk:
         elif kind == "POINT_INFO":
             self._report(ERROR, node, "point clouds are not exported", "convert them to a mesh")
         elif self._is_normal and kind == "NORMAL_MAP" and node.space == "TANGENT":
-            self._result.uv_layers.add(node.uv_map)
+            self._layer(node.uv_map)
         elif self._is_normal and kind == "BUMP":
             pass  # what matters is what its height depends on
         elif kind in _ON_MESH:
@@ -197,8 +212,16 @@ class DependencyWalk:
             elif socket.name == "Vector" and node.type in _GENERATED_BY_DEFAULT:
                 self._result.mesh = True
 
-    def _uv(self, layer: str) -> None:
+    def _layer(self, layer: str) -> str:
+        """Note a UV layer that is read; returns what it is called from here on."""
+        if layer and layer == self.rendering_layer:
+            self._result.named.add(layer)
+            layer = ""
         self._result.uv_layers.add(layer)
+        return layer
+
+    def _uv(self, layer: str) -> None:
+        self._layer(layer)
         self._result.frames.add(None)  # read other than by an image through an affine map
 
     def _image(self, stack: Stack, node: bpy.types.Node) -> None:
@@ -229,8 +252,7 @@ class DependencyWalk:
             else:
                 self._uv("")
         else:
-            self._result.uv_layers.add(frame.layer)
-            self._result.frames.add(frame)
+            self._result.frames.add(UvFrame(self._layer(frame.layer), frame.matrix))
             self._result.see_image(*node.image.size)
             if node.image.source == "TILED":
                 self._result.frames.add(None)  # each tile has a size of its own

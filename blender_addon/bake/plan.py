@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 
@@ -71,8 +71,13 @@ class MaterialPlan:
         return self.dependencies.is_periodic
 
 
-def plan_material(material: bpy.types.Material, bakes_normal: bool = False) -> MaterialPlan:
-    """Plan one material; problems are in the plan. ``bakes_normal``: Normal inputs become a texture."""
+def plan_material(
+    material: bpy.types.Material, bakes_normal: bool = False, rendering_layer: str = ""
+) -> MaterialPlan:
+    """Plan one material; problems are in the plan. ``bakes_normal``: Normal inputs become a texture.
+
+    ``rendering_layer``: the UV layer that renders on all meshes with the material, "" if they differ.
+    """
     problems = ProblemList()
     policy = str(material.get("sm_transmission", "refuse"))
     if policy not in TRANSMISSION_POLICIES:
@@ -92,7 +97,8 @@ def plan_material(material: bpy.types.Material, bakes_normal: bool = False) -> M
     channels = channels_of(closures)
     plan = MaterialPlan(material.name, channels, normals=closures.normals)
     plan.bakes_normal = bakes_normal and bool(closures.normals)
-    _classify(plan, material.node_tree, problems)
+    walk = DependencyWalk(material.node_tree, material.name, problems, rendering_layer)
+    _classify(plan, walk, problems)
     plan.problems = list(problems)
     return plan
 
@@ -112,8 +118,8 @@ def _note_leftover_lobes(closures: Closures, name: str, problems: ProblemList) -
         )
 
 
-def _classify(plan: MaterialPlan, tree: bpy.types.NodeTree, problems: ProblemList) -> None:
-    walk = DependencyWalk(tree, plan.name, problems)
+def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -> None:
+    tree = walk.tree
     varying: dict[str, Expression] = {}
     for name, expression in plan.channels.baked().items():
         if walk.of(expression).is_constant:
@@ -125,6 +131,9 @@ def _classify(plan: MaterialPlan, tree: bpy.types.NodeTree, problems: ProblemLis
         for name, expression in varying.items()
         if (image := plain_image(tree, expression, name in SCALAR_CHANNELS)) is not None
     }
+    for name, image in plain.items():
+        if image.frame.layer == walk.rendering_layer:
+            plain[name] = replace(image, frame=UvFrame("", image.frame.matrix))
     frames = {image.frame for image in plain.values()}
     if not plan.bakes_normal and plain and len(plain) == len(varying) and len(frames) == 1:
         plan.images, (plan.frame,) = plain, frames

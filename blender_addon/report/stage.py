@@ -90,8 +90,8 @@ def material_stage(
     light.rotation_euler = (0.6, 0.5, 0.0)
     scene.collection.objects.link(light)
     scene.world = session.own(bpy.data.worlds, bpy.data.worlds.new(f"{_PREFIX}_sky"))
-    scene.world.use_nodes = False
-    scene.world.color = (0.35, 0.35, 0.35)
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.35, 0.35, 0.35, 1.0)
     cameras = []
     for index, material in enumerate(materials):
         place = np.array([(index % 20) * _SPACING, (index // 20) * _SPACING, 0.0])
@@ -111,8 +111,10 @@ def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy
     """A grey floor square under one light, or a grey sphere in a world; the scene's camera sees it."""
     scene = _prepare(session, "report_light")
     grey = session.own(bpy.data.materials, bpy.data.materials.new(f"{_PREFIX}_grey"))
-    grey.use_nodes = False
-    grey.diffuse_color = (0.5, 0.5, 0.5, 1.0)
+    grey.use_nodes = True
+    diffuse = grey.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Color"].default_value = (0.5, 0.5, 0.5, 1.0)
+    grey.node_tree.links.new(diffuse.outputs[0], grey.node_tree.nodes["Material Output"].inputs["Surface"])
     if light is None:
         scene.world = world
         mesh = sphere_mesh(session, 0.5)

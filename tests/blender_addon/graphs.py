@@ -569,6 +569,22 @@ def inverted_image(s: Stage) -> None:
     s.link(invert.outputs[0], s.shader.inputs["Base Color"])
 
 
+@case(
+    diffuse_albedo=lambda p: 1 - lookup(linear_from_srgb(smooth_image()), p),
+    roughness=lambda p: 0.5 * lookup(smooth_image(), p)[:, 0],
+)
+def one_map_by_name_and_without(s: Stage) -> None:
+    """Two meshes; what the UV Map node names is the map that renders anyway."""
+    s.add(s.square(), (2, 0, 0))
+    invert = s.node("Invert")
+    named = s.node("UVMap", uv_map="UVMap").outputs[0]
+    s.link(s.texture(s.image(smooth_image()), named).outputs[0], invert.inputs["Color"])
+    s.link(invert.outputs[0], s.shader.inputs["Base Color"])
+    separate = s.node("SeparateColor")
+    s.link(s.texture(s.image(smooth_image(), "Non-Color", "other")).outputs[0], separate.inputs[0])
+    s.link(s.math("MULTIPLY", separate.outputs[0], 0.5), s.shader.inputs["Roughness"])
+
+
 _REC709_FROM_REC2020 = np.array(
     [
         [1.660491, -0.587641, -0.072850],

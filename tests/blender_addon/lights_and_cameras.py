@@ -174,9 +174,7 @@ def clipped(bpy: Any, scene: Any) -> None:
     _world(bpy, scene).nodes["Background"].inputs["Color"].default_value = (0.3, 0.4, 0.6, 1)
     camera = scene.camera
     camera.data.clip_start, camera.data.clip_end = 0.5, 1.6
-    material = bpy.data.materials.new("black")
-    material.use_nodes = False
-    material.diffuse_color = (0, 0, 0, 1)
+    material = _matt(bpy, "black", 0)
     for name, depth, size in (("card", 0.45, 0.15), ("wall", 1.8, 9.0)):
         mesh = bpy.data.meshes.new(name)
         mesh.from_pydata([(-size, 0, 0), (size, 0, 0), (size, size, 0), (-size, size, 0)], [], [(0, 1, 2, 3)])
@@ -186,13 +184,21 @@ def clipped(bpy: Any, scene: Any) -> None:
         scene.collection.objects.link(thing)
 
 
+def _matt(bpy: Any, name: str, grey: float) -> Any:
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    shader = material.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    shader.inputs["Color"].default_value = (grey, grey, grey, 1)
+    output = material.node_tree.nodes["Material Output"]
+    material.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    return material
+
+
 def _stage(bpy: Any) -> Any:
     """An empty file with a grey floor and a camera that sees nothing else."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    material = bpy.data.materials.new("floor")
-    material.use_nodes = False
-    material.diffuse_color = (0.5, 0.5, 0.5, 1)
+    material = _matt(bpy, "floor", 0.5)
     mesh = bpy.data.meshes.new("floor")
     mesh.from_pydata([(-6, -6, 0), (6, -6, 0), (6, 6, 0), (-6, 6, 0)], [], [(0, 1, 2, 3)])
     mesh.materials.append(material)

@@ -64,6 +64,17 @@ def test_constants_and_images_stay_what_they_are(graphs_folder: Path, case: Case
             assert stored in originals, "the image was resampled or encoded again"
 
 
+def test_images_on_one_map_bake_once_at_their_own_size(graphs_folder: Path) -> None:
+    package = open_package(graphs_folder / "packages" / "one_map_by_name_and_without")
+    assert isinstance(package.asset, ObjectAsset)
+    assert len(package.asset.parts) == 2
+    (material,) = package.asset.materials.values()
+    for channel in (material.diffuse_albedo, material.roughness):
+        assert isinstance(channel, Texture)
+        shape = read_image(package.path / channel.texture).shape
+        assert max(shape[:2]) <= 64, "finer than the images"
+
+
 def test_there_are_forty_graphs() -> None:
     assert len(CASES) >= 40
 
