@@ -238,6 +238,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", choices=("references",))
     parser.add_argument("--size", type=int, nargs=2, default=(128, 80))
+    parser.add_argument("--views", type=int, default=VIEWS, help="the first views of each scene")
     parser.add_argument("--reference-samples", type=int, default=2048, help="paths a pixel in each of two")
     parser.add_argument("--most", type=int, default=128, help="samples of the last pass")
     parser.add_argument("--clamp", type=float, default=QUALITIES["standard"]["firefly_clamp"])
@@ -251,7 +252,7 @@ def main() -> None:
     recipe = RenderRecipe(max_rel_mse=1e-9, max_path_samples=1 << 16, firefly_clamp=arguments.clamp)
     for name, configuration, library in scenes(arguments.cache, tuple(arguments.size)):
         renderer = SceneRenderer(configuration, library, recipe)
-        for index in range(len(configuration.cameras)):
+        for index in range(min(arguments.views, len(configuration.cameras))):
             start = time.process_time()
             pair = references(renderer, index, arguments.reference_samples, folder)
             print(f"{name} {index}: reference after {time.process_time() - start:.0f} CPU s", file=sys.stderr)

@@ -34,7 +34,14 @@ def plan_small(root: Path, library_root: Path, num_units: int = 3, num_views: in
         configurations=num_units,
         views=num_views,
         resolution=SIZE,
-        render=RenderRecipe(variant="llvm_ad_rgb", path_samples=2, auxiliary_samples=4),
+        # To an error: whatever disturbs a run must not change where the passes of a view end.
+        render=RenderRecipe(
+            variant="llvm_ad_rgb",
+            max_rel_mse=0.02,
+            max_path_samples=16,
+            firefly_clamp=30,
+            auxiliary_samples=4,
+        ),
     )
     folder = start_folder(recipe, library, root)
     for index in range(num_units):

@@ -115,13 +115,17 @@ renderer = SceneRenderer(
     parse_model(RenderRecipe, json.loads(recipe), "argument"),
     denoiser=OidnDenoiser(num_threads=1),
 )
-print(json.dumps({view.index: digest(view) for view in renderer.render_views([2, 0])}))
+views = renderer.render_views([2, 0])
+print(json.dumps({view.index: [digest(view), view.render.model_dump_json()] for view in views}))
 """
 
 
-def test_another_process_with_one_thread_makes_the_same_bytes(tmp_path: Path) -> None:
-    rendered = renderer(tmp_path, box_room(), CAMERAS, RECIPE, lights=LIGHTS, objects=OBJECTS)
-    arguments = [str(tmp_path), rendered.configuration.model_dump_json(), RECIPE.model_dump_json()]
+@pytest.mark.parametrize("budget", ["samples", "error"])
+def test_another_process_with_one_thread_makes_the_same_bytes(tmp_path: Path, budget: str) -> None:
+    error = RenderRecipe(max_rel_mse=0.01, max_path_samples=64, firefly_clamp=30, auxiliary_samples=16)
+    recipe = RECIPE if budget == "samples" else error
+    rendered = renderer(tmp_path, box_room(), CAMERAS, recipe, lights=LIGHTS, objects=OBJECTS)
+    arguments = [str(tmp_path), rendered.configuration.model_dump_json(), recipe.model_dump_json()]
     result = subprocess.run(
         [sys.executable, "-c", _OTHER_PROCESS, *arguments],
         cwd=REPOSITORY,
@@ -132,7 +136,8 @@ def test_another_process_with_one_thread_makes_the_same_bytes(tmp_path: Path) ->
     )
     assert result.returncode == 0, result.stderr[-2000:]
     other = json.loads(result.stdout.splitlines()[-1])
-    assert other == {str(k): digest(rendered.render_view(k)) for k in (2, 0)}
+    here = [rendered.render_view(k) for k in (2, 0)]
+    assert other == {str(v.index): [digest(v), v.render.model_dump_json()] for v in here}
 
 
 @pytest.fixture(scope="module")
