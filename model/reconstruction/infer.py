@@ -163,6 +163,8 @@ def infer(
         mesh, unwrap = unwrapped(traced.mesh, options.jobs)
         report.unwrap = asdict(unwrap)
         report.atlas_size = _choose_size(capture, seen, unwrap, options)
+        report.unwrap["texels_per_m"] = report.atlas_size / unwrap.metres_per_side
+        report.notes += unwrap.notes
     with _atlas_memory(report.atlas_size, out) as atlas:
         with report.stage("merge"):
             _merge(capture, seen, traced, maps, (mesh, sides), atlas, options, tell)

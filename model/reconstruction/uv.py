@@ -2,8 +2,9 @@
 """UVs for an atlas: the mesh's own where they are a valid unwrap, else new ones by xatlas.
 
 Valid: all inside the unit square, none missing, no two triangles over the same texel. xatlas runs in
-processes of their own on pieces of the mesh; a piece on which it crashes or takes too long is laid out
-triangle by triangle, which always works. Pieces are packed so that a metre is the same length everywhere on
+processes of their own on pieces of the mesh; a piece on which it crashes or takes too long is given to
+Blender's Smart UV Project, where bpy is installed, and what that cannot take is laid out triangle by
+triangle, which always works. Pieces are packed so that a metre is the same length everywhere on
 the atlas.
 """
 
@@ -14,6 +15,7 @@ import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -21,12 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.meshes import Mesh, compacted, welded
+from model.reconstruction.fill import chart_of_faces
 from model.reconstruction.geometry import face_normals, smooth_regions
 from model.reconstruction.texels import TexelSurface
 from model.reconstruction.unwrap_process import PACK_RESOLUTION, PADDING
 
 PIECE_FACES = 40_000
 PIECE_TIMEOUT_S = 900.0
+XATLAS_PROCESS = "model.reconstruction.unwrap_process"
+BLENDER_PROCESS = "model.reconstruction.blender_unwrap_process"
+MIN_PADDING_TEXELS = 1
+_MOST_PADDING, _MAX_CHART_FACES = 8, 1_000_000
 _CHECK_SIZE = 1024
 _CHECK_OFFSET = (
     0.5123,
@@ -42,7 +49,9 @@ class UvReport:
     """What an unwrap is like. ``source``: whose it is; ``rejected``: why the mesh's own did not serve, '' if
     it did or there was none; ``coverage``: share of the atlas with surface; ``metres_per_side``: length that
     the atlas's side has on the surface (median); ``stretch``: 95th over 5th percentile of the density, 1 at
-    best, by area; ``num_fallback_faces``: triangles that xatlas could not take."""
+    best, by area; ``padding_texels``: gap between charts on an atlas of 1024 texels a side, 8 at most, None
+    where there are too many triangles to tell; ``num_blender_faces``: triangles that Blender placed because
+    xatlas did not; ``num_fallback_faces``: triangles that were laid out one by one."""
 
     source: Literal["mesh", "xatlas"]
     rejected: str
@@ -50,15 +59,33 @@ class UvReport:
     metres_per_side: float
     stretch: float
     num_fallback_faces: int = 0
+    num_blender_faces: int = 0
+    padding_texels: int | None = None
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know of it, in words."""
+        said = [f"the mesh's own UVs do not serve: {self.rejected}"] if self.rejected else []
+        if self.num_blender_faces:
+            said.append(f"xatlas failed on {self.num_blender_faces} triangles; Blender unwrapped them")
+        if self.num_fallback_faces:
+            has_bpy = find_spec("bpy") is not None
+            said.append(
+                f"{self.num_fallback_faces} triangles are laid out one by one, which wastes texels at their "
+                "seams; unwrap the mesh by hand" + ("" if has_bpy else " or install bpy for Blender's unwrap")
+            )
+        if self.padding_texels is not None and self.padding_texels < MIN_PADDING_TEXELS:
+            said.append("charts touch each other: colours may bleed over seams in coarse mip levels")
+        return said
 
 
 def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
     """The mesh with UVs fit for an atlas; triangles keep their order and corners, vertices may be split."""
     fault = "" if mesh.uv is None else own_uv_fault(mesh)
     if mesh.uv is not None and not fault:
-        return mesh, _report(mesh, "mesh", "", 0)
-    made, num_fallback = _unwrap(mesh, jobs)
-    return made, _report(made, "xatlas", fault, num_fallback)
+        return mesh, _report(mesh, "mesh", "")
+    made, num_blender, num_fallback = _unwrap(mesh, jobs)
+    return made, _report(made, "xatlas", fault, num_fallback, num_blender)
 
 
 def own_uv_fault(mesh: Mesh) -> str:
@@ -86,7 +113,31 @@ def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
     return 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
 
 
-def _report(mesh: Mesh, source: Literal["mesh", "xatlas"], rejected: str, num_fallback: int) -> UvReport:
+def padding_texels(mesh: Mesh) -> int | None:
+    """Texels between the two charts that are nearest to each other on an atlas of 1024 texels a side, at most
+    ``_MOST_PADDING``; None for meshes too large to tell. The Mitsuba variant must have been selected."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    if len(mesh.faces) > _MAX_CHART_FACES:
+        return None
+    bare = compacted(Mesh(mesh.positions, mesh.faces, None, mesh.uv))
+    face = TexelSurface(bare, face_normals(bare), _CHECK_SIZE).faces(0, 0, _CHECK_SIZE, _CHECK_SIZE)
+    chart = np.where(face >= 0, chart_of_faces(bare)[np.maximum(face, 0)], -1)
+    highest, lowest = chart, np.where(chart >= 0, chart, np.iinfo(np.int32).max)
+    for distance in range(1, _MOST_PADDING + 1):
+        highest, lowest = maximum_filter(highest, 3), minimum_filter(lowest, 3)
+        if ((chart >= 0) & (highest != lowest)).any():
+            return distance - 1
+    return _MOST_PADDING
+
+
+def _report(
+    mesh: Mesh,
+    source: Literal["mesh", "xatlas"],
+    rejected: str,
+    num_fallback: int = 0,
+    num_blender: int = 0,
+) -> UvReport:
     areas, uv_areas = mesh.areas(), _uv_areas(mesh)
     usable = (areas > 0) & (uv_areas > 0)
     density = np.sqrt(uv_areas[usable] / areas[usable])
@@ -94,10 +145,19 @@ def _report(mesh: Mesh, source: Literal["mesh", "xatlas"], rejected: str, num_fa
     share = np.cumsum(areas[usable][order]) / areas[usable].sum()
     low, middle, high = (density[order][np.searchsorted(share, q)] for q in (0.05, 0.5, 0.95))
     coverage = float(min(uv_areas.sum(), 1.0))
-    return UvReport(source, rejected, coverage, float(1 / middle), float(high / low), num_fallback)
+    return UvReport(
+        source,
+        rejected,
+        coverage,
+        float(1 / middle),
+        float(high / low),
+        num_fallback,
+        num_blender,
+        padding_texels(mesh),
+    )
 
 
-def _unwrap(mesh: Mesh, jobs: int) -> tuple[Mesh, int]:
+def _unwrap(mesh: Mesh, jobs: int) -> tuple[Mesh, int, int]:
     positions, vertex = welded(mesh)
     faces = vertex[mesh.faces]
     pieces = _pieces(mesh)
@@ -108,10 +168,10 @@ def _unwrap(mesh: Mesh, jobs: int) -> tuple[Mesh, int]:
                 enumerate(pieces),
             )
         )
-    places, side = shelf_packed(np.array([size for _, size, _ in sheets]))
+    places, side = shelf_packed(np.array([sheet.size_m for sheet in sheets]))
     corners = np.empty((len(faces), 3, 2))
-    for (sheet, _, _), piece, place in zip(sheets, pieces, places, strict=True):
-        corners[piece] = (sheet + place) / side
+    for sheet, piece, place in zip(sheets, pieces, places, strict=True):
+        corners[piece] = (sheet.corners + place) / side
     index = mesh.faces.ravel()
     split = Mesh(
         mesh.positions[index],
@@ -119,7 +179,8 @@ def _unwrap(mesh: Mesh, jobs: int) -> tuple[Mesh, int]:
         None if mesh.normals is None else mesh.normals[index],
         corners.reshape(-1, 2).astype(np.float32),
     )
-    return compacted(split), sum(count for _, _, count in sheets)
+    num_blender = sum(sheet.num_blender for sheet in sheets)
+    return compacted(split), num_blender, sum(sheet.num_single for sheet in sheets)
 
 
 def _pieces(mesh: Mesh) -> list[NDArray[np.int64]]:
@@ -128,31 +189,52 @@ def _pieces(mesh: Mesh) -> list[NDArray[np.int64]]:
     return [order[first : first + PIECE_FACES] for first in range(0, len(order), PIECE_FACES)]
 
 
-def _unwrap_piece(
-    positions: NDArray[np.float32], faces: NDArray[np.int64], stem: Path
-) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Corners (M, 3, 2) on a sheet in metres, its size (2,), and how many triangles xatlas did not place."""
+@dataclass(frozen=True)
+class _Sheet:
+    """Corners (M, 3, 2) in metres and the size (2,); triangles that Blender placed, and single ones."""
+
+    corners: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+    num_blender: int
+    num_single: int
+
+
+def _unwrap_piece(positions: NDArray[np.float32], faces: NDArray[np.int64], stem: Path) -> _Sheet:
     used, compact = np.unique(faces, return_inverse=True)
     compact = compact.reshape(-1, 3)
-    source, target = stem.with_suffix(".in.npz"), stem.with_suffix(".out.npz")
+    source = stem.with_suffix(".in.npz")
     np.savez(source, positions=positions[used], faces=compact)
-    command = [sys.executable, "-m", "model.reconstruction.unwrap_process", str(source), str(target)]
+    num_blender = 0
+    made = _run(XATLAS_PROCESS, source, stem.with_suffix(".xatlas.npz"))
+    if made is None and find_spec("bpy") is not None:
+        made = _run(BLENDER_PROCESS, source, stem.with_suffix(".blender.npz"))
+        num_blender = 0 if made is None else int(made[2].sum())
+    if made is None:
+        corners, size = triangle_sheet(positions[used], compact)
+        return _Sheet(corners, size, 0, len(faces))
+    corners, size, is_placed = made
+    if not is_placed.all():
+        rest, rest_size = triangle_sheet(positions[used], compact[~is_placed])
+        corners[~is_placed] = rest + np.array([0.0, size[1]])
+        size = np.array([max(size[0], rest_size[0]), size[1] + rest_size[1]])
+    return _Sheet(corners, size, num_blender, int((~is_placed).sum()))
+
+
+def _run(
+    module: str, source: Path, target: Path
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]] | None:
+    """Corners, size and which triangles were placed, by a process that may crash; None where it did."""
+    command = [sys.executable, "-m", module, str(source), str(target)]
     root = Path(__file__).resolve().parents[2]
     try:
         done = subprocess.run(command, timeout=PIECE_TIMEOUT_S, capture_output=True, cwd=root).returncode == 0
     except subprocess.TimeoutExpired:
         done = False
     if not done or not target.is_file():
-        corners, size = triangle_sheet(positions[used], compact)
-        return corners, size, len(faces)
+        return None
     with np.load(target) as data:
         corners, size, is_placed = data["corners"], data["size_m"], data["is_placed"]
-    is_placed &= np.isfinite(corners).all(axis=(1, 2))
-    if not is_placed.all():
-        rest, rest_size = triangle_sheet(positions[used], compact[~is_placed])
-        corners[~is_placed] = rest + np.array([0.0, size[1]])
-        size = np.array([max(size[0], rest_size[0]), size[1] + rest_size[1]])
-    return corners, size, int((~is_placed).sum())
+    return corners, size, is_placed & np.isfinite(corners).all(axis=(1, 2))
 
 
 def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,7 +22,13 @@ from datagen.images import encode_png
 from datagen.meshes import encode_ply
 from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
 from model.reconstruction.captures.colmap import MODELS, read_colmap
-from model.reconstruction.photographs import fit_orientation, linearized, undistorted, upright
+from model.reconstruction.photographs import (
+    fit_orientation,
+    lens_pixels,
+    linearized,
+    undistorted,
+    upright,
+)
 from tests.datagen.small_library import box, with_uv
 
 SIZE = (64, 40)
@@ -323,3 +330,59 @@ def test_exif_exposures_are_evened_out(tmp_path: Path) -> None:
     Image.new("RGB", SIZE).save(tmp_path / "1.jpg")
     with pytest.raises(InputError, match=r"1\.jpg: EXIF"):
         read_capture(tmp_path, CaptureOptions(exposure="exif"))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("encoding", ["auto", "gamma22"])
+def test_sixteen_bits_from_files(tmp_path: Path, suffix: str, encoding: Literal["auto", "gamma22"]) -> None:
+    """A ramp finer than 8 bits comes back linear to a 16-bit step."""
+    write_mesh(tmp_path)
+    linear = np.linspace(0.05, 0.9, SIZE[0] * SIZE[1] * 3).reshape(SIZE[1], SIZE[0], 3)
+    stored = srgb_from_linear(linear) if encoding == "auto" else linear ** (1 / 2.2)
+    pixels = np.round(stored * 65535).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / f"a{suffix}"), pixels[..., ::-1])
+    frames = [{"file_path": f"a{suffix}", "transform_matrix": np.eye(4).tolist(), "fl_x": 50.0,
+               "w": SIZE[0], "h": SIZE[1]}]  # fmt: skip
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    (view,) = read_capture(tmp_path, CaptureOptions(encoding=encoding)).views
+    np.testing.assert_allclose(view.read().color, linear, atol=3e-5)
+
+
+def test_photographs_of_several_shapes_one_of_them_turned(tmp_path: Path) -> None:
+    """A JPEG that its EXIF turns by 90 degrees, calibrated upright; a wide one beside it."""
+    write_mesh(tmp_path)
+    ramp = np.tile(np.linspace(40, 220, 60).astype(np.uint8)[:, None, None], (1, 90, 3))  # dark at the top
+    exif = Image.Exif()
+    exif[0x0112] = 6  # stored lying: turn it clockwise to see it
+    lying = np.ascontiguousarray(np.rot90(ramp.transpose(1, 0, 2)[:, ::-1], 0))
+    upright_ramp = np.rot90(lying, -1)
+    Image.fromarray(lying).save(tmp_path / "a.jpg", exif=exif, quality=100, subsampling=0)
+    Image.fromarray(ramp).save(tmp_path / "b.jpg", quality=100, subsampling=0)
+    frames = [
+        {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist(), "fl_x": 50.0, "w": 90, "h": 60},
+        {"file_path": "b.jpg", "transform_matrix": np.eye(4).tolist(), "fl_x": 50.0, "w": 90, "h": 60},
+        {"file_path": "b.jpg", "transform_matrix": np.eye(4).tolist(), "fl_x": 25.0, "w": 45, "h": 30},
+    ]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    turned, wide, small = read_capture(tmp_path).views
+    expected = linear_from_srgb(upright_ramp / 255)
+    assert turned.read().color.shape == (60, 90, 3)
+    np.testing.assert_allclose(turned.read().color, expected, atol=0.02)
+    np.testing.assert_allclose(wide.read().color, linear_from_srgb(ramp / 255), atol=0.02)
+    assert small.read().color.shape == (30, 45, 3)
+    assert len({turned.name, wide.name, small.name}) == 3
+
+
+def test_polynomial_lens_is_undone() -> None:
+    """k4 of r^8 as RealityCapture and Metashape have it, undone to the pinhole's picture."""
+    lens = Camera(160, 100, 140.0, 143.0, 79.0, 52.0, np.eye(4))
+    pinhole = Camera(160, 100, 150.0, 150.0, 80.0, 50.0, np.eye(4))
+    distortion = Distortion(model="polynomial", coefficients=(-0.1, 0.05, 0.003, -0.004, -0.02, 0.3))
+    rays = pinhole.unproject(pinhole.pixel_centers(), np.ones((100, 160)))[..., :2]
+    where = lens_pixels(lens, distortion, rays)
+    x, y = np.meshgrid(np.arange(160) + 0.5, np.arange(100) + 0.5)
+    stored = np.stack([x / 160, y / 100, x * y / 16000], axis=-1).astype(np.float32)  # its pixels' places
+    image = undistorted(stored, lens, distortion, pinhole)
+    found = image.color[..., :2] * [160, 100]
+    error = np.abs(found - where)[image.valid_mask]
+    assert image.valid_mask.mean() > 0.8 and np.quantile(error, 0.99) < 0.05  # remap's table is 1/32 pixel

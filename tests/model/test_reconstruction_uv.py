@@ -65,6 +65,8 @@ def test_xatlas_gives_a_valid_unwrap_that_keeps_triangles_and_density() -> None:
     assert own_uv_fault(made) == ""
     assert report.stretch < 1.3
     assert report.coverage > 0.4
+    assert report.padding_texels is not None and report.padding_texels >= 1
+    assert report.notes == [f"the mesh's own UVs do not serve: {report.rejected}"]
 
 
 def test_pieces_and_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,6 +81,31 @@ def test_pieces_and_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
     assert own_uv_fault(made) == ""
     assert report.stretch == pytest.approx(1, abs=0.01)
     assert report.coverage > 0.2  # half of each triangle's box stays empty
+
+
+@pytest.mark.bpy
+def test_blender_takes_what_xatlas_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """xatlas' process fails; Blender's layout is valid and of one density, and the report says so."""
+    pytest.importorskip("bpy", reason="Blender's Python module is not installed")
+    mesh = tiled_room()
+    monkeypatch.setattr(uv_module, "XATLAS_PROCESS", "model.reconstruction.no_such_process")
+    made, report = unwrapped(mesh)
+    assert report.num_blender_faces + report.num_fallback_faces == len(mesh.faces)
+    assert report.num_fallback_faces < 0.02 * len(mesh.faces)
+    assert own_uv_fault(made) == ""
+    np.testing.assert_array_equal(corner_positions(made), corner_positions(mesh))
+    assert report.stretch < 1.6 and report.coverage > 0.2
+    assert any("Blender unwrapped them" in note for note in report.notes)
+
+
+def test_padding_is_measured() -> None:
+    """Two squares on the atlas, 4 texels apart, then touching."""
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    for gap in (4, 0):
+        uv = np.concatenate([square * 0.25, square * 0.25 + [0.25 + gap / 1024, 0]]).astype(np.float32)
+        positions = np.concatenate([np.pad(square, ((0, 0), (0, 1))), np.pad(square, ((0, 0), (0, 1))) + 3])
+        faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
+        assert uv_module.padding_texels(Mesh(positions.astype(np.float32), faces, None, uv)) == gap
 
 
 def test_triangle_sheet_is_isometric() -> None:

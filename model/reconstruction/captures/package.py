@@ -19,6 +19,7 @@ from datagen.formats.capture import Capture, CaptureView, Encoding
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import open_package
 from datagen.importers.common import slug, unique
+from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.posed import ImageFinder
 from model.reconstruction.captures.rendered import package_geometry
 from model.reconstruction.photographs import PhotographSource
@@ -31,10 +32,11 @@ def is_package(path: Path) -> bool:
     return (path / ASSET_FILE).is_file() or path.suffix == ".zip"
 
 
-def read_package(path: Path, images: Path | None, encoding: Encoding) -> Capture:
+def read_package(path: Path, images: Path | None, encoding: Encoding, has_exposures: bool = False) -> Capture:
     """The package's cameras for which there are photographs. Raises :class:`InputError` where none has one.
 
-    Photographs lie in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
+    They lie in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
+    ``has_exposures``: even out the exposures that they recorded.
     """
     with open_package(path) as package:
         asset = package.asset
@@ -49,7 +51,7 @@ def read_package(path: Path, images: Path | None, encoding: Encoding) -> Capture
         path.parent,
     )
     finder = ImageFinder(folder)
-    views: list[CaptureView] = []
+    found: list[tuple[str, Camera, Path]] = []
     missing: list[str] = []
     names: set[str] = set()
     for item in asset.cameras:
@@ -61,10 +63,15 @@ def read_package(path: Path, images: Path | None, encoding: Encoding) -> Capture
         names.add(name)
         pose = np.array(item.asset_from_camera, dtype=np.float64)
         camera = Camera(item.width_px, item.height_px, item.fx_px, item.fy_px, item.cx_px, item.cy_px, pose)
-        views.append(CaptureView(name, camera, PhotographSource(image, camera, None, encoding)))
-    if not views:
+        found.append((name, camera, image))
+    if not found:
         expected = f"images in {folder} named after the cameras, such as {asset.cameras[0].name}.jpg"
         raise InputError(Problem(path, "photographs", "none", expected, "name their folder with --images"))
+    scales = exposure_scales([image for *_, image in found]) if has_exposures else [1.0] * len(found)
+    views = [
+        CaptureView(name, camera, PhotographSource(image, camera, None, encoding, scale))
+        for (name, camera, image), scale in zip(found, scales, strict=True)
+    ]
     if missing:
         notes = (*notes, f"no photographs for {len(missing)} cameras: {', '.join(missing[:8])}")
     return Capture(asset.id, tuple(views), geometry, asset.lights, notes)

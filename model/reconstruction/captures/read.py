@@ -45,6 +45,7 @@ from model.reconstruction.captures import (
     realitycapture,
     transforms_json,
 )
+from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.frames import (
     Axis,
     judged_unit,
@@ -56,7 +57,7 @@ from model.reconstruction.captures.frames import (
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
 from model.reconstruction.captures.package import is_package, read_package
 from model.reconstruction.captures.posed import Calibration, ImageFinder
-from model.reconstruction.photographs import PhotographSource, relative_exposure
+from model.reconstruction.photographs import PhotographSource
 
 DEFAULT_MAX_WIDTH_PX = 640
 
@@ -120,7 +121,7 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
         _check_paths(record, file, given)
         return open_capture(record, file.parent, options.max_width_px)
     if is_package(path):
-        capture = read_package(path, options.images, options.encoding)
+        capture = read_package(path, options.images, options.encoding, options.exposure == "exif")
         return _shrunk(capture, options.max_width_px)
     record, notes, mesh = _calibrated(path, options)
     capture = open_capture(record, Path(), options.max_width_px, mesh)
@@ -314,18 +315,8 @@ def _in_world(camera: Camera, rotation: NDArray[np.float64], unit_m: float) -> C
 
 
 def _with_exposures(photographs: Sequence[PhotographRecord]) -> list[PhotographRecord]:
-    """Scales that undo the recorded exposures, 1 at their median. Raises where any photograph has none."""
-    gathered = [relative_exposure(Path(p.image)) for p in photographs]
-    problems = [
-        Problem(p.image, "EXIF", "no exposure time, aperture or ISO", "all three", "use --exposure common")
-        for p, value in zip(photographs, gathered, strict=True)
-        if value is None
-    ]
-    if problems:
-        raise InputError(*problems)
-    values = np.array(gathered, dtype=np.float64)
-    middle = float(np.median(values))
+    scales = exposure_scales([Path(photograph.image) for photograph in photographs])
     return [
-        p.model_copy(update={"exposure_scale": middle / value})
-        for p, value in zip(photographs, values, strict=True)
+        photograph.model_copy(update={"exposure_scale": scale})
+        for photograph, scale in zip(photographs, scales, strict=True)
     ]

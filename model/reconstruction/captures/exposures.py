@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: MIT
+"""Exposures that the cameras recorded, evened out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from datagen.errors import InputError, Problem
+from model.reconstruction.photographs import relative_exposure
+
+
+def exposure_scales(images: Sequence[Path]) -> list[float]:
+    """Factors that undo the recorded exposures, 1 at their median.
+
+    Raises :class:`InputError` with every photograph that records none.
+    """
+    gathered = [relative_exposure(image) for image in images]
+    problems = [
+        Problem(image, "EXIF", "no exposure time, aperture or ISO", "all three", "use --exposure common")
+        for image, value in zip(images, gathered, strict=True)
+        if value is None
+    ]
+    if problems:
+        raise InputError(*problems)
+    values = np.array(gathered, dtype=np.float64)
+    return [float(value) for value in np.median(values) / values]
