@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from datagen.errors import input_error
 
 MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before a byte is read
+SINGULAR = 1e-15  # a determinant below: a transform that flattens
 LYING_COSINE = 0.01  # a shading normal within 0.6 degrees of its triangle's plane shades nothing
 _MAX_HEADER_BYTES = 64 * 1024
 _PLY_TYPES = {

@@ -164,7 +164,7 @@ class _GltfImporter:
             indices = self.file.accessor(primitive["indices"], label)[:, 0].astype(np.int64)
         else:
             indices = np.arange(len(positions))
-        faces = _triangles(indices, int(primitive.get("mode", 4)))
+        faces = triangles_of(indices, int(primitive.get("mode", 4)))
         uv = None
         uv_name = f"TEXCOORD_{material.uv_set}"
         if uv_name in attributes:
@@ -401,9 +401,9 @@ class _GltfImporter:
         return found
 
 
-def _triangles(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
+def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
     """Triangle list (M, 3) of a list (4), strip (5) or fan (6)."""
-    if mode == 4:
+    if mode == 4 or len(indices) < 3:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
     k = np.arange(max(0, len(indices) - 2))
     if mode == 6:

@@ -21,7 +21,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem, input_error
+from datagen.errors import InputError, input_error
 
 KNOWN_EXTENSIONS = frozenset(
     {
@@ -34,6 +34,7 @@ KNOWN_EXTENSIONS = frozenset(
     }
 )  # fmt: skip
 MAX_FILE_BYTES = 2 << 30
+_MAX_ZEROS = 10_000_000  # entries of an accessor without data, which a file may claim for nothing
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _IMAGE_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
@@ -200,6 +201,8 @@ class GltfFile:
         if "bufferView" in entry:
             values = self._strided(entry, kind, width, count, f"accessors[{index}]")
         else:
+            if not 0 <= count <= _MAX_ZEROS:
+                raise self.error(f"accessors[{index}].count", count, f"at most {_MAX_ZEROS} without data")
             values = np.zeros((count, width), kind)
         if "sparse" in entry:
             values = self._sparse(entry["sparse"], values, kind, width, f"accessors[{index}].sparse")
@@ -213,6 +216,8 @@ class GltfFile:
         size = kind.itemsize * width
         stride = stride or size
         start = int(entry.get("byteOffset", 0))
+        if min(count, start, stride) < 0:
+            raise self.error(user, f"count {count}, offset {start}", "numbers above 0")
         if count and (stride < size or start + stride * (count - 1) + size > len(data)):
             raise self.error(user, f"{len(data)} bytes", f"{start + stride * (count - 1) + size} bytes")
         if stride == size:
@@ -266,21 +271,21 @@ class GltfFile:
         else:
             inner = {c for n in self.items("nodes") for c in n.get("children", [])}
             roots = [k for k in range(len(self.items("nodes"))) if k not in inner]
+        seen: set[int] = set()
         for root in roots:
-            yield from self._walk(root, root, np.eye(4), ())
+            yield from self._walk(root, root, np.eye(4), seen)
 
     def _walk(
-        self, index: int, root: int, outer: NDArray[np.float64], above: tuple[int, ...]
+        self, index: int, root: int, outer: NDArray[np.float64], seen: set[int]
     ) -> Iterator[PlacedNode]:
         node = self.item("nodes", index, "nodes")
-        if index in above:
-            raise InputError(
-                Problem(self.path, f"nodes[{index}]", "inside itself", "a tree of nodes", "export it again")
-            )
+        if index in seen:  # forty nodes with two parents each would be a million million
+            raise self.error(f"nodes[{index}]", "inside itself or two others", "a tree of nodes")
+        seen.add(index)
         matrix = outer @ local_matrix(node)
         yield PlacedNode(index, root, node, matrix)
         for child in node.get("children", []):
-            yield from self._walk(child, root, matrix, (*above, index))
+            yield from self._walk(child, root, matrix, seen)
 
 
 def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:

@@ -38,7 +38,7 @@ def read_obj(path: Path) -> Mesh:
     try:
         tables = (_table(positions, 3), _table(uvs, 2), _table(normals, 3))
         corners = _corners(faces, tuple(len(t) for t in tables))
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError) as error:
         raise input_error(
             path, got=str(error)[:200], expected="an intact OBJ file", remedy="export it again"
         ) from None

@@ -20,6 +20,7 @@ from datagen.formats.capture import ColorImage, Distortion, Encoding
 from datagen.images import normalized, read_image, read_ldr
 
 PAPER_GAMMA = 2.2
+_EXIF_FORMATS = ("PNG", "JPEG", "TIFF")
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
@@ -58,30 +59,30 @@ def exif_orientation(path: Path) -> int:
     """EXIF orientation 1 ... 8; 1 where the file has none."""
     if path.suffix.lower() == ".exr":
         return 1
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=_EXIF_FORMATS) as image:
             value = int(image.getexif().get(_EXIF_ORIENTATION, 1))
-    except (OSError, ValueError, TypeError, UnidentifiedImageError) as error:
-        raise input_error(path, "EXIF", str(error), "a readable image") from None
+    except Exception as error:  # Pillow raises whatever its parsers meet
+        raise input_error(path, "EXIF", str(error)[:200], "a readable image", "export it again") from None
     return value if 1 <= value <= 8 else 1
 
 
 def relative_exposure(path: Path) -> float | None:
     """Light gathered, up to one factor for all: t ISO / N^2 from EXIF; None where a figure is missing."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=_EXIF_FORMATS) as image:
             tags = image.getexif().get_ifd(_EXIF_IFD)
             values = [tags.get(tag) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO)]
             values = [value[0] if isinstance(value, tuple) else value for value in values]
             time_s, f_number, iso = (float(value) for value in values if value is not None)
-    except (OSError, ValueError, TypeError, ZeroDivisionError, UnidentifiedImageError):
+        gathered = time_s * iso / f_number**2
+    except Exception:  # no figures: as good as a file without any, and Pillow raises what its parsers meet
         return None
-    gathered = time_s * iso / f_number**2 if f_number > 0 else 0.0
-    return gathered if np.isfinite(gathered) and gathered > 0 else None
+    return gathered if f_number > 0 and np.isfinite(gathered) and gathered > 0 else None
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem, input_error
+from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
 from model.reconstruction.captures.posed import Calibration, PosedImage
 
@@ -118,14 +119,16 @@ def lens_intrinsics(
     if model in ("SIMPLE_RADIAL", "RADIAL"):
         k = (k[0], k[1] if len(k) > 1 else 0.0, 0.0, 0.0)
     kind = "fisheye" if "FISHEYE" in model else "brown"
-    distortion = Distortion(model=kind, coefficients=k) if any(k) else None  # type: ignore[arg-type]
     if not (min(focal) > 0 and np.isfinite([*focal, *center, *k]).all()):
         raise input_error(where, "camera parameters", p, "finite values, focal lengths above 0", _REMEDY)
+    distortion = Distortion(model=kind, coefficients=k) if any(k) else None  # type: ignore[arg-type]
     return (focal[0], focal[1], center[0], center[1]), distortion
 
 
 def _lines(path: Path) -> list[str]:
     try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise input_error(path, "", "a file of over 256 MB", "a COLMAP model", _REMEDY)
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise input_error(path, got=str(error), expected="a readable text file", remedy=_REMEDY) from None

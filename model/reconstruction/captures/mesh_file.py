@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import input_error
-from datagen.meshes import Mesh, inspect_mesh, read_ply, welded, without_degenerate
+from datagen.formats.base import inside
+from datagen.meshes import SINGULAR, Mesh, inspect_mesh, read_ply, welded, without_degenerate
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
 
@@ -24,7 +25,7 @@ def find_mesh(path: Path) -> Path:
     if len(found) != 1:
         got = ", ".join(f.name for f in found) or "no mesh beside the cameras"
         raise input_error(path, "mesh", got, "one mesh in the cameras' frame", "name it with --mesh")
-    return found[0].resolve()
+    return inside(folder, found[0]).resolve()
 
 
 def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
@@ -36,6 +37,8 @@ def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> 
     faults = inspect_mesh(mesh)
     if faults.is_unusable:
         raise input_error(path, "", str(faults), "finite triangles", "repair the mesh and export it again")
+    if abs(np.linalg.det(world_from_mesh[:3, :3])) < SINGULAR:
+        raise input_error(path, "world_from_mesh", world_from_mesh.tolist(), "an invertible matrix")
     mesh, num_repeated = _without_repeated(without_degenerate(mesh))
     notes = []
     for count, what in (
@@ -61,19 +64,9 @@ def load_mesh(path: Path) -> Mesh:
         from datagen.importers.obj import read_obj
 
         return read_obj(path)
-    import trimesh
+    from model.reconstruction.captures.gltf_mesh import read_gltf
 
-    try:
-        loaded = trimesh.load_scene(path).to_mesh()
-        uv = getattr(loaded.visual, "uv", None)
-        return Mesh(
-            np.asarray(loaded.vertices, np.float32),
-            np.asarray(loaded.faces, np.int32),
-            None,
-            None if uv is None or len(uv) != len(loaded.vertices) else np.asarray(uv, np.float32),
-        )
-    except Exception as error:  # trimesh raises whatever its parsers meet
-        raise input_error(path, "", repr(error)[:200], "a readable glTF file", "export it again") from None
+    return read_gltf(path)
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:

@@ -52,23 +52,24 @@ def read(path: Path, images: Path | None) -> Calibration:
     unposed = 0
     for view in views:
         name = str(Path(str(view.get("local_path", ""))) / str(view.get("filename", "")))
-        if view.get("id_pose") not in poses or view.get("id_intrinsic") not in intrinsics:
-            unposed += 1
-            continue
         try:
+            if view.get("id_pose") not in poses or view.get("id_intrinsic") not in intrinsics:
+                unposed += 1
+                continue
             lens = intrinsics[view["id_intrinsic"]]
             found.append(_posed(name, lens, poses[view["id_pose"]], path))
         except InputError as error:
             problems.extend(error.problems)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             problems.append(Problem(path, name, repr(error)[:200], "numbers", _REMEDY))
     if not found and not problems:
         problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
     if problems:
         raise InputError(*problems)
-    root = Path(str(data.get("root_path", "")))
-    folder = images or next((f for f in (root, path.parent / root.name, path.parent / "images") if
-                             root.name and f.is_dir()), path.parent)  # fmt: skip
+    # Another computer's folder: only its name is taken, for a folder beside the file.
+    name = Path(str(data.get("root_path", ""))).name
+    beside = [path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..")]
+    folder = images or next((f for f in beside if f.is_dir()), path.parent)
     notes = (f"{unposed} views have no pose or lens and were left out",) if unposed else ()
     return Calibration(tuple(found), folder, notes)
 

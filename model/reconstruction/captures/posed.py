@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.cameras import Camera
-from datagen.errors import input_error
+from datagen.errors import InputError, input_error
 from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
 
@@ -45,23 +45,35 @@ class Calibration:
 
 class ImageFinder:
     """Finds images by the names that calibrations give them, which may be absolute paths of another computer,
-    lack their suffix or differ in case."""
+    lack their suffix or differ in case. What lies outside the folder, or is a link that leads there, is not
+    found: calibrations come from strangers."""
 
     def __init__(self, folder: Path):
         self.folder = folder
+        self._base = folder.resolve()
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
         """The image's path, or None. A bare name is looked for below the folder and must be there once."""
         name = name.replace("\\", "/")
+        if not name.isprintable():  # a zero byte is no part of a path
+            return None
         direct = self.folder / name  # an absolute name stays itself
-        if direct.suffix.lower() in IMAGE_SUFFIXES and direct.is_file():
-            return direct.resolve()
-        for suffix in IMAGE_SUFFIXES:
-            if Path(f"{direct}{suffix}").is_file():
-                return Path(f"{direct}{suffix}").resolve()
+        suffixes = ("", *IMAGE_SUFFIXES) if direct.suffix.lower() in IMAGE_SUFFIXES else IMAGE_SUFFIXES
+        for suffix in suffixes:
+            image = self._admitted(Path(f"{direct}{suffix}"))
+            if image is not None:
+                return image
         found = self._index().get(Path(name).name.lower(), [])
-        return found[0].resolve() if len(found) == 1 else None
+        return found[0] if len(found) == 1 else None
+
+    def _admitted(self, path: Path) -> Path | None:
+        """The file behind ``path`` if it is one, and in the folder."""
+        try:
+            real = path.resolve()
+            return real if real.is_relative_to(self._base) and real.is_file() else None
+        except (OSError, RuntimeError):
+            return None  # a name that is too long, or links in a circle
 
     def _index(self) -> dict[str, list[Path]]:
         """Images below the folder by name, with and without suffix, in lower case."""
@@ -69,18 +81,23 @@ class ImageFinder:
             self._by_name = {}
             paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
             for path in paths:
-                if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+                image = self._admitted(path) if path.suffix.lower() in IMAGE_SUFFIXES else None
+                if image is not None:
                     for key in {path.name.lower(), path.stem.lower()}:
-                        self._by_name.setdefault(key, []).append(path)
+                        self._by_name.setdefault(key, []).append(image)
         return self._by_name
 
 
 def read_text(path: Path) -> str:
     """A text file of sane size. Raises :class:`InputError`."""
     try:
+        if not path.is_file():  # a pipe would wait for ever
+            raise input_error(path, "", "no regular file", "an export of cameras", EXPORT_AGAIN)
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise input_error(path, "", "a file of over 256 MB", "an export of cameras", EXPORT_AGAIN)
         return path.read_text(encoding="utf-8-sig")
+    except InputError:
+        raise
     except (OSError, UnicodeDecodeError) as error:
         raise input_error(path, "", str(error), "a readable text file", EXPORT_AGAIN) from None
 
@@ -88,6 +105,8 @@ def read_text(path: Path) -> str:
 def head_of(path: Path, num_bytes: int = 4096) -> str:
     """The file's beginning as text, '' where it cannot be read: for telling formats apart."""
     try:
+        if not path.is_file():
+            return ""
         with path.open("rb") as file:
             return file.read(num_bytes).decode("utf-8", "replace")
     except OSError:

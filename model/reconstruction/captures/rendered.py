@@ -21,7 +21,7 @@ from datagen.formats.exr import decode_view
 from datagen.formats.package import Package
 from datagen.formats.shard import ShardReader
 from datagen.library import Library
-from datagen.meshes import Mesh, decode_ply, joined, without_degenerate
+from datagen.meshes import SINGULAR, Mesh, decode_ply, inspect_mesh, joined, without_degenerate
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,8 @@ def read_shard(shard: Path, library: Library) -> Capture:
         members = {Path(info.name).stem: info for info in tar if info.name.endswith(".exr")}
     views = []
     for name, record in records.items():
+        if name not in members:
+            raise input_error(shard, name, "a record without an image", "both", "make the shard again")
         info = members[name]
         source = ShardSource(shard, info.name, info.offset_data, info.size)
         views.append(CaptureView(name, record.camera.camera(), source))
@@ -116,11 +118,18 @@ class _PlacedPart:
 
 def _parts_of(package: Package, placed: PlacedAsset, library: Library | None) -> list[_PlacedPart]:
     asset = package.asset
-    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    if not isinstance(asset, ObjectAsset | EnvironmentAsset):
+        raise input_error(package.path, "kind", asset.kind, "an environment or an object to place")
     found = []
     for part in asset.parts:
         matrix = np.asarray(placed.world_from_asset) @ np.asarray(part.asset_from_part)
+        if abs(np.linalg.det(matrix[:3, :3])) < SINGULAR:
+            raise input_error(placed.name, f"{part.name} transform", matrix.tolist(), "an invertible matrix")
         mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
+        faults = inspect_mesh(mesh)
+        if faults.is_unusable:
+            remedy = "re-export the asset"
+            raise input_error(package.path, part.mesh, faults, "a surface of finite triangles", remedy)
         mesh = without_degenerate(_placed(mesh, matrix))
         material = _material(placed, asset, part.material, library)
         emission = placed.emission.get(part.material, material.emission)
@@ -159,5 +168,6 @@ def _material(
     if assignment.asset is None or library is None:
         return asset.materials[slot]
     chosen = library.package(assignment.asset).asset
-    assert isinstance(chosen, MaterialAsset)
+    if not isinstance(chosen, MaterialAsset):
+        raise input_error(placed.name, f"materials.{slot}", chosen.kind, "a material package")
     return chosen.material

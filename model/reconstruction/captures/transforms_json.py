@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +17,22 @@ import numpy as np
 
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem, input_error
-from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
 from datagen.images import image_size
-from model.reconstruction.captures.posed import Calibration, PosedImage, pose_of, rotation_part
+from model.reconstruction.captures.posed import (
+    Calibration,
+    ImageFinder,
+    PosedImage,
+    pose_of,
+    read_text,
+    rotation_part,
+)
 
 _OURS_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _MODELS = {
     "OPENCV": "brown", "PINHOLE": "brown", "SIMPLE_PINHOLE": "brown", "SIMPLE_RADIAL": "brown",
     "RADIAL": "brown", "FULL_OPENCV": "brown", "OPENCV_FISHEYE": "fisheye",
 }  # fmt: skip
-_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".exr")
 
 
 def find(path: Path) -> Path | None:
@@ -37,18 +43,19 @@ def find(path: Path) -> Path | None:
 
 def read(path: Path, images: Path | None) -> Calibration:
     """Every frame."""
-    return Calibration(tuple(read_transforms(path)), images or path.parent)
+    folder = images or path.parent
+    return Calibration(tuple(read_transforms(path, folder)), folder)
 
 
-def read_transforms(path: Path) -> list[PosedImage]:
-    """Every frame; image paths are made absolute. Raises :class:`InputError` with all faults of the file."""
+def read_transforms(path: Path, folder: Path | None = None) -> list[PosedImage]:
+    """Every frame; image paths are made absolute and lie beside the file or in ``folder``. Raises
+    :class:`InputError` with all faults of the file."""
+    finders = [ImageFinder(f) for f in dict.fromkeys((path.parent, folder or path.parent))]
     try:
-        if path.stat().st_size > MAX_TEXT_BYTES:
-            raise input_error(path, "", "a file of over 256 MB", "transforms.json")
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_text(path))
     except InputError:
         raise
-    except (OSError, ValueError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise input_error(path, "", str(error), "valid JSON", "export it again") from None
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -57,18 +64,18 @@ def read_transforms(path: Path) -> list[PosedImage]:
     problems: list[Problem] = []
     for index, frame in enumerate(frames):
         try:
-            found.append(_posed({**data, **frame}, path, f"frames[{index}]"))
+            found.append(_posed({**data, **frame}, path, f"frames[{index}]", finders))
         except InputError as error:
             problems.extend(error.problems)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             problems.append(Problem(path, f"frames[{index}]", str(error), "numbers", "export it again"))
     if problems:
         raise InputError(*problems)
     return found
 
 
-def _posed(values: dict[str, Any], path: Path, field: str) -> PosedImage:
-    image = _image_path(values, path, field)
+def _posed(values: dict[str, Any], path: Path, field: str, finders: Sequence[ImageFinder]) -> PosedImage:
+    image = _image_path(values, path, field, finders)
     matrix = np.asarray(values.get("transform_matrix"), dtype=np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise input_error(path, f"{field}.transform_matrix", matrix.shape, "a 4x4 matrix", "export it again")
@@ -78,15 +85,16 @@ def _posed(values: dict[str, Any], path: Path, field: str) -> PosedImage:
     )
 
 
-def _image_path(values: dict[str, Any], path: Path, field: str) -> Path:
+def _image_path(values: dict[str, Any], path: Path, field: str, finders: Sequence[ImageFinder]) -> Path:
     name = values.get("file_path")
     if not isinstance(name, str) or not name:
         raise input_error(path, f"{field}.file_path", name, "the image's path", "export it again")
-    for suffix in _SUFFIXES:  # the original NeRF files leave the suffix out
-        candidate = path.parent / f"{name}{suffix}"
-        if candidate.is_file():
-            return candidate
-    raise input_error(path, f"{field}.file_path", name, "a file", "put the images where the file says")
+    for finder in finders:  # which also tries suffixes: the original NeRF files leave them out
+        image = finder.find(name)
+        if image is not None:
+            return image
+    remedy = "put the images beside the file, or name their folder with --images"
+    raise input_error(path, f"{field}.file_path", name[:200], "an image in the capture's folder", remedy)
 
 
 def _camera(values: dict[str, Any], image: Path, path: Path, field: str, pose: np.ndarray) -> Camera:
