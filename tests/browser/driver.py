@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import psutil
 import pytest
 
 if TYPE_CHECKING:
@@ -161,3 +162,25 @@ class Page:
 
     def screenshot(self, path: Path) -> None:
         self.driver.save_screenshot(str(path))
+
+    def _renderers(self, what: Callable[[psutil.Process], float]) -> float:
+        """Sum of a figure over the processes that show the page and its frames, and the one or two that the
+        browser keeps ready."""
+        total, num = 0.0, 0
+        for process in psutil.Process(self.driver.service.process.pid).children(recursive=True):
+            try:
+                if "--type=renderer" in process.cmdline():
+                    total += what(process)
+                    num += 1
+            except psutil.Error:
+                continue  # it has just ended
+        assert num > 0
+        return total
+
+    def memory_mb(self) -> float:
+        """Memory that is not shared, of all these processes together."""
+        return self._renderers(lambda process: process.memory_full_info().uss / 1e6)
+
+    def processor_s(self) -> float:
+        """Processor time of these processes, which a crowded machine does not stretch."""
+        return self._renderers(lambda process: sum(process.cpu_times()[:2]))

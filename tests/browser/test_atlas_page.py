@@ -25,6 +25,7 @@ from tests.conftest import REPOSITORY
 from tests.oracles import brdf
 
 SIDE, PATCHES = 64, 8
+MAX_OPEN_S = 3.0
 CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -341,6 +342,37 @@ def test_large_textures_come_after_a_small_picture(browser: Page, tmp_path: Path
     browser.wait("return document.getElementById('notice').innerText.includes('0-rough.js')")
     assert read(browser).std() > 5  # the preview is shown all the same
     assert len(browser.console()) == 1  # the browser's own word on the missing file
+
+
+@pytest.mark.slow
+def test_atlas_of_4096_texels_opens_soon(tmp_path: Path) -> None:
+    """Noise in every texel, which PNG hardly shrinks: more than an atlas of photographs."""
+    quad = make_quad(tmp_path / "large", side=4096)
+    rng = np.random.default_rng(1)
+    for name, image in quad.images.items():
+        noisy = image + rng.integers(0, 8, image.shape, dtype=np.uint8) * (image < 240)
+        (quad.asset / "asset" / f"{name}.png").write_bytes(encode_png(noisy.astype(np.uint8)))
+    result = write_view(quad.asset, tmp_path / "page")
+    with open_browser(tmp_path / "profile", 860, 560, logs_requests=False, flags=SOFTWARE_GL) as driver:
+        page = Page(driver)
+        driver.get("about:blank")
+        before = page.processor_s()
+        driver.get((tmp_path / "page" / "index.html").as_uri())
+        page.wait("return performance.getEntriesByName('preview').length > 0")
+        first = page.processor_s() - before
+        page.wait("return performance.getEntriesByName('full').length > 0")
+        spent = page.processor_s() - before
+        marks = ("preview", "full")
+        times = [
+            page.run("return performance.getEntriesByName(arguments[0])[0].startTime", m) / 1000
+            for m in marks
+        ]
+        print(
+            f"4096 texels, {result.num_bytes / 1e6:.0f} MB: first picture after {times[0]:.2f} s "
+            f"({first:.2f} s of processor time), full size after {times[1]:.2f} s ({spent:.2f} s)"
+        )
+        assert read(page).std() > 5 and page.console() == []
+    assert first < MAX_OPEN_S
 
 
 # ---------------------------------------------------------------------- without a browser

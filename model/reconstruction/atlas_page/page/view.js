@@ -227,6 +227,8 @@
     const previews = VIEW.preview;
     delete VIEW.preview;
     await Promise.all(Object.entries(previews).map(([name, text]) => put(name, text)));
+    draw();
+    performance.mark("preview");
     document.documentElement.dataset.ready = "preview";
     for (const material of data.materials) for (const [name, , width, height] of material.images) {
       if (Math.max(width, height) <= 1024) continue; // the preview is all there is
@@ -235,6 +237,8 @@
       delete VIEW.images[name];
       await put(name, text);
     }
+    draw();
+    performance.mark("full");
     document.documentElement.dataset.ready = "true";
   }
 
