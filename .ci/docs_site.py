@@ -38,7 +38,7 @@ def api_pages() -> dict[str, list[str]]:
                 continue
             owner = ".".join(parts[:2]) if len(parts) > 2 else package
             pages.setdefault(owner, []).append(name)
-    return pages
+    return dict(sorted(pages.items(), key=lambda item: (PACKAGES.index(item[0].split(".")[0]), item[0])))
 
 
 def _api_page(owner: str, modules: list[str]) -> str:

@@ -31,7 +31,7 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
         epilog=f"Example: {program} room.blend --out packages --license CC0-1.0 --report",
     )
     parser.add_argument("blend", type=Path, nargs="?", help="the file (inside Blender: the open one)")
-    parser.add_argument("--out", type=Path, required=True, help="folder that the packages go into")
+    parser.add_argument("--out", type=Path, help="folder that the packages go into")
     parser.add_argument("--kind", choices=KINDS, default=default.kind)
     parser.add_argument("--only", action="append", default=[], metavar="NAME", help="export this one only")
     parser.add_argument("--tolerance", type=float, default=default.tolerance,
@@ -112,6 +112,9 @@ def run(arguments: argparse.Namespace) -> int:
             problems = check(settings)
         _list(problems)
         return REFUSED if any(p.severity == "error" for p in problems) else 0
+    if arguments.out is None:
+        print("error: --out is missing; say which folder the packages go into", file=sys.stderr)
+        return REFUSED
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
