@@ -6,6 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+_MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can hold a million faults of any length
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]} ..."
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -23,10 +29,11 @@ class Problem:
 
     def __str__(self) -> str:
         text = f"{self.where}: "
-        if self.field and self.got:
-            text += f"{self.field} = {self.got}"
+        field, got = _shortened(self.field), _shortened(self.got)
+        if field and got:
+            text += f"{field} = {got}"
         else:
-            text += self.field or self.got
+            text += field or got
         if self.expected:
             text += f"; expected {self.expected}"
         if self.remedy:
@@ -41,7 +48,10 @@ class InputError(ValueError):
         if not problems:
             raise TypeError("InputError needs at least one Problem")
         self.problems = problems
-        super().__init__("\n".join(str(problem) for problem in problems))
+        lines = [str(problem) for problem in problems[:_MAX_LISTED]]
+        if len(problems) > _MAX_LISTED:
+            lines.append(f"... and {len(problems) - _MAX_LISTED} more problems")
+        super().__init__("\n".join(lines))
 
 
 def input_error(

@@ -19,7 +19,6 @@ from datagen.errors import InputError, Problem
 
 MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file is not one of ours
 _MAX_SLUG = 200  # with a suffix it is still a file name
-_MAX_PROBLEMS = 100  # of one file; a small one can have a million
 
 
 class StrictModel(BaseModel):
@@ -103,10 +102,10 @@ def _field_path(location: tuple[int | str, ...]) -> str:
     return text
 
 
-def _problems(where: str | Path, error: ValidationError) -> list[Problem]:
+def problems_of(where: str | Path, error: ValidationError) -> list[Problem]:
+    """What a model says against ``where``, in words."""
     problems = []
-    entries = error.errors(include_url=False)
-    for entry in entries[:_MAX_PROBLEMS]:
+    for entry in error.errors(include_url=False):
         got = "" if entry["type"] == "missing" else _SHORT.repr(entry.get("input"))
         expected = entry["msg"].removeprefix("Value error, ")
         expected = expected[0].lower() + expected[1:]
@@ -123,9 +122,6 @@ def _problems(where: str | Path, error: ValidationError) -> list[Problem]:
         else:
             remedy = "correct the value"
         problems.append(Problem(where, _field_path(entry["loc"]), got, expected, remedy))
-    if len(entries) > _MAX_PROBLEMS:
-        more = f"{len(entries) - _MAX_PROBLEMS} more problems"
-        problems.append(Problem(where, "", more, "none", "correct those above first"))
     return problems
 
 
@@ -134,7 +130,7 @@ def parse_model(model: type[ModelT], data: Any, where: str | Path) -> ModelT:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise InputError(*_problems(where, error)) from None
+        raise InputError(*problems_of(where, error)) from None
 
 
 def _read_text(path: Path) -> str:

@@ -45,7 +45,9 @@ def read(path: Path, images: Path | None) -> Calibration:
         num_cameras = int(words[0].split()[0])
         rows = [[float(word) for word in line.split()] for line in words[1 : 1 + 5 * num_cameras]]
         table = np.array(rows).reshape(num_cameras, 5, 3)
-    except (ValueError, IndexError) as error:
+        if not np.isfinite(table).all():
+            raise ValueError("NaN or infinite values")
+    except (ValueError, IndexError, OverflowError) as error:
         expected = "the number of cameras and 5 rows of 3 numbers a camera"
         raise input_error(path, "", str(error)[:200], expected, EXPORT_AGAIN) from None
     if len(names) != num_cameras:

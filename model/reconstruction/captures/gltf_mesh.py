@@ -27,6 +27,7 @@ def read_gltf(path: Path) -> Mesh:
     except InputError:
         raise
     except (
+        OSError,
         KeyError,
         TypeError,
         ValueError,

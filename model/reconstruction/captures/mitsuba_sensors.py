@@ -25,7 +25,10 @@ def read(path: Path, images: Path | None) -> Calibration:
 
     posed = []
     for number, node in enumerate(parse_scene(path).all_of("sensor")):
-        made = camera_of(node, number, np.eye(4), Findings())
+        try:
+            made = camera_of(node, number, np.eye(4), Findings())
+        except (ArithmeticError, TypeError) as error:
+            raise input_error(path, node.where, str(error), "a perspective sensor", "correct it") from None
         matrix = np.array(made.asset_from_camera, dtype=np.float64)
         camera = Camera(made.width_px, made.height_px, made.fx_px, made.fy_px, made.cx_px, made.cy_px, matrix)
         posed.append(PosedImage(made.name, camera, None))

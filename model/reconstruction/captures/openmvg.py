@@ -68,7 +68,9 @@ def read(path: Path, images: Path | None) -> Calibration:
         raise InputError(*problems)
     # Another computer's folder: only its name is taken, for a folder beside the file.
     name = Path(str(data.get("root_path", ""))).name
-    beside = [path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..")]
+    beside = [
+        path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..") and len(f) < 100
+    ]
     folder = images or next((f for f in beside if f.is_dir()), path.parent)
     notes = (f"{unposed} views have no pose or lens and were left out",) if unposed else ()
     return Calibration(tuple(found), folder, notes)

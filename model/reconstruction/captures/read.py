@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem, input_error
-from datagen.formats.base import canonical_json, read_json, write_bytes_atomically
+from datagen.formats.base import canonical_json, problems_of, read_json, write_bytes_atomically
 from datagen.formats.capture import (
     CAPTURE_FILE,
     Capture,
@@ -171,7 +171,10 @@ def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tupl
 def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
     """The above, and the mesh where it had to be read for them."""
     form, found = _form_of(path)
-    calibration = form.read(found, options.images)
+    try:
+        calibration = form.read(found, options.images)
+    except ValidationError as error:  # cameras or lenses that cannot be
+        raise InputError(*problems_of(found, error)) from None
     if options.images is None and calibration.folder.is_symlink():
         got = f"a link to {calibration.folder.resolve()}"
         raise input_error(calibration.folder, "", got, "a folder", "name it with --images")
@@ -205,9 +208,7 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
         try:
             camera = ViewCamera.from_camera(name, _in_world(image.camera, z_up_from(up), unit_m))
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            got, field = repr(first["input"])[:80], f"{image.file} {'.'.join(map(str, first['loc']))}"
-            problems.append(Problem(path, field, got, first["msg"].lower(), "export the cameras again"))
+            problems += problems_of(f"{found}: {image.file}", error)
             continue
         photographs.append(PhotographRecord(camera=camera, image=str(file), distortion=image.distortion))
     if problems:
