@@ -61,13 +61,16 @@ class Point:
     removed_share: float
 
 
-def scenes(cache: Path, size: tuple[int, int]) -> Iterator[tuple[str, Configuration, Library]]:
-    """Name, configuration and library of each scene; imported ones are left out where the data are absent."""
-    for index, name in enumerate(BUNDLED):
-        yield bundled(name, index, size)
-    for name in IMPORTED:
-        library = converted(name, cache)
-        yield name, configuration_of(library, VIEWS, size), library
+def scenes(
+    names: list[str], cache: Path, size: tuple[int, int]
+) -> Iterator[tuple[str, Configuration, Library]]:
+    """Name, configuration and library of each scene."""
+    for name in names:
+        if name in BUNDLED:
+            yield bundled(name, BUNDLED.index(name), size)
+        else:
+            library = converted(name, cache)
+            yield name, configuration_of(library, VIEWS, size), library
 
 
 def bundled(name: str, seed: int, size: tuple[int, int]) -> tuple[str, Configuration, Library]:
@@ -237,6 +240,7 @@ def main() -> None:
     """Parse, make references, measure, write."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", choices=("references",))
+    parser.add_argument("--scenes", nargs="+", choices=BUNDLED + IMPORTED, default=BUNDLED + IMPORTED)
     parser.add_argument("--size", type=int, nargs=2, default=(128, 80))
     parser.add_argument("--views", type=int, default=VIEWS, help="the first views of each scene")
     parser.add_argument("--reference-samples", type=int, default=2048, help="paths a pixel in each of two")
@@ -250,7 +254,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     points: list[Point] = []
     recipe = RenderRecipe(max_rel_mse=1e-9, max_path_samples=1 << 16, firefly_clamp=arguments.clamp)
-    for name, configuration, library in scenes(arguments.cache, tuple(arguments.size)):
+    for name, configuration, library in scenes(arguments.scenes, arguments.cache, tuple(arguments.size)):
         renderer = SceneRenderer(configuration, library, recipe)
         for index in range(min(arguments.views, len(configuration.cameras))):
             start = time.process_time()

@@ -38,6 +38,7 @@ from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, RenderRecipe
 from datagen.formats.view import RenderRecord
 from datagen.rendering.denoiser import Denoiser, OidnDenoiser, auxiliary_albedo, make_denoiser
+from datagen.rendering.path_depth import depth_for, energy_left, reflectance_met
 from datagen.rendering.sample_budget import (
     ErrorEstimate,
     PathSums,
@@ -53,6 +54,7 @@ HALF_MAX = 65504.0
 VIEWS_IN_FLIGHT = 2  # one is traced while another is denoised
 COARSE_CELLS = 1024  # of the image whose brightness sets the firefly clamp
 COARSE_SAMPLES = 32  # a cell
+COARSE_VIEWS = 8  # at most, whose surfaces decide how long paths are
 _FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
 
 
@@ -148,19 +150,41 @@ class SceneRenderer:
         self.built: BuiltScene = build_scene(configuration, library, caches)
         from datagen.rendering.path_tracer import PathTracer
 
-        self._max_depth = recipe.max_depth or DEFAULT_MAX_DEPTH
         self._budget = (
             SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)
             if recipe.max_rel_mse is not None and recipe.max_path_samples is not None
             else None
         )
-        self._tracer = PathTracer(self.built, self._max_depth, recipe.russian_roulette_depth)
         self._denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
         self._sensors: dict[tuple[int, int], Any] = {}
         self._materials = self._make_materials()
+        self._max_depth, self._energy_left = self._path_depth()
+        self._tracer = PathTracer(self.built, self._max_depth, recipe.russian_roulette_depth)
         self._instances = {str(k): v for k, v in self.built.instance_names.items()}
         self._material_names = {str(k): v for k, v in self.built.material_names.items()}
         self.seconds_to_build = time.perf_counter() - start
+
+    def _path_depth(self) -> tuple[int, float | None]:
+        """Segments of the longest path; with them, where the recipe asks for it, what is left behind."""
+        if self.recipe.max_energy_left is None:
+            return self.recipe.max_depth or DEFAULT_MAX_DEPTH, None
+        reflectance = reflectance_met(list(self._coarse_buffers()))
+        depth = depth_for(reflectance, self.recipe.max_energy_left)
+        return depth, energy_left(reflectance, depth)
+
+    def _coarse_buffers(self) -> Iterator[dict[str, NDArray]]:
+        """Ground truth of some of the views, as small images."""
+        from mitsuba_plugins.material_buffers import render_material_buffers
+
+        cameras = self.configuration.cameras
+        for index in range(0, len(cameras), math.ceil(len(cameras) / COARSE_VIEWS)):
+            camera = cameras[index].camera()
+            side_px = math.isqrt(camera.width_px * camera.height_px // COARSE_CELLS)
+            small = camera.scaled(
+                *(max(1, px // max(1, side_px)) for px in (camera.width_px, camera.height_px))
+            )
+            seed = self._seed(index, "depth")
+            yield render_material_buffers(self.built.scene, self._sensor(small), 4, seed, self._materials)
 
     def _make_materials(self) -> Any:
         from datagen.rendering.shape_ids import MergedShapeMaterials
@@ -363,8 +387,10 @@ class SceneRenderer:
         return RenderedView(view.index, ordered, self._instances, self._material_names, record, view.seconds)
 
     def _budget_record(self, view: _ViewInProgress, sums: PathSums) -> dict[str, Any]:
-        """What the record says about error and clamp."""
+        """What the record says about error, clamp and depth."""
         fields: dict[str, Any] = {}
+        if self._energy_left is not None:
+            fields["max_energy_left"] = quantized(self._energy_left, 4)
         if self._budget is not None and view.estimate is not None:
             fields["estimated_rel_mse"] = quantized(view.estimate.rel_mse, 4)
             fields["at_ceiling"] = view.estimate.rel_mse > self._budget.max_rel_mse

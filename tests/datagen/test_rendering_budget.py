@@ -13,10 +13,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datagen.cameras import Camera, look_at
 from datagen.color import exposure_for, luminance
 from datagen.errors import InputError
 from datagen.formats.base import parse_model, read_yaml
+from datagen.formats.configuration import PlacedAsset
+from datagen.formats.lights import EnvironmentLight
 from datagen.formats.recipe import QUALITIES, Recipe, RenderRecipe
+from datagen.library import Library
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import (
@@ -25,7 +29,7 @@ from datagen.rendering.sample_budget import (
     SampleBudget,
     estimate_error,
 )
-from tests.datagen.rendering_scenes import renderer
+from tests.datagen.rendering_scenes import configure, renderer
 from tests.datagen.test_rendering_renderer import CAMERAS, LIGHTS, OBJECTS, box_room, digest
 
 # ---------------------------------------------------------------------- recipes
@@ -261,3 +265,51 @@ def test_clamp_is_relative_to_exposure_and_recorded(tmp_path: Path) -> None:
 def test_reference_quality_clamps_nothing(tmp_path: Path) -> None:
     record = make(tmp_path / "room", quality="reference", max_path_samples=4).render_view(0).render
     assert record.firefly_clamp_radiance is None and record.clamped_energy == 0.0
+
+
+# ---------------------------------------------------------------------- easy and hard light
+
+
+def ajar(shared_data: Path, root: Path, recipe: RenderRecipe, size: tuple[int, int]) -> SceneRenderer:
+    """Veach's door: all light comes through a gap from the room behind."""
+    from datagen.formats.asset import EnvironmentAsset
+    from datagen.importers.common import ImportOptions
+    from datagen.importers.mitsuba_xml import import_mitsuba_scene
+
+    import_mitsuba_scene(
+        shared_data / "scenes" / "veach-ajar" / "scene.xml",
+        root,
+        ImportOptions(dielectric="replace", missing="replace"),
+    )
+    library = Library([root])
+    (package,) = library.select("environment", for_training=False)
+    assert isinstance(package.asset, EnvironmentAsset)
+    focal = 0.85 * size[0]
+    pose = np.array(package.asset.cameras[0].asset_from_camera)
+    camera = Camera(*size, focal, focal, size[0] / 2, size[1] / 2, pose)
+    placed_room = PlacedAsset(name=package.id, asset=package.id)
+    configuration = configure(library, [camera], environment=placed_room, lights=package.asset.lights)
+    return SceneRenderer(configuration, library, recipe)
+
+
+@pytest.mark.slow
+def test_easy_and_hard_light_end_with_similar_errors_and_different_samples(
+    shared_data: Path, tmp_path: Path, mitsuba_variant: str
+) -> None:
+    size, target = (64, 40), 0.01
+    recipe = render(max_rel_mse=target, max_path_samples=4096, auxiliary_samples=32)
+    sky = EnvironmentLight(name="sky", radiance=(1.0, 1.0, 1.0))
+    easy_camera = Camera(*size, 48, 48, 32, 20, look_at([0.0, -1.8, 1.2], [0.0, 0.3, 0.5]))
+    easy = renderer(tmp_path / "easy", box_room(), [easy_camera], recipe, lights=(sky,), objects=OBJECTS)
+    hard = ajar(shared_data, tmp_path / "hard", recipe, size)
+    samples, errors = [], []
+    for scene in (easy, hard):
+        view = scene.render_view(0)
+        assert not view.render.at_ceiling
+        sensor = scene._sensor(scene.configuration.cameras[0].camera())
+        pair = [scene._tracer.render(sensor, 2048, seed) for seed in (81, 82)]
+        errors.append(relative_mse(view.buffers["beauty"], *pair, exposed=True))
+        samples.append(view.render.path_samples)
+    print(f"samples {samples}, true errors {errors}")
+    assert samples[1] >= 8 * samples[0]
+    assert max(errors) < 2 * target and max(errors) < 4 * min(errors)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""Path depth from the reflectance that light meets: the formula, and a furnace where it is exact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.cameras import Camera, look_at
+from datagen.formats.lights import PointLight
+from datagen.formats.recipe import RenderRecipe
+from datagen.rendering.path_depth import MAX_DEPTH, MIN_DEPTH, depth_for, energy_left, reflectance_met
+from datagen.rendering.path_tracer import PathTracer
+from tests.datagen.rendering_scenes import GREY, SmallScene, quad, renderer
+
+CAMERA = Camera(24, 16, 20, 20, 12, 8, look_at([0.5, -1.0, 1.2], [0.0, 1.0, 0.8]))
+
+
+def closed_room(emission: tuple[float, float, float] | None) -> SmallScene:
+    """Six walls that reflect half; if they also send out light alike, a furnace."""
+    wall = GREY.model_copy(update={"emission": emission})
+    parts = {
+        "floor": quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]),
+        "ceiling": quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]),
+        "back": quad([-2, 2, 0], [4, 0, 0], [0, 0, 2]),
+        "front": quad([2, -2, 0], [-4, 0, 0], [0, 0, 2]),
+        "left": quad([-2, -2, 0], [0, 4, 0], [0, 0, 2]),
+        "right": quad([2, 2, 0], [0, -4, 0], [0, 0, 2]),
+    }
+    return SmallScene({name: (mesh, "wall") for name, mesh in parts.items()}, {"wall": wall})
+
+
+@pytest.mark.parametrize(
+    ("reflectance", "left", "depth"),
+    [
+        (0.5, 0.01, 8),
+        (0.5, 0.25, 3),
+        (0.1, 0.01, 3),
+        (0.9, 0.01, 45),
+        (0.0, 0.01, MIN_DEPTH),
+        (1.0, 0.5, MAX_DEPTH),
+    ],
+)
+def test_depth_is_the_least_that_leaves_so_little(reflectance: float, left: float, depth: int) -> None:
+    assert depth_for(reflectance, left) == depth
+    if 0 < reflectance < 1:
+        assert energy_left(reflectance, depth) <= left * (1 + 1e-9)
+        assert depth == MIN_DEPTH or energy_left(reflectance, depth - 1) > left
+
+
+def test_reflectance_is_that_of_surfaces_alone() -> None:
+    diffuse, specular = np.full((2, 2, 3), 0.4, np.float32), np.full((2, 2, 3), 0.1, np.float32)
+    diffuse[..., 0] = 0.5
+    mask = np.array([[1.0, 1.0], [0.5, 0.0]], np.float32)[..., None]
+    view = {"diffuse_albedo": diffuse, "specular_albedo": specular, "surface_mask": mask}
+    assert reflectance_met([view, view]) == pytest.approx(0.9 * 0.5 + 0.1)
+    assert reflectance_met([{**view, "surface_mask": 0 * mask}]) == 0.0
+
+
+def test_depth_follows_from_the_room_and_is_recorded(tmp_path: Path, mitsuba_variant: str) -> None:
+    recipe = RenderRecipe(path_samples=1, auxiliary_samples=4, denoise=False, max_energy_left=0.05)
+    bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 1.0, 1.0))
+    record = renderer(tmp_path, closed_room(None), [CAMERA], recipe, lights=(bulb,)).render_view(0).render
+    assert record.max_depth == 6 and record.max_energy_left == pytest.approx(0.5**5, rel=1e-3)
+
+
+def test_furnace_misses_what_the_formula_says(tmp_path: Path, mitsuba_variant: str) -> None:
+    """In a furnace each further reflection brings half of what the one before brought, everywhere."""
+    room = renderer(tmp_path, closed_room((1.0, 1.0, 1.0)), [CAMERA])
+    sensor = room._sensor(CAMERA)
+    whole = PathTracer(room.built, 40, 40).add_up(sensor, 256, 1).radiance.sum()
+    for depth in (3, 6):
+        part = PathTracer(room.built, depth, 40).add_up(sensor, 256, 1).radiance.sum()
+        assert 1 - part / whole == pytest.approx(energy_left(0.5, depth), rel=0.1)
+        assert 1 - part / whole != pytest.approx(energy_left(0.5, depth + 1), rel=0.1)
