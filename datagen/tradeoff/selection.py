@@ -115,20 +115,21 @@ def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) 
     raise InputError(*problems)
 
 
-def excess_over_front(point: Point, others: Sequence[Point]) -> float:
-    """Processor seconds of ``point`` over those that the front of ``others`` needs for its error.
+def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s") -> float:
+    """Cost of ``point`` over that which the front of ``others`` needs for its error.
 
-    Between the front's points time is interpolated in logarithms; below 1 the point extends the front. An
-    error that no other point reaches gives 0, one larger than the front's cheapest point is held against
-    that point.
+    ``cost`` is a field of :class:`Point`. Between the front's points it is interpolated in logarithms; below
+    1 the point extends the front. An error that no other point reaches gives 0, one larger than that of the
+    front's cheapest point is held against that point.
     """
-    front = [others[k] for k in pareto_front([p.cpu_s for p in others], [p.rel_mse for p in others])]
+    costs = [getattr(p, cost) for p in others]
+    front = [others[k] for k in pareto_front(costs, [p.rel_mse for p in others])]
     if not front or point.rel_mse < front[-1].rel_mse:
         return 0.0
     errors = np.log([p.rel_mse for p in reversed(front)])  # rising
-    seconds = np.log([p.cpu_s for p in reversed(front)])
-    needed = float(np.exp(np.interp(np.log(point.rel_mse), errors, seconds)))
-    return point.cpu_s / needed
+    needed = np.log([getattr(p, cost) for p in reversed(front)])
+    expected = float(np.exp(np.interp(np.log(point.rel_mse), errors, needed)))
+    return float(getattr(point, cost)) / expected
 
 
 def as_row(point: Point) -> dict[str, Any]:

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""Whether the named qualities still lie on the front of error against time (docs/decisions/0071).
+
+    python -m benchmarks.bench_qualities                      3 rooms, 4 views of 320x192; exit code 1 if not
+    python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
+
+Plans configurations of the bundled library and sweeps ``draft`` and ``standard`` (``reference`` too with
+``--reference``, which takes long) against fixed sample counts. A quality's excess is its cost over what the
+front of fixed counts needs for the same error, in processor seconds and in light paths. Qualities know the
+error of each view, fixed counts do not: over rooms that differ, an excess below 1 is to be expected; a
+quality pays for it with a denoiser run or two more a pass. Allowed: --slack in light paths (which no machine
+changes), --time-slack in processor seconds. Trials are kept in --out and not repeated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from datagen.formats.base import canonical_json
+from datagen.formats.recipe import ObjectRecipe, Recipe
+from datagen.tradeoff.selection import Point, as_row, excess_over_front, points_of
+from datagen.tradeoff.sweep import Sweep, SweepOptions
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+FIXED = "path_samples=2,4,8,16,32,64,128,256"
+SLACK, TIME_SLACK = 1.25, 1.5
+
+
+def planned_folder(out: Path, configurations: int) -> Path:
+    """Configurations of the bundled library, planned once."""
+    folder = out / "plan"
+    if not (folder / "plan.json").is_file():
+        out.mkdir(parents=True, exist_ok=True)
+        count = ObjectRecipe(count=(10, 24))
+        recipe = Recipe(name="qualities", seed=71, configurations=configurations, views=12, objects=count)
+        path = out / "recipe.yaml"
+        path.write_bytes(canonical_json(recipe))  # JSON is YAML
+        command = [sys.executable, "-m", "datagen", "plan", str(path), "--out", str(folder)]
+        subprocess.run(command, cwd=REPOSITORY, check=True)
+    return folder
+
+
+def excesses(points: list[Point]) -> dict[str, dict[str, float]]:
+    """Of each quality: its excess over the front of fixed counts, in light paths and in processor time."""
+    fixed = [p for p in points if not p.setting.quality]
+    return {
+        p.setting.quality: {
+            "path_samples": excess_over_front(p, fixed, "path_samples"),
+            "cpu_s": excess_over_front(p, fixed, "cpu_s"),
+        }
+        for p in points
+        if p.setting.quality
+    }
+
+
+def main() -> None:
+    """Sweep, print, fail where a quality is beaten by more than the slack."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--configurations", type=int, default=3)
+    parser.add_argument("--views", type=int, default=4)
+    parser.add_argument("--size", type=int, nargs=2, default=(320, 192))
+    parser.add_argument("--reference-samples", type=int, default=512)
+    parser.add_argument("--reference", action="store_true", help="also the quality `reference`")
+    parser.add_argument("--slack", type=float, default=SLACK, help="of light paths")
+    parser.add_argument("--time-slack", type=float, default=TIME_SLACK, help="of processor time")
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "qualities")
+    arguments = parser.parse_args()
+    qualities = "quality=draft,standard" + (",reference" if arguments.reference else "")
+    options = SweepOptions(
+        configurations=tuple(range(arguments.configurations)),
+        size=tuple(arguments.size),
+        views=arguments.views,
+        reference_samples=arguments.reference_samples,
+        sweeps=(FIXED, qualities),
+        with_factorial=False,
+    )
+    sweep = Sweep(planned_folder(arguments.out, arguments.configurations), arguments.out, options)
+    points = points_of(sweep.run(lambda what, _: print(what, file=sys.stderr)))
+    found = excesses(points)
+    print("| setting | relMSE | worst room | light paths | processor s | excess: paths | excess: time |")
+    print("|---|---|---|---|---|---|---|")
+    for p in sorted(points, key=lambda p: p.rel_mse, reverse=True):
+        name = p.setting.quality or f"{p.setting.path_samples} paths"
+        excess = found.get(p.setting.quality)
+        cells = f"{excess['path_samples']:.2f} | {excess['cpu_s']:.2f}" if excess else " | "
+        print(
+            f"| {name} | {p.rel_mse:.5f} | {p.worst_rel_mse:.5f} | {p.path_samples:.1f} | {p.cpu_s:.2f} | "
+            f"{cells} |"
+        )
+    result = {"points": [as_row(p) for p in points], "excess": found, **sweep.description()}
+    (arguments.out / "bench_qualities.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    limits = {"path_samples": arguments.slack, "cpu_s": arguments.time_slack}
+    beaten = [f"{q}: {kind} {e[kind]:.2f}" for q, e in found.items() for kind in e if e[kind] > limits[kind]]
+    if beaten:
+        print(f"no longer on the front: {'; '.join(beaten)}", file=sys.stderr)
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
