@@ -239,6 +239,8 @@ class Trainer:
             values = self.ranks.mean(sums)
             if not all(torch.isfinite(torch.tensor([values["total"], values["gradient_norm"]]))):
                 self._stop_on_non_finite(phase, batch, values)
+            if config.gradient_clip_norm is not None:
+                torch.nn.utils.clip_grads_with_norm_(phase.parameters, config.gradient_clip_norm, norm)
             phase.optimizer.step()
         values["data_wait_s"] = waited
         return values

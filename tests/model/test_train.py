@@ -80,6 +80,25 @@ def test_smoke_preset_runs_every_phase(dataset, whole):
     assert Trainer(_config(), [dataset], out, device=CPU).run() == final
 
 
+@pytest.mark.parametrize("limit", [1e-3, None])
+def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, limit):
+    """What the optimiser sees; the log keeps the norm from before."""
+    seen = []
+    take = torch.optim.Adam.step
+
+    def step(self, *arguments):
+        gradients = [p.grad for group in self.param_groups for p in group["params"] if p.grad is not None]
+        seen.append(float(torch.nn.utils.get_total_norm(gradients)))
+        return take(self, *arguments)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", step)
+    config = _config("phases=[{name: diffuse, steps: 2}]", f"gradient_clip_norm={limit or 'null'}")
+    Trainer(config, [dataset], tmp_path / "run", device=CPU).run()
+    logged = [norm for _, norm in read_log(tmp_path / "run", "train", "gradient_norm")]
+    assert min(logged) > 1e-3
+    assert seen == pytest.approx([limit] * 2 if limit else logged, rel=1e-3)
+
+
 def test_phases_train_their_own_part_only(dataset, tmp_path):
     config = _config("phases=[{name: diffuse, steps: 2}]")
     trainer = Trainer(config, [dataset], tmp_path / "run", device=CPU)
