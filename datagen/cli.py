@@ -80,6 +80,8 @@ class _Progress:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        if exception[0] is not None:
+            self.progress.update(self.task, visible=False)  # a bar that stands still says less than the error
         self.progress.stop()
 
     def set(self, done: int) -> None:
@@ -372,10 +374,9 @@ def _run_stages(
         typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
         raise typer.Exit(EXIT_INTERRUPTED)
     if summary.set_aside:
-        for unit_id in summary.set_aside:
-            record = folder.read_failure(unit_id)
+        for record in summary.failures:
             typer.echo(
-                f"{unit_id} failed {record.attempts} times: {record.reason}\n"
+                f"{record.id} failed {record.attempts} times: {record.reason}\n"
                 f"  log: {out / record.log}\n  try it alone: {record.command}",
                 err=True,
             )
