@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""Light that short paths miss in bundled rooms, by the formula of ``max_energy_left`` and as measured.
+
+python -m benchmarks.bench_path_depth [--rooms bathroom living_room]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from benchmarks.bench_error_estimate import bundled
+from datagen.formats.recipe import RenderRecipe
+from datagen.rendering.path_depth import depth_for, energy_left, reflectance_met
+from datagen.rendering.renderer import SceneRenderer
+
+DEPTHS = (2, 4, 8)
+LONGEST = 32
+SAMPLES = 64
+
+
+def missing_light(room: str, size: tuple[int, int] = (48, 30)) -> dict[str, Any]:
+    """Reflectance that light meets, the depth it asks for, and the shares that depths leave behind."""
+    from datagen.rendering.path_tracer import PathTracer
+
+    _, configuration, library = bundled(room, 2, size)
+    renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1))
+    reflectance = reflectance_met(list(renderer._coarse_buffers()))
+    sensor = renderer._sensor(configuration.cameras[0].camera())
+    light = {
+        depth: PathTracer(renderer.built, depth, 2 * LONGEST).add_up(sensor, SAMPLES, 1).radiance.sum()
+        for depth in (*DEPTHS, LONGEST)
+    }
+    return {
+        "reflectance": round(reflectance, 3),
+        "depth_for_1_percent": depth_for(reflectance, 0.01),
+        "left": {
+            depth: {
+                "formula": round(energy_left(reflectance, depth), 4),
+                "measured": round(float(1 - light[depth] / light[LONGEST]), 4),
+            }
+            for depth in DEPTHS
+        },
+    }
+
+
+def main() -> None:
+    """Parse, measure, print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rooms", nargs="+", default=["bathroom", "living_room"])
+    for room in parser.parse_args().rooms:
+        print(json.dumps({room: missing_light(room)}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
