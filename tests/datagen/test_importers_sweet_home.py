@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import random
 import subprocess
 import sys
 import zipfile
@@ -32,6 +33,7 @@ from datagen.importers.sweet_home_mtl import PhongMaterial, read_mtl
 from datagen.library import check_library
 from datagen.meshes import Mesh, decode_ply
 from tests.conftest import REPOSITORY
+from tests.hostile import damage
 
 FURNITURE = Path("/usr/share/sweethome3d/furniture")  # where the Debian package puts it
 REPLACE = ImportOptions(dielectric="replace", missing="replace")
@@ -413,6 +415,28 @@ def test_a_truncated_archive_names_the_pieces_it_lost(tmp_path: Path) -> None:
         archive.writestr("a.txt", "no catalogue")
     with pytest.raises(InputError, match=f"no {CATALOGUE_FILE}"):
         open_catalogue(tmp_path / "other.sh3f")
+
+
+def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
+    rng = random.Random(5)
+    outcomes = []
+    for k in range(60):
+        model = box_obj((4, 2, 3), "oak") + box_obj((2, 1, 1), "clear", offset=8)
+        sh3f = Sh3f().piece("crate", model, modelRotation="1 0 0 0 0 1 0 -1 0")
+        sh3f.files["m/crate/planks.png"] = planks()
+        victim = rng.choice(["m/crate/crate.obj", "m/crate/crate.mtl", "m/crate/planks.png", "", "zip"])
+        if victim in sh3f.files:
+            sh3f.files[victim] = damage(sh3f.files[victim], rng)
+        elif not victim:
+            sh3f.head = damage((sh3f.head + sh3f.entries.pop()).encode(), rng).decode("latin-1")
+        path = sh3f.write(tmp_path / "x.sh3f")
+        if victim == "zip":
+            path.write_bytes(damage(path.read_bytes(), rng))
+        try:
+            outcomes.append(len(import_sweet_home(path, tmp_path / f"library{k}", REPLACE)))
+        except InputError:
+            outcomes.append(-1)
+    assert {-1, 1} <= set(outcomes)
 
 
 def test_an_interrupted_import_goes_on_where_it_stopped(tmp_path: Path) -> None:
