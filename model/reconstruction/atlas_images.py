@@ -9,6 +9,8 @@ float copy.
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -68,8 +70,14 @@ def _write_exr(path: Path, half: NDArray) -> None:
     names = "RGB" if half.shape[2] == 3 else "Y"
     channels = {name: np.ascontiguousarray(half[..., k]) for k, name in enumerate(names)}
     temporary = path.with_name(f".{path.name}.partial")
-    with OpenEXR.File(
-        {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
-    ) as file:
-        file.write(str(temporary))
+    try:
+        with OpenEXR.File(
+            {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
+        ) as file:
+            file.write(str(temporary))
+    except RuntimeError as error:  # OpenEXR puts the system's word into a sentence
+        temporary.unlink(missing_ok=True)
+        codes = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        code = next((code for code in codes if os.strerror(code) in str(error)), errno.EIO)
+        raise OSError(code, os.strerror(code), str(path)) from None
     temporary.replace(path)

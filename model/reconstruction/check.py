@@ -32,7 +32,7 @@ CLIPPED_LEVEL, MAX_CLIPPED = 0.99, 0.5
 _NEAR_M, _MAX_NEAR = 0.05, 0.5  # half a view nearer than this: the camera is in or at a wall
 SEARCH_RAD = np.radians(3.5)  # how far off a camera is looked for
 _MIN_RADIUS_PX = 24  # enough other shifts to tell a peak from accidents
-TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 2.0
+TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
 SURE = 5.0  # standard deviations: a peak of this height is no accident
 _LOST = 0.6  # of SURE: a view that fits worse, among views that fit, is of another place
 _OFFSET_M, _OFFSET_SIGMAS = 0.008, 3.0
@@ -190,7 +190,9 @@ class Look:
             at = self.edges & hit
             found.depth_m = float(1 / np.mean(1 / depth[at])) if at.any() else 0.0
         if found.edges is not None:
-            found.off_deg = float(np.degrees(np.arctan(found.edges.length_px / self.camera.fx_px)))
+            is_off = found.edges.surely_px(found.edges.peak_px) > 0
+            shift = float(np.hypot(*found.edges.peak_px)) if is_off else 0.0
+            found.off_deg = float(np.degrees(np.arctan(shift / self.camera.fx_px)))
         return found
 
     def tolerance_px(self) -> float:
@@ -217,20 +219,23 @@ def _judge(report: CheckReport, looks: Sequence[Look]) -> None:
             f"the mesh seems to be moved by ({said}) cm along x, y, z, as seen in {names}; "
             "register it to the cameras again"
         )
-    unexplained = {view.name: view.edges.shift_px for view, _ in pairs if view.edges is not None}
+    unexplained = {view.name: view.edges.peak_px for view, _ in pairs if view.edges is not None}
     rest = unexplained if explained is None else explained
     is_fitting = len(pairs) >= 0.5 * len(with_edges)
     for view, look in zip(report.views, looks, strict=True):
         if view.edges is None:
             continue
-        shift = float(np.hypot(*rest[view.name])) if view.is_judged else np.inf
-        if look.tolerance_px() < shift <= look.camera.fx_px * np.tan(SEARCH_RAD):
+        is_lost = not view.is_judged
+        if view.is_judged and view.edges.surely_px(rest[view.name]) > look.tolerance_px():
+            shift = float(np.hypot(*rest[view.name]))
             degrees = np.degrees(np.arctan(shift / look.camera.fx_px))
-            view.warnings.append(
-                f"{view.name}: its edges are {shift:.0f} pixels from the mesh's ({degrees:.1f} degrees); "
-                "correct its pose or leave it out"
-            )
-        elif shift > look.tolerance_px() and is_fitting and view.edges.at_zero < _LOST * SURE:
+            is_lost = bool(np.radians(degrees) > SEARCH_RAD)
+            if not is_lost:
+                view.warnings.append(
+                    f"{view.name}: its edges are {shift:.0f} pixels from the mesh's ({degrees:.1f} degrees); "
+                    "correct its pose or leave it out"
+                )
+        if is_lost and is_fitting and view.edges.at_zero < _LOST * SURE:
             view.warnings.append(
                 f"{view.name}: its edges are nowhere near the mesh's; it shows another place or its pose is "
                 "wrong; correct its pose or leave it out"

@@ -35,22 +35,23 @@ _NEARLY = 0.15  # of the peak's height: shifts this near to the best are not tol
 
 @dataclass(frozen=True)
 class EdgeMatch:
-    """``shift_px`` (dx, dy): the smallest shift that scores nearly as well as the best, ``peak_px`` the best
-    one, ``blur_px2`` the mean of (dx^2, dx dy, dy^2) around it over shifts that do nearly as well: long where
-    edges may slide along themselves. ``at_zero`` and ``at_peak``: scores in standard deviations of the scores
-    of other shifts. ``num_edge_px``: pixels of mesh edges."""
+    """``peak_px`` (dx, dy): the shift that scores best; ``blur_px2``: the mean of (dx^2, dx dy, dy^2) around
+    it over shifts that do nearly as well, long where edges may slide along themselves. ``at_zero`` and
+    ``at_peak``: scores in standard deviations of the scores of other shifts. ``num_edge_px``: pixels of mesh
+    edges."""
 
-    shift_px: tuple[float, float]
     peak_px: tuple[float, float]
     blur_px2: tuple[float, float, float]
     at_zero: float
     at_peak: float
     num_edge_px: int
 
-    @property
-    def length_px(self) -> float:
-        """Length of the shift."""
-        return float(np.hypot(*self.shift_px))
+    def surely_px(self, shift: tuple[float, float]) -> float:
+        """How long a shift is, less the peak's blur in its direction."""
+        length = float(np.hypot(*shift))
+        x, y = np.array(shift) / max(length, 1e-9)
+        xx, xy, yy = self.blur_px2
+        return max(0.0, length - float(np.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0))))
 
 
 def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
@@ -135,15 +136,13 @@ def match_edges(
     middle = float(np.median(others))
     spread = max(1.4826 * float(np.median(np.abs(others - middle))), float(others.std()) * 0.5, 1e-6)
     best = float(scores[tuple(peak)])
-    # A line may slide along itself: of all shifts that do nearly as well, the smallest is told.
     near = np.argwhere(scores >= best - _NEARLY * (best - middle)) - radius_px
-    dy, dx = near[np.hypot(*near.T).argmin()].astype(float)
     sub = peak - radius_px + _vertex(scores, peak)
     away = near - sub
     xx, xy, yy = (float((away[:, a] * away[:, b]).mean()) for a, b in ((1, 1), (0, 1), (0, 0)))
     at_zero = (float(scores[radius_px, radius_px]) - middle) / spread
     peak_px = (float(sub[1]), float(sub[0]))
-    return EdgeMatch((dx, dy), peak_px, (xx, xy, yy), at_zero, (best - middle) / spread, num)
+    return EdgeMatch(peak_px, (xx, xy, yy), at_zero, (best - middle) / spread, num)
 
 
 def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:

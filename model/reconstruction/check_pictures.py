@@ -73,4 +73,4 @@ def _verdict(view: ViewCheck) -> str:
         return "too few edges to compare"
     if not view.is_judged:
         return f"edges say little ({view.edges.at_peak:.1f} sigma)"
-    return f"fits: {view.edges.length_px:.0f} px off, {view.edges.at_zero:.0f} sigma"
+    return f"fits: {view.edges.surely_px(view.edges.peak_px):.0f} px off, {view.edges.at_zero:.0f} sigma"

@@ -130,9 +130,19 @@ def infer(
     Raises :class:`InputError` where the input is bad, no view sees the mesh, or ``out`` holds other work.
     """
     options = options or InferOptions()
-    tell = progress or (lambda stage, done, total: None)
     if checkpoint is None and not options.use_truth:
         raise input_error("infer", "checkpoint", "none", "a checkpoint", "name one with --checkpoint")
+    try:
+        return _infer(capture, out, checkpoint, options, progress or (lambda stage, done, total: None))
+    except OSError as error:
+        if error.filename is None and error.errno:  # a full disk does not say which file it was
+            raise OSError(error.errno, error.strerror, str(out)) from error
+        raise
+
+
+def _infer(
+    capture: Capture, out: Path, checkpoint: Path | None, options: InferOptions, tell: Progress
+) -> InferReport:
     if checkpoint is not None:
         from model.checkpoint import read_card
         from model.devices import parse_device
