@@ -131,6 +131,10 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         for name, expression in varying.items()
         if (image := plain_image(tree, expression, name in SCALAR_CHANNELS)) is not None
     }
+    for name, image in list(plain.items()):
+        if image.channel == "a" and _is_opaque(image.image):  # a JPEG, say, which has no such component
+            plan.constants[name] = Constant((1.0,))
+            del plain[name], varying[name]
     for name, image in plain.items():
         if image.frame.layer == walk.rendering_layer:
             plain[name] = replace(image, frame=UvFrame("", image.frame.matrix))
@@ -263,5 +267,7 @@ def _is_grey(image: bpy.types.Image) -> bool:
 def _is_opaque(image: bpy.types.Image) -> bool:
     import numpy as np
 
+    if image.channels < 4 or image.alpha_mode == "NONE":
+        return True
     values: np.ndarray = _pixels(image)  # type: ignore[assignment]
     return bool(len(values) and values[:, 3].min() >= 1 - 0.5 / 255)

@@ -569,6 +569,13 @@ def inverted_image(s: Stage) -> None:
     s.link(invert.outputs[0], s.shader.inputs["Base Color"])
 
 
+@case(diffuse_albedo=lambda p: lookup(linear_from_srgb(smooth_image()), p), opacity=1.0)
+def alpha_of_an_image_without(s: Stage) -> None:
+    image = s.texture(s.image(smooth_image()))
+    s.link(image.outputs["Color"], s.shader.inputs["Base Color"])
+    s.link(image.outputs["Alpha"], s.shader.inputs["Alpha"])
+
+
 @case(
     diffuse_albedo=lambda p: 1 - lookup(linear_from_srgb(smooth_image()), p),
     roughness=lambda p: 0.5 * lookup(smooth_image(), p)[:, 0],

@@ -2,8 +2,8 @@
 """The Poly Haven living room, assembled by its layout, rendered by Cycles and exported.
 
 ``python -m tests.blender_addon.living_room ASSETS OUT [--width W] [--samples N]`` writes the .blend file, the
-package ``OUT/packages/living_room`` and ``OUT/cycles.npy`` (linear, H x W x 3), and prints the remarks
-of the export as JSON. ASSETS is the folder with the layout and ``assets/``.
+package ``OUT/packages/living_room`` and ``OUT/cycles.npy`` (two images of N samples, 2 x H x W x 3, linear),
+and prints the remarks of the export as JSON. ASSETS is the folder with the layout and ``assets/``.
 """
 
 from __future__ import annotations
@@ -76,15 +76,15 @@ def assemble(bpy: Any, assets: Path) -> None:
     _drop_missing_images(bpy)
     for index, (x, y) in enumerate(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))):
         data = bpy.data.lights.new(f"lamp_{index}", "AREA")
-        data.shape, data.size, data.energy, data.color = "DISK", 0.3, 30, (1, 0.85, 0.7)
+        data.shape, data.size, data.energy, data.color = "DISK", 0.3, 70, (1, 0.85, 0.7)
         lamp = bpy.data.objects.new(f"lamp_{index}", data)
         lamp.location = (x, y, 3.1)
         scene.collection.objects.link(lamp)
     data = bpy.data.cameras.new("camera")
-    data.lens, data.clip_start = 20, 0.01
+    data.lens, data.clip_start = 15, 0.01
     camera = bpy.data.objects.new("camera", data)
-    camera.location = (-2.2, -1.4, 1.6)
-    direction = np.array([0.9, 1.5, 0.85]) - np.array(camera.location)
+    camera.location = (-2.8, 0.0, 1.6)
+    direction = np.array([1.0, -0.1, 0.95]) - np.array(camera.location)
     camera.rotation_euler = (
         math.pi / 2 + math.atan2(direction[2], math.hypot(*direction[:2])), 0,
         math.atan2(direction[1], direction[0]) - math.pi / 2,
@@ -127,7 +127,11 @@ def main(assets: Path, out: Path, width: int, samples: int) -> None:
     bpy.context.view_layer.update()
     bpy.ops.wm.save_as_mainfile(filepath=str(out / "living_room.blend"))
     result = export(out / "packages", ExportSettings(kind="environment", bake_normals=True))
-    np.save(out / "cycles.npy", render_linear(bpy.context.scene))
+    images = []
+    for seed in range(2):
+        bpy.context.scene.cycles.seed = seed
+        images.append(render_linear(bpy.context.scene))
+    np.save(out / "cycles.npy", np.stack(images))
     print("\n" + json.dumps([str(problem) for problem in result.problems]))
 
 

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Renders a package's first camera with Mitsuba, twice: ``python -m ... PACKAGE OUT SAMPLES``.
+
+``OUT/mitsuba.npy`` holds the two images (2, H, W, 3), linear, whose noise is independent.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from tests.blender_addon.living_room import MITSUBA_DEPTH
+
+
+def main(package_path: Path, out: Path, samples: int) -> None:
+    from datagen.formats.package import open_package
+    from datagen.formats.recipe import RenderRecipe
+    from datagen.inspection.render_package import configuration_of
+    from datagen.library import Library
+    from datagen.rendering.renderer import SceneRenderer
+
+    configuration = configuration_of(package_path, open_package(package_path).sha256)
+    camera = configuration.cameras[0]
+    pair = (camera, camera.model_copy(update={"name": "again"}))  # views are seeded by their index
+    configuration = configuration.model_copy(update={"cameras": pair})
+    recipe = RenderRecipe(path_samples=samples, auxiliary_samples=8, max_depth=MITSUBA_DEPTH, denoise=False)
+    renderer = SceneRenderer(configuration, Library([package_path]), recipe)
+    np.save(out / "mitsuba.npy", np.stack([v.buffers["beauty"] for v in renderer.render_views(range(2))]))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]))
