@@ -31,7 +31,7 @@ from tests.model.textured_room import room_capture
 PAPER_MINUTES = {"statistics": 7.56, "prediction": 3.93, "texturing": 3 * 3.12}
 """Veach Ajar, 160 views, 16K atlas, three maps, on a Xeon 5218 and a Quadro RTX 5000."""
 STAGES = {
-    "statistics": ("trace", "statistics"),
+    "statistics": ("trace", "check", "statistics"),
     "prediction": ("predict", "write maps"),
     "texturing": ("unwrap", "merge", "fill", "export"),
 }
