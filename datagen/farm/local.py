@@ -9,6 +9,7 @@ reproduces it. Workers are replaced after a number of units or when their memory
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 import time
@@ -49,17 +50,34 @@ class LocalOptions:
 
 @dataclass
 class RunSummary:
-    """What a run did: ids of units by outcome."""
+    """What a run did: ids of units by outcome, and the records of those that were set aside."""
 
     done: list[str] = field(default_factory=list)
     already_done: int = 0
-    set_aside: list[str] = field(default_factory=list)
+    failures: list[FailureRecord] = field(default_factory=list)
     interrupted: bool = False
+
+    @property
+    def set_aside(self) -> list[str]:
+        """Ids of the units that were set aside."""
+        return [failure.id for failure in self.failures]
 
 
 def available_cpus() -> int:
     """Processors that this process may use; a queue may grant fewer than the machine has."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_writable(root: Path) -> None:
+    """Raise :class:`InputError` where nothing can be written below ``root``."""
+    probe = root / f".writable.{os.getpid()}"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        remedy = "make it writable, free space, or choose another folder"
+        got = (error.strerror or str(error)).lower()
+        raise input_error(root, "", got, "a folder to write in", remedy) from None
 
 
 def _planned(plan: Plan, root: Path, index: int) -> PlannedUnit:
@@ -98,8 +116,13 @@ def _worker_main(connection: Connection, root: str, threads: int, stages: tuple[
         if message is None:
             return
         index, log = message
-        with _redirected_output(Path(log)):
-            outcome = _run_one(context, index, stages, connection, lambda: stop["asked"] or _orphan(parent))
+        try:
+            with _redirected_output(Path(log)):
+                outcome = _run_one(
+                    context, index, stages, connection, lambda: stop["asked"] or _orphan(parent)
+                )
+        except OSError as error:  # no room for a log
+            outcome = "failed", f"{type(error).__name__}: {error}"
         memory = psutil.Process().memory_info().rss / 2**20
         try:
             connection.send(("outcome", *outcome, memory))
@@ -216,7 +239,9 @@ def run_unit_here(
     for number in _STOP_SIGNALS:
         signal.signal(number, ask_to_stop)
     context = _WorkerContext(DatasetFolder(root), available_cpus())
-    _planned(context.plan, root, index)
+    unit = _planned(context.plan, root, index)
+    if not context.folder.is_done(unit):
+        check_writable(root)
 
     class _Reporter:
         def send(self, message: tuple) -> None:
@@ -289,6 +314,7 @@ def run_local(
     summary.already_done = len(units) - len(todo)
     if not todo:
         return summary
+    check_writable(root)
     attempts: dict[str, int] = {}
     stop = {"asked": False}
     previous = {number: signal.signal(number, lambda *_: stop.update(asked=True)) for number in _STOP_SIGNALS}
@@ -352,7 +378,7 @@ def _handle(
             worker.process.join(1.0)
         if worker.process.exitcode is None:
             return
-        reason = f"the worker process ended with exit code {worker.process.exitcode}"
+        reason = f"the worker process {_end_of(worker.process.exitcode)}"
         workers.remove(worker)
         worker.kill()
         if unit is not None:
@@ -381,6 +407,16 @@ def _handle(
         worker.dismiss()
 
 
+def _end_of(exit_code: int) -> str:
+    if exit_code >= 0:
+        return f"ended with exit code {exit_code}"
+    try:
+        name = signal.Signals(-exit_code).name
+    except ValueError:
+        name = f"signal {-exit_code}"
+    return f"was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
+
+
 def _failed(
     unit: PlannedUnit,
     reason: str,
@@ -403,11 +439,13 @@ def _failed(
         attempts=attempts[unit.id],
         reason=reason,
         log=str(log.relative_to(folder.root)) if log else "",
-        command=f"datagen unit {folder.root} {unit.index}",
+        command=f"datagen unit {shlex.quote(str(folder.root.resolve()))} {unit.index}",
     )
-    folder.failed_path.mkdir(exist_ok=True)
-    write_bytes_atomically(folder.failed_path / f"{unit.id}.json", canonical_json(record))
-    summary.set_aside.append(unit.id)
+    summary.failures.append(record)
+    # A full disk fails units and their records alike; the caller has them in the summary.
+    with suppress(OSError):
+        folder.failed_path.mkdir(exist_ok=True)
+        write_bytes_atomically(folder.failed_path / f"{unit.id}.json", canonical_json(record))
     on_event(("set_aside", unit.id, reason, attempts[unit.id], options.attempts))
 
 

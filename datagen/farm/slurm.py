@@ -16,7 +16,7 @@ from pathlib import Path
 
 from datagen.errors import input_error
 from datagen.farm.folder import DatasetFolder
-from datagen.farm.local import EXIT_INTERRUPTED
+from datagen.farm.local import EXIT_INTERRUPTED, check_writable
 from datagen.farm.status import array_spec
 from datagen.formats.base import sha256_hex, write_bytes_atomically
 
@@ -155,6 +155,7 @@ def submit(root: Path, options: SlurmOptions, engine: str = "slurm", dry_run: bo
     """
     folder = DatasetFolder(root)
     indices = _undone(folder)
+    check_writable(root)
     jobs = root / "jobs"
     jobs.mkdir(exist_ok=True)
     folder.logs_path.mkdir(exist_ok=True)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Worker processes: replaced by count and by memory growth; one that dies costs its unit only."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datagen.farm.folder import DatasetFolder
+from datagen.farm.local import LocalOptions, run_local
+from tests.conftest import REPOSITORY
+from tests.datagen.small_plan import plan_small
+
+# The workers import this file as their main module, so that what it puts in place of `run_unit` is in them.
+SCRIPT = """
+import json, os, signal, sys
+from pathlib import Path
+import datagen.farm.work_unit as work_unit
+from datagen.farm.local import LocalOptions, run_local
+
+folder, fault, options = Path(sys.argv[1]), sys.argv[2], json.loads(sys.argv[3])
+real, kept = work_unit.run_unit, []
+
+def run_unit(run, stages):
+    with (folder / "attempts.txt").open("a") as file:
+        print(run.unit.id, os.getpid(), file=file)
+    if fault == "grow":
+        kept.append(os.urandom(60 << 20))
+    elif run.unit.index == 1 and fault == "abort":
+        os.abort()
+    elif run.unit.index == 1 and fault == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)  # as the kernel does when memory runs out
+    elif run.unit.index == 1 and fault == "exhaust":
+        raise MemoryError("std::bad_alloc")
+    return real(run, stages)
+
+work_unit.run_unit = run_unit
+if __name__ == "__main__":
+    summary = run_local(folder, LocalOptions(**options))
+    print(json.dumps({"done": summary.done, "failures": [f.model_dump() for f in summary.failures]}))
+"""
+
+
+@pytest.fixture(scope="module")
+def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("workers") / "library"
+
+
+def _run(folder: DatasetFolder, fault: str, **options: Any) -> tuple[dict, list[tuple[str, int]]]:
+    """What a run gave, and (unit, process) of every attempt in order."""
+    script = folder.root.parent / "run.py"
+    script.write_text(SCRIPT)
+    result = subprocess.run(
+        [sys.executable, str(script), str(folder.root), fault, json.dumps(options)],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    attempts = [line.split() for line in (folder.root / "attempts.txt").read_text().splitlines()]
+    return json.loads(result.stdout), [(unit, int(process)) for unit, process in attempts]
+
+
+def _units_a_process(attempts: list[tuple[str, int]]) -> list[int]:
+    return [len(list(group)) for _, group in itertools.groupby(attempts, key=lambda a: a[1])]
+
+
+def test_workers_are_replaced_after_a_number_of_units(tmp_path: Path, library_root: Path) -> None:
+    folder = plan_small(tmp_path / "set", library_root, num_units=5, num_views=1)
+    summary, attempts = _run(folder, "none", max_units_per_worker=2, stages=[])
+    assert len(summary["done"]) == 5 and _units_a_process(attempts) == [2, 2, 1]
+
+
+def test_workers_are_replaced_when_their_memory_has_grown(tmp_path: Path, library_root: Path) -> None:
+    """60 MB more a unit: the third unit leaves the worker 120 MB above what it had after its first."""
+    folder = plan_small(tmp_path / "set", library_root, num_units=5, num_views=1)
+    summary, attempts = _run(folder, "grow", max_growth_mb=100, stages=[])
+    assert len(summary["done"]) == 5 and _units_a_process(attempts) == [3, 2]
+    steady, attempts = _run(
+        plan_small(tmp_path / "steady", library_root, num_units=5, num_views=1), "none", max_growth_mb=100,
+        stages=[],
+    )  # fmt: skip
+    assert len(steady["done"]) == 5 and _units_a_process(attempts) == [5]
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("abort", "the worker process was ended by SIGABRT"),
+        ("kill", "the worker process was ended by SIGKILL (out of memory?)"),
+        ("exhaust", "MemoryError: std::bad_alloc"),
+    ],
+)
+def test_a_worker_that_dies_costs_its_unit_only(
+    fault: str, reason: str, tmp_path: Path, library_root: Path
+) -> None:
+    """Tried again in a fresh process, then set aside with its log and a command that reproduces it."""
+    folder = plan_small(tmp_path / "a set", library_root, num_views=1)
+    summary, attempts = _run(folder, fault, attempts=2)
+    assert sorted(summary["done"]) == ["small-00000", "small-00002"]
+    (failure,) = summary["failures"]
+    assert (failure["id"], failure["attempts"], failure["reason"]) == ("small-00001", 2, reason)
+    assert folder.read_failure("small-00001").model_dump() == failure
+    tries = [process for unit, process in attempts if unit == "small-00001"]
+    assert len(tries) == len(set(tries)) == 2, "in a fresh process each"
+    assert (folder.root / failure["log"]).is_file()
+    command = [sys.executable, "-m", *shlex.split(failure["command"])]
+    assert subprocess.run(command, cwd=REPOSITORY, capture_output=True).returncode == 0, (
+        "nothing kills it here"
+    )
+    assert run_local(folder.root, LocalOptions()).already_done == 3
