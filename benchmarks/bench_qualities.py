@@ -78,7 +78,8 @@ def main() -> None:
         sweeps=(FIXED, qualities),
         with_factorial=False,
     )
-    sweep = Sweep(planned_folder(arguments.out, arguments.configurations), arguments.out, options)
+    folder = planned_folder(arguments.out, arguments.configurations)
+    sweep = Sweep(folder, arguments.out / "sweep", options)
     points = points_of(sweep.run(lambda what, _: print(what, file=sys.stderr)))
     found = excesses(points)
     print("| setting | relMSE | worst room | light paths | processor s | excess: paths | excess: time |")

@@ -36,15 +36,15 @@ def tradeoff(
     ] = 512,
     max_rel_mse: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="Recommend the cheapest setting with at most this error of the beauty image."),
+        typer.Option(min=0, help="Recommend the cheapest setting with at most this relMSE of beauty."),
     ] = None,
     max_maps_error: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="... and at most this mean absolute error of the ground-truth maps."),
+        typer.Option(min=0, help="... and at most this mean absolute error of the ground-truth maps."),
     ] = None,
     max_statistics_error: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="... and at most this mean absolute error of the statistics."),
+        typer.Option(min=0, help="... and at most this mean absolute error of the statistics."),
     ] = None,
     variant: Annotated[
         Optional[str],  # noqa: UP045

@@ -29,7 +29,9 @@ from datagen.tradeoff.reference import Reference, make_reference, reference_key,
 from datagen.tradeoff.settings import Setting, base_setting, planned_settings
 from datagen.tradeoff.trial import Trial, measure
 from datagen.versions import pixel_versions
-from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, has_cuda, resolve_variant
+from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, VARIANTS, has_cuda, resolve_variant
+
+LEAST_SIDE_PX, MOST_SIDE_PX = 8, 16384
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class Sweep:
 
     def __init__(self, folder: Path, out: Path, options: SweepOptions):
         self.out, self.options = out, options
+        _check(out, options)
         self.base = base_setting(resolve_variant(options.variant))
         self.settings = planned_settings(self.base, options.sweeps, options.with_factorial)
         self.unavailable = tuple(s for s in self.settings if not _is_available(s))
@@ -152,6 +155,29 @@ class Sweep:
                     write_bytes_atomically(path, canonical_json(asdict(trial)))
                     report(f"{subject.configuration.id}: {setting.text(self.base)}", 1)
         return self.trials()
+
+
+def _check(out: Path, options: SweepOptions) -> None:
+    """Raise :class:`InputError` with everything that is wrong with a sweep before it is planned."""
+    problems = []
+    if out.exists() and not out.is_dir():
+        problems.append(Problem(out, "--out", "a file", "a folder", "choose another --out"))
+    elif out.is_dir() and any(out.iterdir()) and not (out / "references").is_dir():
+        expected = "an empty folder, or one of an earlier sweep"
+        problems.append(Problem(out, "--out", "a folder with other files", expected, "choose another --out"))
+    if min(options.size) < LEAST_SIDE_PX or max(options.size) > MOST_SIDE_PX:
+        got, expected = (
+            f"{options.size[0]} x {options.size[1]}",
+            f"sides of {LEAST_SIDE_PX} ... {MOST_SIDE_PX}",
+        )
+        problems.append(Problem("--size", "", got, expected, "correct it"))
+    if options.variant is not None and options.variant not in VARIANTS:
+        expected = f"one of {', '.join(VARIANTS)}"
+        problems.append(Problem("--variant", "", repr(options.variant), expected, "correct it"))
+    elif options.variant == CUDA_VARIANT and not has_cuda():
+        problems.append(Problem("--variant", "", options.variant, "a GPU, or llvm_ad_rgb", "leave it out"))
+    if problems:
+        raise InputError(*problems)
 
 
 def read_trial(path: Path) -> Trial:

@@ -143,6 +143,13 @@ WRONG = [
     ("datagen report nope", ("nope/index.json: no such file",)),
     ("datagen report rooms --pixels lots", ("--pixels", '"all"')),
     ("datagen report rooms --cost -1", ("'--cost'",)),
+    ("datagen tradeoff nope --out x", ("nope/plan.json: no plan here", "datagen plan")),
+    ("datagen tradeoff rooms --out text.txt", ("text.txt: --out = a file", "choose another")),
+    ("datagen tradeoff rooms --out library", ("a folder with other files", "choose another")),
+    ("datagen tradeoff rooms --out x --size 0 64 --variant gpu", ("--size: 0 x 64", "'gpu'", "llvm_ad_rgb")),
+    ("datagen tradeoff rooms --out x --max-rel-mse -1", ("'--max-rel-mse'",)),
+    ("datagen tradeoff rooms --out x --sweep samples", ("'samples'", "path_samples")),
+    ("datagen tradeoff rooms --out x --sweep best_views=2", ("best_views = '2'", "4 ... 24")),
     ("datagen sheet empty", ("neither plan.json nor index.json", "datagen run")),
     # training
     ("materials bogus", ("No such command",)),
