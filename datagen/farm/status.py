@@ -119,7 +119,7 @@ def _file_system_now(folder: DatasetFolder) -> float:
 def _age(work: Path, now: float) -> float:
     """Seconds since an attempt at the unit last showed that it is alive; infinite where none is."""
     try:
-        return now - (work / "running").stat().st_mtime
+        return abs(now - (work / "running").stat().st_mtime)  # a clock may have been set back meanwhile
     except OSError:
         return float("inf")
 

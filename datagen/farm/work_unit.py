@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from datagen.buffers import BUFFERS
 from datagen.color import exposure_for
 from datagen.errors import InputError, input_error
-from datagen.farm.folder import DatasetFolder, PlannedUnit, UnitManifest, ViewTiming
+from datagen.farm.folder import DatasetFolder, PlannedUnit, UnitManifest, ViewTiming, unit_key
 from datagen.formats.base import (
     canonical_json,
     quantized,
@@ -39,6 +39,7 @@ from datagen.formats.exr import decode_view, encode_view, to_storage
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import write_shard
 from datagen.formats.view import StatisticsRecord, ViewRecord
+from datagen.versions import pixel_versions
 
 if TYPE_CHECKING:
     from datagen.library import Library
@@ -122,6 +123,7 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
     if run.folder.is_done(run.unit):
         return False
     configuration = run.folder.read_configuration(run.unit)
+    _check_planned(run, configuration)
     try:
         run.work.mkdir(parents=True, exist_ok=True)
         for stage in stages:
@@ -133,6 +135,21 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
     finally:
         run.heartbeat_path.unlink(missing_ok=True)
     return True
+
+
+def _check_planned(run: UnitRun, configuration: Configuration) -> None:
+    """Refuse files that changed since the plan, and software that makes other pixels."""
+    where = run.folder.configuration_path(run.unit.id)
+    if run.versions != pixel_versions():
+        differing = {name for name, _ in set(run.versions.items()) ^ set(pixel_versions().items())}
+        got = ", ".join(f"{name} {pixel_versions().get(name)}" for name in sorted(differing))
+        planned = ", ".join(f"{name} {run.versions.get(name)}" for name in sorted(differing))
+        remedy = "use the environment that planned it, or plan again in another folder"
+        raise input_error(run.folder.plan_path, "versions", got, f"{planned} as planned", remedy)
+    key = unit_key(configuration, run.recipe, run.variant, run.versions)
+    if key != run.unit.key:
+        got = "not what was planned: this file or recipe.yaml has changed"
+        raise input_error(where, "", got, f"the unit of key {run.unit.key[:12]}", "restore them")
 
 
 def _render(run: UnitRun, configuration: Configuration) -> None:

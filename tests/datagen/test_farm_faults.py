@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""Faults put in on purpose: kills at random and at chosen moments, a full disk, damaged files, another clock.
+"""Faults put in on purpose: kills at random and at chosen moments, disks full or read-only, damaged files,
+two runs at once, another clock.
 
 After each, one more run completes the set with the same bytes.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import resource
 import signal
 import subprocess
 import sys
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -22,7 +25,9 @@ from datagen.errors import InputError
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.local import LocalOptions, run_local
+from datagen.farm.status import read_status
 from tests.datagen.small_plan import plan_small
+from tests.small_disk import small_disk
 
 RUN = """
 import sys
@@ -81,33 +86,52 @@ def _end(process: subprocess.Popen) -> None:
     process.stderr.close()
 
 
-def _kill_at_random(folder: DatasetFolder, script: Path, kills: int, seed: int) -> int:
-    """Kill a worker or the parent at random moments; returns how many kills hit a running process."""
+MOMENTS = {"any": "", "view": "work/*/*/.*.partial", "tar": "shards/.*.partial", "commit": "units/.*.partial"}
+"""When to kill: at a random moment, or as soon as a file that is about to be renamed is seen."""
+
+
+def _comes(folder: DatasetFolder, process: subprocess.Popen, moment: str, rng: random.Random) -> bool:
+    """Wait for a moment; False where the run ended before it came."""
+    if moment == "any":
+        try:
+            process.wait(timeout=rng.uniform(0.3, 2.5))
+        except subprocess.TimeoutExpired:
+            return True
+        return False
+    while process.poll() is None:
+        if any(folder.root.glob(MOMENTS[moment])):
+            return True
+        os.sched_yield()
+    return False
+
+
+def _kill_at_random(
+    folder: DatasetFolder, script: Path, kills: int, seed: int, moments: tuple[str, ...] = ("any",)
+) -> Counter[str]:
+    """Kill a worker, or the parent and all of them; counts the kills that hit, by moment and victim."""
     rng = random.Random(seed)
-    hits = 0
-    while hits < kills:
+    hits: Counter[str] = Counter()
+    while hits.total() < kills:
         process = _start(folder, script)
         try:
-            while hits < kills and process.poll() is None:
-                try:
-                    process.wait(timeout=rng.uniform(0.3, 2.5))
+            while hits.total() < kills and process.poll() is None:
+                moment = rng.choice(moments)
+                if not _comes(folder, process, moment, rng):
                     break
-                except subprocess.TimeoutExpired:
-                    workers = _workers(process)
-                    if not workers:
-                        continue
-                    hits += 1
-                    if rng.random() < 0.3:
-                        break  # the parent and all its workers
-                    try:
-                        rng.choice(workers).kill()
-                    except psutil.Error:
-                        hits -= 1  # it ended meanwhile
+                workers = _workers(process)
+                if not workers:
+                    continue
+                if rng.random() < 0.3:
+                    hits[f"{moment}/parent"] += 1
+                    break
+                with suppress(psutil.Error):  # it may have ended meanwhile
+                    rng.choice(workers).kill()
+                    hits[f"{moment}/worker"] += 1
         finally:
             finished = process.poll() == 0
             _end(process)
         if finished:
-            return hits
+            break
     return hits
 
 
@@ -119,26 +143,34 @@ def _check_completes(folder: DatasetFolder, expected: dict[str, str]) -> None:
 
 
 def test_ten_random_kills(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
-    hits = 0
+    hits: Counter[str] = Counter()
     for seed in range(20):
         folder = plan_small(tmp_path / f"set-{seed}", library_root)
-        hits += _kill_at_random(folder, tmp_path / "run.py", 10 - hits, seed)
+        hits += _kill_at_random(folder, tmp_path / "run.py", 10 - hits.total(), seed)
         _check_completes(folder, expected)
-        if hits >= 10:
+        if hits.total() >= 10:
             return
-    pytest.fail(f"only {hits} kills hit a running process")
+    pytest.fail(f"only {hits} hit a running process")
 
 
 @pytest.mark.slow
-def test_a_hundred_random_kills(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
-    hits = 0
-    for seed in range(100, 200):
-        folder = plan_small(tmp_path / f"set-{seed}", library_root)
-        hits += _kill_at_random(folder, tmp_path / "run.py", min(10, 100 - hits), seed)
+def test_fifty_kills_on_each_of_two_datasets(tmp_path: Path, library_root: Path) -> None:
+    """Of workers and of the parent: at random moments, while a view is written or renamed, while a tar is
+    written, while a marker is. ``-s`` prints how many of each."""
+    undisturbed = plan_small(tmp_path / "undisturbed", library_root, num_units=40)
+    run_local(undisturbed.root, LocalOptions(workers=2))
+    expected = _hashes(undisturbed)
+    hits: Counter[str] = Counter()
+    for seed in range(2):
+        folder = plan_small(tmp_path / f"set-{seed}", library_root, num_units=40)
+        found = _kill_at_random(
+            folder, tmp_path / "run.py", 50, seed, ("any", "any", "view", "tar", "commit")
+        )
+        assert found.total() == 50, "the set was finished before the last kill"
+        hits += found
         _check_completes(folder, expected)
-        if hits >= 100:
-            return
-    pytest.fail(f"only {hits} kills hit a running process")
+    print(dict(sorted(hits.items())))
+    assert all(any(hit.startswith(moment) for hit in hits) for moment in MOMENTS)
 
 
 @pytest.mark.parametrize(
@@ -185,6 +217,93 @@ def test_full_disk_keeps_what_is_finished(
     _check_completes(folder, expected)
 
 
+def test_a_full_disk_sets_units_aside_and_one_more_run_completes(
+    expected: dict[str, str], tmp_path: Path, library_root: Path
+) -> None:
+    with small_disk(tmp_path / "disk", 16) as disk:
+        folder = plan_small(disk.root / "set", library_root)
+        disk.fill(leave=400_000)  # a view or two
+        summary = run_local(folder.root, LocalOptions(workers=1, attempts=1))
+        assert not summary.done and len(summary.failures) == 3
+        assert all("No space left" in failure.reason for failure in summary.failures)
+        assert not list(folder.root.glob("**/*.partial"))
+        views = list(folder.root.glob("work/*/rendered/*.json"))
+        assert views, "what had room was kept"
+        assert read_status(folder.root).done == 0
+        disk.make_room()
+        _check_completes(folder, expected)
+
+
+def test_a_read_only_folder_is_said_to_be_and_left_alone(
+    expected: dict[str, str], tmp_path: Path, library_root: Path
+) -> None:
+    with small_disk(tmp_path / "disk", 16) as disk:
+        folder = plan_small(disk.root / "set", library_root)
+        run_local(folder.root, LocalOptions(only=(0,)))
+        disk.remount("ro")
+        with pytest.raises(InputError, match="read-only file system"):
+            run_local(folder.root, LocalOptions())
+        root = str(folder.root)
+        for words in (
+            ["unit", root, "1"],
+            ["farm", "submit", root],
+            ["farm", "collect", root],
+        ):
+            command = [sys.executable, "-m", "datagen", *words]
+            result = subprocess.run(command, capture_output=True, text=True)
+            assert result.returncode == 2 and "read-only file system" in result.stderr.lower(), result.stderr
+            assert "Traceback" not in result.stderr
+        assert read_status(folder.root).done == 1, "it can still be looked at"
+        disk.remount("rw")
+        _check_completes(folder, expected)
+
+
+def test_two_whole_runs_at_once(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
+    folder = plan_small(tmp_path / "twice", library_root)
+    both = [_start(folder, tmp_path / "run.py") for _ in range(2)]
+    try:
+        assert [process.wait() for process in both] == [0, 0]
+    finally:
+        for process in both:
+            _end(process)
+    assert not list(folder.root.glob("**/*.partial"))
+    _check_completes(folder, expected)
+
+
+def test_damaged_markers_are_found_and_mended(
+    expected: dict[str, str], tmp_path: Path, library_root: Path
+) -> None:
+    """A marker that is cut counts as none; one that lies about its shard's hash is found by hashing."""
+    folder = plan_small(tmp_path / "markers", library_root)
+    run_local(folder.root, LocalOptions())
+    cut, lying, linked = (folder.manifest_path(unit) for unit in folder.read_plan().units)
+    cut.write_bytes(cut.read_bytes()[:50])
+    manifest = json.loads(lying.read_text())
+    manifest["sha256"] = manifest["sha256"][::-1]
+    lying.write_text(json.dumps(manifest))
+    linked.rename(tmp_path / "elsewhere.json")
+    linked.symlink_to(tmp_path / "elsewhere.json")
+    assert read_status(folder.root).done == 1
+    with pytest.raises(InputError, match=r"small-00001.*sha256.*remove shards/small-00001"):
+        collect(folder.root, deep=True)
+    (folder.root / manifest["shard"]).unlink()
+    linked.unlink()
+    _check_completes(folder, expected)
+
+
+def test_changed_configurations_are_refused(tmp_path: Path, library_root: Path) -> None:
+    """A flipped digit would make other pixels than those that were planned."""
+    folder = plan_small(tmp_path / "flipped", library_root, num_units=2)
+    path = folder.configuration_path("small-00001")
+    text = path.read_text()
+    path.write_text(text.replace('"seed": 11', '"seed": 10'))
+    summary = run_local(folder.root, LocalOptions(attempts=1))
+    assert summary.done == ["small-00000"]
+    assert "not what was planned" in summary.failures[0].reason
+    path.write_text(text)
+    assert run_local(folder.root, LocalOptions()).done == ["small-00001"]
+
+
 def test_leftovers_and_damaged_views_are_made_again(
     expected: dict[str, str], tmp_path: Path, library_root: Path
 ) -> None:
@@ -206,6 +325,10 @@ def test_clock_set_back_changes_nothing(expected: dict[str, str], tmp_path: Path
     run_local(folder.root, LocalOptions(stages=("render",)))
     for path in folder.root.rglob("*"):
         os.utime(path, (4102444800, 4102444800))  # written in 2100, as the clock has it now
+    heartbeat = next(folder.root.glob("work/*")) / "running"
+    heartbeat.touch()
+    os.utime(heartbeat, (4102444800, 4102444800))
+    assert read_status(folder.root).running == ()
     _check_completes(folder, expected)
 
 

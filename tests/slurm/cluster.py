@@ -177,6 +177,15 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             if spool in command or (is_step and self._belongs(candidate)):
                 _kill_tree(candidate)
 
+    def leftovers(self) -> list[str]:
+        """Processes of this cluster, its jobs' included, that still run."""
+        found = []
+        for process in psutil.process_iter(["pid", "cmdline"]):
+            command = " ".join(process.info["cmdline"] or [])
+            if str(self.root) in command or (process.pid != os.getpid() and self._belongs(process)):
+                found.append(f"{process.pid} {command}")
+        return found
+
     def _belongs(self, process: psutil.Process) -> bool:
         try:
             return process.environ().get("SLURM_CONF") == str(self.config)

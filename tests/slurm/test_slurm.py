@@ -16,9 +16,10 @@ from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.slurm import SlurmOptions, array_script, job_name, shell_script, submit
-from datagen.farm.status import read_status
+from datagen.farm.status import forget_failures, read_status
 from tests.datagen.small_plan import plan_small
 from tests.slurm.cluster import Cluster, missing_programs
+from tests.small_disk import small_disk
 
 pytestmark = pytest.mark.skipif(
     bool(missing_programs()) or os.geteuid() != 0,
@@ -30,6 +31,7 @@ pytestmark = pytest.mark.skipif(
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     with Cluster(tmp_path_factory.mktemp("slurm") / "cluster") as running:
         yield running
+    assert not running.leftovers(), "everything that was started has ended"
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +71,7 @@ def test_array_runs_the_plan_and_the_dependent_job_collects(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    folder = plan_small(tmp_path / "a set with spaces", library_root, num_units=4)
+    folder = plan_small(tmp_path / "a set with spaces and ä", library_root, num_units=4)
     submission = _submit(cluster, folder, monkeypatch, throttle=3)
     assert len(submission.job_ids) == 2 and submission.num_units == 4
     cluster.wait_until_idle()
@@ -122,6 +124,67 @@ def test_cancel_and_resume(
     _submit(cluster, folder, monkeypatch)
     cluster.wait_until_idle()
     assert _hashes(folder) == expected
+
+
+def test_a_requeued_task_is_done_once(
+    cluster: Cluster,
+    expected: dict[str, str],
+    tmp_path: Path,
+    library_root: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As an administrator or a preemption requeues: Slurm ends the running task and starts it again."""
+    folder = plan_small(tmp_path / "requeue", library_root, num_units=4)
+    submission = _submit(cluster, folder, monkeypatch, throttle=1)
+    cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
+    running = [line.split()[0] for line in cluster.jobs() if " RUNNING " in line]
+    assert running and running[0].startswith(submission.job_ids[0])
+    cluster.run("scontrol", "requeue", running[0])
+    cluster.wait_until_idle()
+    assert _hashes(folder) == expected
+    assert len(list(folder.shards_path.iterdir())) == 4
+
+
+def test_a_full_disk_and_one_more_submission(
+    cluster: Cluster,
+    expected: dict[str, str],
+    tmp_path: Path,
+    library_root: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with small_disk(tmp_path / "disk", 24) as disk:
+        folder = plan_small(disk.root / "set", library_root, num_units=4)
+        disk.fill(leave=400_000)
+        _submit(cluster, folder, monkeypatch, attempts=1)
+        cluster.wait_until_idle()
+        assert read_status(folder.root).done == 0
+        disk.make_room()
+        forget_failures(folder.root)
+        assert _submit(cluster, folder, monkeypatch).num_units == 4
+        cluster.wait_until_idle()
+        assert _hashes(folder) == expected
+
+
+def test_a_controller_that_dies_loses_nothing_that_was_finished(
+    cluster: Cluster,
+    expected: dict[str, str],
+    tmp_path: Path,
+    library_root: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Killed after the submission it may lose the array and use its id again: nothing hangs on ids."""
+    folder = plan_small(tmp_path / "controller", library_root, num_units=4)
+    _submit(cluster, folder, monkeypatch, throttle=1)
+    cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
+    cluster.kill_controller()
+    cluster.start_controller()
+    cluster.wait_for(lambda: cluster._states().count("idle") + cluster._states().count("mix") >= 1, "nodes")
+    cluster.wait_until_idle()
+    if read_status(folder.root).done < 4:
+        _submit(cluster, folder, monkeypatch)
+        cluster.wait_until_idle()
+    assert _hashes(folder) == expected
+    assert len(list(folder.shards_path.iterdir())) == 4
 
 
 def test_a_unit_that_always_fails_is_set_aside(
