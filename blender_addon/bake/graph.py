@@ -137,6 +137,8 @@ def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
         value, kind = constant(source.node.outputs[0].default_value), "VALUE"
     elif source.node.type == "RGB":
         value, kind = constant(*source.node.outputs[0].default_value[:3]), "RGBA"
+    elif (folded := _known_product(source)) is not None:
+        value, kind = folded, "VALUE"
     elif source.node.type == "LIGHT_PATH":
         value, kind = constant(LIGHT_PATH_VALUES.get(source.socket.name, 0.0)), "VALUE"
     else:
@@ -147,6 +149,16 @@ def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
     if socket_width(socket) == 1:
         return reduce_to_scalar(value, "average" if kind == "VECTOR" else "luminance")
     return widen(value)
+
+
+def _known_product(source: Source) -> Constant | None:
+    """What a Math node that multiplies gives, where a factor is 0 (importers switch textures off so)."""
+    node = source.node
+    if node is None or node.type != "MATH" or node.operation != "MULTIPLY":
+        return None
+    factors = [source_of(source.stack, socket) for socket in node.inputs[:2]]
+    known = [default_of(f.socket) for f in factors if f.node is None and f.socket is not None]
+    return constant(0.0) if constant(0.0) in known else None
 
 
 def node_at(tree: bpy.types.NodeTree, path: tuple[str, ...], name: str) -> tuple[Stack, bpy.types.Node]:

@@ -24,6 +24,7 @@ from .graph import Graph, Stack, input_of, node_at, source_of
 ENCODINGS = {"sRGB": "srgb", "Non-Color": "linear", "Raw": "linear", "Linear Rec.709": "linear"}
 _SEPARATE = {"Red": "r", "Green": "g", "Blue": "b", "R": "r", "G": "g", "B": "b"}
 SCALAR_CHANNELS = ("roughness", "opacity")
+NORMAL = "normal"
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,9 @@ class PlainImage:
 class MaterialPlan:
     """How one material is exported.
 
-    ``constants`` need no bake beyond a value; ``images`` pass through; ``varying`` are baked on a plane, or
-    on the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
+    ``constants`` need no bake beyond a value; ``images`` pass through, a normal map among them if normals are
+    wanted and ``bakes_normal`` is not needed for them; ``varying`` are baked on a plane, or on the mesh if
+    ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
     """
 
     name: str
@@ -135,21 +137,23 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         if image.channel == "a" and _is_opaque(image.image):  # a JPEG, say, which has no such component
             plan.constants[name] = Constant((1.0,))
             del plain[name], varying[name]
+    normal = plain_normal(plan.normals, walk.rendering_layer) if plan.bakes_normal else None
+    if normal is not None:
+        plain[NORMAL] = normal
     for name, image in plain.items():
         if image.frame.layer == walk.rendering_layer:
             plain[name] = replace(image, frame=UvFrame("", image.frame.matrix))
-    frames = {image.frame for image in plain.values()}
-    if not plan.bakes_normal and plain and len(plain) == len(varying) and len(frames) == 1:
-        plan.images, (plan.frame,) = plain, frames
-        for name, image in plain.items():
-            _note_interpolation(tree, varying[name], plan.name, problems, image)
-        plan.dependencies = walk.of(*varying.values())
-        return
     if not varying and not plan.bakes_normal:
         return
     plan.dependencies = walk.of(*varying.values())
     if plan.bakes_normal:
         plan.dependencies.merge(walk.of_inputs(plan.normals))
+    frames = {image.frame for image in plain.values()}
+    if plain and len(plain) == len(varying) + plan.bakes_normal and len(frames) == 1:
+        plan.images, (plan.frame,), plan.bakes_normal = plain, frames, False
+        for name in varying:
+            _note_interpolation(tree, varying[name], plan.name, problems, plain[name])
+        return
     read_frames = plan.dependencies.frames
     if plan.dependencies.needs_mesh or not plan.dependencies.uv_layers:
         plan.frame = None  # laid out anew, or without texture
@@ -160,6 +164,7 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         plan.frame = UvFrame(layer, IDENTITY)
     if not plan.dependencies.needs_mesh and not plan.dependencies.is_per_instance and plan.is_periodic:
         plan.images = {name: image for name, image in plain.items() if image.frame == plan.frame}
+        plan.bakes_normal &= NORMAL not in plan.images
     plan.varying = {name: value for name, value in varying.items() if name not in plan.images}
 
 
@@ -190,7 +195,7 @@ def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
     dependencies.repeats = False
     return MaterialPlan(
         plan.name, plan.channels, plan.constants, {}, varying, dependencies, plan.frame, plan.normals,
-        plan.bakes_normal, plan.problems,
+        plan.bakes_normal or NORMAL in plan.images, plan.problems,
     )  # fmt: skip
 
 
@@ -245,6 +250,38 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
     if channel == "a":
         encoding = "linear"
     return PlainImage(image, channel, encoding, frame, node.extension != "REPEAT")
+
+
+def plain_normal(
+    normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
+) -> PlainImage | None:
+    """The tangent-space normal map that all linked Normal inputs are, unscaled and unturned."""
+    sources = [source_of(stack, socket) for stack, socket in normals]
+    node = sources[0].node
+    if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):
+        return None
+    stack, strength, colour = sources[0].stack, node.inputs["Strength"], node.inputs["Color"]
+    is_usual = node.space == "TANGENT" and getattr(node, "convention", "OPENGL") == "OPENGL"
+    if not is_usual or source_of(stack, strength).is_linked or strength.default_value != 1:
+        return None
+    source = source_of(stack, colour)
+    texture = source.node
+    if texture is None or texture.type != "TEX_IMAGE" or source.socket is None or texture.image is None:
+        return None
+    image, frame = texture.image, image_frame(source.stack, texture)
+    if (
+        frame is None
+        or source.socket.name != "Color"
+        or image.source != "FILE"
+        or texture.projection != "FLAT"
+    ):
+        return None
+    (a, b, _), (c, d, _) = frame.matrix
+    is_turned = b != 0 or c != 0 or a <= 0 or d <= 0
+    reads_other = {node.uv_map, frame.layer} - {"", rendering_layer} or is_turned
+    if reads_other or ENCODINGS.get(image.colorspace_settings.name) != "linear" or not _is_opaque(image):
+        return None
+    return PlainImage(image, "rgb", "linear", frame, texture.extension != "REPEAT")
 
 
 def _pixels(image: bpy.types.Image) -> object:

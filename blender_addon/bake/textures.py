@@ -16,7 +16,7 @@ from ..settings import ExportSettings
 from .execute import UNIT_SQUARE, Array, BakeSession, WorkingMaterial
 from .expression import Constant
 from .frames import IDENTITY, UvFrame
-from .plan import SCALAR_CHANNELS, MaterialPlan, PlainImage
+from .plan import NORMAL, SCALAR_CHANNELS, MaterialPlan, PlainImage
 from .pyramid import fill, halve, level_error, smallest_level
 
 _FIRST_PX = 256
@@ -24,7 +24,6 @@ _ODD_PX = (
     181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
 )
 BORDER = 1 / 32  # of the texture's side, around what a window or a layout holds
-NORMAL = "normal"
 _FLAT = 1e-4  # a texture that varies by less is a constant
 
 Window = tuple[float, float, float, float]
@@ -288,7 +287,7 @@ class MaterialBaker:
         return tuple(float(v) for v in mean)
 
     def _finish(self, result: BakedMaterial, plan: MaterialPlan) -> BakedMaterial:
-        if plan.normals and not plan.bakes_normal:
+        if plan.normals and not plan.bakes_normal and NORMAL not in plan.images:
             self.problems.add(
                 NOTE,
                 "bump and normal inputs are left out",

@@ -569,6 +569,18 @@ def inverted_image(s: Stage) -> None:
     s.link(invert.outputs[0], s.shader.inputs["Base Color"])
 
 
+@case(
+    diffuse_albedo=lambda p: lookup(linear_from_srgb(smooth_image()), p),
+    specular_albedo=F0,
+    kinds={"diffuse_albedo": "image", "specular_albedo": "constant"},
+)
+def metalness_switched_off(s: Stage) -> None:
+    """As glTF importers write a metallic factor of 0 before a texture."""
+    image = s.texture(s.image(smooth_image()))
+    s.link(image.outputs["Color"], s.shader.inputs["Base Color"])
+    s.link(s.math("MULTIPLY", s.split(image.outputs["Color"])[2], 0.0), s.shader.inputs["Metallic"])
+
+
 @case(diffuse_albedo=lambda p: lookup(linear_from_srgb(smooth_image()), p), opacity=1.0)
 def alpha_of_an_image_without(s: Stage) -> None:
     image = s.texture(s.image(smooth_image()))

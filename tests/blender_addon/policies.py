@@ -141,8 +141,9 @@ def normal_image(size: int = 64) -> np.ndarray:
     return np.round((vector + 1) / 2 * 255) / 255
 
 
-def _normal_map(s: Stage) -> None:
-    node = s.node("NormalMap")
+def _normal_map(s: Stage, strength: float = 1.0) -> None:
+    node = s.node("NormalMap", uv_map="UVMap")  # as glTF importers do, while the texture names no map
+    node.inputs["Strength"].default_value = strength
     s.link(s.texture(s.image(normal_image(), "Non-Color")).outputs[0], node.inputs["Color"])
     s.link(node.outputs[0], s.shader.inputs["Normal"])
 
@@ -173,6 +174,7 @@ def main(out: Path) -> None:
         found["refused"][name] = [vars(p) for p in problems if p.severity == "error"]
     bpy.ops.wm.read_factory_settings(use_empty=True)
     _normal_map(Stage(bpy, "normal_map"))
+    _normal_map(Stage(bpy, "weak_normal_map"), 0.5)
     _bump(Stage(bpy, "bump"))
     bpy.context.view_layer.update()
     settings = ExportSettings(kind="object", license="CC0-1.0", bake_normals=True, max_texture_px=256)

@@ -46,9 +46,19 @@ def _normals(folder: Path, name: str) -> np.ndarray:
     return read_image(package.path / material.normal.texture).astype(float) / 255
 
 
-def test_normal_map_bakes_to_itself(outcome: tuple[Path, Any]) -> None:
-    baked = _normals(outcome[0], "normal_map")
-    wanted = normal_image()
+def test_normal_map_passes_through(outcome: tuple[Path, Any]) -> None:
+    (texture,) = (outcome[0] / "normals" / "normal_map" / "textures").iterdir()
+    originals = [path.read_bytes() for path in (outcome[0] / "images").iterdir()]
+    assert texture.read_bytes() in originals
+    assert np.array_equal(_normals(outcome[0], "normal_map"), normal_image())
+
+
+def test_weakened_normal_map_bakes_at_the_size_of_its_image(outcome: tuple[Path, Any]) -> None:
+    baked = _normals(outcome[0], "weak_normal_map")
+    vectors = 2 * normal_image() - 1
+    vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
+    vectors = 0.5 * vectors + [0, 0, 0.5]
+    wanted = (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True) + 1) / 2
     step = wanted.shape[0] // baked.shape[0], wanted.shape[1] // baked.shape[1]
     assert min(step) >= 1
     coarse = wanted.reshape(baked.shape[0], step[0], baked.shape[1], step[1], 3).mean(axis=(1, 3))
