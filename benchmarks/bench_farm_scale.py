@@ -4,55 +4,114 @@
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
     python -m benchmarks.bench_farm_scale --simulate      # 1,000,000 units on 10,000 slots, with failures
 
-The first part makes folders of finished units (markers and one-kilobyte shards) and times the commands a
-user waits for. The second simulates attempts, kills and retries of a large plan in memory and counts the
-operations of the output protocol.
+The first part makes folders of finished units (configurations, markers, shards of one record) and times what
+a user waits for: the plan over configurations that are assembled, a rerun, a status, a collection. The second
+simulates attempts, kills and retries of a large plan in memory and counts the operations of the output
+protocol. ``cpu_s`` is processor time, which other work on the machine changes little.
 """
 
 from __future__ import annotations
 
 import argparse
 import heapq
+import io
 import json
 import statistics
+import tarfile
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, UnitManifest
+from datagen.assembly.plan import configuration_id
+from datagen.cameras import Camera, look_at
+from datagen.farm.collect import collect
+from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, UnitManifest
 from datagen.farm.local import LocalOptions, run_local
+from datagen.farm.planning import write_plan
 from datagen.farm.status import read_status
 from datagen.formats.base import canonical_json, sha256_hex
-from datagen.formats.recipe import Recipe
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.recipe import Recipe, RenderRecipe
+from datagen.formats.view import RenderRecord, ViewRecord
+from datagen.library import Library, bundled_library
 
 
-def make_finished_folder(root: Path, num_units: int) -> DatasetFolder:
-    """A folder whose plan of ``num_units`` is done; shards hold a kilobyte each."""
+def plan_folder(root: Path, num_units: int, library: Library) -> tuple[DatasetFolder, Recipe]:
+    """A folder with the configurations of ``num_units``, 40 cameras each, not planned yet."""
     folder = DatasetFolder(root)
-    for path in (folder.shards_path, folder.units_path):
+    for path in (folder.shards_path, folder.units_path, folder.configuration_path("x").parent):
         path.mkdir(parents=True)
-    recipe = Recipe(name="scale", configurations=num_units, views=40)
+    recipe = Recipe(
+        name="scale", configurations=num_units, views=40, render=RenderRecipe(variant="llvm_ad_rgb")
+    )
     folder.recipe_path.write_bytes(canonical_json(recipe))  # JSON is YAML
     record = FolderRecord(recipe_sha256="", library_sha256="", library_paths=(), versions={})
     folder.record_path.write_bytes(canonical_json(record))
-    shard = b"\0" * 1024
-    digest = sha256_hex(shard)
-    units = []
+    room = library.select("environment")[0]
     for index in range(num_units):
-        key = sha256_hex(str(index).encode())
-        unit_id = f"scale-{index:07d}"
-        units.append(
-            PlannedUnit(
-                index=index, id=unit_id, split="train", key=key, num_views=40, seed=index, assets=("room",)
-            )
+        configuration = Configuration(
+            id=configuration_id(recipe, index),
+            index=index,
+            seed=index,
+            environment=PlacedAsset(name="environment", asset=room.id),
+            cameras=tuple(_camera(view) for view in range(40)),
+            assets={room.id: room.sha256},
         )
-        name = f"shards/{unit_id}-{digest[:16]}.tar"
-        (root / name).write_bytes(shard)
+        folder.configuration_path(configuration.id).write_bytes(canonical_json(configuration))
+    return folder, recipe
+
+
+def _camera(view: int) -> ViewCamera:
+    pose = look_at([0.1 * view, -2.0, 1.4], [0.0, 0.0, 1.0])
+    return ViewCamera.from_camera(f"view-{view:03d}", Camera(640, 480, 500.0, 500.0, 320.0, 240.0, pose))
+
+
+def _shard(configuration: str) -> bytes:
+    """A tar of one record."""
+    record = ViewRecord(
+        configuration=configuration,
+        name="view-000",
+        index=0,
+        split="train",
+        camera=_camera(0),
+        exposure=1.0,
+        buffers=("beauty",),
+        instances={},
+        materials={},
+        render=RenderRecord(
+            variant="llvm_ad_rgb",
+            seed=0,
+            path_samples=1,
+            auxiliary_samples=1,
+            max_depth=2,
+            russian_roulette_depth=2,
+            denoiser="none",
+        ),
+        versions={},
+        exr_sha256="",
+    )
+    data = canonical_json(record)
+    info = tarfile.TarInfo(f"{configuration}/view-000.json")
+    info.size = len(data)
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        tar.addfile(info, io.BytesIO(data))
+    return stream.getvalue()
+
+
+def finish_folder(folder: DatasetFolder, plan: Plan) -> None:
+    """Markers and shards as if every unit were done."""
+    for unit in plan.units:
+        shard = _shard(unit.id)
+        digest = sha256_hex(shard)
+        name = f"shards/{unit.id}-{digest[:16]}.tar"
+        (folder.root / name).write_bytes(shard)
         manifest = UnitManifest(
-            key=key,
-            id=unit_id,
+            key=unit.key,
+            id=unit.id,
             shard=name,
             sha256=digest,
             num_bytes=len(shard),
@@ -63,31 +122,38 @@ def make_finished_folder(root: Path, num_units: int) -> DatasetFolder:
             views=(),
             peak_memory_mb=900.0,
         )
-        (folder.units_path / f"{key}.json").write_bytes(canonical_json(manifest))
-    plan = Plan(variant="llvm_ad_rgb", versions={}, assets={}, units=tuple(units))
-    folder.plan_path.write_bytes(canonical_json(plan))
-    return folder
+        (folder.units_path / f"{unit.key}.json").write_bytes(canonical_json(manifest))
 
 
 def time_real_folders(sizes: list[int], repeats: int) -> list[dict]:
-    """Median seconds of a rerun and of a status on finished folders of several sizes."""
+    """Median seconds (wall, processor) of what a user waits for, on folders of several sizes."""
     rows = []
+    library = Library([bundled_library()])
     for size in sizes:
         with tempfile.TemporaryDirectory() as temporary:
-            folder = make_finished_folder(Path(temporary) / "set", size)
-            reruns, looks = [], []
-            for _ in range(repeats):
-                start = time.perf_counter()
-                summary = run_local(folder.root, LocalOptions(workers=2))
-                reruns.append(time.perf_counter() - start)
-                assert summary.already_done == size
-                start = time.perf_counter()
-                assert read_status(folder.root).done == size
-                looks.append(time.perf_counter() - start)
-            rows.append(
-                {"units": size, "rerun_s": statistics.median(reruns), "status_s": statistics.median(looks)}
-            )
+            folder, recipe = plan_folder(Path(temporary) / "set", size, library)
+            steps: dict[str, Callable[[], int]] = {
+                "plan": lambda f=folder, r=recipe: len(write_plan(f, r, library).units),  # type: ignore[misc]
+                "rerun": lambda f=folder: run_local(f.root, LocalOptions(workers=2)).already_done,  # type: ignore[misc]
+                "status": lambda f=folder: read_status(f.root).done,  # type: ignore[misc]
+                "collect": lambda f=folder: len(collect(f.root).shards),  # type: ignore[misc]
+            }
+            row: dict[str, float] = {"units": size}
+            for name, step in steps.items():
+                times = [_timed(step, size) for _ in range(repeats)]
+                row[f"{name}_s"], row[f"{name}_cpu_s"] = (
+                    round(statistics.median(values), 3) for values in zip(*times, strict=True)
+                )
+                if name == "plan":
+                    finish_folder(folder, folder.read_plan())
+            rows.append(row)
     return rows
+
+
+def _timed(step: Callable[[], int], expected: int) -> tuple[float, float]:
+    start, cpu = time.perf_counter(), time.process_time()
+    assert step() == expected
+    return time.perf_counter() - start, time.process_time() - cpu
 
 
 def simulate(num_units: int, slots: int, failure_share: float, seed: int = 0) -> dict:
