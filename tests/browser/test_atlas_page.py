@@ -400,6 +400,7 @@ def test_refusals(quad: Quad, tmp_path: Path) -> None:
         write_view(quad.asset, tmp_path / "letters")
     with pytest.raises(InputError, match="nothing there"):
         write_view(tmp_path / "nowhere", tmp_path / "page")
+    assert not (tmp_path / "page").exists()
     material = next((REPOSITORY / "scenes" / "library").glob("*/oak*"), None)
     if material is not None:
         with pytest.raises(InputError, match="environment or an object"):

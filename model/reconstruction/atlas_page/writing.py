@@ -32,7 +32,6 @@ MAX_SIDE = 4096
 """Longest side of an image: more is beyond many GPUs, and 4096 takes 256 MB of theirs already."""
 PREVIEW_SIDE = 1024
 PAGE_FILES = ("index.html", "view.css", "three.js", "shader.js", "controls.js", "view.js")
-_MARKER = "scene.js"
 
 
 @dataclass(frozen=True)
@@ -56,6 +55,7 @@ def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
     mask_path = package_path.parent / "atlas" / "mask.png"
     _check_out(out)
     package = open_package(package_path)
+    (out / "data").mkdir(parents=True, exist_ok=True)
     notes: list[str] = []
     previews: dict[str, str] = {}
     try:
@@ -96,7 +96,7 @@ def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
     finally:
         package.close()
     _write_script(out / "data" / "preview.js", "preview", previews)
-    _write_script(out / "data" / _MARKER, "scene", scene)
+    _write_script(out / "data" / "scene.js", "scene", scene)
     page = files("model.reconstruction.atlas_page") / "page"
     for name in PAGE_FILES:
         write_bytes_atomically(out / name, (page / name).read_bytes())
@@ -108,10 +108,9 @@ def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
 def _check_out(out: Path) -> None:
     if out.exists() and not out.is_dir():
         raise input_error(out, "--out", "a file", "a folder", "choose another --out")
-    if out.is_dir() and any(out.iterdir()) and not (out / "data" / _MARKER).is_file():
+    if out.is_dir() and {path.name for path in out.iterdir()} - {*PAGE_FILES, "data"}:
         expected = "an empty folder, or an earlier page"
         raise input_error(out, "--out", "a folder with other files", expected, "choose another --out")
-    (out / "data").mkdir(parents=True, exist_ok=True)
 
 
 def _meshes_by_material(package: Package, asset: EnvironmentAsset | ObjectAsset) -> dict[str, Mesh]:
