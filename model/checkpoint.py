@@ -35,6 +35,8 @@ class DataRecord(StrictModel):
     name: str
     index_sha256: str
     num_views: int = Field(ge=0)
+    assets: dict[str, str] = {}
+    """SHA-256 of every asset that its configurations use, by id."""
 
 
 class CheckpointCard(StrictModel):
@@ -76,8 +78,17 @@ def software_versions() -> dict[str, str]:
     return {"python": platform.python_version(), "torch": torch.__version__, **{n: version(n) for n in names}}
 
 
+def bundled_checkpoint() -> Path:
+    """The checkpoint that comes with the project; its model card is ``docs/model-card.md``."""
+    return Path(__file__).parent / "checkpoints" / "small.safetensors"
+
+
 def save_checkpoint(
-    path: Path, card: CheckpointCard, network: MaterialNetwork, confidence: ConfidenceNets | None = None
+    path: Path,
+    card: CheckpointCard,
+    network: MaterialNetwork,
+    confidence: ConfidenceNets | None = None,
+    dtype: torch.dtype = torch.float32,
 ) -> None:
     """Write ``path`` (.safetensors) and its JSON beside; both appear whole or not at all."""
     from safetensors.torch import save
@@ -86,7 +97,7 @@ def save_checkpoint(
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
     if confidence is not None:
         tensors |= {f"confidence.{name}": value for name, value in confidence.state_dict().items()}
-    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    tensors = {name: value.detach().to("cpu", dtype).contiguous() for name, value in tensors.items()}
     text = canonical_json(card)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, save(tensors, {_CARD_KEY: text.decode()}))
@@ -147,17 +158,32 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
         raise InputError(*problems[:20])
     tensors = load_file(path, device=str(device))
     for name, value in tensors.items():
-        if value.dtype != torch.float32 or not bool(torch.isfinite(value).all()):
-            raise input_error(path, name, f"{value.dtype}, NaN or Inf", "finite float32 values", _REMEDY)
+        if value.dtype not in (torch.float32, torch.float16) or not bool(torch.isfinite(value).all()):
+            expected_values = "finite float32 or float16 values"
+            raise input_error(path, name, f"{value.dtype}, NaN or Inf", expected_values, _REMEDY)
     for prefix, module in modules.items():
         # cloned: tensors mapped from the file are not aligned as convolutions want them
-        own = {n.removeprefix(f"{prefix}."): v.clone() for n, v in tensors.items() if n.startswith(prefix)}
+        own = {
+            n.removeprefix(f"{prefix}."): v.to(torch.float32, copy=True)
+            for n, v in tensors.items()
+            if n.startswith(prefix)
+        }
         module.load_state_dict(own, assign=True)
         module.eval().requires_grad_(False)
     network, confidence = modules["network"], modules.get("confidence")
     assert isinstance(network, MaterialNetwork)
     assert confidence is None or isinstance(confidence, ConfidenceNets)
     return Checkpoint(network, confidence, card)
+
+
+def publish_checkpoint(source: Path, target: Path) -> None:
+    """Write a checkpoint for others: in half precision, without the paths of the machine that trained it."""
+    checkpoint = load_checkpoint(source)
+    training = {**checkpoint.card.training, "initial_checkpoint": None}
+    if "perceptual" in training:
+        training["perceptual"] = {**training["perceptual"], "vgg": None, "heads": None}
+    card = checkpoint.card.model_copy(update={"training": training})
+    save_checkpoint(target, card, checkpoint.network, checkpoint.confidence, torch.float16)
 
 
 def checkpoint_sha256(path: Path) -> str:

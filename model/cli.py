@@ -120,6 +120,21 @@ def fetch_weights(
     typer.echo(f"{path}: LPIPS check value {value:.4f}, as published")
 
 
+@app.command()
+def publish(
+    checkpoint: Annotated[Path, typer.Argument(help="Weights of a run (.safetensors).")],
+    out: Annotated[Path, typer.Option("--out", help="File to write (.safetensors), its card beside it.")],
+) -> None:
+    """Write a checkpoint for others: half precision, no paths of this machine.
+
+    Example: materials publish run/final.safetensors --out small.safetensors
+    """
+    from model.checkpoint import publish_checkpoint
+
+    publish_checkpoint(checkpoint, out)
+    typer.echo(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+
+
 register_verbs(app)
 
 

@@ -28,7 +28,7 @@ def infer(
     out: Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work continues.")],
     checkpoint: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
-        typer.Option("--checkpoint", help="Weights (.safetensors)."),
+        typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones."),
     ] = None,
     mesh: Annotated[
         Optional[Path],  # noqa: UP045
@@ -69,8 +69,9 @@ def infer(
 ) -> None:
     """Turn a capture into a material atlas and an asset that renders.
 
-    Example: materials infer photos --mesh room.glb --checkpoint run/final.safetensors --out room
+    Example: materials infer photos --mesh room.glb --out room
     """
+    from model.checkpoint import bundled_checkpoint
     from model.reconstruction.captures import read_capture
     from model.reconstruction.infer import InferOptions
     from model.reconstruction.infer import infer as run
@@ -85,6 +86,8 @@ def infer(
     opened = read_capture(
         capture, _reading(mesh, images, library, up, mesh_up, unit, encoding, exposure, max_width)
     )
+    if checkpoint is None and not truth:
+        checkpoint = bundled_checkpoint()
     doing: dict[str, Any] = {"visibility": visibility, "precision": precision}
     options = InferOptions(
         atlas="auto" if atlas == "auto" else int(atlas),

@@ -101,7 +101,7 @@ class TrainingConfig(StrictModel):
     adam_betas: tuple[float, float] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
     """Gradients of a larger norm, over all weights that a phase trains, are scaled down to it; None leaves
-    them. At a high rate one steep batch can push the outputs where tanh is flat and no gradient leads back."""
+    them. At a high rate one steep batch can push outputs where tanh is flat and no gradient leads back."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of the networks' activations; losses and weights stay float32."""
     channels_last: bool = False

@@ -54,7 +54,12 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
                 problems += error.problems
         digest = sha256_file(Path(folder) / INDEX_FILE)
         records.append(
-            DataRecord(name=dataset.index.recipe.name, index_sha256=digest, num_views=dataset.index.num_views)
+            DataRecord(
+                name=dataset.index.recipe.name,
+                index_sha256=digest,
+                num_views=dataset.index.num_views,
+                assets={name: asset.sha256 for name, asset in dataset.index.assets.items()},
+            )
         )
     if problems:
         raise InputError(*problems)

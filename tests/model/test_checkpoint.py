@@ -11,7 +11,14 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from datagen.errors import InputError
-from model.checkpoint import CheckpointCard, load_checkpoint, read_card, save_checkpoint, software_versions
+from model.checkpoint import (
+    CheckpointCard,
+    load_checkpoint,
+    publish_checkpoint,
+    read_card,
+    save_checkpoint,
+    software_versions,
+)
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
 
@@ -53,6 +60,24 @@ def test_round_trip(tmp_path, card, with_confidence):
     assert read_card(path) == loaded.card
     assert json.loads(path.with_suffix(".json").read_text())["loss"] == "l1+gradient-ssim-3"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["best.json", "best.safetensors"]
+
+
+def test_a_published_checkpoint_is_half_as_large_and_names_no_path(tmp_path, card):
+    network = MaterialNetwork(TINY).eval()
+    card = card.model_copy(
+        update={
+            "training": {"initial_checkpoint": str(tmp_path / "first"), "perceptual": {"vgg": str(tmp_path)}}
+        }
+    )
+    save_checkpoint(tmp_path / "run.safetensors", card, network, ConfidenceNets())
+    publish_checkpoint(tmp_path / "run.safetensors", tmp_path / "out" / "small.safetensors")
+    loaded = load_checkpoint(tmp_path / "out" / "small.safetensors")
+    for name, value in network.state_dict().items():
+        assert loaded.network.state_dict()[name].dtype == torch.float32
+        assert torch.equal(loaded.network.state_dict()[name], value.half().float())
+    assert loaded.confidence is not None
+    text = (tmp_path / "out" / "small.json").read_text()
+    assert str(tmp_path) not in text and json.loads(text)["metrics"] == {"roughness_mse": 0.25}
 
 
 def test_equal_content_has_equal_bytes(tmp_path, card):
