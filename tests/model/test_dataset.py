@@ -163,6 +163,31 @@ def test_loader_yields_the_plan_whatever_the_workers(shard, workers):
     torch.testing.assert_close(batches[2]["beauty"][1], dataset[list(plan)[2][1]]["beauty"])
 
 
+@pytest.mark.parametrize(
+    ("ranks", "workers"), [(1, 0), (2, 0), (3, 0), pytest.param(2, 2, marks=pytest.mark.slow)]
+)
+def test_ranks_and_loader_workers_resume_in_an_epoch_without_overlap_or_loss(shard, ranks, workers):
+    """12 crops, an epoch of 12: whoever loads them, and wherever the run was cut, each comes once, in the
+    same order, with the same pixels."""
+    order = CropOrder(4, 3, 4, seed=5)
+    batch, cut = 12 // ranks // 2, 1
+    whole = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
+    seen = []
+    for start, stop in ((0, cut), (cut, 4)):  # a run that is cut in the first epoch, and its continuation
+        loaders = []
+        for rank in range(ranks):
+            plan = BatchPlan(order, batch, rank=rank, num_ranks=ranks, start=start, stop=stop)
+            dataset = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
+            loaders.append(make_loader(dataset, plan, workers=workers))
+        for parts in zip(*loaders, strict=True):
+            for part in parts:
+                seen += part["sample_id"].tolist()
+                torch.testing.assert_close(part["beauty"][0], whole[int(part["sample_id"][0])]["beauty"])
+    assert len(order.epoch(0)) == 12
+    assert sorted(seen[:12]) == list(range(12)) and sorted(seen[12:]) == list(range(12, 24))
+    assert seen == [*order.epoch(0), *(12 + order.epoch(1))]
+
+
 def test_single_view_network_needs_no_statistics(shard):
     names = names_for(NETWORK.model_copy(update={"uses_statistics": False}))
     assert not any(n.startswith("color_") for n in names)
