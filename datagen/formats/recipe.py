@@ -146,10 +146,11 @@ class RenderRecipe(StrictModel):
       and ``firefly_clamp`` may be given beside it. Numbers take its place as soon as the recipe is read, so
       that a saved recipe means the same when a later version gives the name other numbers.
 
-    ``firefly_clamp``: the most that one light path may add to a pixel, in multiples of what the image's
-    exposure shows as white; None clamps nothing. ``auxiliary_samples`` clean buffers a pixel. ``max_depth``
-    segments a path at most (the default, 8), or, if ``max_energy_left`` is given instead, as many as the
-    scene's albedo asks for to leave at most that share of the light behind.
+    ``firefly_clamp``: the most that a light path may bring by two or more reflections, in multiples of what
+    the image's exposure shows as white; None clamps nothing, direct light is never clamped.
+    ``auxiliary_samples`` clean buffers a pixel. ``max_depth`` segments a path at most (the default, 8), or,
+    if ``max_energy_left`` is given instead, as many as the scene's albedo asks for to leave at most that
+    share of the light behind.
     """
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"

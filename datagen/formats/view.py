@@ -21,9 +21,9 @@ class RenderRecord(StrictModel):
     ``path_samples`` light paths a pixel were traced. Where they followed from a target, ``estimated_rel_mse``
     is the error that was estimated from independent halves (exposed relMSE of the beauty image), and
     ``at_ceiling`` says that the samples ran out before the target was met. ``firefly_clamp_radiance`` is the
-    most that one path could add to a pixel, ``clamped_energy`` the share of the luminance that this took
-    away.
-    ``max_energy_left`` bounds the share of the light that paths longer than ``max_depth`` would have brought.
+    most that a path could bring by two or more reflections, ``clamped_energy`` the share of the luminance
+    that this took away. ``max_energy_left`` bounds the share of the light that paths longer than
+    ``max_depth`` would have brought.
     """
 
     variant: str

@@ -88,9 +88,10 @@ class PathTracer:
     ) -> PathSums:
         """Sums over ``num_samples`` paths a pixel.
 
-        A path whose largest channel exceeds ``limit`` is scaled down to it, and what that takes away is
-        added up too. ``grid`` (columns, rows) divides the image into other cells than its pixels. All calls
-        share one kernel.
+        Where the light that a path brings by two or more reflections exceeds ``limit`` in its largest
+        channel, it is scaled down to it, and what that takes away is added up too. Direct light is never
+        clamped: a patch of sun is as bright as it is. ``grid`` (columns, rows) divides the image into other
+        cells than its pixels. All calls share one kernel.
         """
         width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
         num_per_launch = max(1, min(num_samples, MAX_LANES // (width * height)))
@@ -123,9 +124,9 @@ class PathTracer:
                 (mi.Float(row) + offset.y) / mi.Float(height),
             )
             ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
-            radiance = self.sample(self._sampler, ray, with_seen_lights)
-            kept = dr.minimum(dr.opaque(mi.Float, limit) / dr.maximum(dr.max(radiance), TINY), 1.0)
-            channels = [*(radiance * kept), mi.luminance(radiance) * (1.0 - kept)]
+            direct, indirect = self.sample(self._sampler, ray, with_seen_lights)
+            kept = dr.minimum(dr.opaque(mi.Float, limit) / dr.maximum(dr.max(indirect), TINY), 1.0)
+            channels = [*(direct + indirect * kept), mi.luminance(indirect) * (1.0 - kept)]
             dr.eval(channels)
             sums = [dr.block_sum(channel, count) for channel in channels]
             dr.eval(sums)
@@ -189,11 +190,12 @@ class PathTracer:
         return result
 
     @dr.syntax
-    def sample(self, sampler: Any, ray: Array, with_seen_lights: bool = True) -> Array:
-        """Radiance (Color3f) that arrives along camera rays, one path each."""
+    def sample(self, sampler: Any, ray: Array, with_seen_lights: bool = True) -> tuple[Array, Array]:
+        """Radiance that arrives along camera rays, one path each: (Color3f, Color3f), by at most one
+        reflection and by more."""
         scene, ctx = self.scene, mi.BSDFContext()
         ray = mi.Ray3f(ray)
-        result, throughput = mi.Color3f(0.0), mi.Color3f(1.0)
+        direct, indirect, throughput = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(1.0)
         depth, num_crossed = mi.UInt32(0), mi.UInt32(0)
         previous = dr.zeros(mi.Interaction3f)
         previous_pdf, previous_is_delta = mi.Float(1.0), mi.Bool(True)
@@ -210,7 +212,7 @@ class PathTracer:
             ds = mi.DirectionSample3f(scene, si, previous)
             emitter_pdf = scene.pdf_emitter_direction(previous, ds, is_seen & ~previous_is_delta)
             weight = dr.select(previous_is_delta, 1.0, _power_heuristic(previous_pdf, emitter_pdf))
-            result += throughput * emitter.eval(si, shows) * weight
+            met = throughput * emitter.eval(si, shows) * weight
 
             active_next = active & si.is_valid() & ((depth + 1 < self.max_depth) | ~is_seen)
             bsdf = si.bsdf()
@@ -227,7 +229,9 @@ class PathTracer:
                 ctx, si, wo, sampler.next_1d(), sampler.next_2d(), active_next
             )
             weight = dr.select(ds.delta, 1.0, _power_heuristic(ds.pdf, pdf))
-            result += dr.select(active_emitter, throughput * value * radiance * weight, 0.0)
+            sampled = dr.select(active_emitter, throughput * value * radiance * weight, 0.0)
+            direct += dr.select(depth <= 1, met, 0.0) + dr.select(depth == 0, sampled, 0.0)
+            indirect += dr.select(depth <= 1, 0.0, met) + dr.select(depth == 0, 0.0, sampled)
 
             passes = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
             if dr.hint(self._is_hidden_shape is not None, mode="scalar"):
@@ -252,7 +256,7 @@ class PathTracer:
             survives = sampler.next_1d() < survival
             throughput = dr.select(plays, throughput / dr.maximum(survival, 1e-30), throughput)
             active = active_next & (~plays | survives) & (largest > 0.0) & (num_crossed < MAX_CROSSINGS)
-        return result
+        return direct, indirect
 
     def _is_hidden(self, si: Any, depth: Array) -> Array:
         """Whether a ray that comes from the camera met a light that the camera does not see."""

@@ -285,7 +285,7 @@ class SceneRenderer:
         return view_seed(self.configuration.seed, index, purpose)
 
     def _clamp_limit(self, sensor: Any, index: int) -> float:
-        """Radiance that one path may bring at most: so many times what the exposed image shows as white.
+        """Radiance that a path may bring by two or more reflections: so many times the exposed white.
 
         The exposure is that of a coarse image of reflected light, traced without a clamp beforehand. Infinite
         where the recipe clamps nothing, or where less than a twentieth of the image is lit.
