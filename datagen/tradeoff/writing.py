@@ -140,10 +140,11 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
         xscale="log", yscale="log", xlabel="processor seconds a view", ylabel="relMSE of the beauty image"
     )
     axes.grid(which="both", alpha=0.25)
+    axes.margins(x=0.1)  # room for the names of qualities
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()
         axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("{x:.3g}" if high < 12 * low else "")  # a decade has labels enough
+        axis.set_minor_formatter("{x:.3g}" if high < 50 * low else "")  # decades have labels enough
     axes.tick_params(which="minor", labelsize=7)
     _add_legend(axes)
     return figure
