@@ -90,30 +90,32 @@ def _sofa(out: Path) -> None:
 
 
 def _photographs(out: Path) -> None:
-    """A room as COLMAP leaves it: photographs, cameras and a mesh."""
+    """The rendered room as COLMAP leaves a photographed one: images, cameras and a mesh."""
     from PIL import Image
 
-    from datagen.cameras import Camera, look_at
+    from datagen.color import exposure_for, srgb_from_linear
     from datagen.meshes import encode_ply
-    from tests.datagen.small_library import box, with_uv
+    from model.reconstruction.captures import read_capture
     from tests.model.test_reconstruction_captures import quaternion_of
 
+    rooms = out.parent / "rooms"
+    _rooms(rooms)
+    capture = read_capture(sorted((rooms / "shards").glob("*.tar"))[0])
     cameras, images = [], []
     (out / "images").mkdir(parents=True)
     (out / "sparse" / "0").mkdir(parents=True)
-    for index, angle in enumerate(np.linspace(0, 4, 3)):
-        pose = look_at([1.3 * np.cos(angle), 1.3 * np.sin(angle), 1.3], [0, 0, 0.4])
-        view = Camera(*SIZE_PX, 50.0, 50.0, 32.0, 24.0, pose).camera_from_world
-        cameras.append(f"{index + 1} PINHOLE {SIZE_PX[0]} {SIZE_PX[1]} 50 50 32 24")
-        numbers = [*quaternion_of(view[:3, :3]), *view[:3, 3]]
-        images.append(" ".join(map(str, [index + 1, *numbers, index + 1, f"img{index}.png"])) + "\n")
-        pixels = np.random.default_rng(index).integers(60, 200, (SIZE_PX[1], SIZE_PX[0], 3)).astype(np.uint8)
-        Image.fromarray(pixels).save(out / "images" / f"img{index}.png")
+    for number, view in enumerate(capture.views, start=1):
+        camera, color = view.camera, view.read().color
+        lens = f"{camera.fx_px} {camera.fy_px} {camera.cx_px} {camera.cy_px}"
+        cameras.append(f"{number} PINHOLE {camera.width_px} {camera.height_px} {lens}")
+        pose = camera.camera_from_world
+        numbers = [number, *quaternion_of(pose[:3, :3]), *pose[:3, 3], number]
+        images.append(" ".join(map(str, numbers)) + f" {view.name}.png\n")
+        shown = np.clip(srgb_from_linear(color * exposure_for(color)), 0, 1)
+        Image.fromarray((255 * shown + 0.5).astype(np.uint8)).save(out / "images" / f"{view.name}.png")
     (out / "sparse" / "0" / "cameras.txt").write_text("\n".join(cameras) + "\n")
     (out / "sparse" / "0" / "images.txt").write_text("\n".join(images) + "\n")
-    room = box([-2, -2, 0], [2, 2, 2.5])
-    room.invert()
-    (out / "room.ply").write_bytes(encode_ply(with_uv(room)))
+    (out / "room.ply").write_bytes(encode_ply(capture.geometry.mesh))
 
 
 def _checkpoint(out: Path) -> None:
