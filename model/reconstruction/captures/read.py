@@ -137,6 +137,7 @@ def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None
     ]:
         try:
             real = (file.parent / name).resolve()
+            real.is_file()  # which raises for names that no file can have
         except (OSError, RuntimeError, ValueError) as error:
             problems.append(Problem(file, field, str(error), "a path", "correct it"))
             continue
