@@ -108,10 +108,10 @@ class Page:
     def wait(self, script: str, *arguments: Any) -> Any:
         return self.until(lambda: self.run(script, *arguments), script)
 
-    def until(self, condition: Callable[[], Any], what: str) -> Any:
+    def until(self, condition: Callable[[], Any], what: str, longest_s: float = WAIT_S) -> Any:
         from selenium.webdriver.support.ui import WebDriverWait
 
-        return WebDriverWait(self.driver, WAIT_S, 0.05).until(lambda _: condition(), what)
+        return WebDriverWait(self.driver, longest_s, 0.05).until(lambda _: condition(), what)
 
     def keys(self, *keys: str, to: str = "#panels") -> None:
         """Press keys with an element focused."""
