@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save_file
 from datagen.errors import InputError
 from model.checkpoint import (
     CheckpointCard,
+    bundled_checkpoint,
     load_checkpoint,
     publish_checkpoint,
     read_card,
@@ -132,3 +133,16 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, card):
         load_checkpoint(path)
     with pytest.raises(InputError, match="no such file"):
         load_checkpoint(tmp_path / "absent.safetensors")
+
+
+def test_the_bundled_checkpoint_is_small_and_names_what_it_learnt_from():
+    path = bundled_checkpoint()
+    assert path.stat().st_size <= 20e6
+    checkpoint = load_checkpoint(path)
+    assert checkpoint.confidence is not None
+    (data,) = checkpoint.card.data
+    assert data.num_views == 1000 and {"study", "kitchen"} <= data.assets.keys()
+    assert not {"veach-ajar", "dining-room"} & data.assets.keys()
+    assert checkpoint.card.training["initial_checkpoint"] is None
+    maps = checkpoint.network.tracks["diffuse"](torch.zeros(1, 9, 32, 32))
+    assert maps.shape == (1, 3, 32, 32) and bool(torch.isfinite(maps).all())
