@@ -310,7 +310,8 @@ def _commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
             winner = run.folder.read_manifest(run.unit)
         except InputError:
             winner = None
-        if winner is None or not run.folder.is_done(run.unit):  # damaged, or its shard was lost: replace it
+        lies = winner is not None and winner.shard == manifest.shard and winner.sha256 != manifest.sha256
+        if winner is None or lies or not run.folder.is_done(run.unit):  # damaged, or its shard was lost
             partial.replace(path)
         elif winner.shard != manifest.shard:
             (run.folder.root / manifest.shard).unlink(missing_ok=True)

@@ -177,7 +177,7 @@ def test_damage_is_found_and_mended(finished: DatasetFolder, tmp_path: Path) -> 
 
 
 def test_another_recipe_is_refused_in_the_same_folder(finished: DatasetFolder, library_root: Path) -> None:
-    with pytest.raises(InputError, match="recipe: seed"):
+    with pytest.raises(InputError, match="recipe: configurations = 2"):
         plan_small(finished.root, library_root, num_units=2)
     assert len(_hashes(finished)) == 3
 
