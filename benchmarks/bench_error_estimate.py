@@ -55,10 +55,15 @@ class Point:
     estimated: float
     true: float
     true_of_average: float
+    standard_error: float
     spread: float
     measured_bias: float
     bias_error: float
     removed_share: float
+
+    def meets(self, target: float) -> bool:
+        """Whether a budget with this target ends here."""
+        return self.estimated + self.standard_error <= target
 
 
 def scenes(
@@ -140,6 +145,7 @@ def measure_view(
             estimated=estimate.rel_mse,
             true=relative_mse(finished, first, second, exposed=True),
             true_of_average=relative_mse(0.5 * (halves[0] + halves[1]), first, second, exposed=True),
+            standard_error=estimate.standard_error,
             spread=estimate.spread,
             measured_bias=estimate.measured_bias,
             bias_error=estimate.bias_error,
@@ -153,7 +159,7 @@ def stopped(points: list[Point], target: float) -> list[Point]:
     ends: dict[tuple[str, str], Point] = {}
     for point in points:
         key = (point.scene, point.view)
-        if key not in ends or ends[key].estimated > target:
+        if key not in ends or not ends[key].meets(target):
             ends[key] = point
     return list(ends.values())
 
@@ -179,7 +185,7 @@ def summarise(points: list[Point]) -> dict[str, Any]:
         result[f"{samples} samples"] = figures([p for p in points if p.samples == samples])
     for target in TARGETS:
         ends = stopped(points, target)
-        met = [p for p in ends if p.estimated <= target]
+        met = [p for p in ends if p.meets(target)]
         entry: dict[str, Any] = {
             "met": len(met),
             "samples": sorted(p.samples for p in ends),

@@ -393,7 +393,7 @@ class SceneRenderer:
             fields["max_energy_left"] = quantized(self._energy_left, 4)
         if self._budget is not None and view.estimate is not None:
             fields["estimated_rel_mse"] = quantized(view.estimate.rel_mse, 4)
-            fields["at_ceiling"] = view.estimate.rel_mse > self._budget.max_rel_mse
+            fields["at_ceiling"] = not self._budget.is_met(view.estimate)
         if math.isfinite(view.clamp_limit):
             fields["firefly_clamp_radiance"] = quantized(view.clamp_limit, 6)
             fields["clamped_energy"] = quantized(sums.removed_share(), 4)

@@ -67,10 +67,11 @@ class PathSums:
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """``rel_mse`` of the finished image; of one half: ``spread``, ``squared_bias`` as measured (it may be
-    negative) and the standard error of the latter."""
+    """``rel_mse`` of the finished image and its ``standard_error``; of one half: ``spread``, the squared bias
+    as it was measured (it may be negative) and the standard error of that measurement."""
 
     rel_mse: float
+    standard_error: float
     spread: float
     measured_bias: float
     bias_error: float
@@ -96,28 +97,32 @@ def estimate_error(
     weight = scale**2 / ((scale * finished) ** 2 + EPSILON) / 3.0
     spread = float((weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).mean())
     if denoised[0] is halves[0]:  # unbiased: the halves' spread is all there is
-        return ErrorEstimate(0.5 * spread + removed_share**2, spread, 0.0, 0.0)
+        return ErrorEstimate(0.5 * spread + removed_share**2, 0.0, spread, 0.0, 0.0)
     witnessed = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
     measured = float((weight * witnessed).sum(axis=-1).mean()) - spread
     noise = (weight * (a - middle) * (b - middle)).sum(axis=-1)
-    standard_error = math.sqrt(float((noise**2).sum())) / noise.size
-    bias = _squared_bias(spread, measured, standard_error)
-    return ErrorEstimate(0.5 * spread + bias + removed_share**2, spread, measured, standard_error)
+    bias_error = math.sqrt(float((noise**2).sum())) / noise.size
+    bias, standard_error = _squared_bias(spread, measured, bias_error)
+    return ErrorEstimate(0.5 * spread + bias + removed_share**2, standard_error, spread, measured, bias_error)
 
 
-def _squared_bias(spread: float, measured: float, standard_error: float) -> float:
-    """Squared bias of a denoised half from its measurement and from the spread, weighed by what each knows.
+def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:
+    """Squared bias of a denoised half from its measurement and from the spread, and its standard error.
 
     Before anything is measured the bias is ``BIAS_PER_SPREAD`` times the spread, give or take as much, or
-    more where the measurement is further off than its own error explains. The mean of the two figures with
+    more where the measurement is further above than its own error explains. The mean of the two figures with
     weights 1 / variance; never negative.
     """
     expected = BIAS_PER_SPREAD * spread
-    variance = standard_error**2
-    prior_variance = max(expected**2, (measured - expected) ** 2 - variance)
-    if prior_variance + variance == 0.0:
-        return 0.0
-    return max(0.0, (expected * variance + measured * prior_variance) / (prior_variance + variance))
+    variance = bias_error**2
+    prior_variance = expected**2
+    if measured > expected:
+        prior_variance = max(prior_variance, (measured - expected) ** 2 - variance)
+    total = prior_variance + variance
+    if total == 0.0:
+        return expected, 0.0
+    mean = (expected * variance + measured * prior_variance) / total
+    return max(0.0, mean), math.sqrt(prior_variance * variance / total)
 
 
 @dataclass(frozen=True)
@@ -134,6 +139,11 @@ class SampleBudget:
         """Samples of the first pass."""
         return min(FIRST_SAMPLES, self.ceiling)
 
+    def is_met(self, estimate: ErrorEstimate) -> bool:
+        """Whether the target is met with a margin of one standard error: few samples of wild noise show a
+        small error easily, but do not show it well."""
+        return estimate.rel_mse + estimate.standard_error <= self.max_rel_mse
+
     @property
     def ceiling(self) -> int:
         """Most samples, even."""
@@ -144,6 +154,6 @@ class SampleBudget:
 
         Totals double, so that there are few estimates and not more than twice the samples that were needed.
         """
-        if estimate.rel_mse <= self.max_rel_mse or total >= self.ceiling:
+        if self.is_met(estimate) or total >= self.ceiling:
             return total
         return min(2 * total, self.ceiling)
