@@ -36,7 +36,15 @@
   }
   const world = new T.Scene(), camera = new T.PerspectiveCamera(60, 1, 0.01, 100);
   camera.up.set(0, 0, 1);
-  const bounds = data.bounds.map((corner) => new T.Vector3(...corner));
+  // What is looked at: where the cameras stand, with room around them, or the asset. A room's mesh may bring
+  // half a landscape.
+  const places = data.cameras.length ? data.cameras.map((c) => c.position) : data.bounds;
+  const bounds = [Math.min, Math.max].map((pick) => new T.Vector3(...[0, 1, 2].map((k) => pick(...places.map((p) => p[k])))));
+  if (data.cameras.length) {
+    const margin = Math.max(1, 0.25 * bounds[0].distanceTo(bounds[1]));
+    bounds[0].subScalar(margin);
+    bounds[1].addScalar(margin);
+  }
   let isAsked = false;
   const changed = () => {
     if (isAsked) return;
@@ -44,8 +52,9 @@
     requestAnimationFrame(() => { isAsked = false; draw(); });
   };
   const controls = VIEW.makeControls(camera, canvas, bounds, changed);
-  camera.near = controls.size * 1e-3;
-  camera.far = controls.size * 10;
+  const whole = data.bounds.map((corner) => new T.Vector3(...corner));
+  camera.near = controls.size * 2e-3;
+  camera.far = 4 * (controls.size + whole[0].distanceTo(whole[1]));
 
   const shared = {
     lightPosition: { value: controls.light }, lightIntensity: { value: new T.Vector3() }, exposure: { value: 1 }, fill: { value: 0 }, shown: { value: 0 },
@@ -149,7 +158,7 @@
       controls.look(from.position, from.target, from.fov);
       setMode("fly");
     } else { // from outside, or where an asset has no cameras
-      const at = controls.center.clone().add(new T.Vector3(-0.75, -1, 0.6).normalize().multiplyScalar(1.1 * controls.size));
+      const at = controls.center.clone().add(new T.Vector3(-0.75, -1, 0.6).normalize().multiplyScalar(1.3 * controls.size));
       setMode("orbit"); // before the camera moves: it keeps the point to turn around
       controls.look(at.toArray(), controls.center.toArray(), 50);
     }
