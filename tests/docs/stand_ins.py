@@ -199,7 +199,7 @@ class StandIns:
     def _copy(self, name: str, target: Path, make: Callable[[Path], None]) -> None:
         made = self.root / name / name
         if not made.exists():
-            made.parent.mkdir()
+            made.parent.mkdir(exist_ok=True)
             make(made)
         if made.is_dir():
             shutil.copytree(made, target, dirs_exist_ok=True)
