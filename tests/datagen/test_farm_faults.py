@@ -11,6 +11,7 @@ import json
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -45,10 +46,29 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> dict[str, str]:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
+    """A finished dataset; tests work on copies of it."""
     folder = plan_small(tmp_path_factory.mktemp("undisturbed") / "dataset", library_root)
     run_local(folder.root, LocalOptions(workers=1))
-    return _hashes(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def expected(undisturbed: DatasetFolder) -> dict[str, str]:
+    return _hashes(undisturbed)
+
+
+def _copy(folder: DatasetFolder, root: Path, without: tuple[int, ...] = ()) -> DatasetFolder:
+    """A copy at ``root`` in which the units of these indices are not done."""
+    shutil.copytree(folder.root, root)
+    copied = DatasetFolder(root)
+    for unit in copied.read_plan().units:
+        if unit.index in without:
+            manifest = copied.read_manifest(unit)
+            assert manifest is not None
+            (root / manifest.shard).unlink()
+            copied.manifest_path(unit).unlink()
+    return copied
 
 
 def _hashes(folder: DatasetFolder) -> dict[str, str]:
@@ -235,11 +255,10 @@ def test_a_full_disk_sets_units_aside_and_one_more_run_completes(
 
 
 def test_a_read_only_folder_is_said_to_be_and_left_alone(
-    expected: dict[str, str], tmp_path: Path, library_root: Path
+    expected: dict[str, str], tmp_path: Path, undisturbed: DatasetFolder
 ) -> None:
     with small_disk(tmp_path / "disk", 16) as disk:
-        folder = plan_small(disk.root / "set", library_root)
-        run_local(folder.root, LocalOptions(only=(0,)))
+        folder = _copy(undisturbed, disk.root / "set", without=(1, 2))
         disk.remount("ro")
         with pytest.raises(InputError, match="read-only file system"):
             run_local(folder.root, LocalOptions())
@@ -258,6 +277,7 @@ def test_a_read_only_folder_is_said_to_be_and_left_alone(
         _check_completes(folder, expected)
 
 
+@pytest.mark.slow
 def test_two_whole_runs_at_once(expected: dict[str, str], tmp_path: Path, library_root: Path) -> None:
     folder = plan_small(tmp_path / "twice", library_root)
     both = [_start(folder, tmp_path / "run.py") for _ in range(2)]
@@ -271,11 +291,10 @@ def test_two_whole_runs_at_once(expected: dict[str, str], tmp_path: Path, librar
 
 
 def test_damaged_markers_are_found_and_mended(
-    expected: dict[str, str], tmp_path: Path, library_root: Path
+    expected: dict[str, str], tmp_path: Path, undisturbed: DatasetFolder
 ) -> None:
     """A marker that is cut counts as none; one that lies about its shard's hash is found by hashing."""
-    folder = plan_small(tmp_path / "markers", library_root)
-    run_local(folder.root, LocalOptions())
+    folder = _copy(undisturbed, tmp_path / "markers")
     cut, lying, linked = (folder.manifest_path(unit) for unit in folder.read_plan().units)
     cut.write_bytes(cut.read_bytes()[:50])
     manifest = json.loads(lying.read_text())
@@ -291,17 +310,13 @@ def test_damaged_markers_are_found_and_mended(
     _check_completes(folder, expected)
 
 
-def test_changed_configurations_are_refused(tmp_path: Path, library_root: Path) -> None:
+def test_changed_configurations_are_refused(tmp_path: Path, undisturbed: DatasetFolder) -> None:
     """A flipped digit would make other pixels than those that were planned."""
-    folder = plan_small(tmp_path / "flipped", library_root, num_units=2)
+    folder = _copy(undisturbed, tmp_path / "flipped", without=(1,))
     path = folder.configuration_path("small-00001")
-    text = path.read_text()
-    path.write_text(text.replace('"seed": 11', '"seed": 10'))
+    path.write_text(path.read_text().replace('"seed": 11', '"seed": 10'))
     summary = run_local(folder.root, LocalOptions(attempts=1))
-    assert summary.done == ["small-00000"]
-    assert "not what was planned" in summary.failures[0].reason
-    path.write_text(text)
-    assert run_local(folder.root, LocalOptions()).done == ["small-00001"]
+    assert not summary.done and "not what was planned" in summary.failures[0].reason
 
 
 def test_leftovers_and_damaged_views_are_made_again(
