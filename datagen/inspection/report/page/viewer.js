@@ -458,7 +458,7 @@ REPORT.viewer = (() => {
       return id === null ? "" : id === 0 ? "none" : names[table][id] || `id ${id}`;
     };
     ui.pixel.textContent = `column ${x}, row ${y}; instance ${nameOf("instance_id", "instances")}; material ${nameOf("material_id", "materials")}`;
-    const derived = Object.keys(state.pictures).filter((name) => name.includes(":")).map(bufferOf).sort((a, b) => a.slug.localeCompare(b.slug) || b.kind.localeCompare(a.kind));
+    const derived = Object.keys(state.pictures).filter((name) => name.includes(":")).map(bufferOf).filter((b) => b.slug === settings.method || (settings.isWipe && [settings.wipeA, settings.wipeB].includes(b.name))).sort((a, b) => a.slug.localeCompare(b.slug) || b.kind.localeCompare(a.kind));
     ui.values.replaceChildren(...[...buffers(), ...derived].filter((b) => state.pictures[b.name]).map((b) => {
       const picture = state.pictures[b.name];
       const values = picture.all(pixel).map((v) => format(v, digitsOf(picture)));
