@@ -134,7 +134,10 @@ def _room_blend(out: Path) -> None:
     """The tagged room that a page of the documentation makes."""
     blocks = read_page(REPOSITORY / "docs" / "tutorials" / "blender-scene.md").blocks
     script = next(block.text for block in blocks if block.note == "file make_room.py")
-    subprocess.run([sys.executable, "-"], input=script, text=True, cwd=out.parent, check=True)
+    # Blender takes relative paths from PWD.
+    environment = {**os.environ, "PWD": str(out.parent)}
+    command = [sys.executable, "-"]
+    subprocess.run(command, input=script, text=True, cwd=out.parent, env=environment, check=True)
 
 
 def _oak(out: Path) -> None:
