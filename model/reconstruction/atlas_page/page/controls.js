@@ -90,8 +90,7 @@ VIEW.makeControls = (camera, canvas, bounds, changed) => {
 
   let onLight = () => {};
   function moveLight(to) {
-    const room = size * 0.5; // beyond this it lights nothing
-    light.copy(to).clamp(bounds[0].clone().addScalar(-room), bounds[1].clone().addScalar(room));
+    light.copy(to).clamp(bounds[0].clone().subScalar(size), bounds[1].clone().addScalar(size)); // beyond, it lights nothing
     onLight();
     changed();
   }

@@ -167,7 +167,7 @@
   }
 
   function build() {
-    const axis = (k, label) => slider(`light-${"xyz"[k]}`, label, bounds[0].getComponent(k) - controls.size / 2, bounds[1].getComponent(k) + controls.size / 2, 0.01, 0, metres,
+    const axis = (k, label) => slider(`light-${"xyz"[k]}`, label, bounds[0].getComponent(k) - controls.size, bounds[1].getComponent(k) + controls.size, 0.01, 0, metres,
       (value) => { const to = controls.light.clone(); to.setComponent(k, value); controls.light.copy(to); });
     ui.shown = element("select", { id: "shown", onchange: () => choose(Number(ui.shown.value)) }, ...SHOWN.map((text, number) =>
       element("option", { value: number, text, disabled: number === 4 && !data.materials.some((m) => m.hasMask) ? "" : null })));
