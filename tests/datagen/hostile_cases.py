@@ -355,7 +355,7 @@ def dataset_folder(folder: Path) -> Case:
 
     def read(path: Path) -> None:
         verify_dataset(path)
-        status = None
+        status, refusal = None, None
         for step in (
             lambda: [list(ShardReader(p).members()) for p in Dataset(path).shard_paths()],
             lambda: read_status(path),
@@ -364,11 +364,14 @@ def dataset_folder(folder: Path) -> Case:
         ):
             try:
                 result = step()
-            except InputError:
+            except InputError as error:
+                refusal = error
                 continue
             status = result if hasattr(result, "failed") else status
         for failure in status.failed if status else ():
             last_lines(path, failure.log)
+        if refusal is not None:  # every step was tried; one refusal makes the folder refused
+            raise refusal
 
     return Case(write, read)
 
