@@ -38,7 +38,7 @@ from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import FIRST_SAMPLES, PathSums
 
 BUNDLED = ("living_room", "kitchen", "bathroom")
-IMPORTED = ("staircase", "veach-ajar", "dining-room")
+IMPORTED = ("staircase", "veach-ajar", "bathroom2")
 VIEWS = 5
 TARGETS = (0.02, 0.005, 0.002)
 CHUNK = 128  # paths a pixel of one launch of a reference
@@ -199,7 +199,7 @@ def summarise(points: list[Point]) -> dict[str, Any]:
     return result
 
 
-def plot(points: list[Point], target: float, path: Path) -> None:
+def plot(points: list[Point], target: float, reference_samples: int, path: Path) -> None:
     """Estimated against true error, both axes logarithmic; the ends of one target are outlined."""
     from matplotlib.figure import Figure
 
@@ -233,7 +233,7 @@ def plot(points: list[Point], target: float, path: Path) -> None:
         yscale="log",
         xlim=ends_of_axes,
         ylim=ends_of_axes,
-        xlabel="true relMSE, against two references of 2,048 samples",
+        xlabel=f"true relMSE, against two references of {reference_samples:,} samples",
         ylabel="estimated relMSE, from two halves",
     )
     axes.set_aspect("equal")
@@ -276,7 +276,7 @@ def main() -> None:
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     result["points"] = [asdict(p) for p in points]
     arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    plot(points, TARGETS[1], arguments.plot)
+    plot(points, TARGETS[1], arguments.reference_samples, arguments.plot)
 
 
 if __name__ == "__main__":
