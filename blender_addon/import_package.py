@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .import_materials import add_sample, make_material, package_file
 from .import_places import Places
 
+_MAX_ZIP_BYTES = 4 << 30
 _MAX_JSON_BYTES = 256 * 1024 * 1024
 _SHEAR = 1e-5  # share of a matrix that location, rotation and scale may miss
 _OFF_CENTRE_M = 1e-4
@@ -52,11 +53,18 @@ def import_package(path: Path) -> Imported:
 
 def _unpack(path: Path, folder: Path) -> None:
     with zipfile.ZipFile(path) as archive:
+        members = [member for member in archive.infolist() if not member.is_dir()]
         for name in archive.namelist():
             parts = PurePosixPath(name).parts
             if name.startswith("/") or ".." in parts or "\\" in name:
                 raise ValueError(f"{path}: member {name!r} leaves the package; refused")
-        archive.extractall(folder)
+        if sum(member.file_size for member in members) > _MAX_ZIP_BYTES:
+            raise ValueError(f"{path}: larger than 4 GB when unpacked")
+        for member in members:  # reads no more than the size that the member claims
+            target = folder.joinpath(*PurePosixPath(member.filename).parts)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(member) as packed, target.open("xb") as unpacked:
+                shutil.copyfileobj(packed, unpacked)
 
 
 def _load(folder: Path, pack: bool) -> Imported:
