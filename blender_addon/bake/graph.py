@@ -121,6 +121,7 @@ def default_of(socket: bpy.types.NodeSocket) -> Constant:
     return constant(*tuple(value)[:3]) if hasattr(value, "__len__") else constant(float(value))
 
 
+_OF_IMAGES = ("TEX_IMAGE", "SEPARATE_COLOR", "SEPRGB")
 # Values that mean the same for every export: the graph is seen as by a camera ray that hits the front.
 LIGHT_PATH_VALUES = {"Is Camera Ray": 1.0}
 
@@ -152,13 +153,17 @@ def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
 
 
 def _known_product(source: Source) -> Constant | None:
-    """What a Math node that multiplies gives, where a factor is 0 (importers switch textures off so)."""
+    """0 where a Math node multiplies a component of an image by it: importers switch textures off so.
+
+    Of anything else a bake finds out that it is constant; an image would not pass through for it.
+    """
     node = source.node
     if node is None or node.type != "MATH" or node.operation != "MULTIPLY":
         return None
     factors = [source_of(source.stack, socket) for socket in node.inputs[:2]]
     known = [default_of(f.socket) for f in factors if f.node is None and f.socket is not None]
-    return constant(0.0) if constant(0.0) in known else None
+    is_of_image = any(f.node is not None and f.node.type in _OF_IMAGES for f in factors)
+    return constant(0.0) if constant(0.0) in known and is_of_image else None
 
 
 def node_at(tree: bpy.types.NodeTree, path: tuple[str, ...], name: str) -> tuple[Stack, bpy.types.Node]:

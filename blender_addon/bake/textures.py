@@ -17,7 +17,7 @@ from .execute import UNIT_SQUARE, Array, BakeSession, WorkingMaterial
 from .expression import Constant
 from .frames import IDENTITY, UvFrame
 from .plan import NORMAL, SCALAR_CHANNELS, MaterialPlan, PlainImage
-from .pyramid import fill, halve, level_error, smallest_level
+from .pyramid import fill, halve, interpolate, smallest_level
 
 _FIRST_PX = 256
 _ODD_PX = (
@@ -320,7 +320,9 @@ def _constant(name: str, value: tuple[float, ...]) -> tuple[float, ...]:
 def _last_change(pixels: Array, mask: NDArray[np.bool_], counted: NDArray[np.bool_]) -> float:
     smaller, weight = halve(pixels, mask.astype(np.float32)[..., None], 0)
     smaller, weight = halve(smaller, weight, 1)
-    return level_error(fill(smaller, weight[..., 0] > 0), pixels, counted)
+    height, width = pixels.shape[:2]
+    coarse = interpolate(fill(smaller, weight[..., 0] > 0), height, width)
+    return float(np.abs(coarse - pixels)[counted].mean(axis=0).max())
 
 
 __all__ = ["UNIT_SQUARE", "BakedMaterial", "BakedTexture", "MaterialBaker"]

@@ -578,7 +578,9 @@ def metalness_switched_off(s: Stage) -> None:
     """As glTF importers write a metallic factor of 0 before a texture."""
     image = s.texture(s.image(smooth_image()))
     s.link(image.outputs["Color"], s.shader.inputs["Base Color"])
-    s.link(s.math("MULTIPLY", s.split(image.outputs["Color"])[2], 0.0), s.shader.inputs["Metallic"])
+    separate = s.node("SeparateColor")
+    s.link(image.outputs["Color"], separate.inputs[0])
+    s.link(s.math("MULTIPLY", separate.outputs[2], 0.0), s.shader.inputs["Metallic"])
 
 
 @case(diffuse_albedo=lambda p: lookup(linear_from_srgb(smooth_image()), p), opacity=1.0)
