@@ -6,8 +6,8 @@
 "use strict";
 
 var REPORT = (() => {
-  const MAX_BYTES = 48 << 20; // of decoded tiles that are kept
-  const MAX_FRAME_BYTES = 32 << 20; // of tiles decoded by one process
+  const MAX_BYTES = 40 << 20; // of decoded tiles that are kept
+  const MAX_FRAME_BYTES = 12 << 20; // of tiles decoded by one process
   const MAX_FRAMES = 3; // at work at a time
   const MAX_SILENCE_MS = 10000; // of a frame that has loaded something
   const loading = new Map(); // key -> promise

@@ -274,7 +274,9 @@ REPORT.viewer = (() => {
     if (mine !== generation) return;
     if (failures.length) complain(`${[...new Set(failures)].join("; ")}: write the report again.`);
     const shown = new Set(wanted());
-    for (const name of [...painted.keys()]) if (!shown.has(name)) painted.delete(name); // canvases that nothing shows
+    // canvases that nothing shows: without pixels they take no memory, whenever garbage is collected
+    for (const [name, canvas] of painted) if (!shown.has(name)) { canvas.width = canvas.height = 0; painted.delete(name); }
+    for (const figure of panelOf.values()) if (!figure.isConnected) { const canvas = figure.querySelector("canvas"); canvas.width = canvas.height = 0; }
     current.isReady = true;
     if (cursor) {
       setCursor(cursor.x, cursor.y);
