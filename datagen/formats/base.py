@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from datagen.errors import InputError, Problem
 
 MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file is not one of ours
+_MAX_YAML_BYTES = 512 * 1024  # people write these; the parser takes 5 s for as much
 _MAX_SLUG = 200  # with a suffix it is still a file name
 
 
@@ -184,6 +185,8 @@ def read_json(model: type[ModelT], path: Path) -> ModelT:
 def read_yaml(model: type[ModelT], path: Path) -> ModelT:
     """Read a YAML file as ``model``; raises :class:`InputError`."""
     text = _read_text(path)
+    if len(text) > _MAX_YAML_BYTES:
+        raise InputError(Problem(path, "", f"{len(text)} characters", "a YAML file of at most 512 kB"))
     try:
         data = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:

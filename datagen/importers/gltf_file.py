@@ -62,6 +62,7 @@ class GltfFile:
         self.folder = path.parent.resolve()
         self._temporary: tempfile.TemporaryDirectory | None = None
         self._buffers: dict[int, bytes] = {}
+        self._lists: dict[str, list[dict[str, Any]]] = {}
         self._binary = b""
         self.json = self._load()
         required = set(self.json.get("extensionsRequired", [])) - KNOWN_EXTENSIONS
@@ -88,10 +89,12 @@ class GltfFile:
 
     def items(self, key: str) -> list[dict[str, Any]]:
         """A top-level list of the document, empty where it is absent."""
-        value = self.json.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
-            raise self.error(key, type(value).__name__, "a list of objects")
-        return value
+        if key not in self._lists:
+            value = self.json.get(key, [])
+            if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
+                raise self.error(key, type(value).__name__, "a list of objects")
+            self._lists[key] = value
+        return self._lists[key]
 
     def item(self, key: str, index: object, user: str) -> dict[str, Any]:
         """Entry ``index`` of a top-level list; ``user`` says who asks."""

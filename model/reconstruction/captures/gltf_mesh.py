@@ -14,7 +14,8 @@ from datagen.importers.gltf_file import GltfFile, PlacedNode
 from datagen.meshes import Mesh, joined
 
 _TRIANGLE_MODES = (4, 5, 6)  # list, strip, fan
-_FREE_CORNERS = 10_000_000  # a file may place its meshes many times, but not without end
+# A file may place its meshes many times, but not without end; a primitive costs as much time as 200 corners.
+_FREE_CORNERS, _PRIMITIVE = 10_000_000, 200
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -51,7 +52,7 @@ def _read(path: Path) -> Mesh:
                 if int(primitive.get("mode", 4)) not in _TRIANGLE_MODES:
                     continue
                 meshes.append(_primitive(file, placed, primitive))
-                room -= 3 * len(meshes[-1].faces) + len(meshes[-1].positions)
+                room -= _PRIMITIVE + 3 * len(meshes[-1].faces) + len(meshes[-1].positions)
                 if room < 0:
                     got = f"over {_FREE_CORNERS} corners of a file of {path.stat().st_size} bytes"
                     raise file.error("nodes", got, "a mesh that is placed a few times")
