@@ -91,7 +91,7 @@ class UnitManifest(StrictModel):
     key: Slug
     id: Slug
     shard: RelativePath
-    sha256: str
+    sha256: Annotated[str, Field(min_length=1)]
     num_bytes: int
     num_views: int
     attempt: str
