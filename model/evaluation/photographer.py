@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""Where the photographs of a test scene are taken from, and a walk for novel views.
+
+Photographs come from the view sampling of datasets (:mod:`datagen.assembly.views`): free places at the height
+of a held camera, looking at what is in the room, none inside a wall, none like another. The walk leads from
+one photograph's place to another's through free space, both near enough in direction that what is seen on the
+way was photographed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from datagen.assembly.free_space import FreeSpace
+from datagen.assembly.geometry import Floats, GeometryCache, RayScene, WorldScene
+from datagen.assembly.light_levels import light_room
+from datagen.assembly.lights import RoomToLight
+from datagen.assembly.materials import MeanMaterials, worn_materials
+from datagen.assembly.plan import NUM_EYES
+from datagen.assembly.random import Draws
+from datagen.assembly.views import ViewFinder, preview_of
+from datagen.cameras import Camera
+from datagen.errors import input_error
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.configuration import PlacedAsset, ViewCamera
+from datagen.formats.package import Package
+from datagen.formats.recipe import CameraRecipe, LightRecipe
+from datagen.library import Library
+
+_OWN_LIGHTS = LightRecipe(
+    native_probability=1.0, area_probability=0.0, point_probability=0.0, daylight_probability=0.0
+)
+_MAX_TURN_RAD = np.radians(75.0)
+_PLACES_CHECKED = 12  # of a walk
+
+
+def choose_cameras(
+    library: Library,
+    package: Package,
+    recipe: CameraRecipe,
+    resolution: tuple[int, int],
+    num_views: int,
+    num_novel: int,
+    seed: int,
+) -> tuple[ViewCamera, ...]:
+    """``num_views`` cameras view-000 ... of photographs, then ``num_novel`` cameras path-000 ... of a walk.
+
+    Raises :class:`InputError` where the room has too few places, or its own lights reach none of them.
+    """
+    geometry = GeometryCache().get(package)
+    asset = geometry.asset
+    assert isinstance(asset, EnvironmentAsset)
+    placed = PlacedAsset(name="room", asset=package.id)
+    scene = WorldScene(geometry, [])
+    space = FreeSpace(asset, scene.rays, recipe.height_m)
+    space.check()
+    key: tuple[int | str, ...] = (seed, package.id, "photographs")
+    rejections: Counter[str] = Counter()
+    eyes = space.points(NUM_EYES, 0.1, Draws(*key, "eyes"), rejections)
+    worn = worn_materials(placed, library, MeanMaterials())
+    room = RoomToLight(asset, scene, (placed,), (asset,), (worn,), eyes, space.trusts_winding)
+    lighting = light_room(room, _OWN_LIGHTS, library, key, rejections)
+    cameras = ViewFinder(scene, space, lighting, recipe, resolution, key, rejections).find(num_views)
+    walk = _walk(cameras, num_novel, space, recipe.min_distance_m)
+    named = {f"view-{k:03d}": camera for k, camera in enumerate(cameras)}
+    named |= {f"path-{k:03d}": camera for k, camera in enumerate(walk)}
+    return tuple(ViewCamera.from_camera(name, camera) for name, camera in named.items())
+
+
+def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) -> list[Camera]:
+    """``count`` cameras evenly spread between two of ``cameras``, ends excluded: of all pairs with a free way
+    between them and no great turn, the one farthest apart."""
+    if count == 0:
+        return []
+    for first, last in _pairs(cameras):
+        steps = np.arange(1, count + 1) / (count + 1)
+        walk = [_between(cameras[first], cameras[last], share) for share in steps.tolist()]
+        checked = {round(k) for k in np.linspace(0, count - 1, min(count, _PLACES_CHECKED))}
+        if _is_free(cameras[first], cameras[last], space.rays) and all(
+            _sees_freely(walk[k], space, near_m) for k in sorted(checked)
+        ):
+            return walk
+    where = f"environment {space.environment.id}"
+    expected = "two photographs with a free way between them"
+    raise input_error(where, "novel_views", "none", expected, "ask for more views, or for novel_views: 0")
+
+
+def _pairs(cameras: list[Camera]) -> NDArray[np.int64]:
+    """Pairs (N, 2) of cameras with no great turn between them, farthest apart first."""
+    positions = np.array([camera.position_m for camera in cameras])
+    forwards = np.array([camera.forward for camera in cameras])
+    apart = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    turned = np.arccos(np.clip(forwards @ forwards.T, -1.0, 1.0))
+    first, last = np.nonzero(np.triu(turned <= _MAX_TURN_RAD, 1))
+    order = np.argsort(-apart[first, last], kind="stable")
+    return np.stack([first, last], axis=1)[order]
+
+
+def _between(first: Camera, last: Camera, share: float) -> Camera:
+    ends = Rotation.from_matrix(np.stack([c.world_from_camera[:3, :3] for c in (first, last)]))
+    pose = np.eye(4)
+    pose[:3, :3] = Slerp([0.0, 1.0], ends)(share).as_matrix()
+    pose[:3, 3] = (1 - share) * first.position_m + share * last.position_m
+    focal = (1 - share) * first.fx_px + share * last.fx_px
+    size = first.width_px, first.height_px
+    return Camera(*size, focal, focal, first.cx_px, first.cy_px, np.round(pose, 9))
+
+
+def _is_free(first: Camera, last: Camera, rays: RayScene) -> bool:
+    way = last.position_m - first.position_m
+    length = float(np.linalg.norm(way))
+    start: Floats = first.position_m[None]
+    return length > 0 and not rays.occluded(start, (way / length)[None], np.array([length])).any()
+
+
+def _sees_freely(camera: Camera, space: FreeSpace, near_m: float) -> bool:
+    if space.fault(camera.position_m, 0.5 * near_m):
+        return False
+    directions = preview_of(camera).ray_directions().reshape(-1, 3)
+    hits = space.rays.cast(camera.position_m, directions)
+    return bool((hits.distance_m < 2 * near_m).mean() < 0.1)
