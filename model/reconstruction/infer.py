@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -73,6 +73,15 @@ class InferOptions:
             raise input_error("infer", "atlas", self.atlas, "auto, or a side in [16, 16384]", "correct it")
 
 
+@dataclass(frozen=True)
+class GivenMaps:
+    """Maps of a capture's views from elsewhere than a checkpoint: ``read`` gives each view's by name, (H, W,
+    3 or 1) in [0, 1]; ``identity`` tells them from others."""
+
+    identity: str
+    read: Callable[[Capture, Sequence[StatisticsView]], list[dict[str, NDArray]]]
+
+
 @dataclass
 class InferReport:
     """What was done. ``seconds`` by stage; ``warnings`` name views where they concern one."""
@@ -124,16 +133,21 @@ def infer(
     checkpoint: Path | None,
     options: InferOptions | None = None,
     progress: Progress | None = None,
+    given: GivenMaps | None = None,
 ) -> InferReport:
-    """Make an asset of ``capture`` in ``out``. ``checkpoint`` may be None only with ``use_truth``.
+    """Make an asset of ``capture`` in ``out``, from a checkpoint's maps, the capture's own truth
+    (``use_truth``) or ``given`` ones.
 
     Raises :class:`InputError` where the input is bad, no view sees the mesh, or ``out`` holds other work.
     """
     options = options or InferOptions()
-    if checkpoint is None and not options.use_truth:
+    given = TRUTH if options.use_truth else given
+    if checkpoint is None and given is None:
         raise input_error("infer", "checkpoint", "none", "a checkpoint", "name one with --checkpoint")
+    source = given if given is not None else checkpoint
+    assert source is not None
     try:
-        return _infer(capture, out, checkpoint, options, progress or (lambda stage, done, total: None))
+        return _infer(capture, out, source, options, progress or (lambda stage, done, total: None))
     except OSError as error:
         if error.filename is None and error.errno:  # a full disk does not say which file it was
             raise OSError(error.errno, error.strerror, str(out)) from error
@@ -141,18 +155,18 @@ def infer(
 
 
 def _infer(
-    capture: Capture, out: Path, checkpoint: Path | None, options: InferOptions, tell: Progress
+    capture: Capture, out: Path, maps_from: Path | GivenMaps, options: InferOptions, tell: Progress
 ) -> InferReport:
-    if checkpoint is not None:
+    if isinstance(maps_from, Path):
         from model.checkpoint import read_card
         from model.devices import parse_device
 
-        read_card(checkpoint)  # before hours of work, and before OUT belongs to it
+        read_card(maps_from)  # before hours of work, and before OUT belongs to it
         parse_device(options.device)
     select_variant()
     report = InferReport(capture.name, len(capture.views), len(capture.geometry.mesh.faces))
     report.notes += capture.notes
-    _claim(out, capture, checkpoint, options)
+    _claim(out, capture, maps_from, options)
     with report.stage("trace"):
         traced = TracedGeometry(capture.geometry)
         seen = _look(capture, traced, tell)
@@ -162,12 +176,11 @@ def _infer(
     else:
         for view, statistics, geometry in zip(capture.views, seen.statistics, seen.geometry, strict=True):
             report.warnings += view_warnings(view.name, statistics.color, geometry)
-    if options.use_truth:
-        with report.stage("read truth"):
-            maps = [_truth(view) for view in capture.views]
+    if isinstance(maps_from, GivenMaps):
+        with report.stage("read maps"):
+            maps = maps_from.read(capture, seen.statistics)
     else:
-        assert checkpoint is not None
-        maps = _predict(capture, seen, traced, out, checkpoint, options, report, tell)
+        maps = _predict(capture, seen, traced, out, maps_from, options, report, tell)
     with report.stage("unwrap"):
         sides = seen_sides(seen.geometry, report.num_triangles)
         mesh, unwrap = unwrapped(traced.mesh, options.jobs)
@@ -188,7 +201,7 @@ def _infer(
     return report
 
 
-def _claim(out: Path, capture: Capture, checkpoint: Path | None, options: InferOptions) -> None:
+def _claim(out: Path, capture: Capture, maps_from: Path | GivenMaps, options: InferOptions) -> None:
     """Bind ``out`` to this work: continue what is the same, refuse what is not."""
     mesh = capture.geometry.mesh
     geometry = hashlib.sha256(mesh.positions.tobytes() + mesh.faces.tobytes()).hexdigest()
@@ -197,7 +210,10 @@ def _claim(out: Path, capture: Capture, checkpoint: Path | None, options: InferO
          v.camera.cy_px, v.camera.world_from_camera.tolist()]
         for v in capture.views
     ]  # fmt: skip
-    weights = "" if checkpoint is None else hashlib.sha256(_read(checkpoint)).hexdigest()
+    if isinstance(maps_from, GivenMaps):
+        weights = maps_from.identity
+    else:
+        weights = hashlib.sha256(_read(maps_from)).hexdigest()
     decides_maps = {"precision": options.precision, "is_filtered": options.is_filtered}
     work = {
         "name": capture.name,
@@ -271,6 +287,9 @@ def _truth(view: CaptureView) -> dict[str, NDArray]:
         expected = "a rendered capture"
         raise input_error(view.name, "ground truth", "none", expected, "leave --truth out")
     return {name: np.clip(values.astype(np.float32), 0, 1) for name, values in maps.items()}
+
+
+TRUTH = GivenMaps("truth", lambda capture, _: [_truth(view) for view in capture.views])
 
 
 def _predict(
