@@ -223,9 +223,26 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
                 raise TimeoutError(f"waited {timeout_s} s for {what}; queue: {queue}")
             signal.sigtimedwait([], 0.2)
 
+    def wait_until_stuck_or_idle(self) -> bool:
+        """Wait until nothing runs or starts any more; True where held jobs are left in the queue."""
+        self.wait_for(lambda: all(_is_stuck(job) for job in self.jobs()), "an empty or a stuck queue", 240.0)
+        return bool(self.jobs())
+
+    def resume_nodes(self) -> None:
+        """Give drained nodes back, as an administrator does once their jobs have ended."""
+        for line in self.run("sinfo", "--noheader", "-N", "-o", "%N %t").splitlines():
+            name, state = line.split()
+            if state.startswith("dr"):
+                self.run("scontrol", "update", f"NodeName={name}", "State=RESUME")
+
     def wait_until_idle(self, timeout_s: float = 240.0) -> None:
         """Wait until no job of any state is left in the queue."""
         self.wait_for(lambda: not self.jobs(), "an empty queue", timeout_s)
+
+
+def _is_stuck(job: str) -> bool:
+    """Whether a line of the queue waits for a person: held, or dependent on something that is."""
+    return job.endswith("held") or " PENDING Dependency" in job
 
 
 def _kill_tree(process: psutil.Process) -> None:
