@@ -57,9 +57,9 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 
 
 class _Progress:
-    """A progress bar with rate and time left."""
+    """A progress bar with the rate of this run and the time left; ``before`` was done by earlier runs."""
 
-    def __init__(self, description: str, total: int, unit: str = "views"):
+    def __init__(self, description: str, total: int, unit: str = "views", before: int = 0):
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -73,7 +73,8 @@ class _Progress:
             TimeRemainingColumn(),
             console=Console(stderr=True),
         )
-        self.task = self.progress.add_task(description, total=total, rate="")
+        self.before = before
+        self.task = self.progress.add_task(description, total=total, completed=before, rate="")
 
     def __enter__(self) -> _Progress:
         self.progress.start()
@@ -86,9 +87,10 @@ class _Progress:
 
     def set(self, done: int) -> None:
         self.progress.update(self.task, completed=done)
-        task = self.progress.tasks[0]
-        if task.speed:
-            self.progress.update(self.task, rate=f"{task.speed * 3600:,.0f}/h")
+        elapsed_s = self.progress.tasks[0].elapsed
+        if elapsed_s and done > self.before:
+            rate = (done - self.before) / elapsed_s * 3600
+            self.progress.update(self.task, rate=f"{rate:,.0f}/h")
 
     def say(self, text: str) -> None:
         self.progress.console.print(text, highlight=False)
@@ -353,7 +355,8 @@ def _run_stages(
     finished = {unit.id: float(unit.num_views) for unit in units if folder.is_done(unit)}
     shares = {"render": 0.85, "stats": 0.15} if "render" in stages and "stats" in stages else {}
 
-    with _Progress("+".join(stages), sum(views_of.values())) as progress:
+    done_before = int(sum(finished.values()))
+    with _Progress("+".join(stages), sum(views_of.values()), before=done_before) as progress:
 
         def on_event(event: Event) -> None:
             kind, unit, stage, done, total = event
@@ -367,7 +370,6 @@ def _run_stages(
                 progress.say(f"{unit} {what} ({done}/{total}): {stage}")
             progress.set(int(sum(finished.values())))
 
-        progress.set(int(sum(finished.values())))
         options = LocalOptions(workers=workers, attempts=attempts, stages=stages, only=only)
         summary = run_local(out, options, on_event)
     if summary.interrupted:
