@@ -3,7 +3,7 @@
 # Brings what pip cannot: usage `ensure_system.sh llvm|blender|tests`.
 #   llvm     LLVM 19 or later, which Mitsuba compiles its kernels with
 #   blender  the shared libraries that Blender's Python module links to
-#   tests    a real Slurm and a real browser; without root those tests skip and say so
+#   tests    a real Slurm, a real browser, Khronos' glTF validator; tests skip and say so where one is missing
 # Uses apt-get as root or through password-less sudo; else says exactly which package to install.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -87,7 +87,17 @@ ensure_blender() {
     install_packages "${missing[@]}"
 }
 
+ensure_validator() { # Khronos' glTF validator; its test skips and says so where node is missing
+    if ! command -v npm >/dev/null 2>&1; then
+        echo "one test of glTF files will skip; it needs node and npm" >&2
+    elif [ ! -d .ci/gltf/node_modules ]; then
+        (cd .ci/gltf && npm ci --silent --ignore-scripts --no-audit --no-fund) ||
+            echo "one test of glTF files will skip: npm could not install gltf-validator" >&2
+    fi
+}
+
 ensure_tests() {
+    ensure_validator
     local missing=()
     { command -v slurmctld || [ -x /usr/sbin/slurmctld ]; } >/dev/null 2>&1 || missing+=(slurm-wlm)
     { command -v munged || [ -x /usr/sbin/munged ]; } >/dev/null 2>&1 || missing+=(munge)

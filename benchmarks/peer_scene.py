@@ -167,11 +167,10 @@ def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[n
     return values.reshape(rows, columns, 3).astype(np.float32)
 
 
-def export(folder: Path, out: Path) -> None:
-    """The package of the folder's first configuration, ``setup.json``, and ``sky.exr`` where there is one."""
+def export(configuration: Configuration, library: Library, out: Path) -> None:
+    """The package of a configuration, ``setup.json``, and ``sky.exr`` where there is one."""
     import OpenEXR
 
-    configuration, library, _ = open_folder(folder)
     RoomExport(configuration, library, out).write()
     lights: list[dict[str, Any]] = []
     for light in configuration.lights:
@@ -221,7 +220,8 @@ def main() -> None:
             command.add_argument("--samples", type=int, default=256)
     arguments = parser.parse_args()
     if arguments.verb == "export":
-        export(arguments.folder, arguments.out)
+        configuration, library, _ = open_folder(arguments.folder)
+        export(configuration, library, arguments.out)
     else:
         write_references(arguments.folder, arguments.out, arguments.views, arguments.samples)
 

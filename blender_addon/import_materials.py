@@ -2,8 +2,9 @@
 """Materials of an asset package as node graphs, with the right colour spaces.
 
 Where S is one small grey everywhere, the material is a Principled BSDF of base colour D whose specular level
-gives that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Glossy BSDF of S are added, which holds any D and S
-(Principled has one base colour for both), and which the add-on exports back to the same channels.
+gives that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the project's
+own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports back to the
+same channels.
 """
 
 from __future__ import annotations
@@ -106,15 +107,17 @@ class _Nodes:
         return node
 
     def sum(self, diffuse: Any, specular: Any, roughness: Any) -> bpy.types.Node:
-        """Diffuse of (1 - S) D plus Glossy of S."""
+        """Diffuse of (1 - S) D plus Metallic of S: F82 with a white edge is Schlick's Fresnel."""
         self.tree.nodes.remove(self.principled_node)
-        glossy, lambert, total = (
-            self._new("BsdfAnisotropic"),
+        gloss, lambert, total = (
+            self._new("BsdfMetallic"),
             self._new("BsdfDiffuse"),
             self._new("AddShader"),
         )
-        self._channel(specular, glossy.inputs["Color"])
-        self._channel(roughness, glossy.inputs["Roughness"])
+        gloss.distribution, gloss.fresnel_type = "BECKMANN", "F82"
+        gloss.inputs["Edge Tint"].default_value = (1, 1, 1, 1)
+        self._channel(specular, gloss.inputs["Base Color"])
+        self._channel(roughness, gloss.inputs["Roughness"])
         invert, product = self._new("VectorMath"), self._new("VectorMath")
         invert.operation, product.operation = "SUBTRACT", "MULTIPLY"
         invert.inputs[0].default_value = (1, 1, 1)
@@ -126,7 +129,7 @@ class _Nodes:
         self.tree.links.new(invert.outputs[0], product.inputs[1])
         self.tree.links.new(product.outputs[0], lambert.inputs["Color"])
         self.tree.links.new(lambert.outputs[0], total.inputs[0])
-        self.tree.links.new(glossy.outputs[0], total.inputs[1])
+        self.tree.links.new(gloss.outputs[0], total.inputs[1])
         return total
 
     def finish(self, shader: bpy.types.Node, entry: dict[str, Any]) -> None:
@@ -136,7 +139,7 @@ class _Nodes:
             normal = self._new("NormalMap")
             self._channel(entry["normal"], normal.inputs["Color"])
             for node in self.tree.nodes:
-                if node.type in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "BSDF_GLOSSY"):
+                if node.type in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "BSDF_METALLIC"):
                     self.tree.links.new(normal.outputs[0], node.inputs["Normal"])
         if entry.get("emission"):
             emission, total = self._new("Emission"), self._new("AddShader")

@@ -130,11 +130,19 @@ def uv_of_pixels(mesh: Mesh, camera: Camera) -> tuple[NDArray, NDArray]:
     return uv.reshape(*shape, 2), depth.reshape(shape)
 
 
-def room_capture(num: int = 10, size: tuple[int, int] = (96, 72)) -> Capture:
-    """The room as a capture with ground-truth maps."""
+def room_capture(
+    num: int = 10, size: tuple[int, int] = (96, 72), *, has_equal_views: bool = False
+) -> Capture:
+    """The room as a capture with ground-truth maps. ``has_equal_views``: one size, square pixels."""
     mesh = room_mesh()
+    cameras = room_cameras(num, size)
+    if has_equal_views:
+        focal = 0.62 * size[0]
+        cameras = [
+            Camera(*size, focal, focal, size[0] / 2, size[1] / 2, c.world_from_camera) for c in cameras
+        ]
     views = [
         CaptureView(f"view_{k:02d}", camera, _MapSource(view_maps(mesh, camera)))
-        for k, camera in enumerate(room_cameras(num, size))
+        for k, camera in enumerate(cameras)
     ]
     return Capture("room", tuple(views), geometry_of(mesh))
