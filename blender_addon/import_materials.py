@@ -2,9 +2,9 @@
 """Materials of an asset package as node graphs, with the right colour spaces.
 
 Where S is one small grey everywhere, the material is a Principled BSDF of base colour D whose specular level
-gives that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the project's
-own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports back to the
-same channels.
+gives that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the
+project's own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports
+back to the same channels.
 """
 
 from __future__ import annotations

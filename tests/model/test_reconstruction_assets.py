@@ -74,14 +74,14 @@ def blurred_ratio(a: NDArray, b: NDArray) -> NDArray:
 def test_blender_renders_the_package_like_mitsuba(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """Means within 0.1 % at 256 samples of two views; at 128 noise leaves 0.3 %. Blurred pixels were within 8 %
-    at the 1st and 99th percentile, which is their noise. One per cent of albedo would show in the mean."""
+    """Means within 0.1 % at 256 samples of two views; at 128 noise leaves 0.3 %. Blurred pixels were within
+    8 % at the 1st and 99th percentile, which is their noise. One per cent of albedo shows in the mean."""
     image = cycles(str(asset / "asset"))
     assert image.shape == mitsuba_image.shape
     np.testing.assert_allclose(image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1)), 1, atol=0.01)
     ratio = blurred_ratio(image, mitsuba_image)
     low, high = np.percentile(ratio, [1, 99])
-    assert 0.88 < low and high < 1.12, (low, high)
+    assert low > 0.88 and high < 1.12, (low, high)
     assert abs(float(np.median(ratio)) - 1) < 0.01
 
 
@@ -90,8 +90,8 @@ def test_blender_renders_the_package_like_mitsuba(
 def test_blender_opens_the_glb(
     asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
 ) -> None:
-    """Principled takes from the diffuse part what the gloss reflects, also at grazing angles, so it is darker in
-    a closed room: 15 % where F0 goes up to 0.3. Place, colours and textures must be those of the package."""
+    """Principled takes from the diffuse part what the gloss reflects, also at grazing angles, so it is darker
+    in a closed room: 15 % where F0 goes up to 0.3. Place, colours, textures must be those of the package."""
     image = cycles(f"{asset / 'asset'}+{asset / 'room.glb'}")
     ratio = image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1))
     assert (ratio > 0.78).all() and (ratio < 0.98).all(), ratio
@@ -108,7 +108,7 @@ def test_khronos_validator_finds_nothing(asset: Path) -> None:
     for glb, has_errors in ((asset / "room.glb", False), (asset / "broken.glb", True)):
         if has_errors:  # the twin: an index that is out of range is found
             data = (asset / "room.glb").read_bytes()
-            glb.write_bytes(data.replace(b'"mode":', b'"mode":').replace(b'"material":0', b'"material":7'))
+            glb.write_bytes(data.replace(b'"material":0', b'"material":7'))
         done = subprocess.run(
             ["node", "validate.mjs", str(glb)], cwd=VALIDATOR, capture_output=True, text=True
         )
