@@ -56,46 +56,6 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
     return Library(resolve_library_paths(recipe.library, base))
 
 
-class _Progress:
-    """A progress bar with the rate of this run and the time left; ``before`` was done by earlier runs."""
-
-    def __init__(self, description: str, total: int, unit: str = "views", before: int = 0):
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        self.progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn(unit),
-            TextColumn("{task.fields[rate]}"),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-        )
-        self.before = before
-        self.task = self.progress.add_task(description, total=total, completed=before, rate="")
-
-    def __enter__(self) -> _Progress:
-        self.progress.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if exception[0] is not None:
-            self.progress.update(self.task, visible=False)  # a bar that stands still says less than the error
-        self.progress.stop()
-
-    def set(self, done: int) -> None:
-        self.progress.update(self.task, completed=done)
-        elapsed_s = self.progress.tasks[0].elapsed
-        if elapsed_s and done > self.before:
-            rate = (done - self.before) / elapsed_s * 3600
-            self.progress.update(self.task, rate=f"{rate:,.0f}/h")
-
-    def say(self, text: str) -> None:
-        self.progress.console.print(text, highlight=False)
-
-
 @app.command()
 def doctor() -> None:
     """Say what is installed and what will be used; the exit code tells whether rendering can work.
@@ -287,9 +247,10 @@ def _print_recipe(recipe: Recipe) -> None:
 
 def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
     from datagen.farm.planning import create_plan
+    from datagen.progress import ProgressBar
 
     opened = _open_library(recipe, base)
-    with _Progress("assembling", recipe.configurations, "configurations") as progress:
+    with ProgressBar("assembling", recipe.configurations, "configurations") as progress:
         created = create_plan(recipe, opened, out, workers, lambda done, total: progress.set(done))
     typer.echo(f"{out}: {len(created.units)} units, {sum(u.num_views for u in created.units)} views planned")
 
@@ -347,6 +308,7 @@ def _run_stages(
     """Run stages of all units with a bar; ends the command with 75 when interrupted, 1 when units failed."""
     from datagen.farm.folder import DatasetFolder
     from datagen.farm.local import EXIT_INTERRUPTED, LocalOptions, run_local
+    from datagen.progress import ProgressBar
 
     folder = DatasetFolder(out)
     plan = folder.read_plan()
@@ -356,7 +318,7 @@ def _run_stages(
     shares = {"render": 0.85, "stats": 0.15} if "render" in stages and "stats" in stages else {}
 
     done_before = int(sum(finished.values()))
-    with _Progress("+".join(stages), sum(views_of.values()), before=done_before) as progress:
+    with ProgressBar("+".join(stages), sum(views_of.values()), before=done_before) as progress:
 
         def on_event(event: Event) -> None:
             kind, unit, stage, done, total = event
@@ -402,10 +364,11 @@ def estimate(
 
     from datagen.inspection.estimate import estimate as run_estimate
     from datagen.inspection.estimate import print_estimate
+    from datagen.progress import ProgressBar
 
     recipe = _load_recipe(recipe_path, library, {})
     opened = _open_library(recipe, recipe_path.parent)
-    with _Progress("timing samples", 2, "samples") as progress:
+    with ProgressBar("timing samples", 2, "samples") as progress:
         result = run_estimate(recipe, opened, lambda done, total: progress.set(done))
     existing = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
     has_room = print_estimate(result, workers, shutil.disk_usage(existing).free, as_json)

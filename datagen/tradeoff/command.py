@@ -90,11 +90,11 @@ def _announce(sweep: Sweep) -> None:
 
 def _run(sweep: Sweep) -> None:
     """Measure with a bar; an interrupt ends the command with 75."""
-    from datagen.cli import _Progress
+    from datagen.progress import ProgressBar
 
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
-    with _Progress("measuring", total, "steps") as progress:
+    with ProgressBar("measuring", total, "steps") as progress:
 
         def report(what: str, steps: int) -> None:
             nonlocal done

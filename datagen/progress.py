@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: MIT
+"""The progress bar of the commands, on standard error."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+class ProgressBar:
+    """A progress bar with the rate of this run and the time left; ``before`` was done by earlier runs."""
+
+    def __init__(self, description: str, total: int, unit: str = "views", before: int = 0):
+        self.progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(unit),
+            TextColumn("{task.fields[rate]}"),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self.before = before
+        self.task = self.progress.add_task(description, total=total, completed=before, rate="")
+
+    def __enter__(self) -> ProgressBar:
+        self.progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if exception[0] is not None:
+            self.progress.update(self.task, visible=False)  # a bar that stands still says less than the error
+        self.progress.stop()
+
+    def set(self, done: int) -> None:
+        """Move the bar to ``done`` of its total."""
+        self.progress.update(self.task, completed=done)
+        elapsed_s = self.progress.tasks[0].elapsed
+        if elapsed_s and done > self.before:
+            rate = (done - self.before) / elapsed_s * 3600
+            self.progress.update(self.task, rate=f"{rate:,.0f}/h")
+
+    def say(self, text: str) -> None:
+        """Print a line above the bar."""
+        self.progress.console.print(text, highlight=False)
