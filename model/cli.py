@@ -9,6 +9,7 @@ from typing import Annotated, Optional
 import typer
 
 from datagen.command_line import run_command
+from model.evaluation.commands import register_verbs as register_evaluation
 from model.reconstruction.commands import register_verbs
 
 app = typer.Typer(
@@ -136,6 +137,7 @@ def publish(
 
 
 register_verbs(app)
+register_evaluation(app)
 
 
 def main() -> None:

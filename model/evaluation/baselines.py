@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""Maps that do not come from a checkpoint, to be merged like those that do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError, Problem
+from datagen.formats.base import sha256_file, sha256_hex, write_bytes_atomically
+from datagen.formats.capture import Capture, CaptureView
+from datagen.formats.exr import decode_view, encode_view
+from datagen.multiview.statistics import StatisticsView
+from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
+from model.reconstruction.infer import MAP_NAMES, GivenMaps
+from model.reconstruction.predict import capture_exposure
+
+Maps = dict[str, NDArray]
+Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod
+
+
+def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: Sequence[str]) -> GivenMaps:
+    """The maps of a method for the views of ``capture``. Those of ``judged`` views are written to ``kept`` as
+    ``VIEW.exr`` when they are read, to be compared with the truth.
+
+    Raises :class:`InputError` listing every view for which ``maps`` has no file, or one of another size.
+    """
+    identity, read = _source(method, scene, capture)
+
+    def read_and_keep(whole: Capture, statistics: Sequence[StatisticsView]) -> list[Maps]:
+        maps = read(whole, statistics)
+        kept.mkdir(parents=True, exist_ok=True)
+        for view, view_maps in zip(whole.views, maps, strict=True):
+            if view.name in judged:
+                write_bytes_atomically(kept / f"{view.name}.exr", encode_view(view_maps))
+        return maps
+
+    return GivenMaps(identity, read_and_keep)
+
+
+def _source(
+    method: Given, scene: str, capture: Capture
+) -> tuple[str, Callable[[Capture, Sequence[StatisticsView]], list[Maps]]]:
+    if isinstance(method, TextureMethod):
+        return "texture", _texture
+    if isinstance(method, OracleMethod):
+        return "oracle", lambda whole, _: [true_maps(view) for view in whole.views]
+    if isinstance(method, ConstantMethod):
+        values = {name: np.ravel(getattr(method, name)) for name in MAP_NAMES}
+        return f"constant {values}", lambda whole, _: [_constant(view, values) for view in whole.views]
+    files = maps_files(method.folder / scene, capture)
+    hashes = sha256_hex("".join(sha256_file(path) for path in files.values()).encode())
+    return f"maps {hashes}", lambda whole, _: [_read(files[view.name]) for view in whole.views]
+
+
+def true_maps(view: CaptureView) -> Maps:
+    """The true maps of a rendered view as half floats."""
+    stored = view.source.read_maps(MAP_NAMES)
+    return {name: np.clip(values, 0, 1).astype(np.float16) for name, values in stored.items()}
+
+
+def _texture(capture: Capture, statistics: Sequence[StatisticsView]) -> list[Maps]:
+    """The photographs themselves, exposed as for the networks and clipped: merging takes their median."""
+    exposure = capture_exposure(statistics)
+    maps = []
+    for view in statistics:
+        color = np.clip(view.color * exposure, 0, 1).astype(np.float16)
+        ones = np.ones((*color.shape[:2], 1), np.float16)
+        maps.append({"diffuse_albedo": color, "specular_albedo": np.zeros_like(color), "roughness": ones})
+    return maps
+
+
+def _constant(view: CaptureView, values: dict[str, NDArray]) -> Maps:
+    shape = (view.camera.height_px, view.camera.width_px)
+    return {name: np.broadcast_to(v.astype(np.float16), (*shape, len(v))) for name, v in values.items()}
+
+
+def maps_files(folder: Path, capture: Capture) -> dict[str, Path]:
+    """``VIEW.exr``, or ``views/VIEW.exr`` as ``materials infer`` writes it, for every view of ``capture``.
+
+    Raises :class:`InputError` listing what is missing, damaged, of another size, or outside [0, 1].
+    """
+    problems, files = [], {}
+    for view in capture.views:
+        places = [folder / f"{view.name}.exr", folder / "views" / f"{view.name}.exr"]
+        path = next((place for place in places if place.is_file()), None)
+        if path is None:
+            remedy = "make maps of all input views; docs/evaluation.md has the format"
+            problems.append(Problem(folder, view.name, "no file", f"{view.name}.exr", remedy))
+            continue
+        files[view.name] = path
+        try:
+            maps = _read(path)
+        except InputError as error:
+            problems += error.problems
+            continue
+        problems += _map_faults(path, view, maps)
+    if problems:
+        raise InputError(*problems)
+    return files
+
+
+def _read(path: Path) -> Maps:
+    return decode_view(path, MAP_NAMES)
+
+
+def _map_faults(path: Path, view: CaptureView, maps: Maps) -> list[Problem]:
+    size = (view.camera.height_px, view.camera.width_px)
+    found = []
+    for name, values in maps.items():
+        if values.shape[:2] != size:
+            got, expected = f"{values.shape[1]} x {values.shape[0]}", f"{size[1]} x {size[0]} pixels"
+            found.append(Problem(path, name, got, expected, "make it at the photograph's size"))
+        elif not np.isfinite(values).all() or values.min() < 0 or values.max() > 1:
+            got = f"values from {values.min():g} to {values.max():g}"
+            found.append(Problem(path, name, got, "finite values in [0, 1], linear", "clip or rescale them"))
+    return found

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""Meshes made worse on purpose: how much of a result rests on true geometry.
+
+Parts keep their order; lamps stay as they are, since what they do to the light is not asked about.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.capture import CaptureGeometry, GeometryPart
+from datagen.meshes import Mesh, joined, welded, without_degenerate
+from model.evaluation.suite import GeometryError
+
+_MIN_FACES = 4  # a part of fewer triangles is not reduced
+_HOLES_AT_MOST = 10_000
+
+
+def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeometry:
+    """The geometry with errors, without UVs and normals: a reconstruction has neither."""
+    random = np.random.default_rng([error.seed, 0x6D657368])
+    meshes = []
+    for part in geometry.parts:
+        mesh = _part_mesh(geometry.mesh, part)
+        meshes.append(mesh if part.emission is not None else _worse(mesh, error, random))
+    if error.hole_share:
+        meshes = _with_holes(meshes, [p.emission is not None for p in geometry.parts], error, random)
+    parts, first = [], 0
+    for part, mesh in zip(geometry.parts, meshes, strict=True):
+        parts.append(GeometryPart(part.name, first, len(mesh.faces), part.emission))
+        first += len(mesh.faces)
+    return CaptureGeometry(joined(meshes), tuple(parts))
+
+
+def _part_mesh(mesh: Mesh, part: GeometryPart) -> Mesh:
+    """A part by itself, vertices of one place joined, without UVs and normals."""
+    bare = Mesh(mesh.positions, mesh.faces[part.first_face : part.first_face + part.num_faces])
+    used, compact = np.unique(bare.faces, return_inverse=True)
+    return Mesh(bare.positions[used], compact.reshape(-1, 3).astype(np.int32))
+
+
+def _worse(mesh: Mesh, error: GeometryError, random: np.random.Generator) -> Mesh:
+    positions, vertex = welded(mesh)
+    faces = vertex[mesh.faces]
+    if error.edge_m is not None:
+        from trimesh.remesh import subdivide_to_size
+
+        positions, faces = subdivide_to_size(positions, faces, error.edge_m, max_iter=20)
+    if error.noise_m:
+        positions = positions + random.normal(0.0, error.noise_m, positions.shape)
+    if error.keep_share < 1 and len(faces) > _MIN_FACES:
+        positions, faces = _reduced(positions, faces, error.keep_share)
+    made = Mesh(
+        np.ascontiguousarray(positions, np.float32), np.ascontiguousarray(faces.reshape(-1, 3), np.int32)
+    )
+    sound = without_degenerate(made)
+    return sound if len(sound.faces) else mesh
+
+
+def _reduced(positions: NDArray, faces: NDArray, keep_share: float) -> tuple[NDArray, NDArray]:
+    """Quadric edge collapse (Garland and Heckbert 1997) to a share of the triangles."""
+    from fast_simplification import simplify
+
+    count = max(_MIN_FACES, round(keep_share * len(faces)))
+    points, triangles = simplify(
+        np.ascontiguousarray(positions, np.float32), np.ascontiguousarray(faces, np.int32), target_count=count
+    )
+    return (points, triangles) if len(triangles) else (positions, faces)
+
+
+def _with_holes(
+    meshes: list[Mesh], is_lamp: list[bool], error: GeometryError, random: np.random.Generator
+) -> list[Mesh]:
+    """Triangles whose centres lie in balls around random places on the surface are left out."""
+    owner = np.concatenate([np.full(len(mesh.faces), k) for k, mesh in enumerate(meshes)])
+    centres = np.concatenate([mesh.triangles().mean(axis=1) for mesh in meshes])
+    areas = np.concatenate([mesh.areas() for mesh in meshes])
+    areas[np.isin(owner, np.flatnonzero(is_lamp))] = 0.0
+    from scipy.spatial import cKDTree
+
+    tree, gone = cKDTree(centres), np.zeros(len(centres), dtype=bool)
+    share = areas / areas.sum()
+    for place in random.choice(len(centres), size=_HOLES_AT_MOST, p=share):
+        if share[gone].sum() >= error.hole_share:
+            break
+        gone[tree.query_ball_point(centres[place], error.hole_radius_m)] = True
+    gone &= areas > 0
+    result = []
+    for k, mesh in enumerate(meshes):
+        keep = ~gone[owner == k]
+        if not keep.any():
+            keep[0] = True  # a part without triangles could not be told from one that was never there
+        result.append(Mesh(mesh.positions, mesh.faces[keep]))
+    return result

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: MIT
+"""Figures of the paper (Prakash, Rainer, Bousseau, Drettakis 2022), for the scenes that it shares with ours.
+
+Its tables do not say which views and which light its re-renderings were judged by, nor how exposure was
+matched; its DSSIM is taken for 1 - SSIM. *Ours Im.* and *No RP* are errors of maps per view, *Ours* of merged
+ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from model.reconstruction.infer import MAP_NAMES
+
+
+@dataclass(frozen=True)
+class PublishedMaps:
+    """Mean squared errors in the order D, S, R."""
+
+    method: str
+    is_merged: bool
+    mse: tuple[float, float, float]
+
+    def by_map(self) -> dict[str, float]:
+        """By the maps' names."""
+        return dict(zip(MAP_NAMES, self.mse, strict=True))
+
+
+@dataclass(frozen=True)
+class PublishedScene:
+    """``images``: PSNR in dB and DSSIM by method; ``minutes``: statistics, prediction, texturing (one of
+    three maps) on a Xeon 5218 with a Quadro RTX 5000."""
+
+    num_views: int
+    maps: tuple[PublishedMaps, ...]
+    images: dict[str, tuple[float, float]]
+    minutes: tuple[float, float, float]
+
+
+PUBLISHED = {
+    "veach-ajar": PublishedScene(
+        160,
+        (
+            PublishedMaps("Ours", True, (0.022135, 0.016522, 0.055563)),
+            PublishedMaps("Ours Im.", False, (0.030718, 0.049969, 0.064362)),
+            PublishedMaps("No RP", False, (0.141682, 0.055459, 0.372725)),
+        ),
+        {"Ours": (21.53, 0.27), "LiEtAl": (12.97, 0.37), "Texture": (18.70, 0.30)},
+        (7.56, 3.93, 3.12),
+    ),
+    "dining-room": PublishedScene(
+        105,
+        (
+            PublishedMaps("Ours", True, (0.026491, 0.028250, 0.071609)),
+            PublishedMaps("Ours Im.", False, (0.026642, 0.024123, 0.077578)),
+            PublishedMaps("No RP", False, (0.053104, 0.032385, 0.048222)),
+        ),
+        {"Ours": (21.77, 0.34), "LiEtAl": (21.33, 0.36), "Texture": (15.12, 0.62)},
+        (4.56, 3.26, 1.32),
+    ),
+}
+"""By the names of scenes."""

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: MIT
+"""What was measured, as plain data; one ``result.json`` for every scene and method."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from datagen.errors import InputError
+from datagen.formats.base import (
+    NonNegative,
+    Slug,
+    StrictModel,
+    canonical_json,
+    read_json,
+    write_bytes_atomically,
+)
+
+RESULT_FILE = "result.json"
+ViewSet = str
+"""``input`` or ``novel``."""
+Figures = dict[str, float | None]
+
+
+class MethodResult(StrictModel):
+    """A method on a scene. ``skipped``: why there are no figures, '' if there are.
+
+    ``maps_per_view`` and ``maps_merged``: mean squared error by map, of the maps as predicted and of the
+    atlas as the views see it. ``images``: by light (own, modified) and views (input, novel), see
+    ``metrics.image_figures``. ``seen_share``: share of the atlas that some view sees; ``covered_share``:
+    share of the true surface's pixels where the method has a surface. ``folder``: where maps and asset are;
+    ``renders``: folders of rendered views by light, and ``inserted``.
+    """
+
+    scene: Slug
+    method: Slug
+    kind: str
+    geometry: str = "true"
+    checkpoint: str = ""
+    skipped: str = ""
+    maps_per_view: dict[str, float] = {}
+    maps_merged: dict[str, float] = {}
+    images: dict[str, dict[ViewSet, Figures]] = {}
+    seen_share: NonNegative | None = None
+    covered_share: NonNegative | None = None
+    atlas_size: int = 0
+    seconds: dict[str, float] = {}
+    peak_memory_mb: NonNegative = 0.0
+    notes: tuple[str, ...] = ()
+    folder: str = ""
+    renders: dict[str, str] = {}
+
+
+class SceneResult(StrictModel):
+    """A scene and its methods. ``exposures`` by light; ``figure_views``: of the pictures, input and novel;
+    ``renders``: folders of the true views by light that are not in the capture."""
+
+    name: Slug
+    num_views: int
+    num_novel: int
+    resolution: tuple[int, int]
+    judged_views: tuple[str, ...]
+    novel_views: tuple[str, ...]
+    exposures: dict[str, float]
+    figure_views: dict[ViewSet, str]
+    path_samples: float
+    renders: dict[str, str]
+    methods: tuple[MethodResult, ...]
+
+
+class SuiteResult(StrictModel):
+    """Everything that ``evaluation.json`` holds."""
+
+    suite: Slug
+    may_be_known: bool
+    lpips_absence: str
+    scenes: tuple[SceneResult, ...]
+
+
+def read_result(folder: Path) -> MethodResult | None:
+    """The result in a folder; None where there is none that can be read."""
+    path = folder / RESULT_FILE
+    if not path.is_file():
+        return None
+    try:
+        return read_json(MethodResult, path)
+    except InputError:
+        return None  # of another version: measured again
+
+
+def write_result(folder: Path, result: MethodResult) -> None:
+    """Write ``result.json``."""
+    write_bytes_atomically(folder / RESULT_FILE, canonical_json(result))

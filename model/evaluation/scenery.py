@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT
+"""The scene and what is recovered of it as configurations: same lights, same cameras, other surface.
+
+Own light: the scene's lamps and lights as they are. Modified light: these times a gain, and others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.assembly.light_changes import scaled
+from datagen.cameras import Camera
+from datagen.errors import input_error
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.capture import CaptureGeometry
+from datagen.formats.configuration import Configuration, PlacedAsset
+from datagen.formats.lights import AreaLight, Light
+from datagen.formats.package import open_package
+from datagen.formats.shard import ShardReader
+from datagen.importers.packaging import matrix4
+from datagen.library import Library
+from model.evaluation.suite import InsertedObject, ModifiedLight
+from model.evaluation.test_scene import PreparedScene
+
+CEILING_SIDE_M = 0.6
+_CEILING_RADIANCE = (12.0, 12.0, 12.0)
+_GAP_M = 0.1  # between lamp and ceiling
+_LAMP_HEIGHT_M = 1.0  # above the camera where there is no ceiling
+_LEVEL = 0.95  # cosine to the vertical
+_INSERTED = "inserted"
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """A configuration and the folders of its packages."""
+
+    configuration: Configuration
+    library: tuple[Path, ...]
+
+    def seen_by(self, cameras: Sequence[str]) -> Scenery:
+        """The same from these cameras only, in this order."""
+        by_name = {camera.name: camera for camera in self.configuration.cameras}
+        chosen = tuple(by_name[name] for name in cameras)
+        return self._with({"cameras": chosen})
+
+    def lit_by(self, modified: ModifiedLight, added: Sequence[Light]) -> Scenery:
+        """The same under its own lights times a gain, and ``added`` ones."""
+        own = () if modified.own_gain == 0 else self.configuration.lights
+        lights = (*(scaled(light, modified.own_gain) for light in own), *added)
+        with Library(self.library) as library:
+            placed = [
+                _dimmed(placed, library, modified.own_gain)
+                for placed in (self.configuration.environment, *self.configuration.objects)
+            ]
+        return self._with({"lights": lights, "environment": placed[0], "objects": tuple(placed[1:])})
+
+    def with_object(self, inserted: InsertedObject, position_m: NDArray) -> Scenery:
+        """The same with a thing in it."""
+        package = open_package(Path(inserted.package))
+        if not isinstance(package.asset, ObjectAsset):
+            raise input_error(package.path, "kind", package.asset.kind, "an object package to insert")
+        matrix = np.eye(4)
+        c, s = np.cos(np.radians(inserted.yaw_deg)), np.sin(np.radians(inserted.yaw_deg))
+        matrix[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) * inserted.scale
+        matrix[:3, 3] = position_m
+        thing = PlacedAsset(name=_INSERTED, asset=package.id, world_from_asset=matrix4(matrix))
+        configuration = self.configuration
+        known = package.id in configuration.assets
+        return Scenery(
+            configuration.model_copy(
+                update={
+                    "objects": (*configuration.objects, thing),
+                    "assets": {**configuration.assets, package.id: package.sha256},
+                }
+            ),
+            self.library if known else (*self.library, package.path),
+        )
+
+    def with_seed(self, seed: int) -> Scenery:
+        """The same with other samples."""
+        return self._with({"seed": seed})
+
+    def _with(self, changes: dict[str, Any]) -> Scenery:
+        return Scenery(self.configuration.model_copy(update=changes), self.library)
+
+
+def true_scenery(prepared: PreparedScene) -> Scenery:
+    """The scene with its true materials, seen by all cameras of its capture."""
+    return Scenery(ShardReader(prepared.capture).configuration(), prepared.library)
+
+
+def recovered_scenery(truth: Scenery, asset: Path) -> Scenery:
+    """What was recovered, in place of the scene's surfaces: ``asset`` is the package of a reconstruction,
+    which holds surface and lamps; all other lights are the scene's."""
+    package = open_package(asset)
+    configuration = truth.configuration
+    changes = {
+        "environment": PlacedAsset(name="environment", asset=package.id),
+        "objects": (),
+        "assets": {**configuration.assets, package.id: package.sha256},
+    }
+    return Scenery(configuration.model_copy(update=changes), (*truth.library, asset))
+
+
+def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
+    """A placed asset with its lamps times ``gain``."""
+    asset = library.package(placed.asset).asset
+    assert isinstance(asset, EnvironmentAsset | ObjectAsset)
+    emission = {}
+    for slot, material in asset.materials.items():
+        radiance = placed.emission.get(slot, material.emission)
+        if radiance is not None:
+            red, green, blue = (gain * channel for channel in radiance)
+            emission[slot] = (red, green, blue)
+    return placed.model_copy(update={"emission": emission})
+
+
+def added_lights(
+    modified: ModifiedLight, geometry: CaptureGeometry, cameras: Sequence[Camera]
+) -> list[Light]:
+    """The lights of a modified lighting; "ceiling" is placed here."""
+    if modified.lights != "ceiling":
+        return list(modified.lights)
+    positions = np.array([camera.position_m for camera in cameras])
+    middle = positions.mean(axis=0)
+    eye = positions[np.linalg.norm(positions - middle, axis=1).argmin()]
+    height = _height_above(geometry, eye)
+    x, y, z = (float(v) for v in eye)
+    z += _LAMP_HEIGHT_M if height is None else max(height - _GAP_M, 0.5 * height)
+    half = 0.5 * CEILING_SIDE_M
+    return [
+        AreaLight(
+            name="ceiling",
+            origin_m=(x - half, y - half, z),
+            edge_u_m=(0.0, CEILING_SIDE_M, 0.0),  # v x u: it shines down
+            edge_v_m=(CEILING_SIDE_M, 0.0, 0.0),
+            radiance=_CEILING_RADIANCE,
+            is_visible=False,
+        )
+    ]
+
+
+def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
+    """Metres of free space above a point; None under the open sky."""
+    from trimesh import Trimesh
+
+    mesh = Trimesh(geometry.mesh.positions, geometry.mesh.faces, process=False)
+    hits, _, _ = mesh.ray.intersects_location([eye], [[0.0, 0.0, 1.0]], multiple_hits=False)
+    return float(hits[0][2] - eye[2]) if len(hits) else None
+
+
+def level_place(
+    camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float
+) -> NDArray[np.float64] | None:
+    """A place (3,) to stand on in front of a camera: level, with level ground about it, near the middle of
+    the lower image half, and seen without obstruction; None where there is none.
+
+    ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3); ``height_m`` of the thing must fit into the image.
+    """
+    from scipy.ndimage import minimum_filter
+
+    depth = depth_z_m[..., 0].astype(np.float64)
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    level = (normal_world[..., 2] > _LEVEL) & (depth > 0)
+    window = max(3, depth.shape[1] // 24)
+    level = minimum_filter(level.astype(np.uint8), window) > 0
+    height_px = height_m * camera.fy_px / np.maximum(depth, 1e-6)
+    fits = (height_px < 0.6 * camera.height_px) & (rows - height_px > 0.03 * camera.height_px)
+    chosen = level & fits & (height_px > 0.1 * camera.height_px)
+    if not chosen.any():
+        chosen = level & fits
+    if not chosen.any():
+        return None
+    x = (columns - 0.5 * camera.width_px) / camera.width_px
+    y = (rows - 0.7 * camera.height_px) / camera.height_px
+    cost = np.where(chosen, x**2 + y**2, np.inf)
+    row, column = np.unravel_index(int(cost.argmin()), cost.shape)
+    z = depth[row, column]
+    local = np.array(
+        [
+            (column + 0.5 - camera.cx_px) / camera.fx_px * z,
+            (row + 0.5 - camera.cy_px) / camera.fy_px * z,
+            z,
+            1.0,
+        ]
+    )
+    return np.asarray((camera.world_from_camera @ local)[:3])

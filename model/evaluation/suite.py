@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: MIT
+"""Suites: which scenes, which methods, what is measured. YAML in ``scenes/suites/``; unknown keys are errors.
+
+Paths in a suite are relative to its file. docs/evaluation.md says what the figures mean.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from datagen.errors import InputError, Problem
+from datagen.formats.base import NonNegative, Positive, Slug, StrictModel, Unit, Vector3, read_yaml
+from datagen.formats.lights import Light
+from datagen.formats.recipe import RenderRecipe
+from datagen.library import bundled_library
+from model.checkpoint import bundled_checkpoint
+from model.evaluation.test_scene import TestScene
+
+BUNDLED = "bundled"
+
+
+class GeometryError(StrictModel):
+    """How the mesh differs from the room. In this order: edges are split to ``edge_m`` at most, vertices
+    moved by a normal distribution of ``noise_m`` along each axis, triangles reduced to ``keep_share`` of
+    them, and round holes of ``hole_radius_m`` cut until ``hole_share`` of the area is gone."""
+
+    noise_m: NonNegative = 0.0
+    keep_share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    hole_share: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    hole_radius_m: Positive = 0.15
+    edge_m: Positive | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    def describe(self) -> str:
+        """The errors in words."""
+        said = []
+        if self.noise_m:
+            said.append(f"noise {self.noise_m * 1000:g} mm")
+        if self.keep_share < 1:
+            said.append(f"{self.keep_share:.0%} of triangles")
+        if self.hole_share:
+            said.append(f"holes {self.hole_share:.0%}")
+        return ", ".join(said) or "true"
+
+
+class _Method(StrictModel):
+    name: Slug
+    geometry: GeometryError | None = None
+
+
+class NetworkMethod(_Method):
+    """A checkpoint. One that is not there is left out of the tables, and they say so."""
+
+    kind: Literal["network"]
+    checkpoint: str = BUNDLED
+    is_filtered: bool = True
+
+
+class TextureMethod(_Method):
+    """Median colour of all views as the diffuse albedo; nothing specular."""
+
+    kind: Literal["texture"]
+
+
+class ConstantMethod(_Method):
+    """The same maps everywhere. The defaults are the means over surface pixels of the training views of
+    ``scenes/recipes/learning.yaml`` (every fifth view of every fourth configuration)."""
+
+    kind: Literal["constant"]
+    diffuse_albedo: tuple[Unit, Unit, Unit] = (0.372, 0.334, 0.279)
+    specular_albedo: tuple[Unit, Unit, Unit] = (0.051, 0.051, 0.050)
+    roughness: Unit = 0.598
+
+
+class MapsMethod(_Method):
+    """Maps that some other method made: ``FOLDER/SCENE/VIEW.exr`` for every input view."""
+
+    kind: Literal["maps"]
+    folder: Path
+
+
+class OracleMethod(_Method):
+    """The true maps, merged: what merging and the atlas's resolution lose."""
+
+    kind: Literal["oracle"]
+
+
+class TruthMethod(_Method):
+    """The scene itself, rendered anew: what noise costs."""
+
+    kind: Literal["truth"]
+
+    @model_validator(mode="after")
+    def _has_its_own_geometry(self) -> TruthMethod:
+        if self.geometry is not None:
+            raise ValueError("expected no geometry: the truth is rendered as it is")
+        return self
+
+
+Method = Annotated[
+    NetworkMethod | TextureMethod | ConstantMethod | MapsMethod | OracleMethod | TruthMethod,
+    Field(discriminator="kind"),
+]
+
+
+class ModifiedLight(StrictModel):
+    """Another light: the scene's own lights times ``own_gain``, and ``lights``. "ceiling" is a downward
+    rectangle of 0.6 m below the ceiling over the camera nearest to the middle of all."""
+
+    own_gain: NonNegative = 0.0
+    lights: Literal["ceiling"] | tuple[Light, ...] = "ceiling"
+
+
+class InsertedObject(StrictModel):
+    """What is put into the scene for the figures: an object package, or ``bundled:ID``. ``position_m`` None
+    finds a level place in front of the camera; ``scale`` multiplies its size."""
+
+    package: str = "bundled:statuette_torso"
+    position_m: Vector3 | None = None
+    yaw_deg: float = 0.0
+    scale: Positive = 1.0
+
+    def path(self, folder: Path) -> Path:
+        """Where the package lies; relative names are relative to ``folder``."""
+        kind, _, rest = self.package.partition(":")
+        return bundled_library() / "objects" / rest if kind == BUNDLED else folder / self.package
+
+
+class Suite(StrictModel):
+    """What ``materials evaluate`` does.
+
+    ``input_views`` and ``novel_views`` of each scene are judged (at most), the former drawn by ``seed`` from
+    those that methods may use. ``render``: what a re-rendered view costs. ``atlas``: side in texels.
+    ``modified_light`` and ``inserted`` by scene; scenes that are not named take the defaults.
+    ``may_be_known``: checkpoints may have been trained on the scenes (a test of the programme, not of them).
+    """
+
+    format: Literal["scene-materials/suite"] = "scene-materials/suite"
+    version: Literal[1] = 1
+    name: Slug
+    scenes: Annotated[tuple[TestScene, ...], Field(min_length=1)]
+    methods: Annotated[tuple[Method, ...], Field(min_length=1)]
+    atlas: Literal["auto"] | Annotated[int, Field(ge=16, le=16384)] = "auto"
+    input_views: Annotated[int, Field(ge=1)] = 10
+    novel_views: Annotated[int, Field(ge=0)] = 10
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    render: RenderRecipe = Field(default_factory=lambda: RenderRecipe(quality="draft"))
+    modified_light: dict[Slug, ModifiedLight] = {}
+    inserted: dict[Slug, InsertedObject] = {}
+    may_be_known: bool = False
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> Suite:
+        scenes = [scene.name for scene in self.scenes]
+        for names, what in ((scenes, "scene"), ([m.name for m in self.methods], "method")):
+            if len(set(names)) != len(names):
+                raise ValueError(f"expected every {what} to have a name of its own")
+        unknown = sorted({*self.modified_light, *self.inserted} - set(scenes))
+        if unknown:
+            raise ValueError(f"expected modified_light and inserted to name scenes, not {', '.join(unknown)}")
+        return self
+
+
+def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
+    """The suite of a file, its paths absolute. ``checkpoint`` takes the place of the bundled one.
+
+    Raises :class:`InputError` with every fault: of the file, and of what it names and is not there.
+    """
+    suite = read_yaml(Suite, path)
+    folder = path.parent.resolve()
+    problems: list[Problem] = []
+
+    def existing(field: str, name: Path | str, expected: str) -> Path:
+        found = (folder / name).resolve()
+        if not found.exists():
+            problems.append(Problem(path, field, str(name), expected, f"put it at {found}, or correct it"))
+        return found
+
+    scenes = []
+    for index, scene in enumerate(suite.scenes):
+        changes: dict[str, Any] = {"source": existing(f"scenes[{index}].source", scene.source, "a scene")}
+        if scene.annotations is not None:
+            changes["annotations"] = existing(
+                f"scenes[{index}].annotations", scene.annotations, "a file of annotations"
+            )
+        scenes.append(scene.model_copy(update=changes))
+        inserted = suite.inserted.get(scene.name, InsertedObject())
+        existing(f"inserted.{scene.name}.package", inserted.path(folder), "an object package")
+    methods: list[Method] = []
+    for index, method in enumerate(suite.methods):
+        field = f"methods[{index}]"
+        if isinstance(method, NetworkMethod):
+            bundled = checkpoint.resolve() if checkpoint is not None else bundled_checkpoint()
+            weights = bundled if method.checkpoint == BUNDLED else (folder / method.checkpoint).resolve()
+            if method.checkpoint == BUNDLED and not weights.is_file():
+                problems.append(Problem("--checkpoint", "", str(weights), "a checkpoint (.safetensors)"))
+            methods.append(method.model_copy(update={"checkpoint": str(weights)}))
+        elif isinstance(method, MapsMethod):
+            maps = existing(f"{field}.folder", method.folder, "a folder of maps")
+            problems += _missing_folders(path, f"{field}.folder", maps, suite)
+            methods.append(method.model_copy(update={"folder": maps}))
+        else:
+            methods.append(method)
+    if problems:
+        raise InputError(*problems)
+    inserted_paths = {
+        scene.name: (own := suite.inserted.get(scene.name, InsertedObject())).model_copy(
+            update={"package": str(own.path(folder))}
+        )
+        for scene in suite.scenes
+    }
+    return suite.model_copy(
+        update={"scenes": tuple(scenes), "methods": tuple(methods), "inserted": inserted_paths}
+    )
+
+
+def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[Problem]:
+    """A folder of maps has one folder a scene."""
+    if not maps.is_dir():
+        return []
+    return [
+        Problem(path, field, f"no {scene.name} in {maps}", "a folder for every scene", "add it")
+        for scene in suite.scenes
+        if not (maps / scene.name).is_dir()
+    ]
+
+
+def describe_suite(suite: Suite) -> str:
+    """What a suite would do, for people."""
+    lines = [f"suite {suite.name}: {len(suite.scenes)} scenes, {len(suite.methods)} methods"]
+    for scene in suite.scenes:
+        width, height = scene.resolution
+        lines.append(
+            f"  {scene.name}: {scene.views} + {scene.novel_views} views of {width} x {height}, {scene.source}"
+        )
+    for method in suite.methods:
+        text = f"  {method.name}: {method.kind}"
+        if isinstance(method, NetworkMethod):
+            absent = "" if Path(method.checkpoint).is_file() else " (not there: it will be left out)"
+            text += f", {method.checkpoint}{absent}"
+        if method.geometry is not None:
+            text += f", geometry: {method.geometry.describe()}"
+        lines.append(text)
+    views = 2 * (suite.input_views + suite.novel_views) + 1
+    lines.append(f"  at most {views} re-rendered views a method and scene, as many for the truth")
+    return "\n".join(lines)

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: MIT
+"""A suite's figures as tables: maps, re-renderings, time and memory. Every header names its convention.
+
+A table is a title, a caption, columns and rows of text or numbers; Markdown, CSV and HTML are made from it.
+"""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+from dataclasses import dataclass
+
+from model.evaluation.published import PUBLISHED
+from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.reconstruction.infer import MAP_NAMES
+
+Cell = str | float | None
+LETTERS = dict(zip(MAP_NAMES, "DSR", strict=True))
+PAPER = "paper: "
+_LIGHTS = ("own", "modified")
+_VIEWS = ("input", "novel")
+_SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
+_ALL = {
+    "psnr_srgb_db": "PSNR, clipped sRGB, range 1 (dB)",
+    "psnr_linear_db": "PSNR, clipped linear (dB)",
+    "ssim": "SSIM, Gaussian 11x11 sigma 1.5",
+    "dssim": "DSSIM = 1-SSIM",
+    "lpips_vgg": "LPIPS-VGG 0.1",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """``rows`` have a cell for each column; None is a cell without a value. ``digits`` by column."""
+
+    name: str
+    title: str
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    digits: tuple[int, ...]
+
+    def texts(self) -> list[list[str]]:
+        """Rows as text."""
+        return [
+            [_text(cell, digits) for cell, digits in zip(row, self.digits, strict=True)] for row in self.rows
+        ]
+
+    def markdown(self) -> str:
+        """Heading, caption and table."""
+        lines = [f"## {self.title}", "", self.caption, "", _line(self.columns)]
+        lines.append(_line("---" if k < 2 else "---:" for k in range(len(self.columns))))
+        lines += [_line(row) for row in self.texts()]
+        return "\n".join(lines) + "\n"
+
+    def csv(self) -> str:
+        """Header and rows with all digits."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
+        return stream.getvalue()
+
+    def html(self) -> str:
+        """The same for the page."""
+        head = "".join(f"<th>{html.escape(column)}</th>" for column in self.columns)
+        body = "".join(
+            f"<tr{' class=paper' if row[1].startswith(PAPER) else ''}>"
+            + "".join(f"<td>{html.escape(cell)}</td>" for cell in row)
+            + "</tr>"
+            for row in self.texts()
+        )
+        caption = html.escape(self.caption)
+        return (
+            f"<h2>{html.escape(self.title)}</h2><p>{caption}</p><div class=wide><table><thead><tr>{head}</tr>"
+            f"</thead><tbody>{body}</tbody></table></div>"
+        )
+
+
+def _line(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _text(cell: Cell, digits: int) -> str:
+    if cell is None:
+        return ""
+    return cell if isinstance(cell, str) else f"{cell:.{digits}f}"
+
+
+def tables_of(result: SuiteResult) -> list[Table]:
+    """All tables, in the order of the page."""
+    return [_maps_table(result), _summary_table(result), _images_table(result), _cost_table(result)]
+
+
+def _measured(scene: SceneResult) -> list[MethodResult]:
+    return [method for method in scene.methods if not method.skipped]
+
+
+def _label(method: MethodResult) -> str:
+    return method.method if method.geometry == "true" else f"{method.method} ({method.geometry})"
+
+
+def _maps_table(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene in result.scenes:
+        for method in _measured(scene):
+            rows.append(
+                (
+                    scene.name,
+                    _label(method),
+                    *(method.maps_per_view.get(name) for name in MAP_NAMES),
+                    *(method.maps_merged.get(name) for name in MAP_NAMES),
+                    _percent(method.covered_share),
+                    _percent(method.seen_share),
+                )
+            )
+        for row in PUBLISHED[scene.name].maps if scene.name in PUBLISHED else ():
+            errors, nothing = row.by_map().values(), (None,) * len(MAP_NAMES)
+            cells = (*nothing, *errors) if row.is_merged else (*errors, *nothing)
+            rows.append((scene.name, PAPER + row.method, *cells, None, None))
+    columns = (
+        "scene",
+        "method",
+        *(f"{LETTERS[name]} per view (MSE, linear)" for name in MAP_NAMES),
+        *(f"{LETTERS[name]} merged (MSE, linear)" for name in MAP_NAMES),
+        "pixels covered (%)",
+        "atlas seen (%)",
+    )
+    caption = (
+        "D diffuse albedo, S specular albedo (F0), R roughness. Mean squared error of linear values over "
+        "surface pixels and channels of the judged input views. Per view: the maps as predicted (the paper's "
+        "Ours Im.). Merged: the atlas as the views see it."
+    )
+    return Table("maps", "Material maps", caption, columns, tuple(rows), (0, 0, 4, 4, 4, 4, 4, 4, 1, 1))
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
+
+
+def _summary_table(result: SuiteResult) -> Table:
+    """One row a method: PSNR and DSSIM by light and views."""
+    columns = ["scene", "method"]
+    digits = [0, 0]
+    for light in _LIGHTS:
+        for views in _VIEWS:
+            columns += [f"{light} light, {views} views: {_SHOWN[key]}" for key in ("psnr_srgb_db", "dssim")]
+            digits += [2, 3]
+    rows: list[tuple[Cell, ...]] = []
+    for scene in result.scenes:
+        for method in _measured(scene):
+            cells = [
+                method.images.get(light, {}).get(views, {}).get(key)
+                for light in _LIGHTS
+                for views in _VIEWS
+                for key in ("psnr_srgb_db", "dssim")
+            ]
+            rows.append((scene.name, _label(method), *cells))
+        if scene.name in PUBLISHED:
+            for name, (psnr, dssim) in PUBLISHED[scene.name].images.items():
+                rows.append((scene.name, PAPER + name, psnr, dssim, *(None,) * 6))
+    caption = (
+        "Path-traced with the recovered atlas on the scene's geometry against the scene itself, clipped, "
+        "sRGB-encoded, data range 1; one exposure for all views of a light, none fitted. Means over views. "
+        "The paper does not say which light and views its figures are of; they stand in the first columns."
+    )
+    return Table("rerendering", "Re-rendering", caption, tuple(columns), tuple(rows), tuple(digits))
+
+
+def _images_table(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene in result.scenes:
+        for method in _measured(scene):
+            for light in _LIGHTS:
+                for views in _VIEWS:
+                    figures = method.images.get(light, {}).get(views, {})
+                    if figures:
+                        rows.append(
+                            (scene.name, _label(method), light, views, *(figures.get(key) for key in _ALL))
+                        )
+    caption = "The same with all measures."
+    if result.lpips_absence:
+        caption += f" LPIPS is left out: {result.lpips_absence}."
+    columns = ("scene", "method", "light", "views", *_ALL.values())
+    return Table(
+        "images", "Re-rendering, all measures", caption, columns, tuple(rows), (0, 0, 0, 0, 2, 2, 3, 3, 3)
+    )
+
+
+_STAGES = ("trace", "statistics", "predict", "read maps", "write maps", "unwrap", "merge", "fill", "export")
+
+
+def _cost_table(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene in result.scenes:
+        for method in _measured(scene):
+            seconds = [method.seconds.get(stage) for stage in _STAGES]
+            total = sum(value for value in seconds if value is not None)
+            rows.append((scene.name, _label(method), *seconds, total, method.peak_memory_mb))
+        if scene.name in PUBLISHED:
+            statistics, predict, texturing = (60.0 * m for m in PUBLISHED[scene.name].minutes)
+            cells: dict[str, Cell] = {
+                "statistics": statistics,
+                "predict": predict,
+                "merge": 3 * texturing,
+            }
+            total = statistics + predict + 3 * texturing
+            rows.append((scene.name, f"{PAPER}Ours", *(cells.get(stage) for stage in _STAGES), total, None))
+    caption = (
+        "Wall seconds by stage of the way from photographs to asset, and the peak of the process's resident "
+        "memory from the method's start to its last figure. Unwrapping is done once a geometry and counted "
+        "for each method that uses it. The paper's are of a Xeon 5218 and a Quadro RTX 5000, texturing of "
+        "three maps in the column merge."
+    )
+    columns = ("scene", "method", *(f"{stage} (s)" for stage in _STAGES), "total (s)", "peak memory (MB)")
+    return Table("cost", "Time and memory", caption, columns, tuple(rows), (0, 0, *(1,) * 10, 0))

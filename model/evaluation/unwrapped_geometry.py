@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""The mesh that methods get, with or without errors, unwrapped once for all of them."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.formats.capture import CaptureGeometry, GeometryPart
+from datagen.meshes import Mesh, vertex_normals
+from model.evaluation.mesh_errors import with_errors
+from model.evaluation.suite import GeometryError
+from model.reconstruction.uv import unwrapped
+
+_REVISION = 1
+
+
+def geometry_for(
+    true_geometry: CaptureGeometry,
+    error: GeometryError | None,
+    root: Path,
+    tell: Callable[[str, int, int], None],
+    jobs: int = 2,
+) -> tuple[CaptureGeometry, float]:
+    """The geometry with UVs fit for an atlas, and the seconds that unwrapping took when it was made."""
+    described = None if error is None else error.model_dump(mode="json")
+    key = sha256_hex(canonical_json([_REVISION, described]))[:12]
+    path = root / f"geometry-{key}" / "geometry.npz"
+    if not path.is_file():
+        tell("unwrap", 0, 1)
+        geometry = true_geometry if error is None else with_errors(true_geometry, error)
+        mesh = geometry.mesh
+        if mesh.normals is None:
+            mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
+        start = time.perf_counter()
+        mesh, _ = unwrapped(mesh, jobs)
+        _write(path, CaptureGeometry(mesh, geometry.parts), time.perf_counter() - start)
+        tell("unwrap", 1, 1)
+    return _read(path)
+
+
+def _write(path: Path, geometry: CaptureGeometry, seconds: float) -> None:
+    mesh = geometry.mesh
+    assert mesh.normals is not None and mesh.uv is not None
+    parts = json.dumps([[p.name, p.first_face, p.num_faces, p.emission] for p in geometry.parts])
+    stream = io.BytesIO()
+    np.savez(
+        stream,
+        positions=mesh.positions,
+        faces=mesh.faces,
+        normals=mesh.normals,
+        uv=mesh.uv,
+        parts=np.array(parts),
+        seconds=np.array(seconds),
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(path, stream.getvalue())
+
+
+def _read(path: Path) -> tuple[CaptureGeometry, float]:
+    with np.load(path) as data:
+        mesh = Mesh(data["positions"], data["faces"], data["normals"], data["uv"])
+        rows = json.loads(str(data["parts"]))
+        seconds = float(data["seconds"])
+    parts = tuple(
+        GeometryPart(name, first, num, None if emission is None else tuple(emission))
+        for name, first, num, emission in rows
+    )
+    return CaptureGeometry(mesh, parts), seconds
