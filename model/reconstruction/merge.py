@@ -2,38 +2,51 @@
 """Merges the maps of all views into one atlas (method 7): by texel, the exact median over the views that see
 it.
 
-Letters: V views, K covered texels of a tile. For each covered texel the point and the normal under its
-centre are projected into every view; the views that see it (``datagen.multiview.visibility``) contribute
-their D, S and R there, and each channel takes the median, of an even number the mean of the middle two.
-Nothing is scattered, so an atlas may have more texels than the views have pixels. Work goes tile by tile:
-memory holds the views' maps and one tile, while the atlas itself lies on disk.
+Letters: V views, P pixels of all views. For each covered texel the point and the normal under its centre are
+projected into every view; the views that see it (``datagen.multiview.visibility``) contribute their D, S and
+R there, and each channel takes the median, of an even number the mean of the middle two. With weights it is
+the value at which the weights of the smaller ones reach half of all. Nothing is scattered, so an atlas may
+have more texels than the views have pixels. Work goes tile by tile, a thread a tile: memory holds the views'
+maps and a few tiles, while the atlas itself lies on disk. The loop is in ``medians``.
 """
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem
-from datagen.multiview.visibility import PackedViews, VisibilityOptions, aligned_empty, observe, project
-from model.reconstruction.geometry import copied
-from model.reconstruction.texels import TexelSurface, TexelTile
+from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
+from model.reconstruction.compiled import num_threads
+from model.reconstruction.lane_sort import networks
+from model.reconstruction.medians import (
+    CAMERA,
+    NUM_CHANNELS,
+    PACKET,
+    Rules,
+    Surface,
+    ViewArrays,
+    may_see,
+    merge_tile,
+)
+from model.reconstruction.texels import TexelSurface
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 MAP_CHANNELS = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1}
 """Maps that are merged and their channels, in the order of the packed storage."""
-NUM_CHANNELS = sum(MAP_CHANNELS.values())
 ATLAS_DTYPE = np.float16
 DEFAULT_TILE = 512
-_MIN_WEIGHT = 1e-3  # nearer to zero, the quotient would amplify rounding
+Weights = Literal["none", "angle", "distance", "confidence", "all"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +55,8 @@ class MapView:
     1].
 
     ``depth_z_m`` (H, W, 1) is 0 where the view has nothing to say: background, lamps, pixels without a
-    source.
+    source. ``face`` (H, W) is the triangle of each pixel, ``confidence`` (H, W, 3) how much its D, S and R
+    are worth, for weights that want it.
     """
 
     camera: Camera
@@ -50,6 +64,7 @@ class MapView:
     depth_z_m: NDArray
     face: NDArray | None = None
     name: str = "view"
+    confidence: NDArray | None = None
 
     def problems(self) -> list[Problem]:
         """Every fault of the arrays."""
@@ -62,17 +77,43 @@ class MapView:
                 found.append(Problem(self.name, name, got, f"{(*shape, channels)} like its camera"))
             elif not np.isfinite(array).all():
                 found.append(Problem(self.name, name, "NaN or Inf", "finite values", "predict it again"))
+        if self.depth_z_m.shape not in (shape, (*shape, 1)):
+            got = f"shape {self.depth_z_m.shape}"
+            found.append(Problem(self.name, "depth_z_m", got, f"{(*shape, 1)} like its camera"))
+        elif not np.isfinite(self.depth_z_m).all():
+            found.append(Problem(self.name, "depth_z_m", "NaN or Inf", "finite depth, 0 for none"))
+        if self.confidence is not None and self.confidence.shape != (*shape, 3):
+            got = f"shape {self.confidence.shape}"
+            found.append(Problem(self.name, "confidence", got, f"{(*shape, 3)} like its camera"))
         return found
 
 
 @dataclass(frozen=True)
 class MergeOptions:
     """``fetch`` reads a map at a projection between the pixels that show the same depth, or from the nearest
-    pixel; ``tile`` is the side of a tile in texels."""
+    pixel; ``tile`` is the side of a tile in texels. ``weights`` of the medians: by the cosine at which a view
+    sees the texel, by the pixels that it has on a square metre facing it, by the views' confidence, or the
+    product of all three."""
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
     tile: int = DEFAULT_TILE
+    weights: Weights = "none"
+
+    def rules(self) -> Rules:
+        """For the loop."""
+        see, weights = self.visibility, self.weights
+        return Rules(
+            np.float32(see.depth_tolerance),
+            np.float32(see.slope_tolerance_px),
+            np.float32(see.slope_limit),
+            see.mode == "trace",
+            self.fetch == "nearest",
+            weights != "none",
+            weights in ("angle", "all"),
+            weights in ("distance", "all"),
+            weights in ("confidence", "all"),
+        )
 
 
 @dataclass(frozen=True)
@@ -100,6 +141,13 @@ class Atlas:
         """Texels with surface that no view sees."""
         return np.asarray((self.face >= 0) & (self.count == 0))
 
+    def release(self) -> None:
+        """Let go of what lies in files; the next access reads it again. Else a large atlas that is walked
+        through from end to end would fill the memory with what is not needed any more."""
+        for array in (*self.maps.values(), self.count, self.face):
+            if isinstance(array.base, mmap.mmap):
+                array.base.madvise(mmap.MADV_DONTNEED)
+
 
 def empty_atlas(size: int, folder: Path | None = None) -> Atlas:
     """An atlas in memory or, given a ``folder``, in files there that are mapped into memory."""
@@ -120,7 +168,7 @@ def empty_atlas(size: int, folder: Path | None = None) -> Atlas:
 
 
 class MapMerger:
-    """The maps of all views on the device, ready to be gathered for any texel.
+    """The maps of all views, ready to be gathered for any texel.
 
     Raises :class:`InputError` for maps that do not fit their cameras.
     """
@@ -133,235 +181,127 @@ class MapMerger:
         region_of_face: NDArray | None = None,
     ):
         self.options = options or MergeOptions()
+        self._rules = self.options.rules()
         problems = [problem for view in views for problem in view.problems()]
-        if self.options.visibility.mode == "trace" and scene is None:
+        if not views:
+            problems.append(Problem("merge", "", "no views", "at least one view", "add views"))
+        if self._rules.is_traced and scene is None:
             problems.append(Problem("merge", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'"))
+        if self._rules.by_confidence and any(view.confidence is None for view in views):
+            expected = "a confidence of every view"
+            problems.append(Problem("merge", "weights", repr(self.options.weights), expected, "use 'none'"))
         if problems:
             raise InputError(*problems)
-        import mitsuba as mi
-
         self._scene = scene
-        self._views = [view.camera for view in views]
-        self._packed = PackedViews(self._views, [view.depth_z_m for view in views])
-        self._maps = _pack_maps(views, self._packed, region_of_face)
-        regions = np.zeros(1) if region_of_face is None else region_of_face
-        self._region_of_face = mi.Float(copied(regions, np.float32))
-        self._has_regions = region_of_face is not None
-        self._farthest_m = [float(view.depth_z_m.max(initial=0.0)) for view in views]
-        self._capacity = 1 << max(2, (len(views) - 1).bit_length())  # rounded up: fewer kernels to compile
-
-    def medians(
-        self,
-        points: mi.Point3f,
-        normals: mi.Vector3f,
-        regions: mi.Float,
-        candidates: NDArray[np.uint32],
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-        """Medians (K, 7) and counts (K,) at surface points, over those of the ``candidates`` that see
-        them."""
-        import drjit as dr
-        import mitsuba as mi
-
-        num_points = dr.width(points)
-        if len(candidates) == 0:
-            return np.zeros((num_points, NUM_CHANNELS), np.float32), np.zeros(num_points, np.uint32)
-        channels, count = _gather_medians(
-            self._packed,
-            self._maps,
-            points,
-            normals,
-            regions,
-            mi.UInt32(copied(candidates, np.uint32)),
-            self._capacity,
-            self.options,
-            self._scene,
-        )
-        dr.eval(channels, count)
-        return np.stack([c.numpy() for c in channels], axis=-1), np.asarray(count.numpy())
+        self._views = _view_arrays(views, region_of_face, has_confidence=self._rules.by_confidence)
+        self._regions = region_of_face
+        self._networks = networks(len(views))
+        self._packed = PackedViews([view.camera for view in views], None) if self._rules.is_traced else None
 
     def merge(
         self, surface: TexelSurface, atlas: Atlas, progress: Callable[[int, int], Any] | None = None
     ) -> None:
         """Fill ``atlas`` tile by tile. ``progress(done, total)`` is called after each tile."""
+        regions = np.zeros(surface.num_faces) if self._regions is None else self._regions
+        loop_surface = Surface(
+            surface.size,
+            surface.uv,
+            surface.vertices,
+            surface.positions,
+            surface.normals,
+            regions.astype(np.float32),
+        )
         starts = range(0, atlas.size, self.options.tile)
-        total = len(starts) ** 2
-        for number, (top, left) in enumerate(((t, left) for t in starts for left in starts), start=1):
-            width, height = (min(self.options.tile, atlas.size - start) for start in (left, top))
-            self._merge_tile(surface.tile(left, top, width, height), (left, top, width, height), atlas)
-            if progress is not None:
-                progress(number, total)
+        total, done = len(starts) ** 2, 0
+        # Mitsuba's rays come from one thread at a time and use all processors themselves
+        with ThreadPoolExecutor(1 if self._rules.is_traced else num_threads()) as pool:
+            for top in starts:
+                row = [
+                    pool.submit(self._merge_tile, surface, loop_surface, atlas, left, top) for left in starts
+                ]
+                try:
+                    for task in row:
+                        task.result()
+                        done += 1
+                        if progress is not None:
+                            progress(done, total)
+                except BaseException:
+                    for task in row:
+                        task.cancel()
+                    raise
+                atlas.release()
 
-    def _merge_tile(self, texels: TexelTile, rectangle: tuple[int, int, int, int], atlas: Atlas) -> None:
+    def _merge_tile(
+        self, surface: TexelSurface, loop_surface: Surface, atlas: Atlas, left: int, top: int
+    ) -> None:
+        width, height = (min(self.options.tile, atlas.size - start) for start in (left, top))
+        face = surface.faces(left, top, width, height)
+        if not (face >= 0).any():
+            return
+        traced = np.zeros((0, 0, 0), np.bool_)
+        if self._rules.is_traced:
+            traced = self._trace(*surface.points(face, left, top), face >= 0)
+        medians = np.zeros((height, width, NUM_CHANNELS), np.float32)
+        count = np.zeros((height, width), np.uint16)
+        merge_tile(
+            face, left, top, loop_surface, self._views, self._rules, traced, *self._networks, medians, count
+        )
+        window = (slice(top, top + height), slice(left, left + width))
+        atlas.face[window], atlas.count[window] = face, count
+        first = 0
+        for name, channels in MAP_CHANNELS.items():
+            atlas.maps[name][window] = medians[..., first : first + channels]
+            first += channels
+
+    def _trace(self, points: NDArray, normals: NDArray, is_covered: NDArray) -> NDArray[np.bool_]:
+        """(V, H, W): which views see which covered texels of a tile, by shadow rays."""
         import drjit as dr
         import mitsuba as mi
 
-        left, top, width, _ = rectangle
-        index = np.asarray(texels.texel.numpy())
-        if index.size == 0:
-            return
-        points = np.asarray(texels.points.numpy()).reshape(3, -1)
-        candidates = self._candidates(points.min(axis=1), points.max(axis=1))
-        face = texels.face if self._has_regions else dr.zeros(mi.UInt32, index.size)
-        regions = dr.gather(mi.Float, self._region_of_face, face)
-        medians, count = self.medians(texels.points, texels.normals, regions, candidates)
-        rows, columns = top + index // width, left + index % width
-        atlas.face[rows, columns] = np.asarray(texels.face.numpy()).astype(np.int32)
-        atlas.count[rows, columns] = count
-        first = 0
-        for name, channels in MAP_CHANNELS.items():
-            atlas.maps[name][rows, columns] = medians[:, first : first + channels]
-            first += channels
-
-    def _candidates(self, low: NDArray, high: NDArray) -> NDArray[np.uint32]:
-        """Views whose frustum may meet a box: those for which not all corners lie beyond one of its
-        planes."""
-        corners = np.array([[(low, high)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
-        chosen = []
-        for index, camera in enumerate(self._views):
-            x, y, z = (corners @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]).T
-            left, top = -camera.cx_px, -camera.cy_px
-            right, bottom = camera.width_px - camera.cx_px, camera.height_px - camera.cy_px
-            beyond = (
-                (z <= 0).all(),
-                (z > self._farthest_m[index] * 1.1 + 1e-3).all(),
-                (camera.fx_px * x < left * z).all(),
-                (camera.fx_px * x > right * z).all(),
-                (camera.fy_px * y < top * z).all(),
-                (camera.fy_px * y > bottom * z).all(),
-            )
-            if not any(beyond):
-                chosen.append(index)
-        return np.array(chosen, dtype=np.uint32)
+        assert self._packed is not None
+        seen = np.zeros((self._packed.num_views, *is_covered.shape), np.bool_)
+        chosen = points[is_covered]
+        low, high = chosen.min(axis=0), chosen.max(axis=0)
+        x, y, z = (np.float32(value) for value in 0.5 * (low + high))
+        radius = np.float32(0.51 * np.linalg.norm(high - low) + 1e-6)
+        position, normal = mi.Point3f(vectors_from_rows(chosen)), vectors_from_rows(normals[is_covered])
+        for view, camera in enumerate(self._views.cameras):
+            if may_see(camera, x, y, z, radius):
+                index = dr.opaque(mi.UInt32, view)
+                found = observe(
+                    self._packed, index, position, normal, self.options.visibility, self._scene
+                ).is_visible
+                seen[view, is_covered] = np.asarray(found.numpy(), dtype=bool)
+        return seen
 
 
-def _pack_maps(
-    views: Sequence[MapView], packed: PackedViews, region_of_face: NDArray | None
-) -> tuple[mi.Float, mi.Float]:
-    """Maps of all pixels as two arrays of packets: D and R, S and the smooth region (0 where unknown)."""
-    import mitsuba as mi
-
-    storage = [aligned_empty(packed.num_pixels * 4, np.float32) for _ in range(2)]
-    first_packet, second_packet = (flat.reshape(-1, 4) for flat in storage)
-    second_packet[:, 3] = 0
+def _view_arrays(
+    views: Sequence[MapView], region_of_face: NDArray | None, *, has_confidence: bool
+) -> ViewArrays:
+    """The views as the loop wants them; a pixel's region is 0 where regions do not count."""
     if region_of_face is not None and len(region_of_face) >= 2**24:
         raise ValueError("expected fewer regions than float32 counts exactly")
-    for first, view in zip(packed.first_pixels, views, strict=True):
-        num = view.camera.width_px * view.camera.height_px
-        span = slice(first, first + num)
-        first_packet[span, :3] = view.maps["diffuse_albedo"].reshape(num, 3)
-        first_packet[span, 3] = view.maps["roughness"].reshape(num)
-        second_packet[span, :3] = view.maps["specular_albedo"].reshape(num, 3)
+    sizes = [view.camera.width_px * view.camera.height_px for view in views]
+    ends = np.cumsum(sizes)
+    cameras = np.zeros((len(views), CAMERA), np.float32)
+    depth = np.empty(ends[-1], np.float32)
+    packets = np.zeros((ends[-1], PACKET), np.float32)
+    confidence = np.ones((ends[-1] if has_confidence else 0, 3), np.float32)
+    for index, (view, num, end) in enumerate(zip(views, sizes, ends, strict=True)):
+        camera, span = view.camera, slice(end - num, end)
+        cameras[index, :9] = camera.camera_from_world[:3, :3].ravel()
+        cameras[index, 9:12] = camera.position_m
+        cameras[index, 12:16] = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+        cameras[index, 16:18] = camera.width_px, camera.height_px
+        cameras[index, 18] = view.depth_z_m.max(initial=0.0) * 1.1 + 1e-3
+        depth[span] = view.depth_z_m.ravel()
+        first = 0
+        for name, channels in MAP_CHANNELS.items():
+            packets[span, first : first + channels] = view.maps[name].reshape(num, channels)
+            first += channels
         if region_of_face is not None and view.face is not None:
             face = view.face.reshape(num)
-            second_packet[span, 3] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
-    return mi.Float(storage[0]), mi.Float(storage[1])
-
-
-def _gather_medians(
-    packed: PackedViews,
-    maps: tuple[mi.Float, mi.Float],
-    points: mi.Point3f,
-    normals: mi.Vector3f,
-    regions: mi.Float,
-    candidates: mi.UInt32,
-    capacity: int,
-    options: MergeOptions,
-    scene: mi.Scene | None,
-) -> tuple[list[mi.Float], mi.UInt32]:
-    """Medians by channel, in the order D S R, and counts (*traced*).
-
-    Each channel's values are kept sorted in local memory as they come; a value sinks to its place and what it
-    displaces is carried on.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    num_candidates = dr.opaque(mi.UInt32, dr.width(candidates))
-    infinity = mi.Float(np.inf)
-
-    def insert(count: Any, values: list[Any], lists: tuple[Any, ...], active: Any) -> tuple[Any, ...]:
-        def body(j: Any, *state: Any) -> tuple[Any, ...]:
-            carried, kept = list(state[:NUM_CHANNELS]), list(state[NUM_CHANNELS:])
-            for c in range(NUM_CHANNELS):
-                other = dr.select(j < count, kept[c][j], infinity)
-                kept[c][j] = dr.minimum(carried[c], other)
-                carried[c] = dr.maximum(carried[c], other)
-            return (j + 1, *carried, *kept)
-
-        state = (mi.UInt32(0), *values, *lists)
-        result = dr.while_loop(state, lambda j, *_: active & (j <= count), body, label="insert")
-        return tuple(result[1 + NUM_CHANNELS :])
-
-    def visit(slot: Any, count: Any, *lists: Any) -> tuple[Any, ...]:
-        view = dr.gather(mi.UInt32, candidates, slot)
-        seen = observe(packed, view, points, normals, options.visibility, scene)
-        at = project(packed, view, points)
-        fetched = _fetch(packed, at, maps, regions, options, seen.is_visible)
-        lists = insert(count, fetched.values, lists, fetched.is_found)
-        return (slot + 1, count + dr.select(fetched.is_found, mi.UInt32(1), mi.UInt32(0)), *lists)
-
-    locals_ = tuple(dr.alloc_local(mi.Float, capacity) for _ in range(NUM_CHANNELS))
-    start: Any = (mi.UInt32(0), dr.zeros(mi.UInt32, dr.width(points)), *locals_)
-    visit_view: Any = visit
-    result: Any = dr.while_loop(start, lambda slot, *_: slot < num_candidates, visit_view, label="merge")
-    count, lists = result[1], result[2:]
-    has_any = count > 0
-    lower = dr.select(has_any, (count - 1) // 2, 0)
-    upper = dr.select(has_any, count // 2, 0)
-    medians = [dr.select(has_any, 0.5 * (kept[lower] + kept[upper]), 0.0) for kept in lists]
-    return medians, count
-
-
-class _Fetched(NamedTuple):
-    """A map's channels at a projection, in the order D S R, and whether anything was there to read."""
-
-    values: list[mi.Float]
-    is_found: mi.Bool
-
-
-def _fetch(
-    packed: PackedViews,
-    at: Any,
-    maps: tuple[mi.Float, mi.Float],
-    region: mi.Float,
-    options: MergeOptions,
-    active: mi.Bool,
-) -> _Fetched:
-    """The maps between the four pixels around a projection, or at the nearest (*traced*).
-
-    Pixels of another smooth region, or (between pixels) of another depth, show something else and do not
-    count.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    last_x, last_y = at.layout[1] - 1, at.layout[2] - 1
-    if options.fetch == "nearest":
-        taps = [(mi.UInt32(at.u_px), mi.UInt32(at.v_px), mi.Float(1))]
-    else:
-        x = dr.clip(at.u_px - 0.5, 0, mi.Float(last_x))  # the border pixel continues past its centre
-        y = dr.clip(at.v_px - 0.5, 0, mi.Float(last_y))
-        left, top = mi.UInt32(x), mi.UInt32(y)
-        right, bottom = dr.minimum(left + 1, last_x), dr.minimum(top + 1, last_y)
-        s, t = x - mi.Float(left), y - mi.Float(top)
-        taps = [(left, top, (1 - s) * (1 - t)), (right, top, s * (1 - t))]
-        taps += [(left, bottom, (1 - s) * t), (right, bottom, s * t)]
-    tolerance = at.z_m * (options.visibility.depth_tolerance + options.visibility.slope_limit)
-    first: Any = mi.Vector4f(0)
-    second: Any = mi.Vector4f(0)
-    weights: Any = mi.Float(0)
-    for column, row, share in taps:
-        pixel = at.layout[0] + row * at.layout[1] + column
-        packet = dr.gather(mi.Vector4f, maps[1], pixel, active)
-        is_same = packet[3] == region
-        if options.fetch == "bilinear":
-            depth = dr.gather(mi.Float, packed.depth, pixel, active)
-            is_same &= dr.abs(depth - at.z_m) <= tolerance
-        weight: Any = dr.select(is_same, share, 0)
-        first += weight * dr.gather(mi.Vector4f, maps[0], pixel, active)
-        second += weight * packet
-        weights += weight
-    is_found = active & (weights > _MIN_WEIGHT)
-    scale = dr.rcp(dr.maximum(weights, _MIN_WEIGHT))
-    values = [first[0], first[1], first[2], second[0], second[1], second[2], first[3]]
-    return _Fetched([value * scale for value in values], is_found)
+            packets[span, first] = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
+        if has_confidence and view.confidence is not None:
+            confidence[span] = view.confidence.reshape(num, 3)
+    return ViewArrays(cameras, (ends - sizes).astype(np.int64), depth, packets, confidence)

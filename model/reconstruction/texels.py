@@ -1,130 +1,218 @@
 # SPDX-License-Identifier: MIT
 """Texels of an atlas and the surface under them: which triangle covers a texel's centre, and where it is.
 
-The unwrap itself is a mesh in a plane, in units of texels, and rays dropped on it find the triangle and the
-barycentric coordinates: a rasteriser that is exact at texel centres, tiles freely and runs where rays run.
-Row 0 of an atlas is at v = 1. A triangle's height in that stack is its index, so that a ray from above and
-one from below meet different triangles wherever two overlap.
+A rasteriser that works on any rectangle of the atlas. The edges' functions are computed in float64 from the
+edge's ends in one order, whichever triangle asks, so that no texel falls between two triangles that share an
+edge. Where triangles overlap the one of highest index wins. Row 0 of an atlas is at v = 1. Triangles lie in
+bins, so that a rectangle looks only at those near it.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.meshes import Mesh
-from model.reconstruction.geometry import copied, mesh_scene
+from model.reconstruction.compiled import compiled
 
-if TYPE_CHECKING:
-    import mitsuba as mi
-
-_STACK_HEIGHT = 4.0  # of the pile of triangles: spacing stays above float32's for millions of them
-
-
-class TexelTile(NamedTuple):
-    """Covered texels of a tile, K of them (Dr.Jit arrays)."""
-
-    texel: mi.UInt32
-    """(K,) row * tile width + column."""
-    face: mi.UInt32
-    points: mi.Point3f
-    normals: mi.Vector3f
+BIN = 256
+"""Texels along a side of a bin."""
 
 
 class TexelSurface:
     """The surface of an unwrapped mesh by texel of a ``size`` x ``size`` atlas.
 
-    ``normals`` (M, 3) are the triangles' unit normals. The Mitsuba variant must have been selected.
+    ``normals`` (M, 3) are the triangles' unit normals.
     """
 
     def __init__(self, mesh: Mesh, normals: NDArray[np.float32], size: int):
-        import mitsuba as mi
-
         if mesh.uv is None:
             raise ValueError("expected a mesh with UVs")
         self.size, self.num_faces = size, len(mesh.faces)
-        self._scene = _unwrapped_scene(mesh, size)
-        self._faces = mi.UInt32(copied(mesh.faces, np.uint32))
-        self._positions = mi.Float(copied(mesh.positions, np.float32))
-        self._normals = mi.Float(copied(normals, np.float32))
+        self.positions = np.ascontiguousarray(mesh.positions, np.float32)
+        self.vertices = np.ascontiguousarray(mesh.faces, np.int32)
+        self.normals = np.ascontiguousarray(normals, np.float32)
+        self.uv = np.ascontiguousarray(mesh.uv, np.float32)
+        num_bins = -(-size // BIN)
+        starts = np.zeros(num_bins * num_bins + 1, np.int64)
+        _count_bins(self.uv, self.vertices, size, num_bins, starts)
+        np.cumsum(starts, out=starts)
+        members = np.empty(starts[-1], np.int32)
+        _fill_bins(self.uv, self.vertices, size, num_bins, starts[:-1].copy(), members)
+        self._bins = (starts, members, num_bins)
 
-    def tile(self, left: int, top: int, width: int, height: int) -> TexelTile:
-        """The covered texels of a rectangle of the atlas."""
-        import drjit as dr
-        import mitsuba as mi
-
-        index = dr.arange(mi.UInt32, width * height)
-        hit = self._drop(index, left, top, width, is_from_above=True)
-        dr.eval(hit)
-        is_covered = hit.is_valid()
-        chosen: Any = dr.compress(is_covered)
-        face = dr.gather(mi.UInt32, hit.prim_index, chosen)
-        weights = dr.gather(mi.Point2f, hit.prim_uv, chosen)
-        corners = dr.gather(mi.Vector3u, self._faces, face)
-        a, b, c = (dr.gather(mi.Point3f, self._positions, corners[k]) for k in range(3))
-        points: Any = a + (b - a) * weights.x + (c - a) * weights.y
-        normals = dr.gather(mi.Vector3f, self._normals, face)
-        dr.eval(chosen, face, points, normals)
-        return TexelTile(chosen, face, points, normals)
-
-    def faces(self, left: int, top: int, width: int, height: int) -> NDArray[np.int32]:
-        """Triangle of each texel of a rectangle, (height, width); -1 where none covers it."""
-        import drjit as dr
-        import mitsuba as mi
-
-        hit = self._drop(dr.arange(mi.UInt32, width * height), left, top, width, is_from_above=True)
-        covered = np.asarray(hit.is_valid().numpy(), dtype=bool)
-        face = np.where(covered, np.asarray(hit.prim_index.numpy()).astype(np.int64), -1)
-        return face.astype(np.int32).reshape(height, width)
-
-    def overlap_mask(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
-        """(covered, covered by several triangles), each (size, size), at ``offset`` inside every texel."""
-        import drjit as dr
-        import mitsuba as mi
-
-        index = dr.arange(mi.UInt32, self.size * self.size)
-        above = self._drop(index, 0, 0, self.size, is_from_above=True, offset=offset)
-        below = self._drop(index, 0, 0, self.size, is_from_above=False, offset=offset)
-        covered = above.is_valid()
-        several = covered & (above.prim_index != below.prim_index)
-        shape = (self.size, self.size)
-        return (
-            np.asarray(covered.numpy(), dtype=bool).reshape(shape),
-            np.asarray(several.numpy(), dtype=bool).reshape(shape),
-        )
-
-    def _drop(
+    def faces(
         self,
-        index: mi.UInt32,
         left: int,
         top: int,
         width: int,
-        *,
-        is_from_above: bool,
+        height: int,
         offset: tuple[float, float] = (0.5, 0.5),
-    ) -> mi.PreliminaryIntersection3f:
-        import drjit as dr
-        import mitsuba as mi
+        *,
+        is_highest: bool = True,
+    ) -> NDArray[np.int32]:
+        """Triangle of each texel of a rectangle, (height, width), at ``offset`` inside it; -1 where none
+        covers it, and of several the one of highest or of lowest index."""
+        face = np.full((height, width), -1, np.int32)
+        around = (left, top, *offset, is_highest)
+        _rasterise(self.uv, self.vertices, self.size, *self._bins, *around, face)
+        return face
 
-        columns = dr.opaque(mi.UInt32, width)
-        row = index // dr.maximum(columns, 1)
-        x = mi.Float(index - row * columns) + dr.opaque(mi.Float, left + offset[0])
-        y = mi.Float(row) + dr.opaque(mi.Float, top + offset[1])
-        start, way = (_STACK_HEIGHT + 1, -1.0) if is_from_above else (-1.0, 1.0)
-        ray = mi.Ray3f(mi.Point3f(x, y, start), mi.Vector3f(0, 0, way))
-        return self._scene.ray_intersect_preliminary(ray)
+    def points(self, face: NDArray[np.int32], left: int, top: int) -> tuple[NDArray, NDArray]:
+        """World positions and normals (H, W, 3) under the centres of a rectangle's texels, from its
+        triangles (H, W); 0 where there are none."""
+        points = np.zeros((*face.shape, 3), np.float32)
+        _surface_points(face, left, top, self.size, self.uv, self.vertices, self.positions, points)
+        normals = np.where((face >= 0)[..., None], self.normals[np.maximum(face, 0)], np.float32(0))
+        return points, normals
+
+    def overlap_mask(self, offset: tuple[float, float] = (0.5, 0.5)) -> tuple[NDArray, NDArray]:
+        """(covered, covered by several triangles), each (size, size), at ``offset`` inside every texel."""
+        highest, lowest = (
+            self.faces(0, 0, self.size, self.size, offset, is_highest=is_highest)
+            for is_highest in (True, False)
+        )
+        return highest >= 0, highest != lowest
 
 
-def _unwrapped_scene(mesh: Mesh, size: int) -> mi.Scene:
-    """Every triangle flat at its UVs in texels, at a height of its own."""
-    assert mesh.uv is not None
-    num_faces = len(mesh.faces)
-    corners = mesh.uv.astype(np.float64)[mesh.faces.ravel()]
-    flat = np.empty((num_faces * 3, 3))
-    flat[:, 0] = corners[:, 0] * size
-    flat[:, 1] = (1.0 - corners[:, 1]) * size
-    flat[:, 2] = np.repeat(np.arange(num_faces) * (_STACK_HEIGHT / max(num_faces, 1)), 3)
-    faces = np.arange(num_faces * 3, dtype=np.int32).reshape(-1, 3)
-    return mesh_scene(Mesh(flat.astype(np.float32), faces))
+@compiled
+def corner(uv: Any, vertex: Any, size: Any) -> Any:
+    """A vertex on the atlas, in texels from its upper left corner."""
+    return np.float64(uv[vertex, 0]) * size, (1.0 - np.float64(uv[vertex, 1])) * size
+
+
+@compiled
+def _span(a: Any, b: Any, c: Any, num_bins: Any) -> Any:
+    """First and last bin of three coordinates."""
+    low, high = min(a, b, c), max(a, b, c)
+    last = np.float64(num_bins - 1)
+    return int(min(max(np.floor(low / BIN), 0.0), last)), int(min(max(np.floor(high / BIN), 0.0), last))
+
+
+@compiled
+def _face_bins(uv: Any, vertices: Any, face: Any, size: Any, num_bins: Any) -> Any:
+    """First and last column, first and last row of the bins that a triangle's box meets."""
+    ax, ay = corner(uv, vertices[face, 0], size)
+    bx, by = corner(uv, vertices[face, 1], size)
+    cx, cy = corner(uv, vertices[face, 2], size)
+    first_x, last_x = _span(ax, bx, cx, num_bins)
+    first_y, last_y = _span(ay, by, cy, num_bins)
+    return first_x, last_x, first_y, last_y
+
+
+@compiled
+def _count_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, counts: Any) -> None:
+    for face in range(len(vertices)):
+        first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)
+        for row in range(first_y, last_y + 1):
+            for column in range(first_x, last_x + 1):
+                counts[row * num_bins + column + 1] += 1
+
+
+@compiled
+def _fill_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, members: Any) -> None:
+    for face in range(len(vertices)):  # ascending, so that each bin's triangles are
+        first_x, last_x, first_y, last_y = _face_bins(uv, vertices, face, size, num_bins)
+        for row in range(first_y, last_y + 1):
+            for column in range(first_x, last_x + 1):
+                members[ends[row * num_bins + column]] = face
+                ends[row * num_bins + column] += 1
+
+
+@compiled
+def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
+    """(x, y, dx, dy, sign) of the edge from a to b: its ends in an order of their own, and ``side`` turned
+    where that is the other one."""
+    if ax < bx or (ax == bx and ay <= by):
+        return ax, ay, bx - ax, by - ay, side
+    return bx, by, ax - bx, ay - by, -side
+
+
+@compiled
+def _texel_range(a: Any, b: Any, c: Any, offset: Any, first: Any, last: Any) -> Any:
+    """Texels of [first, last] whose centres lie between the extremes of three coordinates."""
+    low, high = np.ceil(min(a, b, c) - offset), np.floor(max(a, b, c) - offset)
+    return int(max(low, np.float64(first))), int(min(high, np.float64(last)))
+
+
+@compiled
+def _rasterise(
+    uv: Any,
+    vertices: Any,
+    size: Any,
+    starts: Any,
+    members: Any,
+    num_bins: Any,
+    left: Any,
+    top: Any,
+    offset_x: Any,
+    offset_y: Any,
+    is_highest: Any,
+    face_of: Any,
+) -> None:
+    height, width = face_of.shape
+    for bin_y in range(top // BIN, (top + height - 1) // BIN + 1):
+        for bin_x in range(left // BIN, (left + width - 1) // BIN + 1):
+            low_x, high_x = max(left, bin_x * BIN), min(left + width, (bin_x + 1) * BIN) - 1
+            low_y, high_y = max(top, bin_y * BIN), min(top + height, (bin_y + 1) * BIN) - 1
+            at = bin_y * num_bins + bin_x
+            for k in range(starts[at], starts[at + 1]):
+                face = members[k]
+                ax, ay = corner(uv, vertices[face, 0], size)
+                bx, by = corner(uv, vertices[face, 1], size)
+                cx, cy = corner(uv, vertices[face, 2], size)
+                first_x, last_x = _texel_range(ax, bx, cx, offset_x, low_x, high_x)
+                first_y, last_y = _texel_range(ay, by, cy, offset_y, low_y, high_y)
+                winding = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+                if winding == 0.0:
+                    continue
+                side = 1.0 if winding > 0.0 else -1.0
+                x0, y0, dx0, dy0, sign0 = _edge(ax, ay, bx, by, side)
+                x1, y1, dx1, dy1, sign1 = _edge(bx, by, cx, cy, side)
+                x2, y2, dx2, dy2, sign2 = _edge(cx, cy, ax, ay, side)
+                for row in range(first_y, last_y + 1):
+                    y = row + offset_y
+                    for column in range(first_x, last_x + 1):
+                        x = column + offset_x
+                        before = face_of[row - top, column - left]
+                        is_inside = (
+                            (sign0 * (dx0 * (y - y0) - dy0 * (x - x0)) >= 0.0)
+                            & (sign1 * (dx1 * (y - y1) - dy1 * (x - x1)) >= 0.0)
+                            & (sign2 * (dx2 * (y - y2) - dy2 * (x - x2)) >= 0.0)
+                            & (is_highest | (before < 0))
+                        )
+                        face_of[row - top, column - left] = face if is_inside else before
+
+
+@compiled
+def surface_point(face: Any, x: Any, y: Any, size: Any, uv: Any, vertices: Any, positions: Any) -> Any:
+    """World position of a triangle at (x, y) on the atlas, in texels."""
+    i, j, k = vertices[face, 0], vertices[face, 1], vertices[face, 2]
+    ax, ay = corner(uv, i, size)
+    bx, by = corner(uv, j, size)
+    cx, cy = corner(uv, k, size)
+    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    s = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) * scale
+    t = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * scale
+    r = 1.0 - s - t
+    return (
+        np.float32(r * positions[i, 0] + s * positions[j, 0] + t * positions[k, 0]),
+        np.float32(r * positions[i, 1] + s * positions[j, 1] + t * positions[k, 1]),
+        np.float32(r * positions[i, 2] + s * positions[j, 2] + t * positions[k, 2]),
+    )
+
+
+@compiled
+def _surface_points(
+    face_of: Any, left: Any, top: Any, size: Any, uv: Any, vertices: Any, positions: Any, points: Any
+) -> None:
+    for row in range(face_of.shape[0]):
+        for column in range(face_of.shape[1]):
+            face = face_of[row, column]
+            if face >= 0:
+                x, y, z = surface_point(
+                    face, left + column + 0.5, top + row + 0.5, size, uv, vertices, positions
+                )
+                points[row, column, 0], points[row, column, 1], points[row, column, 2] = x, y, z

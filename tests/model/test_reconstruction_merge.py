@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from datagen.errors import InputError
 from datagen.meshes import Mesh
 from datagen.multiview.visibility import VisibilityOptions
 from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides, smooth_regions
-from model.reconstruction.merge import MapMerger, MapView, MergeOptions, empty_atlas
+from model.reconstruction.lane_sort import LANES, STEP, networks, sort_lanes, sort_weighted_lanes
+from model.reconstruction.merge import MapMerger, MapView, MergeOptions, Weights, empty_atlas
 from model.reconstruction.texels import TexelSurface
 from tests.model.textured_room import (
     geometry_of,
@@ -61,16 +64,52 @@ def surface_under(mesh: Mesh, size: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return face_of, points, normals
 
 
+def fetched(
+    view: MapView, u: float, v: float, z: float, region: float, options: MergeOptions, regions: np.ndarray
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """A view's seven channels at a projection, or None, and its confidences (3,)."""
+    maps = np.concatenate([view.maps[k] for k in ("diffuse_albedo", "specular_albedo", "roughness")], axis=-1)
+    confidence = np.ones((*maps.shape[:2], 3)) if view.confidence is None else view.confidence
+    if options.fetch == "nearest":
+        return maps[int(v), int(u)], confidence[int(v), int(u)]
+    height, width = maps.shape[:2]
+    x, y = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
+    see, values, worth, total = options.visibility, np.zeros(7), np.zeros(3), 0.0
+    for row in (int(y), min(int(y) + 1, height - 1)):
+        for column in (int(x), min(int(x) + 1, width - 1)):
+            share = max(0.0, 1 - abs(column - x)) * max(0.0, 1 - abs(row - y))
+            face = -1 if view.face is None else view.face[row, column]
+            is_same = view.face is None or (face >= 0 and regions[face] == region)
+            is_near = abs(view.depth_z_m[row, column, 0] - z) <= z * (see.depth_tolerance + see.slope_limit)
+            if is_same and is_near:
+                values += share * maps[row, column]
+                worth += share * confidence[row, column]
+                total += share
+    return (None, worth) if total <= 1e-3 else (values / total, worth / total)
+
+
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    """The value at which the smaller ones' weights pass half of all; of two where one ends there, the
+    mean."""
+    order = np.argsort(values)
+    values, sums = values[order], np.cumsum(weights[order])
+    at = int(np.searchsorted(sums, sums[-1] / 2 * (1 - 1e-12)))
+    if abs(sums[at] - sums[-1] / 2) <= 1e-12 * sums[-1]:
+        return float(values[at : at + 2].mean())
+    return float(values[at])
+
+
 def brute_force(
-    mesh: Mesh, views: list[MapView], size: int, tolerance: float
+    mesh: Mesh, views: list[MapView], size: int, options: MergeOptions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Medians (N, N, 7), counts, faces and a mask of texels where a hair decides, by loops over float64."""
     face_of, points, normals = surface_under(mesh, size)
+    regions = smooth_regions(mesh)
     medians, counts = np.zeros((size, size, 7)), np.zeros((size, size), int)
     is_close = np.zeros((size, size), bool)
     for row, column in np.argwhere(face_of >= 0):
         p, n = points[row, column], normals[row, column]
-        values = []
+        values, weights = [], []
         for view in views:
             camera = view.camera
             (u, v), z = camera.project(p)
@@ -86,17 +125,29 @@ def brute_force(
             seen = float(view.depth_z_m[int(v), int(u), 0])
             local = camera.camera_from_world[:3, :3] @ n
             step = abs(local[0]) / camera.fx_px + abs(local[1]) / camera.fy_px
-            gap = abs(seen - z) - z * (tolerance + min(step * z / facing, 0.05))
+            gap = abs(seen - z) - z * (options.visibility.depth_tolerance + min(step * z / facing, 0.05))
             is_close[row, column] |= abs(gap) < 1e-4
-            if gap <= 0:
-                maps = view.maps
-                at = (int(v), int(u))
-                values.append(
-                    np.concatenate([maps[k][at] for k in ("diffuse_albedo", "specular_albedo", "roughness")])
-                )
+            if gap > 0:
+                continue
+            found, confidence = fetched(view, u, v, z, regions[face_of[row, column]], options, regions)
+            if found is None:
+                continue
+            values.append(found)
+            cosine = facing / np.linalg.norm(camera.position_m - p)
+            weight = np.ones(3)
+            if options.weights in ("angle", "all"):
+                weight *= cosine
+            if options.weights in ("distance", "all"):
+                weight *= camera.fx_px * camera.fy_px / z**2
+            if options.weights in ("confidence", "all"):
+                weight *= confidence
+            weights.append(weight[[0, 0, 0, 1, 1, 1, 2]])
         counts[row, column] = len(values)
         if values:
-            medians[row, column] = np.median(np.array(values, np.float64), axis=0)
+            stacked, heavy = np.array(values, np.float64), np.array(weights)
+            medians[row, column] = [weighted_median(stacked[:, c], heavy[:, c]) for c in range(7)]
+            if options.weights == "none":
+                np.testing.assert_array_equal(medians[row, column], np.median(stacked, axis=0))
     return medians, counts, face_of, is_close
 
 
@@ -104,8 +155,9 @@ def brute_force(
 def test_equals_brute_force(num_views: int) -> None:
     mesh, size = room_mesh(), 40
     views = noise_views(mesh, num_views)
-    expected, counts, faces, is_close = brute_force(mesh, views, size, 0.005)
-    merger = MapMerger(views, MergeOptions(fetch="nearest", tile=17))
+    options = MergeOptions(fetch="nearest", tile=17)
+    expected, counts, faces, is_close = brute_force(mesh, views, size, options)
+    merger = MapMerger(views, options)
     atlas = empty_atlas(size)
     merger.merge(TexelSurface(mesh, face_normals(mesh), size), atlas)
     sure = ~is_close
@@ -118,6 +170,54 @@ def test_equals_brute_force(num_views: int) -> None:
     assert len(np.unique(counts[sure])) > num_views / 2  # odd and even counts, none and many
     wrong = np.abs(got * 1.05 - expected)[sure & (counts > 0)]
     assert wrong.max() > limit
+
+
+@pytest.mark.parametrize("weights", ["none", "angle", "distance", "confidence", "all"])
+def test_between_pixels_and_with_weights_equals_brute_force(weights: Weights) -> None:
+    """Noise on the views' real geometry: depths, regions and weights decide at every texel."""
+    mesh, size = room_mesh(), 40
+    rng = np.random.default_rng(3)
+    views = [
+        replace(view, face=seen.face, depth_z_m=seen.depth_z_m, confidence=rng.random(view_shape(view)))
+        for view, seen in zip(noise_views(mesh, 12), traced_views(mesh, 12, SMALL), strict=True)
+    ]
+    options = MergeOptions(weights=weights)
+    expected, counts, _, is_close = brute_force(mesh, views, size, options)
+    atlas = empty_atlas(size)
+    MapMerger(views, options, None, smooth_regions(mesh)).merge(
+        TexelSurface(mesh, face_normals(mesh), size), atlas
+    )
+    sure = ~is_close
+    np.testing.assert_array_equal(atlas.count[sure], counts[sure])
+    got = np.concatenate(list(atlas.maps.values()), axis=-1).astype(np.float64)
+    error = np.abs(got - expected)[sure]
+    # rounding of the weights' sums may choose the neighbour where they come within 1e-6 of half
+    assert np.mean(error <= 2.0**-11 * 1.001) > 0.999
+    assert weights != "none" or error.max() <= 2.0**-11 * 1.001
+
+
+def view_shape(view: MapView) -> tuple[int, int, int]:
+    return view.camera.height_px, view.camera.width_px, 3
+
+
+@pytest.mark.parametrize("num", [1, 2, 3, 7, 30, 161])
+def test_lists_are_sorted_with_their_weights(num: int) -> None:
+    rng = np.random.default_rng(num)
+    comparisons, starts = networks(num)
+    rows = -(-num // STEP) * STEP
+    values = np.full((rows, LANES), np.inf, np.float32)
+    values[:num] = rng.integers(0, 20, (num, LANES))
+    weights = rng.random((rows, LANES)).astype(np.float32)
+    sorted_values, sorted_too, sorted_weights = values.copy(), values.copy(), weights.copy()
+    network = comparisons[starts[rows // STEP] : starts[rows // STEP + 1]]
+    sort_lanes(sorted_values, network)
+    sort_weighted_lanes(sorted_too, sorted_weights, network)
+    np.testing.assert_array_equal(sorted_values, np.sort(values, axis=0))
+    np.testing.assert_array_equal(sorted_too, sorted_values)
+    for lane in (0, LANES - 1):
+        pairs = sorted(zip(values[:, lane], weights[:, lane], strict=True))
+        again = sorted(zip(sorted_too[:, lane], sorted_weights[:, lane], strict=True))
+        assert pairs == again
 
 
 def test_tiles_do_not_matter() -> None:
@@ -229,6 +329,8 @@ def test_bad_maps_are_refused() -> None:
     broken = MapView(
         view.camera, {**view.maps, "diffuse_albedo": view.maps["roughness"]}, view.depth_z_m, name="v7"
     )
+    with pytest.raises(InputError, match="a confidence of every view"):
+        MapMerger(noise_views(mesh, 1), MergeOptions(weights="confidence"))
     with pytest.raises(InputError) as caught:
         MapMerger([broken])
     assert "v7: diffuse_albedo" in str(caught.value) and "roughness = NaN" in str(caught.value)
