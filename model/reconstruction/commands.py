@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``infer``, ``render`` and ``view`` of ``materials``. Heavy imports happen in the verbs."""
+"""The verbs ``check`` and ``infer`` of ``materials``. Heavy imports happen in the verbs."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 def register_verbs(app: typer.Typer) -> None:
-    """Add the verbs of this module to the command."""
-    app.command()(check)
-    app.command()(infer)
-    app.command()(render)
-    app.command()(view)
+    """Add the verbs of a reconstruction to the command."""
+    from model.reconstruction.render_commands import render, turntable, view
+
+    for verb in (check, infer, render, turntable, view):
+        app.command()(verb)
 
 
 def infer(
@@ -80,7 +80,7 @@ def infer(
         "--visibility": (visibility, ("depth", "trace")),
         "--precision": (precision, ("auto", "float32", "bfloat16")),
     }
-    _check_choices(choices)
+    check_choices(choices)
     if atlas != "auto" and not atlas.isdigit():
         raise typer.BadParameter(f"{atlas!r}; expected auto or a number", param_hint="--atlas")
     opened = read_capture(
@@ -101,7 +101,7 @@ def infer(
         if quiet:
             report = run(opened, out, checkpoint, options)
         else:
-            with _Bars() as bars:
+            with Bars() as bars:
                 report = run(opened, out, checkpoint, options, bars.tell)
     except KeyboardInterrupt:
         typer.echo("stopped; the same command continues", err=True)
@@ -162,7 +162,7 @@ def check(
     if quiet:
         report = check_capture(opened, out)
     else:
-        with _Bars() as bars:
+        with Bars() as bars:
             report = check_capture(opened, out, bars.tell)
     for note in report.notes:
         typer.echo(f"note: {note}", err=True)
@@ -180,7 +180,8 @@ def check(
         raise typer.Exit(1)
 
 
-def _check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:
+def check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:
+    """Option -> (its value, what is allowed). Raises ``BadParameter`` for another value."""
     for option, (value, allowed) in choices.items():
         if value not in allowed:
             raise typer.BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)
@@ -200,7 +201,7 @@ def _reading(
     """How to read a capture, from the command line's words."""
     from model.reconstruction.captures import AXES, CaptureOptions
 
-    _check_choices(
+    check_choices(
         {
             "--up": (up, ("auto", *AXES)),
             "--mesh-up": (mesh_up, ("same", *AXES)),
@@ -223,95 +224,7 @@ def _reading(
     )
 
 
-def render(
-    asset: Annotated[Path, typer.Argument(help="An environment package, such as OUT/asset.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the images (EXR and PNG).")],
-    view: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--view", help="Name of a camera, repeatable; default: all."),
-    ] = None,
-    sky: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option("--sky", help="Instead of the asset's lights: an environment map (EXR) or R,G,B."),
-    ] = None,
-    insert: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--insert", help="PACKAGE@X,Y,Z or PACKAGE@X,Y,Z,DEGREES, repeatable."),
-    ] = None,
-    samples: Annotated[int, typer.Option("--samples", min=1, help="Light paths a pixel.")] = 16,
-    no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False,
-) -> None:
-    """Render an asset from its cameras, under its own or other light, with objects put in.
-
-    Example: materials render room/asset --out renders --sky 1,1,1 --insert scenes/library/objects/mug@1,2,0.8
-    """
-    from model.reconstruction.relight import RelightOptions, write_renders
-
-    options = RelightOptions(
-        sky=_sky(sky),
-        insertions=tuple(_insertion(text) for text in insert or ()),
-        views=tuple(view or ()),
-        samples=samples,
-        denoise=not no_denoise,
-    )
-    for path in write_renders(asset, out, options):
-        typer.echo(str(path))
-
-
-def view(
-    asset: Annotated[Path, typer.Argument(help="What `materials infer` wrote, or an asset package.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the page.")],
-    max_side: Annotated[
-        int, typer.Option("--max-side", min=64, max=4096, help="Larger textures are averaged down.")
-    ] = 4096,
-) -> None:
-    """Write a page that shows an asset in 3D, with a light to move; it opens from disk in any browser.
-
-    Example: materials view room --out room-page
-    """
-    from model.reconstruction.atlas_page.writing import write_view
-
-    result = write_view(asset, out, max_side)
-    for note in result.notes:
-        typer.echo(f"note: {note}", err=True)
-    size = f"{result.num_bytes / 1e6:,.0f} MB"
-    typer.echo(f"{result.num_triangles} triangles, {result.num_materials} materials, {size}")
-    typer.echo(f"open {result.page.absolute().as_uri()}")
-
-
-def _numbers(text: str, counts: tuple[int, ...], option: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) not in counts:
-        expected = " or ".join(str(count) for count in counts)
-        raise typer.BadParameter(f"{text!r}; expected {expected} numbers", param_hint=option)
-    return values
-
-
-def _sky(text: str | None) -> Path | tuple[float, float, float] | None:
-    if text is None:
-        return None
-    if text.lower().endswith(".exr"):
-        return Path(text)
-    red, green, blue = _numbers(text, (3,), "--sky")
-    return red, green, blue
-
-
-def _insertion(text: str) -> Any:
-    from math import radians
-
-    from model.reconstruction.relight import Insertion
-
-    package, separator, place = text.rpartition("@")
-    if not separator:
-        raise typer.BadParameter(f"{text!r}; expected PACKAGE@X,Y,Z", param_hint="--insert")
-    x, y, z, *yaw = _numbers(place, (3, 4), "--insert")
-    return Insertion(Path(package), (x, y, z), radians(yaw[0]) if yaw else 0.0)
-
-
-class _Bars:
+class Bars:
     """A progress bar with the time left for each stage, on a terminal's standard error."""
 
     def __init__(self) -> None:
@@ -327,7 +240,7 @@ class _Bars:
         )
         self._tasks: dict[str, Any] = {}
 
-    def __enter__(self) -> _Bars:
+    def __enter__(self) -> Bars:
         self._progress.start()
         return self
 

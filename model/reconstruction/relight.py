@@ -7,30 +7,33 @@ A package becomes a configuration, and ``datagen``'s renderer does the rest.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from datagen.color import exposure_for, srgb_from_linear
+from datagen.cameras import Camera
+from datagen.color import exposure_for, luminance, srgb_from_linear
 from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part, Provenance, SlotMaterial
 from datagen.formats.base import write_bytes_atomically
-from datagen.formats.configuration import Configuration, PlacedAsset
-from datagen.formats.lights import EnvironmentLight, Light
+from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
+from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import Package, open_package, write_package
 from datagen.formats.recipe import RenderRecipe
-from datagen.images import encode_png
+from datagen.images import encode_png, read_image
 from datagen.importers.packaging import matrix4
 from datagen.inspection.render_package import configuration_of
 from datagen.library import Library
 from datagen.meshes import Mesh, encode_ply
 
 SKY_ID = "relight-sky"
+_DARK = 1e-3  # of the sky's radiance: a view that gets less on average is not lit by it
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,18 @@ class Insertion:
 
 
 @dataclass(frozen=True)
+class Lamp:
+    """A point light: ``intensity`` in W/sr a channel."""
+
+    position_m: tuple[float, float, float]
+    intensity: tuple[float, float, float] = (5.0, 5.0, 5.0)
+
+
+@dataclass(frozen=True)
 class RelightOptions:
-    """``sky`` replaces the asset's lights: an environment map (EXR), or a constant radiance. ``views`` are
-    names of the asset's cameras, all of them where empty."""
+    """``sky`` and ``lamps`` replace the asset's lights: an environment map (EXR) or a constant radiance, and
+    point lights. ``views`` are names of the asset's cameras, all of them where empty; ``cameras`` stand in
+    their place, named ``frame-000`` on."""
 
     sky: Path | tuple[float, float, float] | None = None
     insertions: tuple[Insertion, ...] = ()
@@ -54,6 +66,8 @@ class RelightOptions:
     max_depth: int = 8
     denoise: bool = True
     seed: int = 0
+    lamps: tuple[Lamp, ...] = ()
+    cameras: tuple[Camera, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,18 +107,29 @@ def _configuration(
     base = configuration_of(package.path, package.sha256, options.seed)
     assert isinstance(package.asset, EnvironmentAsset)
     names = [camera.name for camera in package.asset.cameras]
+    cameras = base.cameras
+    if options.cameras:
+        names = [f"frame-{k:03d}" for k in range(len(options.cameras))]
+        cameras = tuple(
+            ViewCamera.from_camera(name, camera) for name, camera in zip(names, options.cameras, strict=True)
+        )
     unknown = sorted(set(options.views) - set(names))
     if unknown:
         shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
         raise input_error(package.path, "views", ", ".join(unknown), f"cameras of the asset: {shown}")
     lights: tuple[Light, ...] = base.lights
     emission = {}
-    if options.sky is not None:
-        lights = (_sky_light(options.sky),)
+    if options.sky is not None or options.lamps:
+        lights = tuple(
+            PointLight(name=f"lamp-{k}", position_m=lamp.position_m, intensity=lamp.intensity)
+            for k, lamp in enumerate(options.lamps)
+        )
+        if options.sky is not None:
+            lights = (_sky_light(options.sky), *lights)
         lamps = [slot for slot, m in package.asset.materials.items() if m.emission is not None]
         emission = {slot: (0.0, 0.0, 0.0) for slot in lamps}
     elif not lights and not any(m.emission for m in package.asset.materials.values()):
-        raise input_error(package.path, "lights", "none", "a light", "give one with --sky")
+        raise input_error(package.path, "lights", "none", "a light", "give one with --lamp or --sky")
     assets = dict(base.assets)
     objects = []
     for number, insertion in enumerate(options.insertions):
@@ -119,7 +144,13 @@ def _configuration(
     if sky is not None:
         assets[SKY_ID] = open_package(sky).sha256
     environment = base.environment.model_copy(update={"emission": emission})
-    changes = {"environment": environment, "lights": lights, "objects": tuple(objects), "assets": assets}
+    changes = {
+        "environment": environment,
+        "lights": lights,
+        "objects": tuple(objects),
+        "assets": assets,
+        "cameras": cameras,
+    }
     return base.model_copy(update=changes), names
 
 
@@ -160,12 +191,42 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
         yield path
 
 
-def write_renders(path: Path, out: Path, options: RelightOptions | None = None) -> list[Path]:
-    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views under the first's
-    exposure)."""
+def unlit_warning(images: Sequence[str]) -> str:
+    """What to tell of views that the sky does not reach."""
+    shown = ", ".join(images[:6]) + (f" and {len(images) - 6} more" if len(images) > 6 else "")
+    return (
+        f"no light of the sky reaches {shown}: the room is closed; light it with --lamp X,Y,Z, or leave "
+        "--sky out where the asset has lights of its own"
+    )
+
+
+def is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
+    """Whether a view is as good as black although there is a sky, and nothing else that shines."""
+    if options.sky is None or options.lamps:
+        return False
+    return float(luminance(color).mean()) < _DARK * _sky_luminance(options.sky)
+
+
+@lru_cache(maxsize=4)
+def _sky_luminance(sky: Path | tuple[float, float, float]) -> float:
+    if isinstance(sky, Path):
+        return float(luminance(read_image(sky)[..., :3].astype(np.float64)).mean())
+    return float(luminance(np.array(sky, dtype=np.float64)))
+
+
+def write_renders(
+    path: Path,
+    out: Path,
+    options: RelightOptions | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views under the first's exposure).
+
+    ``warn`` is told of views that a sky does not light."""
+    options = options or RelightOptions()
     open_package(path).close()  # a package that cannot be read leaves no folder behind
     out.mkdir(parents=True, exist_ok=True)
-    written = []
+    written, unlit = [], []
     exposure = 0.0
     for image in render_asset(path, options):
         exposure = exposure or exposure_for(image.color)
@@ -175,7 +236,15 @@ def write_renders(path: Path, out: Path, options: RelightOptions | None = None) 
             {"RGB": np.ascontiguousarray(image.color, np.float32)},
         ) as exr:
             exr.write(str(file))
-        shown = np.clip(srgb_from_linear(image.color * exposure), 0, 1)
-        write_bytes_atomically(out / f"{image.name}.png", encode_png((shown * 255 + 0.5).astype(np.uint8)))
+        write_bytes_atomically(out / f"{image.name}.png", encode_png(shown_bytes(image.color, exposure)))
         written += [file, out / f"{image.name}.png"]
+        if is_unlit(image.color, options):
+            unlit.append(image.name)
+    if unlit and warn is not None:
+        warn(unlit_warning(unlit))
     return written
+
+
+def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
+    """A linear image as a screen shows it."""
+    return (np.clip(srgb_from_linear(color * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: MIT
+"""An asset in motion: cameras on a way through it, their frames as a GIF or a video.
+
+``orbit`` is a turn within the space that the asset's cameras were in: on an ellipse about their middle, at
+their mean height, looking across if they mostly did, else outwards. ``cameras`` goes through them in order,
+without stopping, and comes back. Both end where they begin, so that a player may repeat them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera, look_at
+from datagen.color import exposure_for
+from datagen.errors import input_error
+from datagen.formats.asset import AssetCamera, EnvironmentAsset
+from datagen.formats.package import open_package
+from model.reconstruction.relight import (
+    RelightOptions,
+    is_unlit,
+    render_asset,
+    shown_bytes,
+    unlit_warning,
+)
+
+SUFFIXES = (".gif", ".mp4")
+MIN_RADIUS_M = 0.15  # a capture from one place is shown from a small circle around it
+_GIF_COLORS = 255
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class TurntableOptions:
+    """``render`` holds light, insertions and samples; its views and cameras are not used. Views are at most
+    ``max_width_px`` wide."""
+
+    way: Literal["orbit", "cameras"] = "orbit"
+    frames: int = 48
+    frames_per_second: float = 12.0
+    max_width_px: int = 480
+    render: RelightOptions = field(default_factory=RelightOptions)
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.frames <= 100_000:
+            raise input_error("turntable", "frames", self.frames, "2 to 100000", "correct it")
+        if not 0 < self.frames_per_second <= 100:
+            raise input_error(
+                "turntable", "frames a second", self.frames_per_second, "0 to 100", "correct it"
+            )
+
+
+def write_turntable(
+    path: Path,
+    out: Path,
+    options: TurntableOptions | None = None,
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> list[Camera]:
+    """Render an environment package along a way into ``out``; returns the cameras.
+
+    ``.mp4`` holds VP9, which browsers and common players show. All frames are under the first one's exposure.
+    Raises :class:`InputError` for another suffix, bad packages, no light.
+    """
+    options = options or TurntableOptions()
+    if out.suffix.lower() not in SUFFIXES:
+        raise input_error(out, "", out.suffix or "no suffix", "a file .gif or .mp4", "name it so")
+    with open_package(path) as package:
+        asset = package.asset
+        if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
+            expected = "an environment with cameras"
+            raise input_error(path, "kind", asset.kind, expected, "give what `materials infer` wrote")
+        made = way_cameras([_camera(c) for c in asset.cameras], options)
+    frames: list[NDArray[np.uint8]] = []
+    unlit = []
+    exposure = 0.0
+    for image in render_asset(path, replace(options.render, views=(), cameras=tuple(made))):
+        exposure = exposure or exposure_for(image.color)
+        frames.append(shown_bytes(image.color, exposure))
+        if is_unlit(image.color, options.render):
+            unlit.append(image.name)
+        if progress is not None:
+            progress("render", len(frames), len(made))
+    if unlit and warn is not None:
+        warn(unlit_warning(unlit))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = out.with_name(f".partial-{out.name}")
+    try:
+        write = _write_gif if out.suffix.lower() == ".gif" else _write_video
+        write(partial, frames, options.frames_per_second)
+        partial.replace(out)
+    finally:
+        partial.unlink(missing_ok=True)
+    return made
+
+
+def _camera(camera: AssetCamera) -> Camera:
+    return Camera(
+        camera.width_px,
+        camera.height_px,
+        camera.fx_px,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        np.array(camera.asset_from_camera, dtype=np.float64),
+    )
+
+
+def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:
+    """The frames' cameras: the lens of the first camera, centred, with even sides (video wants them)."""
+    lens = cameras[0]
+    scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
+    width, height = (max(16, 2 * round(0.5 * scale * side)) for side in (lens.width_px, lens.height_px))
+    focal = float(np.median([c.fx_px / c.width_px for c in cameras])) * width
+    poses = _orbit(cameras, options.frames) if options.way == "orbit" else _through(cameras, options.frames)
+    return [Camera(width, height, focal, focal, width / 2, height / 2, pose) for pose in poses]
+
+
+def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
+    eyes = np.array([camera.position_m for camera in cameras])
+    forward = np.array([camera.forward for camera in cameras])
+    center = 0.5 * (eyes.min(axis=0) + eyes.max(axis=0))
+    center[2] = eyes[:, 2].mean()
+    # Cameras may lie anywhere within: a circle of their spread is among them, the box's corners need not be.
+    radii = np.maximum(np.sqrt(2) * eyes[:, :2].std(axis=0), MIN_RADIUS_M)
+    is_across = float(((center - eyes)[:, :2] * forward[:, :2]).sum()) >= 0
+    slope = float(np.mean(forward[:, 2] / np.maximum(np.linalg.norm(forward[:, :2], axis=1), 0.2)))
+    poses = []
+    for k in range(num):
+        angle = 2 * np.pi * k / num
+        way = np.array([np.cos(angle), np.sin(angle)])
+        eye = center.copy()
+        eye[:2] += radii * way
+        ahead = np.append(-way if is_across else way, np.clip(slope, -1.0, 0.5))
+        poses.append(look_at(eye, eye + ahead))
+    return poses
+
+
+def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
+    """A closed spline through the cameras' positions and directions, at even speed by camera."""
+    from scipy.interpolate import CubicSpline
+
+    keys = np.array([np.concatenate([c.position_m, c.forward]) for c in cameras])
+    closed = np.concatenate([keys, keys[:1]])
+    at = np.linspace(0, len(keys), num, endpoint=False)
+    way = CubicSpline(np.arange(len(closed)), closed, bc_type="periodic") if len(keys) > 2 else None
+    poses = []
+    for t in at:
+        before = int(t) % len(keys)
+        share = t - int(t)
+        straight = (1 - share) * closed[before] + share * closed[before + 1]
+        found = straight if way is None else way(t)
+        forward = found[3:] if np.linalg.norm(found[3:]) > 1e-3 else keys[before, 3:]
+        poses.append(look_at(found[:3], found[:3] + forward))
+    return poses
+
+
+def _write_gif(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_second: float) -> None:
+    """One palette for all frames, or their colours flicker."""
+    from PIL import Image
+
+    step = max(1, len(frames) // 16)
+    sample = np.concatenate([frame[::2, ::2] for frame in frames[::step]])
+    palette = Image.fromarray(sample).quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT)
+    images = [Image.fromarray(frame).quantize(palette=palette) for frame in frames]
+    duration_ms = max(20, round(1000 / frames_per_second / 10) * 10)  # GIF counts hundredths of a second
+    images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
+
+
+def _write_video(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_second: float) -> None:
+    """VP9 in MP4: the wheel of OpenCV has no H.264."""
+    import cv2
+
+    height, width = frames[0].shape[:2]
+    code = cv2.VideoWriter_fourcc(*"vp09")  # type: ignore[attr-defined]
+    writer = cv2.VideoWriter(str(path), code, frames_per_second, (width, height))
+    if not writer.isOpened():
+        remedy = "write a .gif, or install an OpenCV whose FFmpeg has VP9"
+        raise input_error(path, "", "this OpenCV writes no VP9", "a video", remedy)
+    for frame in frames:
+        writer.write(np.ascontiguousarray(frame[..., ::-1]))
+    writer.release()
+    written = int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT))
+    if written != len(frames):  # OpenCV says nothing of a full disk
+        raise OSError(f"{path}: {written} of {len(frames)} frames were written; is the disk full?")

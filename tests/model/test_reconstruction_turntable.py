@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""An asset in motion, under lamps, under a sky that does not reach it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from typer.testing import CliRunner
+
+from datagen.cameras import Camera, look_at
+from datagen.color import exposure_for
+from datagen.errors import InputError
+from datagen.formats.lights import PointLight
+from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
+from model.reconstruction.turntable import TurntableOptions, way_cameras, write_turntable
+from tests.model.textured_room import room_cameras, room_capture
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+LAMP = PointLight(name="lamp", position_m=(2.1, 1.4, 2.2), intensity=(5.0, 5.0, 4.0))
+QUICK = RelightOptions(samples=2)
+
+
+@pytest.fixture(scope="module")
+def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Path:
+    """A closed room with a lamp."""
+    out = tmp_path_factory.mktemp("asset") / "out"
+    capture = replace(room_capture(6, (48, 36)), lights=(LAMP,))
+    infer(capture, out, None, InferOptions(atlas=64, use_truth=True, has_exr=False, is_checked=False))
+    return out / "asset"
+
+
+def angles_about(cameras: list[Camera], center: NDArray) -> NDArray:
+    """Azimuths of the positions, unwrapped, in turns."""
+    away = np.array([c.position_m for c in cameras])[:, :2] - center
+    return np.unwrap(np.arctan2(away[:, 1], away[:, 0])) / (2 * np.pi)
+
+
+def test_orbit_is_one_turn_within_the_cameras() -> None:
+    """Even steps, a step short of a whole turn, looking across as the cameras do; outwards where they do."""
+    cameras = room_cameras(8)
+    made = way_cameras(cameras, TurntableOptions(frames=24))
+    eyes = np.array([c.position_m for c in cameras])
+    found = np.array([c.position_m for c in made])
+    assert (found.min(axis=0) >= eyes.min(axis=0) - 1e-9).all()
+    assert (found.max(axis=0) <= eyes.max(axis=0) + 1e-9).all()
+    turns = angles_about(made, found[:, :2].mean(axis=0))
+    assert turns[-1] - turns[0] == pytest.approx(23 / 24, abs=0.02)
+    inward = [((found.mean(axis=0) - c.position_m) * c.forward)[:2].sum() > 0 for c in made]
+    assert all(inward)
+    around = [
+        replace(c, world_from_camera=look_at(c.position_m, 2 * c.position_m - [2, 1.5, 1.7])) for c in cameras
+    ]
+    outward = way_cameras(around, TurntableOptions(frames=24))
+    assert all(((found.mean(axis=0) - c.position_m) * c.forward)[:2].sum() < 0 for c in outward)
+    (alone,) = {
+        tuple(np.round(c.position_m[2], 6) for c in way_cameras(cameras[:1], TurntableOptions(frames=4)))
+    }
+    assert len(set(alone)) == 1  # one camera: a small level circle
+
+
+def test_way_goes_through_the_cameras_and_comes_back() -> None:
+    cameras = room_cameras(6)
+    made = way_cameras(cameras, TurntableOptions(way="cameras", frames=24, max_width_px=40))
+    for k, camera in enumerate(cameras):
+        np.testing.assert_allclose(made[4 * k].position_m, camera.position_m, atol=1e-9)
+        np.testing.assert_allclose(made[4 * k].forward, camera.forward, atol=1e-9)
+    steps = np.linalg.norm(np.diff([c.position_m for c in [*made, made[0]]], axis=0), axis=1)
+    assert steps.max() < 3 * np.median(steps)  # no jump, at the seam neither
+    assert {(c.width_px, c.height_px) for c in made} == {(40, 30)}
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_files_show_the_frames(asset: Path, tmp_path: Path, suffix: str) -> None:
+    """Every frame is there, in order, like the rendering from its camera."""
+    out = tmp_path / "new" / f"room{suffix}"
+    told: list[tuple[int, int]] = []
+    options = TurntableOptions(frames=4, frames_per_second=10, max_width_px=48, render=QUICK)
+    cameras = write_turntable(asset, out, options, lambda stage, done, total: told.append((done, total)))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+    frames = read_frames(out)
+    assert len(frames) == 4 and frames[0].shape == (36, 48, 3)
+    rendered = [i.color for i in render_asset(asset, replace(QUICK, cameras=tuple(cameras)))]
+    exposure = exposure_for(rendered[0])
+    same = [[correlation(f, shown_bytes(r, exposure)) for r in rendered] for f in frames]
+    assert (np.argmax(same, axis=1) == np.arange(4)).all() and np.min(np.diag(same)) > 0.95, same
+
+
+def read_frames(path: Path) -> list[NDArray]:
+    if path.suffix == ".gif":
+        with Image.open(path) as image:
+            assert image.info["duration"] == 100 and image.info["loop"] == 0
+            found = []
+            for k in range(image.n_frames):
+                image.seek(k)
+                found.append(np.asarray(image.convert("RGB")))
+            return found
+    video = cv2.VideoCapture(str(path))
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(10)
+    found = []
+    while (read := video.read())[0]:
+        found.append(read[1][..., ::-1])
+    return found
+
+
+def correlation(a: NDArray, b: NDArray) -> float:
+    """Blurred a little: a GIF's colours are dithered."""
+    x, y = (cv2.GaussianBlur(np.ascontiguousarray(i, np.float32), (0, 0), 1.0).ravel() for i in (a, b))
+    return float(np.corrcoef(x, y)[0, 1])
+
+
+def test_lamps_replace_the_lights(asset: Path) -> None:
+    """Twice the intensity is twice the light; two lamps are the sum."""
+
+    def mean(*lamps: Lamp) -> float:
+        options = RelightOptions(samples=64, views=("view_00",), denoise=False, lamps=lamps)
+        return float(next(iter(render_asset(asset, options))).color.mean())
+
+    a, b = Lamp((1.0, 0.6, 2.0), (1.0, 1.0, 1.0)), Lamp((3.0, 2.4, 2.0), (1.0, 1.0, 1.0))
+    assert mean(replace(a, intensity=(2.0, 2.0, 2.0))) == pytest.approx(2 * mean(a), rel=1e-4)
+    assert mean(a, b) == pytest.approx(mean(a) + mean(b), rel=0.05)
+
+
+def test_a_sky_over_a_closed_room_is_warned_of(asset: Path, tmp_path: Path) -> None:
+    warnings: list[str] = []
+    dark = RelightOptions(samples=1, views=("view_00", "view_01"), sky=(1.0, 1.0, 1.0))
+    write_renders(asset, tmp_path / "r", dark, warnings.append)
+    (said,) = warnings
+    assert said.startswith("no light of the sky reaches view_00, view_01: the room is closed")
+    write_renders(asset, tmp_path / "r", replace(dark, lamps=(Lamp((2.0, 1.5, 2.0)),)), warnings.append)
+    write_renders(asset, tmp_path / "r", replace(dark, sky=None), warnings.append)
+    assert len(warnings) == 1
+
+
+def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
+    from model.cli import app
+
+    out = tmp_path / "room.gif"
+    words = [
+        "turntable",
+        str(asset),
+        "--out",
+        str(out),
+        "--frames",
+        "2",
+        "--max-width",
+        "32",
+        "--samples",
+        "1",
+    ]
+    done = CliRunner().invoke(app, [*words, "--lamp", "2,1.5,2", "--way", "cameras", "--quiet"])
+    assert done.exit_code == 0 and out.is_file(), done.output
+    dark = CliRunner().invoke(app, [*words, "--sky", "1,1,1", "--quiet"])
+    assert dark.exit_code == 0 and "no light of the sky reaches frame-000, frame-001" in dark.output
+    for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 numbers"), (["--way", "up"], "expected orbit"),
+                        (["--lamp", "1,2,3,0"], "above 0")):  # fmt: skip
+        refused = CliRunner().invoke(app, [*words, *extra])
+        assert refused.exit_code == 2 and text in refused.output, refused.output
+    with pytest.raises(InputError, match=r"expected a file \.gif or \.mp4"):
+        write_turntable(asset, tmp_path / "room.avi")
+    with pytest.raises(InputError, match="frames = 1"):
+        TurntableOptions(frames=1)
