@@ -164,20 +164,19 @@ def _choose_figures(suite: Suite, scene: _Scene) -> None:
     package = open_package(Path(inserted.package))
     thing, _ = package_geometry(package, PlacedAsset(name=INSERTED, asset=package.id))
     height_m = float(thing.mesh.positions[:, 2].max()) * inserted.scale
-    place = None if inserted.position_m is None else np.array(inserted.position_m)
-    chosen = scene.inputs[0]
-    for name in scene.inputs if place is None else ():
+    position = None if inserted.position_m is None else np.array(inserted.position_m)
+    chosen, best = scene.inputs[0], np.inf
+    for name in scene.inputs if position is None else ():
         view = scene.view(name)
         stored = view.source.read_maps(("depth_z_m", "normal_world"))
         place = level_place(view.camera, stored["depth_z_m"], stored["normal_world"], height_m)
-        if place is not None:
-            chosen = name
-            break
+        if place is not None and place.cost < best:
+            chosen, best, position = name, place.cost, place.position_m
     scene.figure_views["input"] = chosen
     if scene.novel:
         scene.figure_views["novel"] = scene.novel[len(scene.novel) // 2]
-    if place is not None:
-        scene.sceneries[INSERTED] = scene.sceneries[OWN].with_object(inserted, place)
+    if position is not None:
+        scene.sceneries[INSERTED] = scene.sceneries[OWN].with_object(inserted, position)
 
 
 def _scene_result(scene: _Scene, methods: tuple[MethodResult, ...]) -> SceneResult:

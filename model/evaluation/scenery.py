@@ -33,6 +33,8 @@ _CEILING_RADIANCE = (12.0, 12.0, 12.0)
 _GAP_M = 0.1  # between lamp and ceiling
 _LAMP_HEIGHT_M = 1.0  # above the camera where there is no ceiling
 _LEVEL = 0.95  # cosine to the vertical
+_MARGIN = 0.03  # of the image above a thing
+_PICTURED_HEIGHT = 0.35  # of a thing that is put in, in image heights
 _INSERTED = "inserted"
 
 
@@ -97,12 +99,13 @@ def true_scenery(prepared: PreparedScene) -> Scenery:
 
 def recovered_scenery(truth: Scenery, asset: Path) -> Scenery:
     """What was recovered, in place of the scene's surfaces: ``asset`` is the package of a reconstruction,
-    which holds surface and lamps; all other lights are the scene's."""
+    which holds surface and lamps; all other lights are the scene's, and what was put in stays."""
     package = open_package(asset)
     configuration = truth.configuration
+    inserted = tuple(placed for placed in configuration.objects if placed.name == _INSERTED)
     changes = {
         "environment": PlacedAsset(name="environment", asset=package.id),
-        "objects": (),
+        "objects": inserted,
         "assets": {**configuration.assets, package.id: package.sha256},
     }
     return Scenery(configuration.model_copy(update=changes), (*truth.library, asset))
@@ -155,13 +158,20 @@ def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
     return float(hits[0][2] - eye[2]) if len(hits) else None
 
 
-def level_place(
-    camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float
-) -> NDArray[np.float64] | None:
-    """A place (3,) to stand on in front of a camera: level, with level ground about it, near the middle of
-    the lower image half, and seen without obstruction; None where there is none.
+@dataclass(frozen=True)
+class Place:
+    """A place to stand on, and how well it suits a picture: 0 is best."""
 
-    ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3); ``height_m`` of the thing must fit into the image.
+    position_m: NDArray[np.float64]
+    cost: float
+
+
+def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float) -> Place | None:
+    """A place in front of a camera: level, with level ground about it, near the middle of the lower image
+    half, where a thing of ``height_m`` stands wholly in the image and is a third of its height; None where
+    nothing is level.
+
+    ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3).
     """
     from scipy.ndimage import minimum_filter
 
@@ -170,24 +180,15 @@ def level_place(
     level = (normal_world[..., 2] > _LEVEL) & (depth > 0)
     window = max(3, depth.shape[1] // 24)
     level = minimum_filter(level.astype(np.uint8), window) > 0
-    height_px = height_m * camera.fy_px / np.maximum(depth, 1e-6)
-    fits = (height_px < 0.6 * camera.height_px) & (rows - height_px > 0.03 * camera.height_px)
-    chosen = level & fits & (height_px > 0.1 * camera.height_px)
-    if not chosen.any():
-        chosen = level & fits
+    height = height_m * camera.fy_px / np.maximum(depth, 1e-6) / camera.height_px
+    chosen = level & (rows / camera.height_px - height > _MARGIN)
     if not chosen.any():
         return None
     x = (columns - 0.5 * camera.width_px) / camera.width_px
     y = (rows - 0.7 * camera.height_px) / camera.height_px
-    cost = np.where(chosen, x**2 + y**2, np.inf)
+    cost = np.where(chosen, x**2 + y**2 + np.abs(np.log(height / _PICTURED_HEIGHT)), np.inf)
     row, column = np.unravel_index(int(cost.argmin()), cost.shape)
     z = depth[row, column]
-    local = np.array(
-        [
-            (column + 0.5 - camera.cx_px) / camera.fx_px * z,
-            (row + 0.5 - camera.cy_px) / camera.fy_px * z,
-            z,
-            1.0,
-        ]
-    )
-    return np.asarray((camera.world_from_camera @ local)[:3])
+    u, v = (column + 0.5 - camera.cx_px) / camera.fx_px, (row + 0.5 - camera.cy_px) / camera.fy_px
+    position = (camera.world_from_camera @ np.array([u * z, v * z, z, 1.0]))[:3]
+    return Place(np.asarray(position), float(cost[row, column]))
