@@ -40,7 +40,7 @@ def infer(
     ] = None,
     library: Annotated[
         Optional[list[Path]],  # noqa: UP045
-        typer.Option("--library", help="Packages that a shard was rendered with, repeatable."),
+        typer.Option("--library", help="Packages that a shard was rendered with; default: its own, bundled."),
     ] = None,
     up: Annotated[
         str, typer.Option("--up", help="Up axis of the cameras' world: auto, y, z, -y ...")
@@ -110,6 +110,13 @@ def infer(
         typer.echo(f"warning: {warning}", err=True)
     for note in report.notes:
         typer.echo(f"note: {note}", err=True)
+    if report.gltf_error.get("texture_px", report.atlas_size) < report.atlas_size:
+        side = report.gltf_error["texture_px"]
+        typer.echo(
+            f"note: textures in the GLB are {side:.0f} x {side:.0f}, which viewers take; the atlas and the "
+            f"package have {report.atlas_size}",
+            err=True,
+        )
     unwrap = report.unwrap
     typer.echo(
         f"{report.num_views} views, {report.num_triangles} triangles, UVs from {unwrap['source']}, atlas "
@@ -139,7 +146,7 @@ def check(
     ] = None,
     library: Annotated[
         Optional[list[Path]],  # noqa: UP045
-        typer.Option("--library", help="Packages that a shard was rendered with, repeatable."),
+        typer.Option("--library", help="Packages that a shard was rendered with; default: its own, bundled."),
     ] = None,
     up: Annotated[str, typer.Option("--up", help="As for infer.")] = "auto",
     mesh_up: Annotated[str, typer.Option("--mesh-up", help="As for infer.")] = "same",
@@ -199,6 +206,7 @@ def _reading(
     max_width: int,
 ) -> CaptureOptions:
     """How to read a capture, from the command line's words."""
+    from datagen.library import resolve_library_paths
     from model.reconstruction.captures import AXES, CaptureOptions
 
     check_choices(
@@ -219,7 +227,7 @@ def _reading(
         images=images,
         unit_m=unit_m,
         max_width_px=max_width,
-        library=tuple(library or ()),
+        library=resolve_library_paths([str(name) for name in library or ()], Path()),
         **chosen,
     )
 

@@ -34,12 +34,14 @@ _FLOAT, _UINT = 5126, 5125
 
 @dataclass(frozen=True)
 class ConversionError:
-    """Absolute error of D and S as a glTF reader has them, over all texels with surface."""
+    """Absolute error of D and S as a glTF reader has them, over all texels with surface, and the side of the
+    textures."""
 
     diffuse_mean: float
     diffuse_max: float
     specular_mean: float
     specular_max: float
+    texture_px: int
 
 
 def metallic_channels(
@@ -132,7 +134,8 @@ def _encode_textures(reconstruction: Reconstruction) -> tuple[list[bytes], Conve
             sums[k] += float(difference.sum()) / 3
             most[k] = max(most[k], float(difference.max(initial=0)))
     mean = sums / max(num, 1)
-    error = ConversionError(float(mean[0]), float(most[0]), float(mean[1]), float(most[1]))
+    errors = (float(mean[0]), float(most[0]), float(mean[1]), float(most[1]))
+    error = ConversionError(*errors, atlas.size // shrink)
     return [encode_png(np.concatenate(band)) for band in bands], error
 
 

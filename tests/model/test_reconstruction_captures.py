@@ -146,6 +146,7 @@ def test_colmap_capture_is_opened_and_round_trips(tmp_path: Path) -> None:
     capture = read_capture(tmp_path)
     assert [view.name for view in capture.views] == ["img0", "img1", "img2"]
     assert len(capture.geometry.mesh.faces) == 12
+    assert capture.notes[0] == "3 cameras in sparse/0 (COLMAP)"
     image = capture.views[1].read()
     stored = np.random.default_rng(1).integers(0, 256, (SIZE[1], SIZE[0], 3)) / 255
     np.testing.assert_allclose(image.color, linear_from_srgb(stored), atol=1e-6)

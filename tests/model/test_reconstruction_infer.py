@@ -4,6 +4,7 @@ again."""
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import pytest
 import torch
 
 from datagen.asset_check import check_package
-from datagen.color import exposure_for, srgb_from_linear
+from datagen.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.errors import InputError
 from datagen.formats.asset import EnvironmentAsset, Texture
 from datagen.formats.capture import Capture
@@ -35,6 +36,7 @@ from model.reconstruction.gltf_export import as_read, metallic_channels
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.relight import Insertion, RelightOptions, render_asset, write_renders
 from tests.model.rendered_capture import SIZE, make_shard
+from tests.model.textured_room import room_capture
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 SAMPLES = 64
@@ -179,6 +181,55 @@ def test_glb_comes_back_as_the_same_materials(truth: tuple[Path, InferReport], t
                 np.sort(b.positions[b.faces].mean(axis=1), axis=0),
                 atol=1e-4,
             )
+
+
+def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferReport], tmp_path: Path) -> None:
+    """The report says how large the textures are; what is averaged is counted as the conversion's error."""
+    from PIL import Image
+
+    from model.reconstruction import gltf_export
+    from model.reconstruction.export import Reconstruction
+    from model.reconstruction.merge import empty_atlas
+
+    report = truth[1]
+    assert report.gltf_error["texture_px"] == report.atlas_size == 512
+    capture = room_capture(2, (32, 24))
+    atlas = empty_atlas(64)
+    atlas.face[:] = 0
+    atlas.maps["diffuse_albedo"][:, ::2] = 0.8
+    reconstruction = Reconstruction(capture, capture.geometry.mesh, atlas, tmp_path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gltf_export, "MAX_SIZE", 32)
+        error = gltf_export.write_glb(tmp_path / "small.glb", reconstruction)
+    assert error.texture_px == 32 and error.diffuse_max < 0.01
+    data = (tmp_path / "small.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + length])
+    view = document["bufferViews"][document["images"][0]["bufferView"]]
+    first = 28 + length + view["byteOffset"]
+    image = Image.open(io.BytesIO(data[first : first + view["byteLength"]]))
+    assert image.size == (32, 32)
+    linear = linear_from_srgb(np.asarray(image)[..., :3] / 255.0)
+    np.testing.assert_allclose(linear, 0.4, atol=0.005)
+
+
+def test_a_shard_finds_its_library(
+    rendered: Rendered, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By --library; else as its dataset folder says; else in the bundled one, if the hashes are right."""
+    from model.reconstruction.captures import rendered as reader
+
+    alone = tmp_path / "alone.tar"
+    alone.write_bytes(rendered.shard.read_bytes())
+    with pytest.raises(InputError, match="room-0"):
+        read_capture(alone)
+    given = read_capture(alone, CaptureOptions(library=(rendered.root / "library",)))
+    monkeypatch.setattr(reader, "bundled_library", lambda: rendered.root / "library")
+    bundled = read_capture(alone)
+    for capture in (given, bundled):
+        np.testing.assert_array_equal(
+            capture.geometry.mesh.positions, rendered.capture().geometry.mesh.positions
+        )
 
 
 def test_metallic_conversion() -> None:

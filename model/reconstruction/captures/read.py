@@ -86,7 +86,8 @@ FORMS = (
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """How to read a capture. ``library`` and nothing else concerns rendered ones.
+    """How to read a capture. ``library`` and nothing else concerns rendered ones: packages that they were
+    made of, by default those of their dataset folder, else the bundled ones.
 
     ``up`` is the up axis of the cameras' world, ``unit_m`` its unit, "auto" and None judge them
     (``frames``); ``mesh_up`` is the mesh's up axis where it differs. Views wider than ``max_width_px`` are
@@ -180,7 +181,8 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
         got = f"a link to {calibration.folder.resolve()}"
         raise input_error(calibration.folder, "", got, "a folder", "name it with --images")
     mesh = options.mesh.resolve() if options.mesh is not None else find_mesh(path)
-    notes = [f"cameras: {len(calibration.images)} of {found.name} ({form.name})", *calibration.notes]
+    where = found.relative_to(path).as_posix() if found != path and found.is_relative_to(path) else found.name
+    notes = [f"{len(calibration.images)} cameras in {where} ({form.name})", *calibration.notes]
     up, unit_m = options.up, options.unit_m
     loaded = None
     if up == "auto":

@@ -20,7 +20,7 @@ from datagen.formats.configuration import Configuration, MaterialAssignment, Pla
 from datagen.formats.exr import decode_view
 from datagen.formats.package import Package
 from datagen.formats.shard import ShardReader
-from datagen.library import Library
+from datagen.library import Library, bundled_library
 from datagen.meshes import SINGULAR, Mesh, decode_ply, inspect_mesh, joined, without_degenerate
 
 
@@ -60,14 +60,14 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """The library of a shard: the given paths, or those that its dataset folder was started with."""
+    """The library of a shard: the given paths, those that its dataset folder was started with, or the bundled
+    one. Whether it is the right one is told by the hashes in the configuration."""
     if paths:
         return Library(paths)
     folder = DatasetFolder(shard.parent.parent)
-    if not folder.record_path.is_file():
-        remedy = "name the library's folders with --library"
-        raise input_error(shard, "", "no dataset folder around it", "a library for its geometry", remedy)
-    return Library(folder.read_record().library_paths)
+    if folder.record_path.is_file():
+        return Library(folder.read_record().library_paths)
+    return Library([bundled_library()])
 
 
 def read_shard(shard: Path, library: Library) -> Capture:
@@ -97,7 +97,7 @@ def configuration_geometry(
         package = library.package(placed.asset)
         expected = configuration.assets.get(placed.asset)
         if package.sha256 != expected:
-            remedy = "use the library that the capture was rendered with"
+            remedy = "name the library that the capture was rendered with by --library"
             raise input_error(package.path, "hash", package.sha256, str(expected), remedy)
         found.append(_parts_of(package, placed, library))
     return _geometry([part for parts in found for part in parts])
