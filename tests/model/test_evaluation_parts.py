@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: MIT
+"""Suites, worse meshes, figures of merit, lights and tables of the evaluation, each by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera, look_at
+from datagen.errors import InputError
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
+from datagen.formats.exr import encode_view
+from datagen.formats.lights import AreaLight
+from datagen.meshes import Mesh, joined
+from model.evaluation.baselines import maps_files
+from model.evaluation.mesh_errors import with_errors
+from model.evaluation.metrics import MapSums, common_exposure, psnr_db, shown, ssim
+from model.evaluation.rendering import JudgedView
+from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.evaluation.scenery import added_lights, level_place
+from model.evaluation.suite import GeometryError, ModifiedLight, describe_suite, read_suite
+from model.evaluation.tables import tables_of
+from model.evaluation.writing import write_results
+from tests.conftest import REPOSITORY
+from tests.datagen.small_library import box
+
+SMALL = REPOSITORY / "scenes" / "suites" / "small.yaml"
+
+
+# ---- suites
+
+
+def test_all_faults_of_a_suite_are_told_at_once(tmp_path: Path) -> None:
+    text = SMALL.read_text().replace("small_room/room.xml", "nowhere/room.xml")
+    text = text.replace("methods:", "methods:\n  - {name: li, kind: maps, folder: no-maps}")
+    path = tmp_path / "suite.yaml"
+    path.write_text(text + "inserted: {small-room: {package: no-thing}}\n")
+    with pytest.raises(InputError) as caught:
+        read_suite(path, tmp_path / "none.safetensors")
+    assert {problem.field for problem in caught.value.problems} == {
+        "scenes[0].source",
+        "methods[0].folder",
+        "inserted.small-room.package",
+        "",
+    }
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("kind: texture", "kind: textur", "methods"),
+        ("atlas: 1024", "atlas: 5", "atlas"),
+        ("{name: oracle, kind: oracle}", "{name: ours, kind: oracle}", "name of its own"),
+        ("input_views: 4", "input_views: 4\nviews: 3", "no such key"),
+        ("input_views: 4", "input_views: 4\nmodified_light: {kitchen: {own_gain: 1}}", "kitchen"),
+        ("kind: texture", "kind: truth, geometry: {noise_m: 0.1}", "no geometry"),
+    ],
+)
+def test_bad_suites_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = SMALL.read_text()
+    assert old in text
+    (tmp_path / "suite.yaml").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=said):
+        read_suite(tmp_path / "suite.yaml")
+
+
+def test_absent_ablation_is_announced(tmp_path: Path) -> None:
+    text = SMALL.read_text().replace("kind: texture", "kind: network, checkpoint: none.safetensors")
+    text = text.replace("small_room/", f"{SMALL.parent}/small_room/")
+    (tmp_path / "suite.yaml").write_text(text)
+    assert "not there: it will be left out" in describe_suite(read_suite(tmp_path / "suite.yaml"))
+
+
+def test_paper_suite_is_sound() -> None:
+    if not (REPOSITORY / ".." / "shared" / "data" / "scenes").is_dir():
+        pytest.skip("no ../shared/data/scenes")
+    suite = read_suite(SMALL.parent / "paper.yaml")
+    assert [(s.name, s.views, s.resolution) for s in suite.scenes] == [
+        ("veach-ajar", 160, (640, 384)),
+        ("dining-room", 105, (640, 384)),
+    ]
+    assert not suite.may_be_known
+
+
+# ---- meshes
+
+
+@pytest.fixture
+def geometry() -> CaptureGeometry:
+    """A room of 4 x 3 x 2.5 m and a lamp."""
+    meshes = [
+        Mesh(np.asarray(b.vertices, np.float32), np.asarray(b.faces, np.int32))
+        for b in (box((0, 0, 0), (4, 3, 2.5)), box((1.8, 1.3, 2.3), (2.2, 1.7, 2.4)))
+    ]
+    parts = (GeometryPart("room", 0, 12), GeometryPart("lamp", 12, 12, (1.0, 1.0, 1.0)))
+    return CaptureGeometry(joined(meshes), parts)
+
+
+def test_noise_has_its_size_and_leaves_lamps_alone(geometry: CaptureGeometry) -> None:
+    worse = with_errors(geometry, GeometryError(edge_m=0.2, noise_m=0.01))
+    room = worse.mesh.faces[: worse.parts[0].num_faces]
+    points = worse.mesh.positions[np.unique(room)].astype(np.float64)
+    low, high = np.zeros(3), np.array([4, 3, 2.5])
+    # noise across the nearest wall is what moves a point off the box
+    off = np.minimum(np.abs(points - low), np.abs(points - high)).min(axis=1)
+    assert len(points) > 1000
+    assert np.sqrt((off**2).mean()) == pytest.approx(0.01, rel=0.1)
+    lamp = worse.parts[1]
+    faces = worse.mesh.faces[lamp.first_face : lamp.first_face + lamp.num_faces]
+    expected = geometry.mesh.triangles()[12:]
+    np.testing.assert_array_equal(worse.mesh.positions[faces].astype(np.float64), expected)
+
+
+def test_decimation_and_holes_take_their_shares(geometry: CaptureGeometry) -> None:
+    fine = with_errors(geometry, GeometryError(edge_m=0.1))
+    coarse = with_errors(geometry, GeometryError(edge_m=0.1, noise_m=0.002, keep_share=0.25))
+    assert coarse.parts[0].num_faces / fine.parts[0].num_faces == pytest.approx(0.25, abs=0.02)
+    holed = with_errors(geometry, GeometryError(edge_m=0.1, hole_share=0.1, hole_radius_m=0.2))
+    lost = 1 - holed.mesh.areas().sum() / fine.mesh.areas().sum()
+    assert 0.09 < lost < 0.12
+    assert holed.parts[1].num_faces == 12
+    again = with_errors(geometry, GeometryError(edge_m=0.1, hole_share=0.1, hole_radius_m=0.2))
+    np.testing.assert_array_equal(holed.mesh.faces, again.mesh.faces)
+
+
+# ---- figures of merit
+
+
+def _slow_ssim(a: NDArray, b: NDArray) -> float:
+    """Wang et al. 2004, pixel by pixel, where the window fits."""
+    x = np.arange(-5, 6)
+    window = np.exp(-(x[:, None] ** 2 + x[None] ** 2) / (2 * 1.5**2))
+    window /= window.sum()
+    values = []
+    for c in range(3):
+        for i in range(5, a.shape[0] - 5):
+            for j in range(5, a.shape[1] - 5):
+                p, q = (image[i - 5 : i + 6, j - 5 : j + 6, c] for image in (a, b))
+                mp, mq = (window * p).sum(), (window * q).sum()
+                vp, vq = (window * p * p).sum() - mp**2, (window * q * q).sum() - mq**2
+                cov = (window * p * q).sum() - mp * mq
+                top = (2 * mp * mq + 0.01**2) * (2 * cov + 0.03**2)
+                values.append(top / ((mp**2 + mq**2 + 0.01**2) * (vp + vq + 0.03**2)))
+    return float(np.mean(values))
+
+
+def test_figures_follow_their_formulas() -> None:
+    random = np.random.default_rng(3)
+    a = random.random((18, 21, 3))
+    b = np.clip(a + 0.1 * random.standard_normal(a.shape), 0, 1)
+    assert psnr_db(a, a - 0.1) == pytest.approx(20.0)
+    assert ssim(a, b) == pytest.approx(_slow_ssim(a, b), abs=1e-9)
+    assert ssim(a, a) == pytest.approx(1.0) and psnr_db(a, a) == 99.0
+    assert shown(np.array([0.0, 0.25, 9.0]), 2.0) == pytest.approx([0.0, 0.7354, 1.0], abs=1e-3)
+
+
+def _view(value: float, mask: NDArray | None = None, color: float = 0.5) -> JudgedView:
+    maps = {
+        name: np.full((4, 5, channels), value, np.float32)
+        for name, channels in (("diffuse_albedo", 3), ("specular_albedo", 3), ("roughness", 1))
+    }
+    return JudgedView(
+        np.full((4, 5, 3), color, np.float32), maps, np.ones((4, 5), bool) if mask is None else mask
+    )
+
+
+def test_map_errors_count_surface_only() -> None:
+    mask = np.zeros((4, 5), bool)
+    mask[:2] = True
+    sums = MapSums()
+    wrong = _view(0.7).maps
+    wrong["roughness"][2:] = 99.0  # off the surface
+    has_surface = np.ones((4, 5), bool)
+    has_surface[0] = False
+    wrong["diffuse_albedo"][0] = 99.0  # a hole in the method's mesh
+    sums.add(wrong, _view(0.5, mask), has_surface)
+    assert sums.mse() == pytest.approx(
+        {"diffuse_albedo": 0.04, "specular_albedo": 0.04, "roughness": 0.04}, rel=1e-5
+    )
+    assert sums.covered_share == 0.5
+
+
+def test_exposure_is_common_and_of_surfaces() -> None:
+    dark = np.zeros((4, 5), bool)
+    dark[1:] = True
+    view = _view(0.5, dark, 0.3)
+    view.color[0] = 1e6  # a lamp
+    assert common_exposure([view, _view(0.5, None, 0.3)]) == pytest.approx(3.0, rel=1e-4)
+
+
+# ---- scenery
+
+
+def _camera() -> Camera:
+    return Camera(
+        96, 64, 60.0, 60.0, 48.0, 32.0, look_at(np.array([2.0, 0.3, 1.6]), np.array([2.0, 2.5, 0.3]))
+    )
+
+
+def test_things_stand_on_level_ground_in_the_picture() -> None:
+    camera = _camera()
+    rays = camera.ray_directions()
+    t = np.where(rays[..., 2] < -1e-3, -camera.position_m[2] / np.minimum(rays[..., 2], -1e-3), 0.0)
+    depth = (t * (rays @ camera.forward))[..., None]
+    normal = np.where(depth > 0, np.array([0.0, 0.0, 1.0]), 0.0)
+    place = level_place(camera, depth, normal, 0.8)
+    assert place is not None and abs(place.position_m[2]) < 1e-6
+    foot, top = (camera.camera_from_world @ np.array([*place.position_m[:2], z, 1.0]) for z in (0.0, 0.8))
+    rows = [60.0 * p[1] / p[2] + 32.0 for p in (foot, top)]
+    assert 0 < rows[1] < rows[0] < 64 and rows[0] - rows[1] == pytest.approx(0.35 * 64, rel=0.35)
+    assert level_place(camera, depth, np.zeros_like(normal), 0.3) is None
+
+
+def test_ceiling_light_hangs_below_the_ceiling_and_shines_down(geometry: CaptureGeometry) -> None:
+    (light,) = added_lights(ModifiedLight(), geometry, [_camera()])
+    assert isinstance(light, AreaLight) and not light.is_visible
+    assert light.origin_m[2] == pytest.approx(2.4) and light.origin_m[0] == pytest.approx(1.7)
+    assert np.cross(light.edge_u_m, light.edge_v_m)[2] < 0
+
+
+# ---- maps of other methods
+
+
+class _NoImage:
+    def read(self, camera: Camera) -> ColorImage:
+        raise AssertionError("not needed")
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        return {}
+
+
+def test_faults_of_given_maps_are_told_at_once(geometry: CaptureGeometry, tmp_path: Path) -> None:
+    views = tuple(CaptureView(f"view-{k:03d}", _camera(), _NoImage()) for k in range(5))
+    capture = Capture("room", views, geometry)
+
+    def write(name: str, size: tuple[int, int], value: float) -> None:
+        maps = {n: np.full((*size, c), 0.5, np.float32) for n, c in (("diffuse_albedo", 3), ("roughness", 1))}
+        maps["specular_albedo"] = np.full((*size, 3), value, np.float32)
+        write_bytes_atomically(tmp_path / f"{name}.exr", encode_view(maps))
+
+    write("view-000", (64, 96), 0.04)
+    write("view-001", (32, 48), 0.04)
+    write("view-002", (64, 96), 1.5)
+    (tmp_path / "view-003.exr").write_bytes(b"no image")
+    with pytest.raises(InputError) as caught:
+        maps_files(tmp_path, capture)
+    told = "\n".join(str(problem) for problem in caught.value.problems)
+    assert "view-000" not in told
+    for said in ("view-001.exr", "48 x 32", "view-002.exr", "1.5", "view-003.exr", "view-004"):
+        assert said in told
+
+
+# ---- tables
+
+
+def _result() -> SuiteResult:
+    maps = {"diffuse_albedo": 0.02, "specular_albedo": 0.01, "roughness": 0.05}
+    figures = {"psnr_srgb_db": 20.0, "psnr_linear_db": 18.0, "ssim": 0.75, "dssim": 0.25, "lpips_vgg": None}
+    method = MethodResult(
+        scene="veach-ajar",
+        method="ours",
+        kind="network",
+        geometry="noise 10 mm",
+        maps_per_view=maps,
+        maps_merged=maps,
+        images={"own": {"input": figures, "novel": figures}},
+        covered_share=1.0,
+        seen_share=0.5,
+        seconds={"merge": 3.0},
+    )
+    absent = MethodResult(scene="veach-ajar", method="no-rp", kind="network", skipped="no checkpoint at x")
+    scene = SceneResult(
+        name="veach-ajar",
+        num_views=16,
+        num_novel=1,
+        resolution=(5, 4),
+        judged_views=("view-000",),
+        novel_views=("path-000",),
+        exposures={"own": 1.0},
+        figure_views={"input": "view-000"},
+        path_samples=8,
+        renders={},
+        methods=(method, absent),
+    )
+    return SuiteResult(suite="s", may_be_known=True, lpips_absence="no weights", scenes=(scene,))
+
+
+def test_tables_set_the_paper_beside_ours(tmp_path: Path) -> None:
+    maps, summary, images, cost = tables_of(_result())
+    rows = {row[1]: row for row in maps.rows}
+    assert rows["paper: Ours"][5:8] == (0.022135, 0.016522, 0.055563)
+    assert rows["paper: Ours Im."][2:5] == (0.030718, 0.049969, 0.064362)
+    assert rows["ours (noise 10 mm)"][2:8] == (0.02, 0.01, 0.05) * 2
+    assert {row[1]: row[2:4] for row in summary.rows}["paper: Texture"] == (18.70, 0.30)
+    assert "no weights" in images.caption and images.rows[0][-1] is None
+    assert {row[1]: row[-2] for row in cost.rows}["paper: Ours"] == pytest.approx(60 * 20.85)
+    write_results(_result(), {"veach-ajar": {"view-000": _view(0.5)}}, tmp_path)
+    text = (tmp_path / "evaluation.md").read_text()
+    assert "left out, no checkpoint at x" in text and "may have been trained" in text

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""The small suite from photographs to tables: rendered, rebuilt, judged, written, and not done twice."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from datagen.errors import InputError
+from model.evaluation.evaluate import Evaluation, evaluate
+from model.evaluation.results import MethodResult
+from model.evaluation.suite import MapsMethod, Suite, read_suite
+from model.evaluation.writing import is_written, write_results
+from tests.conftest import REPOSITORY
+
+SMALL = REPOSITORY / "scenes" / "suites" / "small.yaml"
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("evaluation-cache")
+
+
+@pytest.fixture(scope="module")
+def small(cache: Path) -> tuple[Suite, Evaluation]:
+    suite = read_suite(SMALL)
+    return suite, evaluate(suite, cache)
+
+
+def _methods(evaluation: Evaluation) -> dict[str, MethodResult]:
+    return {method.method: method for method in evaluation.result.scenes[0].methods}
+
+
+def _times(cache: Path) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in cache.rglob("*") if path.is_file()}
+
+
+def test_figures_are_in_a_believable_order(small: tuple[Suite, Evaluation]) -> None:
+    methods = _methods(small[1])
+    oracle, ours, constant = (methods[name] for name in ("oracle", "ours", "constant"))
+    for light in ("own", "modified"):
+        for views in ("input", "novel"):
+            psnr, dssim = (
+                [m.images[light][views][key] for m in (oracle, ours, constant)]
+                for key in ("psnr_srgb_db", "dssim")
+            )
+            assert psnr == sorted(psnr, reverse=True), (light, views, psnr)
+            assert dssim == sorted(dssim), (light, views, dssim)
+            assert psnr[0] > psnr[1] + 5  # the true maps are of another kind than any estimate
+    merged = [m.maps_merged["diffuse_albedo"] for m in (oracle, ours, constant)]
+    assert merged == sorted(merged)
+    assert set(oracle.maps_per_view.values()) == {0.0}
+    for method in methods.values():
+        assert method.covered_share == pytest.approx(1.0, abs=0.01)
+        assert method.peak_memory_mb > 100 and method.seconds["merge"] > 0
+
+
+def test_everything_is_written_and_needs_nothing_beside_it(
+    small: tuple[Suite, Evaluation], tmp_path: Path
+) -> None:
+    evaluation = small[1]
+    write_results(evaluation.result, evaluation.figure_views, tmp_path)
+    assert is_written(evaluation.result, tmp_path)
+    with (tmp_path / "rerendering.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    shown = {row["method"]: float(row["own light, input views: PSNR sRGB (dB)"]) for row in rows}
+    for name, method in _methods(evaluation).items():
+        assert shown[name] == method.images["own"]["input"]["psnr_srgb_db"]
+    markdown = (tmp_path / "evaluation.md").read_text()
+    for header in ("DSSIM = 1-SSIM", "PSNR, clipped sRGB, range 1 (dB)", "D merged (MSE, linear)"):
+        assert header in markdown
+    assert json.loads((tmp_path / "evaluation.json").read_text())["suite"] == "small"
+    page = (tmp_path / "index.html").read_text()
+    assert "http" not in page and "<script" not in page
+    assert page.count("data:image/jpeg;base64,") == 5 * 8  # truth and four methods; eight pictures each
+    with Image.open(tmp_path / "figures" / "small-room-relighting.png") as image:
+        assert image.width > 5 * 96 and image.height > 4 * 64
+
+
+def test_finished_suite_is_not_done_again(small: tuple[Suite, Evaluation], cache: Path) -> None:
+    suite, evaluation = small
+    before = _times(cache / _scene_folder(cache) / "results")
+    assert evaluate(suite, cache).result == evaluation.result
+    assert _times(cache / _scene_folder(cache) / "results") == before
+
+
+def test_stopped_suite_continues(small: tuple[Suite, Evaluation], cache: Path) -> None:
+    """A method whose figures and one view are missing: that view alone is rendered again, as it was."""
+    suite, evaluation = small
+    constant = _methods(evaluation)["constant"]
+    (Path(constant.folder) / "result.json").unlink()
+    lost = sorted(Path(constant.renders["own"]).glob("*.exr"))[0]
+    content = lost.read_bytes()
+    lost.unlink()
+    before = _times(cache / _scene_folder(cache) / "results" / "renders")
+    again = _methods(evaluate(suite, cache))["constant"]
+    assert again.images == constant.images and again.maps_merged == constant.maps_merged
+    assert lost.read_bytes() == content
+    after = _times(cache / _scene_folder(cache) / "results" / "renders")
+    assert {path for path in after if after[path] != before.get(path)} == {str(lost)}
+
+
+def test_inserted_object_is_in_every_picture(small: tuple[Suite, Evaluation]) -> None:
+    from datagen.formats.exr import decode_view
+
+    scene = small[1].result.scenes[0]
+    name = scene.figure_views["input"]
+    for method in _methods(small[1]).values():
+        with_it, without = (
+            decode_view(Path(method.renders[light]) / f"{name}.exr", ("depth_z_m",))["depth_z_m"]
+            for light in ("inserted", "own")
+        )
+        nearer = (without.astype(np.float32) - with_it.astype(np.float32)) > 0.02
+        assert nearer.mean() > 0.005, method.method
+
+
+def test_maps_of_another_method_are_judged_like_ours(
+    small: tuple[Suite, Evaluation], cache: Path, tmp_path: Path
+) -> None:
+    suite, evaluation = small
+    ours = _methods(evaluation)["ours"]
+    target = tmp_path / "maps" / "small-room"
+    shutil.copytree(Path(ours.folder) / "views", target)
+    other = MapsMethod(name="other", kind="maps", folder=tmp_path / "maps")
+    judged = _methods(evaluate(suite.model_copy(update={"methods": (other,)}), cache))["other"]
+    assert judged.maps_per_view == ours.maps_per_view
+    assert judged.maps_merged == pytest.approx(ours.maps_merged, rel=1e-6)
+    lost = sorted(target.iterdir())[0]
+    lost.unlink()
+    with pytest.raises(InputError, match=lost.stem):
+        evaluate(suite.model_copy(update={"methods": (other,)}), cache)
+
+
+def _scene_folder(cache: Path) -> str:
+    (folder,) = (path.name for path in cache.iterdir() if path.is_dir())
+    return folder
