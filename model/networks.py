@@ -31,6 +31,11 @@ STRIDE = 2**NUM_LEVELS
 RECEPTIVE_FIELD_PX = 142
 """Side of the square of input pixels that one output pixel sees through the convolutions alone: 126 or 142,
 by the pixel's place in its 16 x 16 block. Norms and the global track see everything."""
+STRIP_ELEMENTS = 2**25
+"""Images too large for memory pass the decoder's convolutions in strips of so many values, as only there
+the channels of all levels come together at twice the size. Norms and the global track come after, over the
+whole layer, so that the maps are the same but for rounding (docs/decisions/0054)."""
+_STRIP_MARGIN = 3  # rows of a strip's input on either side that its result depends on
 _LEAK = 0.2
 _NORM_EPS = 1e-5  # keeps the norm finite on a constant feature map
 _LOG_EPSILON = 0.01
@@ -193,6 +198,13 @@ class _Down(_Layer):
         return self.modulate(self.conv(F.leaky_relu(x, _LEAK)), g, valid)
 
 
+def _strip_rows(x: Tensor) -> int:
+    """Rows of x whose doubled strip holds about ``STRIP_ELEMENTS``; all of them where that is not far
+    from it."""
+    doubled = 4 * x.numel()
+    return x.shape[2] if doubled <= 4 * STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // doubled)
+
+
 class _Up(_Layer):
     """LeakyReLU, nearest x2, two 4x4 stride-1 convolutions (pad 1 before, 2 after), norm, global track."""
 
@@ -203,11 +215,28 @@ class _Up(_Layer):
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        x = F.interpolate(F.leaky_relu(x, _LEAK), scale_factor=2, mode="nearest")
-        x = _zero_padding(self.conv1(F.pad(x, (1, 2, 1, 2))), valid)
-        x = self.conv2(F.pad(x, (1, 2, 1, 2)))
+        strip = _strip_rows(x)
+        if self.training or strip >= x.shape[2]:
+            x = self._convolved(x, 0, x.shape[2], valid)
+        else:
+            starts = range(0, x.shape[2], strip)
+            parts = [self._convolved(x, start, min(start + strip, x.shape[2]), valid) for start in starts]
+            x = torch.cat(parts, dim=2)
         y, g = self.modulate(x, g, valid)
         return self.dropout(y), g
+
+    def _convolved(self, x: Tensor, first: int, last: int, valid: tuple[int, int]) -> Tensor:
+        """What both convolutions make of x's rows [first, last): twice as many rows, twice as wide.
+
+        A row of the result takes rows from 2 above to 4 below it; beyond the image they are 0, also those
+        that the first convolution would make there.
+        """
+        low, high = max(first - _STRIP_MARGIN, 0), min(last + _STRIP_MARGIN, x.shape[2])
+        rows = F.interpolate(F.leaky_relu(x[:, :, low:high], _LEAK), scale_factor=2, mode="nearest")
+        inside = (min(max(valid[0] - 2 * low, 0), rows.shape[2]), valid[1])
+        rows = _zero_padding(self.conv1(F.pad(rows, (1, 2, 1, 2))), inside)
+        rows = self.conv2(F.pad(rows, (1, 2, 1, 2)))
+        return rows[:, :, 2 * (first - low) : 2 * (last - low)]
 
 
 class Track(nn.Module):

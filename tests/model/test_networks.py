@@ -150,3 +150,19 @@ def test_single_view_ablation_has_no_statistics():
 def test_a_black_view_and_an_empty_view_encode_to_the_floor():
     assert (networks.encode_color(torch.zeros(1, 3, 4, 4), 1.0) == -1).all()
     assert (networks.encode_depth(torch.zeros(1, 1, 4, 4)) == -1).all()
+
+
+@pytest.mark.parametrize("size", [(96, 64), (101, 77), (50, 130)])
+@pytest.mark.parametrize("elements", [2**8, 2**13])
+def test_strips_of_large_images_change_nothing(monkeypatch, size, elements):
+    """Strips of one row and of several; the same image without its norms' sight of the whole differs."""
+    torch.manual_seed(1)
+    track = Track(9, 3, NetworkConfig(base_channels=8, global_channels=16)).eval()
+    x = torch.randn(2, 9, *size)
+    with torch.no_grad():
+        whole = track(x)
+        upper = track(x[:, :, : size[0] // 2])
+        monkeypatch.setattr(networks, "STRIP_ELEMENTS", elements)
+        in_strips = track(x)
+    torch.testing.assert_close(in_strips, whole, rtol=0, atol=1e-6)
+    assert (upper - whole[:, :, : size[0] // 2])[:, :, :16].abs().max() > 1e-4
