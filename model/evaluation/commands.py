@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
@@ -65,18 +66,20 @@ def evaluate(
 
 
 class _Stages:
-    """The stage that is worked on, with a bar, on a terminal's standard error; one at a time."""
+    """The stage that is worked on, on standard error: with a bar on a terminal, else a line a stage."""
 
     def __init__(self) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+        console = Console(file=sys.stderr)
+        self._is_terminal = console.is_terminal
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
-            console=Console(file=sys.stderr),
+            console=console,
             transient=True,
         )
         self._stage = ""
@@ -91,6 +94,11 @@ class _Stages:
 
     def tell(self, stage: str, done: int, total: int) -> None:
         """Show where a stage is."""
+        if not self._is_terminal:
+            if stage != self._stage:
+                self._stage = stage
+                typer.echo(f"{time.strftime('%H:%M:%S')} {stage} ({total})", err=True)
+            return
         if stage != self._stage:
             if self._task is not None:
                 self._progress.remove_task(self._task)

