@@ -33,7 +33,7 @@ _CEILING_RADIANCE = (12.0, 12.0, 12.0)
 _GAP_M = 0.1  # between lamp and ceiling
 _LAMP_HEIGHT_M = 1.0  # above the camera where there is no ceiling
 _LEVEL = 0.95  # cosine to the vertical
-_MARGIN = 0.03  # of the image above a thing
+_MARGIN, _GROUND = 0.03, 0.12  # of the image above a thing, and below its middle
 _PICTURED_HEIGHT = 0.35  # of a thing that is put in, in image heights
 _INSERTED = "inserted"
 
@@ -181,7 +181,8 @@ def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, heigh
     window = max(3, depth.shape[1] // 24)
     level = minimum_filter(level.astype(np.uint8), window) > 0
     height = height_m * camera.fy_px / np.maximum(depth, 1e-6) / camera.height_px
-    chosen = level & (rows / camera.height_px - height > _MARGIN)
+    share = rows / camera.height_px
+    chosen = level & (share - height > _MARGIN) & (share < 1 - _GROUND)
     if not chosen.any():
         return None
     x = (columns - 0.5 * camera.width_px) / camera.width_px
