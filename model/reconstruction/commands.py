@@ -56,6 +56,10 @@ def infer(
     max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = 640,
     atlas: Annotated[str, typer.Option("--atlas", help="Side in texels, or auto.")] = "auto",
     visibility: Annotated[str, typer.Option("--visibility", help="depth, or trace.")] = "depth",
+    weights: Annotated[
+        str,
+        typer.Option("--weights", help="Of the medians over views: none, angle, distance, confidence, all."),
+    ] = "none",
     precision: Annotated[str, typer.Option("--precision", help="auto, float32 or bfloat16.")] = "auto",
     device: Annotated[str, typer.Option("--device", help="cpu or cuda, for the networks.")] = "cpu",
     no_filter: Annotated[bool, typer.Option("--no-filter", help="Leave the bilateral solver out.")] = False,
@@ -79,6 +83,7 @@ def infer(
     choices: dict[str, tuple[str, tuple[str, ...]]] = {
         "--visibility": (visibility, ("depth", "trace")),
         "--precision": (precision, ("auto", "float32", "bfloat16")),
+        "--weights": (weights, ("none", "angle", "distance", "confidence", "all")),
     }
     check_choices(choices)
     if atlas != "auto" and not atlas.isdigit():
@@ -88,7 +93,7 @@ def infer(
     )
     if checkpoint is None and not truth:
         checkpoint = bundled_checkpoint()
-    doing: dict[str, Any] = {"visibility": visibility, "precision": precision}
+    doing: dict[str, Any] = {"visibility": visibility, "precision": precision, "weights": weights}
     options = InferOptions(
         atlas="auto" if atlas == "auto" else int(atlas),
         is_filtered=not no_filter,

@@ -15,21 +15,19 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, input_error
+from datagen.errors import input_error
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage
-from datagen.formats.exr import decode_view, encode_view
-from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+from datagen.multiview.statistics import StatisticsView
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.check import Look, check_looks, view_warnings
@@ -41,81 +39,21 @@ from model.reconstruction.geometry import (
     seen_sides,
     smooth_regions,
 )
-from model.reconstruction.merge import MAP_CHANNELS, Atlas, MapMerger, MapView, MergeOptions, empty_atlas
+from model.reconstruction.infer_options import GivenMaps, InferOptions, InferReport, Progress
+from model.reconstruction.merge import (
+    MAP_NAMES,
+    Atlas,
+    MapMerger,
+    MapView,
+    MergeOptions,
+    empty_atlas,
+)
 from model.reconstruction.texels import TexelSurface
 from model.reconstruction.uv import UvReport, unwrapped
 
-MAP_NAMES = tuple(MAP_CHANNELS)
-Progress = Callable[[str, int, int], None]
+__all__ = ["MAP_NAMES", "GivenMaps", "InferOptions", "InferReport", "infer"]
 MEMORY_ATLAS = 4096
 """Atlases up to this side are held in memory, larger ones in files beside the result while they are made."""
-
-
-@dataclass(frozen=True)
-class InferOptions:
-    """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``use_truth`` merges
-    the capture's own ground truth instead of predictions: what the rest of the way loses. ``is_checked``:
-    whether the mesh is compared with the photographs first."""
-
-    atlas: int | Literal["auto"] = "auto"
-    visibility: Literal["depth", "trace"] = "depth"
-    precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    batch: int = 4
-    is_filtered: bool = True
-    device: str = "cpu"
-    use_truth: bool = False
-    has_exr: bool = True
-    is_checked: bool = True
-    jobs: int = 2
-
-    def __post_init__(self) -> None:
-        if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
-            raise input_error("infer", "atlas", self.atlas, "auto, or a side in [16, 16384]", "correct it")
-
-
-@dataclass(frozen=True)
-class GivenMaps:
-    """Maps of a capture's views from elsewhere than a checkpoint: ``read`` gives each view's by name, (H, W,
-    3 or 1) in [0, 1]; ``identity`` tells them from others."""
-
-    identity: str
-    read: Callable[[Capture, Sequence[StatisticsView]], list[dict[str, NDArray]]]
-
-
-@dataclass
-class InferReport:
-    """What was done. ``seconds`` by stage; ``warnings`` name views where they concern one."""
-
-    name: str = ""
-    num_views: int = 0
-    num_triangles: int = 0
-    atlas_size: int = 0
-    seen_share: float = 0.0
-    exposure: float = 0.0
-    unwrap: dict[str, Any] = field(default_factory=dict)
-    precision: str = ""
-    is_filtered: bool = False
-    gltf_error: dict[str, float] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the time inside to a stage."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
-
-    def table(self) -> str:
-        """The stages and their seconds, for the end of a run."""
-        total = sum(self.seconds.values())
-        rows = [*self.seconds.items(), ("total", total)]
-        return "\n".join(
-            f"{name:<12}{seconds:>9.1f} s{seconds / max(total, 1e-9):>8.0%}" for name, seconds in rows
-        )
 
 
 @dataclass
@@ -180,7 +118,9 @@ def _infer(
         with report.stage("read maps"):
             maps = maps_from.read(capture, seen.statistics)
     else:
-        maps = _predict(capture, seen, traced, out, maps_from, options, report, tell)
+        from model.reconstruction.view_maps import predicted_maps  # torch is not needed for given maps
+
+        maps = predicted_maps(capture, seen.statistics, traced, out, maps_from, options, report, tell)
     with report.stage("unwrap"):
         sides = seen_sides(seen.geometry, report.num_triangles)
         mesh, unwrap = unwrapped(traced.mesh, options.jobs)
@@ -190,6 +130,7 @@ def _infer(
         report.notes += unwrap.notes
     with _atlas_memory(report.atlas_size, out) as atlas:
         with report.stage("merge"):
+            seen.statistics.clear()  # images and normals are not needed any more; the merge is large
             _merge(capture, seen, traced, maps, (mesh, sides), atlas, options, tell)
             report.seen_share = _seen_share(atlas)
         with report.stage("fill"):
@@ -292,92 +233,6 @@ def _truth(view: CaptureView) -> dict[str, NDArray]:
 TRUTH = GivenMaps("truth", lambda capture, _: [_truth(view) for view in capture.views])
 
 
-def _predict(
-    capture: Capture,
-    seen: _Seen,
-    traced: TracedGeometry,
-    out: Path,
-    checkpoint_path: Path,
-    options: InferOptions,
-    report: InferReport,
-    tell: Progress,
-) -> list[dict[str, NDArray]]:
-    """Maps of all views: those on disk, and the rest predicted and written there."""
-    from model.checkpoint import load_checkpoint
-    from model.reconstruction.predict import PredictOptions, Predictor, capture_exposure, view_tensors
-
-    with report.stage("predict"):
-        checkpoint = load_checkpoint(checkpoint_path, options.device)
-        report.exposure = capture_exposure(seen.statistics)
-        predict_options = PredictOptions(
-            options.precision, options.batch, options.is_filtered, options.device
-        )
-        predictor = Predictor(checkpoint, report.exposure, predict_options)
-    report.precision = str(predictor.dtype).removeprefix("torch.")
-    report.is_filtered = predictor.is_filtered
-    if options.is_filtered and not predictor.is_filtered:
-        report.notes.append("the checkpoint has no confidence networks: maps are not filtered")
-    maps: list[dict[str, NDArray] | None] = [_stored(out, view) for view in capture.views]
-    batches = _batches(capture, options.batch)
-    pending = [batch for batch in batches if any(maps[index] is None for index in batch)]
-    statistics = compute_statistics(
-        seen.statistics,
-        StatisticsOptions(visibility=VisibilityOptions(mode=options.visibility)),
-        traced.scene if options.visibility == "trace" else None,
-        only=[index for batch in pending for index in batch],
-    )
-    for batch in pending:
-        tensors = []
-        for index in batch:
-            with report.stage("statistics"):
-                gathered = next(statistics)
-            tensors.append(view_tensors(capture.views[index].camera, seen.statistics[index], gathered))
-        with report.stage("predict"):
-            predicted = predictor.predict(tensors)
-        with report.stage("write maps"):
-            for index, view_maps in zip(batch, predicted, strict=True):
-                if maps[index] is None:
-                    write_bytes_atomically(_map_path(out, capture.views[index]), encode_view(view_maps))
-                    maps[index] = _halves(view_maps)
-        tell("predict", sum(m is not None for m in maps), len(maps))
-    return [view_maps for view_maps in maps if view_maps is not None]
-
-
-def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Views of one size in a row, at most ``size`` of them. They do not depend on what was done before: in
-    another company a view's maps would round differently."""
-    batches: list[list[int]] = []
-    for index, camera in enumerate(capture.cameras):
-        last = capture.cameras[batches[-1][-1]] if batches else None
-        fits = last is not None and (last.width_px, last.height_px) == (camera.width_px, camera.height_px)
-        if fits and len(batches[-1]) < size:
-            batches[-1].append(index)
-        else:
-            batches.append([index])
-    return batches
-
-
-def _halves(maps: dict[str, NDArray]) -> dict[str, NDArray]:
-    """As they are stored, so that a continued run equals an uninterrupted one."""
-    return {name: values.astype(np.float16) for name, values in maps.items()}
-
-
-def _map_path(out: Path, view: CaptureView) -> Path:
-    return out / "views" / f"{view.name}.exr"
-
-
-def _stored(out: Path, view: CaptureView) -> dict[str, NDArray] | None:
-    path = _map_path(out, view)
-    if not path.is_file():
-        return None
-    try:
-        maps = decode_view(path, MAP_NAMES)
-    except InputError:
-        return None  # damaged: predicted again
-    shape = (view.camera.height_px, view.camera.width_px)
-    return maps if all(values.shape[:2] == shape for values in maps.values()) else None
-
-
 def _choose_size(capture: Capture, seen: _Seen, unwrap: UvReport, options: InferOptions) -> int:
     if options.atlas != "auto":
         return options.atlas
@@ -412,12 +267,18 @@ def _merge(
             np.where(geometry.surface_mask > 0, geometry.depth_z_m, 0),
             geometry.face,
             view.name,
+            view_maps.get("confidence"),
         )
         for view, view_maps, geometry in zip(capture.views, maps, seen.geometry, strict=True)
     ]
-    merge_options = MergeOptions(visibility=VisibilityOptions(mode=options.visibility))
+    merge_options = MergeOptions(
+        visibility=VisibilityOptions(mode=options.visibility), weights=options.weights
+    )
     scene = traced.scene if options.visibility == "trace" else None
     merger = MapMerger(views, merge_options, scene, smooth_regions(traced.mesh))
+    views.clear()
+    maps.clear()  # the merger holds what it needs of them
+    seen.geometry.clear()
     surface = TexelSurface(mesh, face_normals(mesh, sides), atlas.size)
     merger.merge(surface, atlas, lambda done, total: tell("merge", done, total))
 

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 MAP_CHANNELS = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1}
 """Maps that are merged and their channels, in the order of the packed storage."""
+MAP_NAMES = tuple(MAP_CHANNELS)
 ATLAS_DTYPE = np.float16
 DEFAULT_TILE = 512
 Weights = Literal["none", "angle", "distance", "confidence", "all"]

@@ -18,9 +18,10 @@ from torch import Tensor
 
 from datagen.cameras import Camera
 from datagen.color import exposure_for
+from datagen.errors import input_error
 from datagen.multiview.statistics import StatisticsView
 from model.checkpoint import Checkpoint
-from model.confidence import filter_maps
+from model.confidence import FILTERED_MAPS, filter_maps
 from model.networks import encode_color
 
 Precision = Literal["auto", "float32", "bfloat16"]
@@ -30,12 +31,14 @@ _EXPOSURE_STEP = 5  # every fifth pixel decides a percentile as well as all do
 @dataclass(frozen=True)
 class PredictOptions:
     """``precision`` auto is bfloat16 where the device computes in it; ``batch`` views at a time;
-    ``is_filtered`` runs the bilateral solver where the checkpoint has confidence networks."""
+    ``is_filtered`` runs the bilateral solver where the checkpoint has confidence networks;
+    ``has_confidence`` returns what they say."""
 
     precision: Precision = "auto"
     batch: int = 4
     is_filtered: bool = True
     device: str = "cpu"
+    has_confidence: bool = False
 
 
 def has_fast_bfloat16(device: str) -> bool:
@@ -85,18 +88,27 @@ class Predictor:
         )
         self.dtype = torch.bfloat16 if wants_bfloat16 else torch.float32
         self._network = checkpoint.network.to(device).to(memory_format=torch.channels_last)  # type: ignore
-        confidence = checkpoint.confidence if self.options.is_filtered else None
+        confidence = checkpoint.confidence
+        if self.options.has_confidence and confidence is None:
+            expected = "a checkpoint with confidence networks"
+            raise input_error("infer", "weights", "confidence", expected, "use other weights or train them")
         self._confidence = confidence.to(device) if confidence is not None else None
         self._solver = checkpoint.card.solver
 
     @property
     def is_filtered(self) -> bool:
         """Whether the bilateral solver runs."""
-        return self._confidence is not None
+        return self.options.is_filtered and self._confidence is not None
+
+    @property
+    def has_confidence(self) -> bool:
+        """Whether predictions come with their confidence."""
+        return self.options.has_confidence
 
     @torch.no_grad()
     def predict(self, batch: Sequence[dict[str, Tensor]]) -> list[dict[str, NDArray[np.float32]]]:
-        """Maps (H, W, 3 or 1) in [0, 1] of views of one size, from :func:`view_tensors`."""
+        """Maps (H, W, 3 or 1) in [0, 1] of views of one size, from :func:`view_tensors`; with
+        ``has_confidence`` also ``confidence`` (H, W, 3) in [0, 1] of D (always 1), S and R."""
         device = self.options.device
         names = list(batch[0])
         tensors = {name: torch.cat([view[name] for view in batch]).to(device) for name in names}
@@ -105,8 +117,14 @@ class Predictor:
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             maps = self._network(tensors, exposure, depth_max)
         maps = {name: value.float().contiguous() for name, value in maps.items()}
-        if self._confidence is not None:
+        if self._confidence is not None and (self.is_filtered or self.has_confidence):
             image = encode_color(tensors["beauty"], self.exposure)
-            maps = filter_maps(maps, self._confidence(image, maps), self._solver)
+            confidences = self._confidence(image, maps)
+            if self.is_filtered:
+                maps = filter_maps(maps, confidences, self._solver)
+            if self.has_confidence:
+                of_specular, of_roughness = (confidences[name] for name in FILTERED_MAPS)
+                of_diffuse = torch.ones_like(of_specular)
+                maps["confidence"] = torch.cat([of_diffuse, of_specular, of_roughness], dim=1)
         arrays = {name: value.permute(0, 2, 3, 1).cpu().numpy() for name, value in maps.items()}
         return [{name: value[k] for name, value in arrays.items()} for k in range(len(batch))]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -310,6 +310,28 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
     assert json.loads((part / "report.json").read_text())["num_views"] == 8
     with pytest.raises(InputError, match="other work"):
         infer(rendered.capture(), part, rendered.checkpoint, InferOptions(atlas=128, precision="bfloat16"))
+
+
+def test_weights_by_confidence_continue_too(rendered: Rendered) -> None:
+    """Confidence is kept beside the maps: where it is missing the view is predicted again, to the same
+    maps; given maps have none."""
+    out = rendered.root / "weighted"
+    options = InferOptions(atlas=128, precision="float32", batch=2, weights="all", has_exr=False)
+    infer(rendered.capture(), out, rendered.checkpoint, options)
+    first = {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())}
+    atlas = (out / "atlas" / "roughness.png").read_bytes()
+    confidence = np.load(out / "views" / "view-000.confidence.npy").astype(np.float32)
+    assert confidence.shape == (SIZE[1], SIZE[0], 3) and (confidence[..., 0] == 1).all()
+    assert confidence[..., 1:].max() == 1 and confidence[..., 1:].std() > 1e-4
+    (out / "views" / "view-000.confidence.npy").unlink()
+    (out / "views" / "view-003.confidence.npy").write_bytes(b"damaged")
+    infer(rendered.capture(), out, rendered.checkpoint, options)
+    assert {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())} == first
+    assert (out / "atlas" / "roughness.png").read_bytes() == atlas
+    infer(rendered.capture(), out, rendered.checkpoint, replace(options, weights="none"))
+    assert (out / "atlas" / "roughness.png").read_bytes() != atlas
+    with pytest.raises(InputError, match="a confidence of every view"):
+        infer(rendered.capture(), rendered.root / "none", None, replace(options, use_truth=True))
 
 
 def test_a_mesh_elsewhere_is_refused(rendered: Rendered, tmp_path: Path) -> None:

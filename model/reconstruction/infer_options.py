@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: MIT
+"""What a run of ``materials infer`` is told, and what it tells."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from datagen.errors import input_error
+from datagen.formats.capture import Capture
+from datagen.multiview.statistics import StatisticsView
+from model.reconstruction.merge import Weights
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class InferOptions:
+    """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``use_truth`` merges
+    the capture's own ground truth instead of predictions: what the rest of the way loses. ``is_checked``:
+    whether the mesh is compared with the photographs first. ``weights`` of the medians over views, see
+    :class:`~model.reconstruction.merge.MergeOptions`; confidence takes the checkpoint's."""
+
+    atlas: int | Literal["auto"] = "auto"
+    visibility: Literal["depth", "trace"] = "depth"
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    batch: int = 4
+    is_filtered: bool = True
+    device: str = "cpu"
+    use_truth: bool = False
+    has_exr: bool = True
+    is_checked: bool = True
+    jobs: int = 2
+    weights: Weights = "none"
+
+    def __post_init__(self) -> None:
+        if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
+            raise input_error("infer", "atlas", self.atlas, "auto, or a side in [16, 16384]", "correct it")
+
+
+@dataclass(frozen=True)
+class GivenMaps:
+    """Maps of a capture's views from elsewhere than a checkpoint: ``read`` gives each view's by name, (H, W,
+    3 or 1) in [0, 1]; ``identity`` tells them from others."""
+
+    identity: str
+    read: Callable[[Capture, Sequence[StatisticsView]], list[dict[str, NDArray]]]
+
+
+@dataclass
+class InferReport:
+    """What was done. ``seconds`` by stage; ``warnings`` name views where they concern one."""
+
+    name: str = ""
+    num_views: int = 0
+    num_triangles: int = 0
+    atlas_size: int = 0
+    seen_share: float = 0.0
+    exposure: float = 0.0
+    unwrap: dict[str, Any] = field(default_factory=dict)
+    precision: str = ""
+    is_filtered: bool = False
+    gltf_error: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time inside to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def table(self) -> str:
+        """The stages and their seconds, for the end of a run."""
+        total = sum(self.seconds.values())
+        rows = [*self.seconds.items(), ("total", total)]
+        return "\n".join(
+            f"{name:<12}{seconds:>9.1f} s{seconds / max(total, 1e-9):>8.0%}" for name, seconds in rows
+        )

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Maps of a capture's views from a checkpoint, kept on disk view by view: a run that was stopped continues
+after them."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.errors import InputError
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.capture import Capture, CaptureView
+from datagen.formats.exr import decode_view, encode_view
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+from datagen.multiview.visibility import VisibilityOptions
+from model.checkpoint import load_checkpoint
+from model.reconstruction.geometry import TracedGeometry
+from model.reconstruction.infer_options import InferOptions, InferReport, Progress
+from model.reconstruction.merge import MAP_NAMES
+from model.reconstruction.predict import PredictOptions, Predictor, capture_exposure, view_tensors
+
+USUAL_PIXELS = 640 * 384
+"""Views of more pixels go in smaller batches, so that a batch's memory has a bound."""
+
+
+def predicted_maps(
+    capture: Capture,
+    views: list[StatisticsView],
+    traced: TracedGeometry,
+    out: Path,
+    checkpoint_path: Path,
+    options: InferOptions,
+    report: InferReport,
+    tell: Progress,
+) -> list[dict[str, NDArray]]:
+    """Maps of all views: those on disk, and the rest predicted and written there."""
+    with report.stage("predict"):
+        checkpoint = load_checkpoint(checkpoint_path, options.device)
+        report.exposure = capture_exposure(views)
+        predict_options = PredictOptions(
+            options.precision,
+            options.batch,
+            options.is_filtered,
+            options.device,
+            has_confidence=options.weights in ("confidence", "all"),
+        )
+        predictor = Predictor(checkpoint, report.exposure, predict_options)
+    report.precision = str(predictor.dtype).removeprefix("torch.")
+    report.is_filtered = predictor.is_filtered
+    if options.is_filtered and not predictor.is_filtered:
+        report.notes.append("the checkpoint has no confidence networks: maps are not filtered")
+    wants_confidence = predictor.has_confidence
+    maps: list[dict[str, NDArray] | None] = [_stored(out, view, wants_confidence) for view in capture.views]
+    batches = _batches(capture, options.batch)
+    pending = [batch for batch in batches if any(maps[index] is None for index in batch)]
+    statistics = compute_statistics(
+        views,
+        StatisticsOptions(visibility=VisibilityOptions(mode=options.visibility)),
+        traced.scene if options.visibility == "trace" else None,
+        only=[index for batch in pending for index in batch],
+    )
+    for batch in pending:
+        tensors = []
+        for index in batch:
+            with report.stage("statistics"):
+                gathered = next(statistics)
+            tensors.append(view_tensors(capture.views[index].camera, views[index], gathered))
+        with report.stage("predict"):
+            predicted = predictor.predict(tensors)
+        with report.stage("write maps"):
+            for index, view_maps in zip(batch, predicted, strict=True):
+                if maps[index] is None:
+                    maps[index] = _halves(view_maps)
+                    _store(out, capture.views[index], view_maps)
+        tell("predict", sum(m is not None for m in maps), len(maps))
+    return [view_maps for view_maps in maps if view_maps is not None]
+
+
+def _batches(capture: Capture, size: int) -> list[list[int]]:
+    """Views of one size in a row, at most ``size`` of them, of large ones fewer.
+
+    They do not depend on what was done before: in another company a view's maps would round differently.
+    """
+    batches: list[list[int]] = []
+    for index, camera in enumerate(capture.cameras):
+        last = capture.cameras[batches[-1][-1]] if batches else None
+        fits = last is not None and (last.width_px, last.height_px) == (camera.width_px, camera.height_px)
+        most = min(size, size * USUAL_PIXELS // (camera.width_px * camera.height_px))
+        if fits and len(batches[-1]) < most:
+            batches[-1].append(index)
+        else:
+            batches.append([index])
+    return batches
+
+
+def _halves(maps: dict[str, NDArray]) -> dict[str, NDArray]:
+    """As they are stored, so that a continued run equals an uninterrupted one."""
+    return {name: values.astype(np.float16) for name, values in maps.items()}
+
+
+def _map_path(out: Path, view: CaptureView) -> Path:
+    return out / "views" / f"{view.name}.exr"
+
+
+def _confidence_path(out: Path, view: CaptureView) -> Path:
+    return out / "views" / f"{view.name}.confidence.npy"
+
+
+def _store(out: Path, view: CaptureView, maps: dict[str, NDArray]) -> None:
+    if "confidence" in maps:
+        stream = io.BytesIO()
+        np.save(stream, maps["confidence"].astype(np.float16))
+        write_bytes_atomically(_confidence_path(out, view), stream.getvalue())
+    write_bytes_atomically(_map_path(out, view), encode_view({name: maps[name] for name in MAP_NAMES}))
+
+
+def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> dict[str, NDArray] | None:
+    path, confidence_path = _map_path(out, view), _confidence_path(out, view)
+    if not path.is_file() or (wants_confidence and not confidence_path.is_file()):
+        return None
+    try:
+        maps = decode_view(path, MAP_NAMES)
+        if wants_confidence:
+            maps["confidence"] = np.load(confidence_path)
+    except (InputError, ValueError, EOFError):
+        return None  # damaged: predicted again
+    shape = (view.camera.height_px, view.camera.width_px)
+    return maps if all(values.shape[:2] == shape for values in maps.values()) else None
