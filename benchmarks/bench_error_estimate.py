@@ -35,7 +35,7 @@ from datagen.formats.recipe import QUALITIES, AssetFilter, Recipe, RenderRecipe
 from datagen.library import Library, resolve_library_paths
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
-from datagen.rendering.sample_budget import FIRST_SAMPLES, PathSums
+from datagen.rendering.sample_budget import PathSums, SampleBudget
 
 BUNDLED = ("living_room", "kitchen", "bathroom")
 IMPORTED = ("staircase", "veach-ajar", "bathroom2")
@@ -107,8 +107,8 @@ def reference(
     if not path.is_file():
         sensor = renderer._sensor(renderer.configuration.cameras[index].camera())
         sums = PathSums()
-        while sums.num_samples < samples:
-            seed = 0x5EED0000 + 0x10000 * half + sums.num_samples // CHUNK
+        for number in range(math.ceil(samples / CHUNK)):
+            seed = 0x5EED0000 + 0x10000 * half + number
             sums = sums + renderer._tracer.add_up(sensor, CHUNK, seed)
         partial = path.with_suffix(".partial")
         with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": sums.mean()}) as file:
@@ -132,16 +132,17 @@ def measure_view(
     """Estimated and true error of a view after each pass, as the renderer would have stopped there."""
     view = renderer._begin(index)
     first, second = (image + view.seen_lights for image in pair)
-    total = FIRST_SAMPLES
-    while total <= most:
-        renderer._add_pass(view, total)
+    budget = SampleBudget(0.0, most)  # goes on to the end
+    counts = budget.first_counts(view.seen_lights.shape[:2])
+    while counts.any():
+        renderer._add_pass(view, counts)
         estimate = view.estimate = renderer._estimate(view)
         finished = renderer._finish(view).buffers["beauty"]
         halves = [renderer._denoise(view, half.mean()) + view.seen_lights for half in view.halves]
         yield Point(
             scene=scene,
             view=renderer.configuration.cameras[index].name,
-            samples=total,
+            samples=round(sum(half.mean_samples for half in view.halves)),
             estimated=estimate.rel_mse,
             true=relative_mse(finished, first, second, exposed=True),
             true_of_average=relative_mse(0.5 * (halves[0] + halves[1]), first, second, exposed=True),
@@ -151,7 +152,7 @@ def measure_view(
             bias_error=estimate.bias_error,
             removed_share=(view.halves[0] + view.halves[1]).removed_share(),
         )
-        total *= 2
+        counts = budget.next_counts(view.halves[0].counts, estimate)
 
 
 def stopped(points: list[Point], target: float) -> list[Point]:

@@ -18,9 +18,10 @@ from datagen.formats.configuration import Split, ViewCamera
 class RenderRecord(StrictModel):
     """How a view was rendered. ``clipped_pixels`` exceeded the range of half floats.
 
-    ``path_samples`` light paths a pixel were traced. Where they followed from a target, ``estimated_rel_mse``
-    is the error that was estimated from independent halves (exposed relMSE of the beauty image), and
-    ``at_ceiling`` says that the samples ran out before the target was met. ``firefly_clamp_radiance`` is the
+    ``path_samples`` light paths a pixel were traced, as a mean over the image. Where they followed from a
+    target, ``most_path_samples`` is the largest number of a pixel, ``estimated_rel_mse`` the error that was
+    estimated from independent halves (exposed relMSE of the beauty image), and ``at_ceiling`` says that the
+    samples ran out before the target was met. ``firefly_clamp_radiance`` is the
     most that a path could bring by two or more reflections, ``clamped_energy`` the share of the luminance
     that this took away. ``max_energy_left`` bounds the share of the light that paths longer than
     ``max_depth`` would have brought.
@@ -28,12 +29,13 @@ class RenderRecord(StrictModel):
 
     variant: str
     seed: Annotated[int, Field(ge=0)]
-    path_samples: int
+    path_samples: NonNegative
     auxiliary_samples: int
     max_depth: int
     russian_roulette_depth: int
     denoiser: str
     clipped_pixels: int = 0
+    most_path_samples: Annotated[int, Field(ge=1)] | None = None
     estimated_rel_mse: NonNegative | None = None
     at_ceiling: bool = False
     firefly_clamp_radiance: NonNegative | None = None

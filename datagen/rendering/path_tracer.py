@@ -79,14 +79,14 @@ class PathTracer:
     def add_up(
         self,
         sensor: Any,
-        num_samples: int,
+        num_samples: int | NDArray[np.int64],
         seed: int,
         *,
         with_seen_lights: bool = False,
         limit: float = math.inf,
         grid: tuple[int, int] | None = None,
     ) -> PathSums:
-        """Sums over ``num_samples`` paths a pixel.
+        """Sums over ``num_samples`` paths a pixel: one number, or one for each pixel (H, W).
 
         Where the light that a path brings by two or more reflections exceeds ``limit`` in its largest
         channel, it is scaled down to it, and what that takes away is added up too. Direct light is never
@@ -94,29 +94,38 @@ class PathTracer:
         cells than its pixels. All calls share one kernel.
         """
         width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
-        num_per_launch = max(1, min(num_samples, MAX_LANES // (width * height)))
-        sums = PathSums()
-        while sums.num_samples < num_samples:
-            count = min(num_per_launch, num_samples - sums.num_samples)
-            launch_seed = (seed + 0x9E3779B9 * sums.num_samples) & 0xFFFFFFFF
-            sums = sums + self._launch(sensor, (width, height), count, launch_seed, with_seen_lights, limit)
-        return sums
+        wanted = np.broadcast_to(np.asarray(num_samples, np.int64), (height, width)).ravel()
+        step = int(np.gcd.reduce(wanted))  # samples of one entry of the list of pixels
+        cells = np.repeat(np.arange(wanted.size, dtype=np.uint32), wanted // max(step, 1))
+        num_per_launch = MAX_LANES // max(step, 1)
+        sums = np.zeros((wanted.size, 4))
+        for number, start in enumerate(range(0, cells.size, num_per_launch)):
+            launch_seed = (seed + 0x9E3779B9 * number) & 0xFFFFFFFF
+            chosen = cells[start : start + num_per_launch]
+            values = self._launch(sensor, (width, height), chosen, step, launch_seed, with_seen_lights, limit)
+            for channel in range(4):  # in the order of the list, whatever the threads did
+                sums[:, channel] += np.bincount(chosen, values[channel], wanted.size)
+        image = sums.reshape(height, width, 4)
+        return PathSums(image[..., :3], image[..., 3], wanted.reshape(height, width))
 
     def _launch(
         self,
         sensor: Any,
         size: tuple[int, int],
+        cells: NDArray[np.uint32],
         count: int,
         seed: int,
         with_seen_lights: bool,
         limit: float,
-    ) -> PathSums:
-        """Sums over ``count`` samples of each cell."""
-        num_lanes = size[0] * size[1] * count
+    ) -> list[NDArray[np.float64]]:
+        """Sums over ``count`` samples of each entry of ``cells``, flat indices (N,): red, green, blue and
+        what the clamp took away, (N,) each."""
+        num_lanes = cells.size * count
         with dr.suspend_grad():
             self._sampler.seed(seed, num_lanes)
             width, height = dr.opaque(mi.UInt32, size[0]), dr.opaque(mi.UInt32, size[1])
-            pixel: Any = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
+            entry: Any = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
+            pixel: Any = dr.gather(mi.UInt32, mi.UInt32(cells), entry)
             row: Any = pixel // width
             offset: Any = self._sampler.next_2d()
             position = mi.Point2f(
@@ -130,9 +139,7 @@ class PathTracer:
             dr.eval(channels)
             sums = [dr.block_sum(channel, count) for channel in channels]
             dr.eval(sums)
-        image = np.stack([np.array(s) for s in sums], axis=-1).astype(np.float64)
-        image = image.reshape(size[1], size[0], 4)
-        return PathSums(image[..., :3], image[..., 3], count)
+        return [np.array(s).astype(np.float64) for s in sums]
 
     def render_seen_lights(
         self, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int

@@ -229,14 +229,14 @@ class SceneRenderer:
         if self._budget is None:
             self._add_pass(view, self.recipe.path_samples or 0)
         else:
-            total, following = 0, self._budget.first_total()
-            while following > total:
-                total = following
-                self._add_pass(view, total)
+            camera = self.configuration.cameras[index].camera()
+            counts = self._budget.first_counts((camera.height_px, camera.width_px))
+            while counts.any():
+                self._add_pass(view, counts)
                 future = pool.submit(self._estimate, view)
                 yield future
                 view.estimate = future.result()
-                following = self._budget.next_total(total, view.estimate)
+                counts = self._budget.next_counts(view.halves[0].counts, view.estimate)
         finishing = pool.submit(self._finish, view)
         yield finishing
         return finishing.result()
@@ -296,22 +296,19 @@ class SceneRenderer:
         cell_px = max(1, math.isqrt(width * height // COARSE_CELLS))
         grid = (math.ceil(width / cell_px), math.ceil(height / cell_px))
         coarse = self._tracer.add_up(sensor, COARSE_SAMPLES, self._seed(index, "exposure"), grid=grid)
-        image = coarse.radiance / coarse.num_samples
+        image = coarse.radiance / COARSE_SAMPLES
         if np.count_nonzero(image.any(axis=-1)) < 0.05 * image[..., 0].size:
             return math.inf
         return self.recipe.firefly_clamp / exposure_for(image)
 
-    def _add_pass(self, view: _ViewInProgress, total: int) -> None:
-        """Trace what is missing to ``total`` samples a pixel; a budget's passes feed two halves evenly."""
+    def _add_pass(self, view: _ViewInProgress, counts: int | NDArray[np.int64]) -> None:
+        """Trace ``counts`` more samples a pixel, (H, W) or one number; with a budget, for each half."""
         start = time.perf_counter()
         sensor = self._sensor(self.configuration.cameras[view.index].camera())
-        if self._budget is None:
-            samples, seeds = [total], [self._seed(view.index, "path")]
-        else:
-            samples = [total // 2 - half.num_samples for half in view.halves]
-            seeds = [self._seed(view.index, f"path/{view.num_passes}/{half}") for half in "ab"]
-        for half, (count, seed) in enumerate(zip(samples, seeds, strict=True)):
-            sums = self._tracer.add_up(sensor, count, seed, limit=view.clamp_limit)
+        purposes = ["path"] if self._budget is None else [f"path/{view.num_passes}/{half}" for half in "ab"]
+        for half, purpose in enumerate(purposes):
+            seed = self._seed(view.index, purpose)
+            sums = self._tracer.add_up(sensor, counts, seed, limit=view.clamp_limit)
             view.halves[half] = view.halves[half] + sums
         view.num_passes += 1
         view.seconds["path"] = view.seconds.get("path", 0.0) + time.perf_counter() - start
@@ -372,7 +369,7 @@ class SceneRenderer:
         record = RenderRecord(
             variant=self.variant,
             seed=self._seed(view.index, "path"),
-            path_samples=sums.num_samples,
+            path_samples=quantized(sums.mean_samples, 4),
             auxiliary_samples=self.recipe.auxiliary_samples,
             max_depth=self._max_depth,
             russian_roulette_depth=self.recipe.russian_roulette_depth,
@@ -394,6 +391,7 @@ class SceneRenderer:
         if self._budget is not None and view.estimate is not None:
             fields["estimated_rel_mse"] = quantized(view.estimate.rel_mse, 4)
             fields["at_ceiling"] = not self._budget.is_met(view.estimate)
+            fields["most_path_samples"] = int(sums.counts.max())
         if math.isfinite(view.clamp_limit):
             fields["firefly_clamp_radiance"] = quantized(view.clamp_limit, 6)
             fields["clamped_energy"] = quantized(sums.removed_share(), 4)

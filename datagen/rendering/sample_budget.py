@@ -34,47 +34,66 @@ from datagen.color import exposure_for, luminance
 from datagen.rendering.error import EPSILON
 
 FIRST_SAMPLES = 4
-"""Samples of the first pass, both halves together; later passes double the total."""
+"""Samples of the first pass, both halves together."""
+UNIFORM_SAMPLES = 8
+"""Samples that every pixel gets before later passes go where the error is."""
 BIAS_PER_SPREAD = 1.0
 """Squared bias of a denoised half over its spread, as far as nothing better is known (decision 70)."""
+TILE_PX = 16
+"""Side of the blocks that get the same number of samples: so large that one wild pixel does not decide."""
+MOST_GROWTH = 4
+"""A pass multiplies the samples of a tile by this at most: what is known of it comes from few samples."""
+LEAST_SHARE = 0.05
+"""Error that every tile is believed to have, over the mean of the tiles: light that no sample has met yet."""
+SAMPLE_STEP = 4
+"""What a tile gets more in one half is a multiple of this, so that lists of pixels stay short."""
 
 
 @dataclass(frozen=True)
 class PathSums:
-    """What ``num_samples`` light paths a pixel brought: ``radiance`` (H, W, 3), summed, and the luminance
-    (H, W) that a clamp took away from it; both float64. Nothing yet: zeros that fit any image."""
+    """What light paths brought: ``radiance`` (H, W, 3), summed, and the luminance (H, W) that a clamp took
+    away from it, both float64; ``counts`` (H, W) int64, paths of each pixel. Nothing yet: zeros that fit any
+    image."""
 
     radiance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1, 3)))
     removed_luminance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1)))
-    num_samples: int = 0
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros((1, 1), np.int64))
 
     def __add__(self, other: PathSums) -> PathSums:
         return PathSums(
             self.radiance + other.radiance,
             self.removed_luminance + other.removed_luminance,
-            self.num_samples + other.num_samples,
+            self.counts + other.counts,
         )
+
+    @property
+    def mean_samples(self) -> float:
+        """Mean number of paths a pixel."""
+        return float(self.counts.mean())
 
     def mean(self) -> NDArray[np.float32]:
         """Radiance (H, W, 3)."""
-        return (self.radiance / self.num_samples).astype(np.float32)
+        return (self.radiance / self.counts[..., None]).astype(np.float32)
 
     def removed_share(self) -> float:
         """Share of the luminance that the clamp took away, in [0, 1]."""
-        removed = float(self.removed_luminance.sum())
-        return removed / max(removed + float(luminance(self.radiance).sum()), 1e-300)  # of nothing: 0
+        removed = float((self.removed_luminance / self.counts).sum())
+        kept = float((luminance(self.radiance) / self.counts).sum())
+        return removed / max(removed + kept, 1e-300)  # of nothing: 0
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
     """``rel_mse`` of the finished image and its ``standard_error``; of one half: ``spread``, the squared bias
-    as it was measured (it may be negative) and the standard error of that measurement."""
+    as it was measured (it may be negative) and the standard error of that measurement. ``spread_map`` (H, W):
+    the pixels' parts of the spread, whose mean it is."""
 
     rel_mse: float
     standard_error: float
     spread: float
     measured_bias: float
     bias_error: float
+    spread_map: NDArray[np.float32] = field(default_factory=lambda: np.zeros((1, 1), np.float32))
 
 
 def estimate_error(
@@ -95,15 +114,17 @@ def estimate_error(
     finished = middle + seen_lights
     scale = exposure_for(finished)
     weight = scale**2 / ((scale * finished) ** 2 + EPSILON) / 3.0
-    spread = float((weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).mean())
+    spread_map = (weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).astype(np.float32)
+    spread = float(spread_map.mean(dtype=np.float64))
     if denoised[0] is halves[0]:  # unbiased: the halves' spread is all there is
-        return ErrorEstimate(0.5 * spread + removed_share**2, 0.0, spread, 0.0, 0.0)
+        return ErrorEstimate(0.5 * spread + removed_share**2, 0.0, spread, 0.0, 0.0, spread_map)
     witnessed = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
     measured = float((weight * witnessed).sum(axis=-1).mean()) - spread
     noise = (weight * (a - middle) * (b - middle)).sum(axis=-1)
     bias_error = math.sqrt(float((noise**2).sum())) / noise.size
     bias, standard_error = _squared_bias(spread, measured, bias_error)
-    return ErrorEstimate(0.5 * spread + bias + removed_share**2, standard_error, spread, measured, bias_error)
+    error = 0.5 * spread + bias + removed_share**2
+    return ErrorEstimate(error, standard_error, spread, measured, bias_error, spread_map)
 
 
 def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:
@@ -127,33 +148,89 @@ def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[fl
 
 @dataclass(frozen=True)
 class SampleBudget:
-    """When to stop: a target for the estimated relMSE and the most samples a pixel (at least 2).
+    """When to stop: a target for the estimated relMSE, and the most samples a pixel (at least 2) as a mean
+    over the image, which is what a view costs.
 
-    Totals are even, because both halves have the same number of samples.
+    Both halves have the same samples in each pixel. The first passes are uniform; then samples go to the
+    tiles whose denoised halves differ, as many as bring the image to its target, or twice as many as before.
     """
 
     max_rel_mse: float
     max_samples: int
-
-    def first_total(self) -> int:
-        """Samples of the first pass."""
-        return min(FIRST_SAMPLES, self.ceiling)
 
     def is_met(self, estimate: ErrorEstimate) -> bool:
         """Whether the target is met with a margin of one standard error: few samples of wild noise show a
         small error easily, but do not show it well."""
         return estimate.rel_mse + estimate.standard_error <= self.max_rel_mse
 
-    @property
-    def ceiling(self) -> int:
-        """Most samples, even."""
-        return self.max_samples // 2 * 2
+    def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
+        """Samples of each pixel of one half in the first pass, (H, W)."""
+        return np.full(shape, min(FIRST_SAMPLES, self.max_samples) // 2, np.int64)
 
-    def next_total(self, total: int, estimate: ErrorEstimate) -> int:
-        """Samples a pixel, both halves together, to have after the next pass; ``total`` to stop.
+    def next_counts(self, counts: NDArray[np.int64], estimate: ErrorEstimate) -> NDArray[np.int64]:
+        """Samples to add to each pixel of one half, (H, W); all zero: stop. ``counts`` (H, W) of one half."""
+        nothing = np.zeros_like(counts)
+        if self.is_met(estimate):
+            return nothing
+        mean = float(counts.mean())
+        room = self.max_samples / 2 - mean
+        if 2 * mean < UNIFORM_SAMPLES:
+            return nothing + min(int(room), UNIFORM_SAMPLES // 2 - int(mean))
+        tiles = _Tiles(counts.shape)
+        errors = tiles.means(estimate.spread_map)
+        errors += LEAST_SHARE * float(tiles.means(estimate.spread_map).mean())
+        if not errors.any():
+            errors += 1.0  # the halves agree everywhere: what is wrong is the bias, which says not where
+        before = tiles.means(counts)
+        for share in (0.25, 0.5, 1.0):
+            after = _distribute(errors, before, tiles.areas, min(share * mean, room))
+            gain = (errors * tiles.areas * before / after).sum() / (errors * tiles.areas).sum()
+            if gain * (estimate.rel_mse + estimate.standard_error) <= self.max_rel_mse:
+                break
+        return tiles.spread_out((after - before).astype(np.int64))
 
-        Totals double, so that there are few estimates and not more than twice the samples that were needed.
-        """
-        if self.is_met(estimate) or total >= self.ceiling:
-            return total
-        return min(2 * total, self.ceiling)
+
+class _Tiles:
+    """Blocks of ``TILE_PX`` pixels, smaller ones at the right and lower border."""
+
+    def __init__(self, shape: tuple[int, ...]):
+        self.shape = shape
+        self.starts = [np.arange(0, side, TILE_PX) for side in shape]
+        self.areas = self._sums(np.ones(shape))
+
+    def _sums(self, image: NDArray) -> NDArray[np.float64]:
+        rows = np.add.reduceat(image.astype(np.float64), self.starts[0], axis=0)
+        return np.add.reduceat(rows, self.starts[1], axis=1)
+
+    def means(self, image: NDArray) -> NDArray[np.float64]:
+        """Means (R, C) over the tiles of an image (H, W)."""
+        return self._sums(np.broadcast_to(image, self.shape)) / self.areas
+
+    def spread_out(self, values: NDArray) -> NDArray:
+        """An image (H, W) of values (R, C) of the tiles."""
+        rows, columns = (np.arange(side) // TILE_PX for side in self.shape)
+        return values[rows[:, None], columns[None, :]]
+
+
+def _distribute(
+    errors: NDArray[np.float64], counts: NDArray[np.float64], areas: NDArray[np.float64], added: float
+) -> NDArray[np.float64]:
+    """Counts of tiles after at most ``added`` more samples a pixel, on average, all arrays (R, C).
+
+    An error that falls with the inverse of the samples, as variance does, is least in sum where the counts
+    go with the root of error x count. No tile loses samples, none gets more than ``MOST_GROWTH`` times what
+    it has, and steps are whole.
+    """
+    wanted = np.sqrt(errors * counts)
+    most = float(((counts + added) * areas).sum())
+
+    def counts_at(level: float) -> NDArray[np.float64]:
+        more = np.clip(level * wanted, counts, MOST_GROWTH * counts) - counts
+        return counts + np.floor(more / SAMPLE_STEP) * SAMPLE_STEP
+
+    low, high = 0.0, float((MOST_GROWTH * counts / wanted).max()) * 2.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        fits = float((counts_at(middle) * areas).sum()) <= most
+        low, high = (middle, high) if fits else (low, middle)
+    return counts_at(low)
