@@ -15,7 +15,8 @@ from datagen.formats.capture import Capture, CaptureView
 from datagen.formats.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsView
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
-from model.reconstruction.infer import MAP_NAMES, GivenMaps
+from model.reconstruction.infer_options import GivenMaps
+from model.reconstruction.merge import MAP_NAMES
 from model.reconstruction.predict import capture_exposure
 
 Maps = dict[str, NDArray]

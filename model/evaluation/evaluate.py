@@ -38,7 +38,9 @@ from model.evaluation.test_scene import PreparedScene, TestScene, assert_not_tra
 from model.evaluation.unwrapped_geometry import geometry_for
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.rendered import package_geometry
-from model.reconstruction.infer import MAP_NAMES, InferOptions, infer
+from model.reconstruction.infer import infer
+from model.reconstruction.infer_options import InferOptions
+from model.reconstruction.merge import MAP_NAMES
 
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
@@ -322,7 +324,7 @@ def _reconstruct(
     given = checkpoint = None
     if isinstance(method, NetworkMethod):
         checkpoint = Path(method.checkpoint)
-        options = replace(options, is_filtered=method.is_filtered)
+        options = replace(options, is_filtered=method.is_filtered, weights=method.weights)
     else:
         assert not isinstance(method, TruthMethod)
         given = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from datagen.color import exposure_for, srgb_from_linear
 from datagen.errors import InputError
 from model.evaluation.rendering import JudgedView
-from model.reconstruction.infer import MAP_NAMES
+from model.reconstruction.merge import MAP_NAMES
 
 MAX_PSNR_DB = 99.0  # of equal images, where the formula gives infinity
 _SSIM_SIGMA = 1.5

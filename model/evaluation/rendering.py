@@ -18,7 +18,7 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.inspection.report.figures import surface_pixels
 from datagen.library import Library
 from model.evaluation.scenery import Scenery
-from model.reconstruction.infer import MAP_NAMES
+from model.reconstruction.merge import MAP_NAMES
 
 BUFFERS = ("beauty", *MAP_NAMES, "surface_mask", "depth_z_m", "normal_world")
 

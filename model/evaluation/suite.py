@@ -18,6 +18,7 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.library import bundled_library
 from model.checkpoint import bundled_checkpoint
 from model.evaluation.test_scene import TestScene
+from model.reconstruction.merge import Weights
 
 BUNDLED = "bundled"
 
@@ -52,11 +53,13 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """A checkpoint. One that is not there is left out of the tables, and they say so."""
+    """A checkpoint. One that is not there is left out of the tables, and they say so. ``weights`` of the
+    medians over views, as for ``materials infer``."""
 
     kind: Literal["network"]
     checkpoint: str = BUNDLED
     is_filtered: bool = True
+    weights: Weights = "none"
 
 
 class TextureMethod(_Method):

@@ -98,8 +98,8 @@ th, td { border: 1px solid #ccc; padding: .2rem .5rem; text-align: right; } th {
 td:first-child, th:first-child, td:nth-child(2), th:nth-child(2) { text-align: left; }
 tr.paper td { color: #555; font-style: italic; } .wide { overflow-x: auto; }
 .pictures td { padding: 2px; border: 0; text-align: center; vertical-align: top; }
-.pictures th { border: 0; background: none; } .pictures img { display: block; min-width: 160px;
-       image-rendering: auto; }
+.pictures tr th, .pictures tr th:first-child { border: 0; background: none; text-align: center; }
+td:first-child { white-space: nowrap; } .pictures img { display: block; min-width: 160px; }
 """
 
 
