@@ -18,7 +18,8 @@ Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``-
 renderer against two independent converged images of its own, because the materials differ by more than the
 error asked for (agreement of the two is measured and reported). The peer keeps Blender's clamp of indirect
 light in its reference too, which hides what the clamp takes away: this favours the peer. Its sample count is
-found by doubling until the error is at most ours and by interpolation in logarithms.
+found by doubling until the error is at most ours and by interpolation in logarithms, once with as many
+samples for every pixel and once with Cycles' adaptive sampling; the faster of the two is the peer.
 
 Every step is kept in --out and skipped when it is there: the same command continues. ``--peer-views N``
 renders N views with the peer and states 40 views as the fixed part + 40 x the median of a view.
@@ -211,15 +212,37 @@ class Comparison:
             )
         )
 
-    def peer_samples(self, target: float, pairs: dict[int, Any]) -> tuple[int | None, dict[int, float]]:
+    def peer_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
+        """Time and error of the peer where its error is ``target``; ``kind`` is "fixed" or "adaptive"."""
+        arguments, options = self.arguments, ["--adaptive"] if kind == "adaptive" else []
+        samples, curve = self.peer_samples(target, pairs, kind, options)
+        count = max(LEAST_TIMED, min(arguments.peer_views, arguments.views))
+        rest = [v for v in range(arguments.views) if v not in self.error_views]
+        chosen = rest[:: max(1, len(rest) // max(1, count - len(self.error_views)))]
+        views = sorted([*self.error_views, *chosen[: max(0, count - len(self.error_views))]])
+        used = samples or max(curve)
+        name = f"peer_{kind}_timed_{used}_{len(views)}"
+        peer = self.peer(name, views, used, *options)
+        return {
+            **peer,
+            "sampling": kind,
+            "reached": samples is not None,
+            "rel_mse": self.peer_error(name, pairs),
+            "curve": {str(k): v for k, v in curve.items()},
+            **extrapolated(peer, arguments.views),
+        }
+
+    def peer_samples(
+        self, target: float, pairs: dict[int, Any], kind: str, options: list[str]
+    ) -> tuple[int | None, dict[int, float]]:
         """Least sample count whose error is ``target``, None if the ceiling does not reach it; the curve."""
         curve: dict[int, float] = {}
         samples = FIRST_SAMPLES
         while samples <= self.arguments.max_peer_samples:
-            name = f"peer_{samples}"
-            self.peer(name, self.error_views, samples)
+            name = f"peer_{kind}_{samples}"
+            self.peer(name, self.error_views, samples, *options)
             curve[samples] = self.peer_error(name, pairs)
-            print(f"peer, {samples} samples: relMSE {curve[samples]:.5f}", file=sys.stderr)
+            print(f"peer, {kind}, {samples} samples: relMSE {curve[samples]:.5f}", file=sys.stderr)
             if curve[samples] <= target:
                 return interpolated(curve, target), curve
             samples *= 2
@@ -265,14 +288,8 @@ class Comparison:
         our_errors = {v: relative_mse(i, *pairs["ours"][v], exposed=True) for v, i in images.items()}
         target = float(np.mean(list(our_errors.values())))
         print(f"ours: relMSE {target:.5f}", file=sys.stderr)
-        samples, curve = self.peer_samples(target, pairs["peer"])
-        count = max(LEAST_TIMED, min(arguments.peer_views, arguments.views))
-        rest = [v for v in range(arguments.views) if v not in self.error_views]
-        chosen = rest[:: max(1, len(rest) // max(1, count - len(self.error_views)))]
-        views = sorted([*self.error_views, *chosen[: max(0, count - len(self.error_views))]])
-        used = samples or max(curve)
-        name = f"peer_timed_{used}_{len(views)}"
-        peer = self.peer(name, views, used)
+        peers = [self.peer_at(target, pairs["peer"], kind) for kind in ("fixed", "adaptive")]
+        peers.sort(key=lambda peer: (not peer["reached"], peer["total_cpu_s"]))
         warm_wall = statistics.median(run["wall_s"] for run in warm) if warm else None
         result: dict[str, Any] = {
             "machine": machine(),
@@ -292,13 +309,8 @@ class Comparison:
                 "clamped_energy": statistics.median(r["clamped_energy"] for r in records),
                 "megabytes": num_bytes / 1e6,
             },
-            "peer": {
-                **peer,
-                "reached": samples is not None,
-                "rel_mse": self.peer_error(name, pairs["peer"]),
-                "curve": {str(k): v for k, v in curve.items()},
-                **extrapolated(peer, arguments.views),
-            },
+            "peer": peers[0],
+            "slower_peer": peers[1],
         }
         total = result["peer"]["total_wall_s"]
         result["speedup_cold"] = total / cold["wall_s"]
@@ -356,7 +368,7 @@ def table(result: dict[str, Any]) -> str:
     if ours["warm_wall_s"]:
         cpu = statistics.median(run["cpu_s"] for run in ours["warm"])
         rows.append(("ours, kernels cached", ours["warm_wall_s"], cpu, ours["rel_mse"]))
-    label = f"Cycles {peer['blender']}, {peer['samples']} samples" + (
+    label = f"Cycles {peer['blender']}, {peer['samples']} samples, {peer['sampling']}" + (
         "" if peer["reached"] else " (error not reached)"
     )
     rows.append((label, peer["total_wall_s"], peer["total_cpu_s"], peer["rel_mse"]))
