@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from datagen.color import srgb_from_linear
 from datagen.formats.base import write_bytes_atomically
 from datagen.images import encode_png
+from model.reconstruction.compiled import num_threads
 from model.reconstruction.merge import MAP_CHANNELS, Atlas
 
 _BAND = 1024
@@ -46,24 +48,34 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
 
 def mask_png(atlas: Atlas) -> bytes:
     """PNG of which texels were seen."""
-    mask = np.where(atlas.seen_mask, SEEN, np.where(atlas.face >= 0, FILLED, EMPTY))
-    return encode_png(mask.astype(np.uint8))
+    mask = np.full(atlas.face.shape, EMPTY, np.uint8)
+    for top in range(0, atlas.size, _BAND):
+        rows = slice(top, top + _BAND)
+        mask[rows][atlas.face[rows] >= 0] = FILLED
+        mask[rows][atlas.count[rows] > 0] = SEEN
+    return encode_png(mask)
 
 
 def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
     """``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``."""
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, array in atlas.maps.items():
-        path = folder / f"{name}.png"
-        write_bytes_atomically(path, encode_png(map_bytes(name, array)))
-        written.append(path)
-        if has_exr:
-            path = folder / f"{name}.exr"
-            _write_exr(path, np.asarray(array, np.float16))
-            written.append(path)
-    write_bytes_atomically(folder / "mask.png", mask_png(atlas))
-    return [*written, folder / "mask.png"]
+
+    def write(name: str) -> Path:
+        path = folder / name
+        if path.suffix == ".exr":
+            _write_exr(path, np.asarray(atlas.maps[path.stem], np.float16))
+        else:
+            is_mask = path.stem == "mask"
+            data = mask_png(atlas) if is_mask else encode_png(map_bytes(path.stem, atlas.maps[path.stem]))
+            write_bytes_atomically(path, data)
+        atlas.release()
+        return path
+
+    names = [f"{name}.png" for name in (*atlas.maps, "mask")]
+    if has_exr:
+        names += [f"{name}.exr" for name in atlas.maps]
+    with ThreadPoolExecutor(num_threads()) as pool:
+        return list(pool.map(write, names))
 
 
 def _write_exr(path: Path, half: NDArray) -> None:

@@ -9,7 +9,9 @@ no foreign colour. ``count`` keeps telling seen from filled.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 from datagen.cameras import Camera
 from datagen.meshes import Mesh
+from model.reconstruction.compiled import compiled, num_threads
 from model.reconstruction.geometry import ViewGeometry
 from model.reconstruction.merge import NUM_CHANNELS, Atlas
 
@@ -48,38 +51,66 @@ def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
         return  # nothing was seen at all: there is nothing to fill with
     charts = chart_of_faces(mesh)
     is_filled = _fill_charts(atlas, mesh, charts, num_seen)
-    nearest = _nearest_means(mesh, means, num_seen)
-    for top in range(0, atlas.size, BAND):
-        rows = slice(top, top + BAND)
-        face = atlas.face[rows]
-        left = (face >= 0) & (atlas.count[rows] == 0) & ~is_filled[charts[np.maximum(face, 0)]]
-        _put(atlas, rows, left, nearest[face[left]])
+    nearest = _nearest_means(mesh, means, num_seen).astype(np.float16).view(np.uint16)
+    needs = ~is_filled[charts]
+    for rows in _bands(atlas):
+        first = 0
+        for values in _bits(atlas, rows):
+            _put_means(values, atlas.face[rows], atlas.count[rows], needs, nearest, first)
+            first += values.shape[2]
     _fill_gutters(atlas)
 
 
-def _put(atlas: Atlas, rows: slice, mask: NDArray[np.bool_], values: NDArray) -> None:
-    first = 0
-    for array in atlas.maps.values():
-        channels = array.shape[2]
-        array[rows][mask] = values[:, first : first + channels]
-        first += channels
+def _bands(atlas: Atlas) -> Iterator[slice]:
+    """Rows to work on, one band after another; what was touched is let go of."""
+    for top in range(0, atlas.size, BAND):
+        yield slice(top, min(top + BAND, atlas.size))
+        atlas.release()
+
+
+def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
+    """Rows of the maps as the integers that half floats are stored as: they are only moved."""
+    return [array[rows].view(np.uint16) for array in atlas.maps.values()]
 
 
 def _face_means(atlas: Atlas, num_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Mean (M, 7) of each triangle's seen texels, and how many there are (M,)."""
     sums, num_seen = np.zeros((num_faces, NUM_CHANNELS)), np.zeros(num_faces, np.int64)
-    for top in range(0, atlas.size, BAND):
-        rows = slice(top, top + BAND)
-        seen = atlas.count[rows] > 0
-        face = atlas.face[rows][seen]
-        num_seen += np.bincount(face, minlength=num_faces)
+    for rows in _bands(atlas):
+        face, count = atlas.face[rows], atlas.count[rows]
+        _count_seen(face, count, num_seen)
         column = 0
         for array in atlas.maps.values():
-            values = array[rows][seen].astype(np.float32)
-            for channel in range(values.shape[1]):
-                sums[:, column] += np.bincount(face, values[:, channel], num_faces)
-                column += 1
+            _add_values(array[rows].astype(np.float32), face, count, sums, column)
+            column += array.shape[2]
     return sums / np.maximum(num_seen, 1)[:, None], num_seen
+
+
+@compiled
+def _count_seen(face_of: Any, count: Any, num_seen: Any) -> None:
+    for row in range(face_of.shape[0]):
+        for column in range(face_of.shape[1]):
+            if count[row, column] > 0:
+                num_seen[face_of[row, column]] += 1
+
+
+@compiled
+def _add_values(values: Any, face_of: Any, count: Any, sums: Any, first: Any) -> None:
+    for row in range(face_of.shape[0]):
+        for column in range(face_of.shape[1]):
+            if count[row, column] > 0:
+                for channel in range(values.shape[2]):
+                    sums[face_of[row, column], first + channel] += values[row, column, channel]
+
+
+@compiled
+def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, first: Any) -> None:
+    for row in range(face_of.shape[0]):
+        for column in range(face_of.shape[1]):
+            face = face_of[row, column]
+            if face >= 0 and count[row, column] == 0 and needs[face]:
+                for channel in range(values.shape[2]):
+                    values[row, column, channel] = means[face, first + channel]
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
@@ -104,54 +135,99 @@ def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -
     low, high = np.full((num_charts, 2), np.inf), np.full((num_charts, 2), -np.inf)
     np.minimum.at(low, charts, corners.min(axis=1))
     np.maximum.at(high, charts, corners.max(axis=1))
-    for chart in np.flatnonzero(seen_in_chart):
+    partly = np.flatnonzero(seen_in_chart)
+    is_filled[partly] = True
+
+    def fill(chart: int) -> None:
         left, right = _span(low[chart, 0], high[chart, 0], atlas.size)
         top, bottom = _span(1 - high[chart, 1], 1 - low[chart, 1], atlas.size)
         window = (slice(top, bottom), slice(left, right))
-        face = atlas.face[window]
-        own = (face >= 0) & (charts[np.maximum(face, 0)] == chart)
-        seen = own & (atlas.count[window] > 0)
-        unseen = own & ~seen
-        if unseen.any() and seen.any():
+        face, count = atlas.face[window], atlas.count[window]
+        seen, unseen = np.zeros(face.shape, np.bool_), np.zeros(face.shape, np.bool_)
+        if _split_chart(face, count, charts, chart, seen, unseen):
             _copy_nearest(atlas, window, seen, unseen)
-        is_filled[chart] = bool(seen.any())
+
+    with ThreadPoolExecutor(num_threads()) as pool:
+        deque(pool.map(fill, partly), maxlen=0)
+    atlas.release()
     return is_filled
+
+
+@compiled
+def _split_chart(face_of: Any, count: Any, charts: Any, chart: Any, seen: Any, unseen: Any) -> Any:
+    """Mark a chart's seen and unseen texels; whether there are both."""
+    num_seen, num_unseen = 0, 0
+    for row in range(face_of.shape[0]):
+        for column in range(face_of.shape[1]):
+            face = face_of[row, column]
+            if face >= 0 and charts[face] == chart:
+                is_seen = count[row, column] > 0
+                seen[row, column], unseen[row, column] = is_seen, not is_seen
+                num_seen += is_seen
+                num_unseen += not is_seen
+    return num_seen > 0 and num_unseen > 0
 
 
 def _span(low: float, high: float, size: int) -> tuple[int, int]:
     return max(int(low * size) - 1, 0), min(int(np.ceil(high * size)) + 1, size)
 
 
-def _copy_nearest(atlas: Atlas, window: tuple[slice, slice], source: NDArray, target: NDArray) -> None:
+def _copy_nearest(
+    atlas: Atlas, window: tuple[slice, slice], source: NDArray[np.bool_], target: NDArray[np.bool_]
+) -> None:
     """Values of the nearest ``source`` texel of a window for its ``target`` texels."""
-    nearest = nearest_index(source)[target]
+    labels, places = nearest_labels(source)
     for array in atlas.maps.values():
-        part = array[window]
-        part[target] = part.reshape(-1, part.shape[2])[nearest]
+        _copy_labelled(array.view(np.uint16)[window], labels, places, target)
 
 
-def nearest_index(source: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(H, W): flat index of the nearest True pixel, about Euclidean. At least one must be True."""
+def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Labels (H, W) and the places (L,) that they stand for: flat index of the nearest True pixel, about
+    Euclidean. At least one must be True."""
     import cv2
 
-    mask = np.where(source, 0, 255).astype(np.uint8)
+    mask = np.where(source, np.uint8(0), np.uint8(255))
     labels: Any = cv2.distanceTransformWithLabels(mask, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)[1]
-    index = np.zeros(int(labels.max()) + 1, dtype=np.int64)
-    at = np.flatnonzero(source)
-    index[labels.ravel()[at]] = at
-    return index[labels]
+    places = np.zeros(int(np.count_nonzero(source)) + 1, dtype=np.int32)
+    _find_places(source, labels, places)
+    return labels, places
+
+
+@compiled
+def _find_places(source: Any, labels: Any, places: Any) -> None:
+    for row in range(source.shape[0]):
+        for column in range(source.shape[1]):
+            if source[row, column]:
+                places[labels[row, column]] = row * source.shape[1] + column
+
+
+@compiled
+def _copy_labelled(values: Any, labels: Any, places: Any, target: Any) -> None:
+    width = target.shape[1]
+    for row in range(target.shape[0]):
+        for column in range(width):
+            if target[row, column]:
+                place = places[labels[row, column]]
+                for channel in range(values.shape[2]):
+                    values[row, column, channel] = values[place // width, place % width, channel]
 
 
 def _fill_gutters(atlas: Atlas) -> None:
-    for top in range(0, atlas.size, BAND):
-        start, stop = max(top - GUTTER, 0), min(top + BAND + GUTTER, atlas.size)
-        rows = slice(top, min(top + BAND, atlas.size))
+    def fill(rows: slice) -> None:
+        start, stop = max(rows.start - GUTTER, 0), min(rows.stop + GUTTER, atlas.size)
         covered = atlas.face[start:stop] >= 0
-        if not covered.any():
-            continue
-        empty = np.zeros_like(covered)
-        empty[top - start : rows.stop - start] = ~covered[top - start : rows.stop - start]
-        _copy_nearest(atlas, (slice(start, stop), slice(0, atlas.size)), covered, empty)
+        if covered.any():
+            empty = ~covered
+            empty[: rows.start - start] = False
+            empty[rows.stop - start :] = False
+            _copy_nearest(atlas, (slice(start, stop), slice(0, atlas.size)), covered, empty)
+
+    tops = range(0, atlas.size, BAND)
+    with ThreadPoolExecutor(num_threads()) as pool:
+        for first in range(0, len(tops), num_threads()):
+            group = [slice(top, min(top + BAND, atlas.size)) for top in tops[first : first + num_threads()]]
+            deque(pool.map(fill, group), maxlen=0)
+            atlas.release()
 
 
 def atlas_size(

@@ -15,7 +15,7 @@ from datagen.color import srgb_from_linear
 from datagen.images import read_image
 from datagen.meshes import Mesh
 from model.reconstruction.atlas_images import map_bytes, write_atlas_images
-from model.reconstruction.fill import atlas_size, chart_of_faces, fill_unseen, nearest_index
+from model.reconstruction.fill import atlas_size, chart_of_faces, fill_unseen, nearest_labels
 from model.reconstruction.geometry import TracedGeometry, face_normals
 from model.reconstruction.merge import Atlas, empty_atlas
 from model.reconstruction.texels import TexelSurface
@@ -36,6 +36,11 @@ def seen_atlas(seen_faces: list[int], half_seen: list[int]) -> tuple[Mesh, Atlas
     for array in atlas.maps.values():
         array[seen] = (atlas.face[seen] // 2 / 100)[:, None]
     return mesh, atlas
+
+
+def nearest_index(source: np.ndarray) -> np.ndarray:
+    labels, places = nearest_labels(source)
+    return places[labels]
 
 
 def test_every_texel_gets_a_value_from_where_it_belongs() -> None:
@@ -59,6 +64,21 @@ def test_every_texel_gets_a_value_from_where_it_belongs() -> None:
         and (roughness[gutter] == roughness.ravel()[nearest_index(~gutter)[gutter]]).mean() > 0.99
     )
     assert (roughness[gutter] > 0).mean() > 0.8  # quad 0 is 0
+
+
+def test_an_atlas_in_files_is_filled_alike(tmp_path: Path) -> None:
+    """Also band by band, with what was touched let go of."""
+    mesh, atlas = seen_atlas([f for f in range(24) if f // 2 not in (3, 11)], [6, 7])
+    filed = empty_atlas(SIZE, tmp_path)
+    for name, array in atlas.maps.items():
+        filed.maps[name][...] = array
+    filed.count[...], filed.face[...] = atlas.count, atlas.face
+    filed.release()
+    fill_unseen(atlas, mesh)
+    fill_unseen(filed, mesh)
+    for name, array in atlas.maps.items():
+        np.testing.assert_array_equal(array, filed.maps[name])
+        assert array.any()
 
 
 def test_nothing_seen_stays_empty() -> None:
