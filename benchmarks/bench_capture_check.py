@@ -3,8 +3,9 @@
 
     python -m benchmarks.bench_capture_check SHARD ... --trials 4
 
-On rendered captures: nothing changed; one camera in five turned by 1 degree about an axis across its view;
-the mesh moved by 2 cm in a random direction. ``--snap 0.02`` makes the mesh as coarse as retopology does.
+On rendered captures: nothing changed; one camera in five turned by 1 degree about an axis across its view,
+rolled by 2 degrees, or moved by 10 cm along its view; the mesh moved by 2 cm in a random direction, or made
+2 % larger. ``--snap 0.02`` makes the mesh as coarse as retopology does.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from datagen.formats.capture import Capture, CaptureGeometry, GeometryPart
@@ -24,17 +28,37 @@ from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.check import CheckReport, check_capture
 
 
-def turned(capture: Capture, rng: np.random.Generator, degrees: float) -> tuple[Capture, set[str]]:
-    """One view in five turned about an axis across its view; their names."""
+def changed(
+    capture: Capture, rng: np.random.Generator, change: Callable[[NDArray, np.random.Generator], NDArray]
+) -> tuple[Capture, set[str]]:
+    """One view in five with another pose, and their names; ``change`` is right of world_from_camera."""
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)
     views = list(capture.views)
     for index in wrong:
-        angle = rng.uniform(0, 2 * np.pi)
-        axis = np.array([np.cos(angle), np.sin(angle), 0.0])
-        pose = views[index].camera.world_from_camera.copy()
-        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
+        pose = views[index].camera.world_from_camera @ change(np.eye(4), rng)
         views[index] = replace(views[index], camera=replace(views[index].camera, world_from_camera=pose))
     return replace(capture, views=tuple(views)), {views[index].name for index in wrong}
+
+
+def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
+    """By 1 degree about an axis across the view."""
+    angle = rng.uniform(0, 2 * np.pi)
+    axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+    matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
+    return matrix
+
+
+def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
+    """By 2 degrees about the view."""
+    way = rng.choice([-1.0, 1.0])
+    matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, np.radians(2.0) * way]).as_matrix()
+    return matrix
+
+
+def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
+    """By 10 cm along the view."""
+    matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
+    return matrix
 
 
 def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Capture, np.ndarray]:
@@ -47,6 +71,16 @@ def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Ca
     return replace(capture, geometry=geometry), offset
 
 
+def enlarged(capture: Capture, factor: float) -> Capture:
+    """The mesh larger about the cameras' middle."""
+    middle = np.mean([camera.position_m for camera in capture.cameras], axis=0)
+    matrix = np.diag([factor, factor, factor, 1.0])
+    matrix[:3, 3] = (1 - factor) * middle
+    return replace(
+        capture, geometry=replace(capture.geometry, mesh=capture.geometry.mesh.transformed(matrix))
+    )
+
+
 def snapped(capture: Capture, grid_m: float) -> Capture:
     """With every vertex moved to a grid, as coarse retopology does; lamps are no longer told apart."""
     mesh = capture.geometry.mesh
@@ -57,7 +91,8 @@ def snapped(capture: Capture, grid_m: float) -> Capture:
 
 def warned_views(report: CheckReport) -> set[str]:
     """Names of the views that are warned of for their edges."""
-    return {view.name for view in report.views if any("edges" in w for w in view.warnings)}
+    words = ("edges", "the mesh looks")
+    return {view.name for view in report.views if any(word in w for w in view.warnings for word in words)}
 
 
 def main() -> None:
@@ -70,11 +105,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
-    counts = dict.fromkeys(
-        ("views", "false views", "captures", "false offsets", "turned", "found turned", "beside turned",
-         "false beside turned", "moved", "found moved"), 0
-    )  # fmt: skip
+    counts: Counter[str] = Counter()
     errors: list[float] = []
+    scales: list[float] = []
     start = time.process_time()
     num_checked = 0
     for shard in arguments.shards:
@@ -85,29 +118,39 @@ def main() -> None:
         counts["captures"] += 1
         counts["views"] += len(capture.views)
         counts["false views"] += len(warned_views(report))
-        counts["false offsets"] += report.offset_m is not None
+        counts["false for all"] += len(report.warnings)
         for _ in range(arguments.trials):
-            changed, names = turned(capture, rng, 1.0)
-            found = warned_views(check_capture(changed))
-            counts["turned"] += len(names)
-            counts["found turned"] += len(names & found)
-            counts["beside turned"] += len(capture.views) - len(names)
-            counts["false beside turned"] += len(found - names)
-            changed, offset = moved(capture, rng, 0.02)
-            report = check_capture(changed)
+            for change in (turned, rolled, advanced):
+                wrong, names = changed(capture, rng, change)
+                found = warned_views(check_capture(wrong))
+                counts[change.__name__] += len(names)
+                counts[f"found {change.__name__}"] += len(names & found)
+                counts[f"beside {change.__name__}"] += len(capture.views) - len(names)
+                counts[f"false beside {change.__name__}"] += len(found - names)
+            mistaken, offset = moved(capture, rng, 0.02)
+            report = check_capture(mistaken)
             counts["moved"] += 1
+            counts["views named beside moved"] += len(warned_views(report))
             if report.offset_m is not None:
                 counts["found moved"] += 1
                 errors.append(float(np.linalg.norm(np.array(report.offset_m) - offset)))
-            num_checked += 2 * len(capture.views)
+            report = check_capture(enlarged(capture, 1.02))
+            counts["enlarged"] += 1
+            counts["views named beside enlarged"] += len(warned_views(report))
+            if report.scale != 1:
+                counts["found enlarged"] += 1
+                scales.append(abs(report.scale - 1.02))
+            num_checked += 5 * len(capture.views)
         num_checked += len(capture.views)
-        print(shard.name, counts, flush=True)
+        print(shard.name, dict(counts), flush=True)
     cpu_s = (time.process_time() - start) / num_checked
     print(
-        f"processor time {1000 * cpu_s:.0f} ms a view; offset off by {1000 * np.median(errors or [0]):.1f} mm"
+        f"processor time {1000 * cpu_s:.0f} ms a view; offset off by {1000 * np.median(errors or [0]):.1f} "
+        f"mm, scale by {100 * np.median(scales or [0]):.2f} %"
     )
     if arguments.json:
-        arguments.json.write_text(json.dumps({**counts, "offset_errors_m": errors, "cpu_s": cpu_s}, indent=2))
+        found_all = {**counts, "offset_errors_m": errors, "scale_errors": scales, "cpu_s": cpu_s}
+        arguments.json.write_text(json.dumps(found_all, indent=2))
 
 
 if __name__ == "__main__":

@@ -3,8 +3,9 @@
 
 By view: what share shows the mesh, from which side and how near; whether the photograph is black or clipped;
 whether the mesh's edges lie on the photograph's, and how far they are off (``check_edges``). Over all views:
-whether their shifts are explained by one offset of the mesh, and, where edges do not fit at all, whether
-another up axis or unit of the mesh fits better. Every warning names its views and a remedy.
+whether their shifts are explained by one offset and scale of the mesh (``check_registration``), and, where
+edges do not fit at all, whether another up axis or unit of the mesh fits better. Every warning names its
+views and a remedy.
 """
 
 from __future__ import annotations
@@ -24,7 +25,15 @@ from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
-from model.reconstruction.check_edges import EdgeMatch, match_edges, mesh_edges, photograph_field
+from model.reconstruction.check_edges import (
+    EdgeMatch,
+    WarpMatch,
+    match_edges,
+    match_warp,
+    mesh_edges,
+    photograph_field,
+)
+from model.reconstruction.check_registration import Registration, SeenShift, common_mistake
 from model.reconstruction.geometry import TracedGeometry, ViewGeometry, seen_sides
 
 MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room that the mesh is of
@@ -35,11 +44,8 @@ _MIN_RADIUS_PX = 24  # enough other shifts to tell a peak from accidents
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
 SURE = 5.0  # standard deviations: a peak of this height is no accident
 _LOST = 0.6  # of SURE: a view that fits worse, among views that fit, is of another place
-_OFFSET_M, _OFFSET_SIGMAS = 0.008, 3.0
-_MIN_VIEWS_FOR_OFFSET = 4
-_FLOOR_PX2 = 0.25  # added to the blur of a peak: no shift is known better than half a pixel
-_OUTLIER = 1.5  # of a peak's blur: views that are further off count less
-_EXPLAINED = 0.75  # what the offset must leave at most of the median shift
+_SURE_GAIN = 1.2  # standard deviations: on right views roll and zoom gain less
+_LEAST_ROLL_RAD, _LEAST_ZOOM = np.radians(0.5), 0.015
 _MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
 _MIN_FIT = 4.0  # median score at zero, times coverage, of a capture whose mesh fits
@@ -58,6 +64,7 @@ class ViewCheck:
     back_share: float
     nearest_m: float
     edges: EdgeMatch | None = None
+    warp: WarpMatch | None = None
     off_deg: float | None = None
     depth_m: float = 0.0
     warnings: list[str] = field(default_factory=list)
@@ -71,12 +78,14 @@ class ViewCheck:
 @dataclass
 class CheckReport:
     """Findings by view and for the capture. ``offset_m``: how far the mesh seems to be moved, None where
-    unknown; ``fit``: median over the views of the edges' score as it stands, in standard deviations."""
+    unknown or nothing to speak of; ``scale``: how large it seems to be against the cameras' frame; ``fit``:
+    median over the views of the edges' score as it stands, in standard deviations."""
 
     name: str
     views: list[ViewCheck]
     fit: float = 0.0
     offset_m: tuple[float, float, float] | None = None
+    scale: float = 1.0
     better: str = ""
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -187,6 +196,7 @@ class Look:
             )
         if not found.warnings:
             found.edges = match_edges(self.edges, self.field, self.radius_px)
+            found.warp = match_warp(self.edges, self.field, self.camera, self.radius_px)
             at = self.edges & hit
             found.depth_m = float(1 / np.mean(1 / depth[at])) if at.any() else 0.0
         if found.edges is not None:
@@ -200,7 +210,7 @@ class Look:
 
 
 def _judge(report: CheckReport, looks: Sequence[Look]) -> None:
-    """Find one offset of the mesh, and the views that are off or do not match."""
+    """Find one offset and scale of the mesh, and the views that are off or do not match."""
     with_edges = [view.edges for view in report.views if view.edges is not None]
     report.fit = float(np.median([edges.at_zero for edges in with_edges])) if with_edges else 0.0
     if not with_edges:
@@ -210,86 +220,100 @@ def _judge(report: CheckReport, looks: Sequence[Look]) -> None:
         )
         return
     pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
-    offset, explained = _common_offset(pairs)
-    report.offset_m = offset
-    if offset is not None and explained is not None:
-        said = ", ".join(f"{100 * v:+.1f}" for v in offset)
-        names = _listed([view.name for view, _ in pairs])
+    mistake = common_mistake(
+        [
+            SeenShift(look.camera, view.depth_m, view.edges.peak_px, view.edges.blur_px2)
+            for view, look in pairs
+            if view.edges is not None
+        ]
+    )
+    report.offset_m = None if mistake is None else mistake.offset_m
+    report.scale = 1.0 if mistake is None else mistake.scale
+    names = _listed([view.name for view, _ in pairs])
+    if report.offset_m is not None:
+        said = ", ".join(f"{100 * v:+.1f}" for v in report.offset_m)
         report.warnings.append(
             f"the mesh seems to be moved by ({said}) cm along x, y, z, as seen in {names}; "
             "register it to the cameras again"
         )
-    unexplained = {view.name: view.edges.peak_px for view, _ in pairs if view.edges is not None}
-    rest = unexplained if explained is None else explained
+    if report.scale != 1:
+        report.warnings.append(
+            f"the mesh seems to be {report.scale:.3f} times as large as in the cameras' frame, as seen in "
+            f"{names}; scale it by {1 / report.scale:.4f} about the cameras' middle"
+        )
+    left_px = {view.name: view.edges.peak_px for view, _ in pairs if view.edges is not None}
+    if mistake is not None:
+        left_px = dict(zip(left_px, mistake.left_px, strict=True))
+    _judge_zooms(report, looks, mistake)
     is_fitting = len(pairs) >= 0.5 * len(with_edges)
     for view, look in zip(report.views, looks, strict=True):
-        if view.edges is None:
+        if view.edges is not None and not view.warnings:
+            _judge_shift(view, look, left_px.get(view.name), is_fitting)
+
+
+def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registration | None) -> None:
+    """Find views that are rolled or stand too far forward, and a focal length that is off in all of them."""
+    zoomed = []
+    for view, look in zip(report.views, looks, strict=True):
+        warp = view.warp
+        if warp is None or view.warnings or warp.at_peak < SURE:
             continue
-        is_lost = not view.is_judged
-        if view.is_judged and view.edges.surely_px(rest[view.name]) > look.tolerance_px():
-            shift = float(np.hypot(*rest[view.name]))
-            degrees = np.degrees(np.arctan(shift / look.camera.fx_px))
-            is_lost = bool(np.radians(degrees) > SEARCH_RAD)
-            if not is_lost:
-                view.warnings.append(
-                    f"{view.name}: its edges are {shift:.0f} pixels from the mesh's ({degrees:.1f} degrees); "
-                    "correct its pose or leave it out"
-                )
-        if is_lost and is_fitting and view.edges.at_zero < _LOST * SURE:
+        moved = 0.0
+        if mistake is not None:
+            moved = float(mistake.moved_m(look.camera.position_m) @ look.camera.forward) / view.depth_m
+        is_rolled = warp.roll_gain >= _SURE_GAIN and abs(warp.roll_rad) >= _LEAST_ROLL_RAD
+        excess = abs(warp.zoom - 1 - moved)
+        is_zoomed = warp.zoom_gain >= _SURE_GAIN and excess >= max(_LEAST_ZOOM, 0.5 * abs(warp.zoom - 1))
+        if is_rolled and (warp.roll_gain >= warp.zoom_gain or not is_zoomed):
+            way = "clockwise" if warp.roll_rad > 0 else "anticlockwise"
             view.warnings.append(
-                f"{view.name}: its edges are nowhere near the mesh's; it shows another place or its pose is "
-                "wrong; correct its pose or leave it out"
+                f"{view.name}: its edges are turned by {np.degrees(abs(warp.roll_rad)):.1f} degrees {way} "
+                "against the mesh's; the camera is rolled; correct its pose or leave it out"
             )
+        elif is_zoomed:
+            zoomed.append((view, warp.zoom))
+    judged = sum(view.is_judged for view in report.views)
+    zooms = [zoom for _, zoom in zoomed]
+    if zooms and len(zooms) >= 0.5 * judged and (min(zooms) > 1 or max(zooms) < 1):
+        report.warnings.append(
+            f"the mesh looks {np.median(zooms):.3f} times too {'small' if zooms[0] > 1 else 'large'} in most "
+            f"views ({_listed([view.name for view, _ in zoomed])}); the focal length is off by as much"
+        )
+        return
+    for view, zoom in zoomed:
+        size, way = ("small", "backward") if zoom > 1 else ("large", "forward")
+        share = abs(zoom - 1)
+        view.warnings.append(
+            f"{view.name}: the mesh looks {100 * share:.0f} % too {size} in it; the camera stands some "
+            f"{100 * share * view.depth_m:.0f} cm too far {way}, or its focal length is off; correct it or "
+            "leave the view out"
+        )
+
+
+def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
+    """Warn of a view whose edges are off by more than can be, or nowhere near; ``left_px``: what is left of
+    its shift, None where its edges do not say where they belong."""
+    assert view.edges is not None
+    is_lost = left_px is None
+    if left_px is not None and view.edges.surely_px(left_px) > look.tolerance_px():
+        shift = float(np.hypot(*left_px))
+        degrees = np.degrees(np.arctan(shift / look.camera.fx_px))
+        is_lost = bool(np.radians(degrees) > SEARCH_RAD)
+        if not is_lost:
+            view.warnings.append(
+                f"{view.name}: its edges are {shift:.0f} pixels from the mesh's ({degrees:.1f} degrees); "
+                "correct its pose or leave it out"
+            )
+    if is_lost and is_fitting and view.edges.at_zero < _LOST * SURE:
+        view.warnings.append(
+            f"{view.name}: its edges are nowhere near the mesh's; it shows another place or its pose is "
+            "wrong; correct its pose or leave it out"
+        )
 
 
 def _listed(names: Sequence[str], limit: int = 6) -> str:
     shown = ", ".join(names[:limit])
     return shown if len(names) <= limit else f"{shown} and {len(names) - limit} more views"
-
-
-def _common_offset(
-    pairs: Sequence[tuple[ViewCheck, Look]],
-) -> tuple[tuple[float, float, float] | None, dict[str, tuple[float, float]] | None]:
-    """The offset of the mesh (metres, world) that explains the views' shifts best, and the shifts that remain
-    by name; None where it is nothing to speak of.
-
-    A mesh moved by d shows its edges f d_xy / z from where they belong, d in the camera's axes. Robust least
-    squares: a view that is off by itself must not move the mesh.
-    """
-    if len(pairs) < _MIN_VIEWS_FOR_OFFSET:
-        return None, None
-    rows, shifts, whiten = [], [], []
-    for view, look in pairs:
-        assert view.edges is not None
-        camera_axes = look.camera.world_from_camera[:3, :3].T
-        scale = np.array([[look.camera.fx_px], [look.camera.fy_px]]) / max(view.depth_m, 1e-3)
-        rows.append(-scale * camera_axes[:2])
-        shifts.append(view.edges.peak_px)
-        xx, xy, yy = view.edges.blur_px2
-        values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]) + _FLOOR_PX2 * np.eye(2))
-        whiten.append(vectors @ np.diag(values**-0.5) @ vectors.T)
-    a, b = np.array(rows), np.array(shifts)
-    a_white, b_white = np.array(whiten) @ a, (np.array(whiten) @ b[..., None])[..., 0]
-    weight = np.ones(len(pairs))
-    offset = np.zeros(3)
-    for _ in range(20):
-        w = np.sqrt(weight)[:, None]
-        system = (a_white * w[..., None]).reshape(-1, 3)
-        offset = np.linalg.lstsq(system, (b_white * w).ravel(), rcond=1e-3)[0]
-        left = np.linalg.norm(b_white - a_white @ offset, axis=1)
-        weight = 1 / np.maximum(left / _OUTLIER, 1) ** 2
-    before, left = np.linalg.norm(b_white, axis=1), np.linalg.norm(b_white - a_white @ offset, axis=1)
-    sigma2 = max(float((weight * left**2).sum() / max(2 * weight.sum() - 3, 1)), 0.1)
-    normal = np.einsum("v,vki,vkj->ij", weight, a_white, a_white)
-    size = float(np.linalg.norm(offset))
-    direction = offset / max(size, 1e-12)
-    deviation = float(np.sqrt(sigma2 * direction @ np.linalg.pinv(normal) @ direction))
-    is_better = float(np.median(left)) < _EXPLAINED * float(np.median(before))
-    if size < _OFFSET_M or size < _OFFSET_SIGMAS * deviation or not is_better:
-        return None, None
-    rest = b - a @ offset
-    moved = {view.name: (float(r[0]), float(r[1])) for (view, _), r in zip(pairs, rest, strict=True)}
-    return (float(offset[0]), float(offset[1]), float(offset[2])), moved
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Look]) -> None:

@@ -5,7 +5,9 @@ Both are fields of double angles: length = how much of an edge, direction = twic
 that parallel edges agree (+1), perpendicular ones disagree (-1) and textures without direction cancel. The
 score of a shift is the mean agreement over the mesh's edges. A camera that is turned by a small angle shifts
 the picture by focal length x angle, so that the score over shifts tells whether the camera is right (the peak
-is at 0), by how much it is off, and how sure that is (the peak against the scores of all other shifts).
+is at 0), by how much it is off, and how sure that is (the peak against the scores of all other shifts). A
+camera that is rolled, or stands too far forward, turns or magnifies the picture: the peak is higher for a
+mesh that is turned or magnified as much.
 
 Letters: H, W size; R largest shift in pixels. Image axes: x right, y down; a shift (dx, dy) moves the mesh's
 edges onto the photograph's.
@@ -31,6 +33,9 @@ _FLAT_LEVEL = 0.01  # gradients below this are noise of 8-bit images
 MIN_EDGE_PX = 60  # fewer pixels of edges say nothing
 _PEAK_RADIUS_PX = 4
 _NEARLY = 0.15  # of the peak's height: shifts this near to the best are not told from it
+_WARP_WIDTH_PX = 320  # turned and magnified fields are compared at this size: half a pixel is no warp
+_ROLLS_RAD = tuple(np.radians(k).item() for k in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0))
+_ZOOMS = (0.92, 0.95, 0.975, 1.025, 1.05, 1.08)
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,19 @@ class EdgeMatch:
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
         return max(0.0, length - float(np.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0))))
+
+
+@dataclass(frozen=True)
+class WarpMatch:
+    """By how much the mesh's picture must be turned (clockwise as seen) and magnified about the camera's
+    axis to lie on the photograph's, each with what it adds to the peak, in standard deviations. ``at_peak``:
+    the higher of both peaks."""
+
+    roll_rad: float
+    roll_gain: float
+    zoom: float
+    zoom_gain: float
+    at_peak: float
 
 
 def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
@@ -131,10 +149,7 @@ def match_edges(
         return None
     scores = shift_scores(edge_field(edges), photograph, radius_px)
     peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
-    rows, columns = np.indices(scores.shape)
-    others = scores[np.hypot(rows - peak[0], columns - peak[1]) > _PEAK_RADIUS_PX]
-    middle = float(np.median(others))
-    spread = max(1.4826 * float(np.median(np.abs(others - middle))), float(others.std()) * 0.5, 1e-6)
+    middle, spread = _accidental(scores)
     best = float(scores[tuple(peak)])
     near = np.argwhere(scores >= best - _NEARLY * (best - middle)) - radius_px
     sub = peak - radius_px + _vertex(scores, peak)
@@ -143,6 +158,70 @@ def match_edges(
     at_zero = (float(scores[radius_px, radius_px]) - middle) / spread
     peak_px = (float(sub[1]), float(sub[0]))
     return EdgeMatch(peak_px, (xx, xy, yy), at_zero, (best - middle) / spread, num)
+
+
+def _accidental(scores: NDArray[np.float64]) -> tuple[float, float]:
+    """Median and standard deviation of the scores that are not the peak's."""
+    peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
+    rows, columns = np.indices(scores.shape)
+    others = scores[np.hypot(rows - peak[0], columns - peak[1]) > _PEAK_RADIUS_PX]
+    middle = float(np.median(others))
+    spread = max(1.4826 * float(np.median(np.abs(others - middle))), float(others.std()) * 0.5, 1e-6)
+    return middle, spread
+
+
+def match_warp(
+    edges: NDArray[np.bool_], photograph: NDArray[np.float32], camera: Camera, radius_px: int
+) -> WarpMatch | None:
+    """Whether the mesh's edges fit better when they are turned or magnified about the camera's axis, wherever
+    they lie best; None where the mesh shows no edges."""
+    if int(edges.sum()) < MIN_EDGE_PX:
+        return None
+    height, width = edges.shape
+    shrink = max(1, -(-width // _WARP_WIDTH_PX))
+    size = (width // shrink, height // shrink)
+    mesh_field, taken = (
+        np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_AREA), np.float32)
+        for field in (edge_field(edges), photograph)
+    )
+    center = (camera.cx_px / shrink - 0.5, camera.cy_px / shrink - 0.5)  # OpenCV's pixels
+    radius = max(6, radius_px // shrink)
+    plain = shift_scores(mesh_field, taken, radius)
+    middle, spread = _accidental(plain)
+    at_plain = (float(plain.max()) - middle) / spread
+
+    def height_of(roll_rad: float, zoom: float) -> float:
+        found = shift_scores(_warped(mesh_field, center, roll_rad, zoom), taken, radius)
+        return (float(found.max()) - middle) / spread - at_plain
+
+    roll, roll_gain = _best(_ROLLS_RAD, [height_of(roll, 1.0) for roll in _ROLLS_RAD], 0.0)
+    zoom, zoom_gain = _best(_ZOOMS, [height_of(0.0, zoom) for zoom in _ZOOMS], 1.0)
+    return WarpMatch(roll, roll_gain, zoom, zoom_gain, at_plain + max(roll_gain, zoom_gain, 0.0))
+
+
+def _warped(
+    field: NDArray[np.float32], center: tuple[float, float], roll_rad: float, zoom: float
+) -> NDArray[np.float32]:
+    """A field of double angles turned and magnified about a point."""
+    matrix = cv2.getRotationMatrix2D(center, -float(np.degrees(roll_rad)), zoom)
+    moved = cv2.warpAffine(field, matrix, (field.shape[1], field.shape[0]), flags=cv2.INTER_LINEAR)
+    c, s = np.cos(2 * roll_rad), np.sin(2 * roll_rad)
+    x, y = moved[..., 0], moved[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1).astype(np.float32)
+
+
+def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
+    """The value of most gain and the gain; a parabola through its neighbours says where it is exactly."""
+    values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
+    order = np.argsort(values)
+    values, heights = values[order], heights[order]
+    k = int(heights.argmax())
+    gain = float(heights[k])
+    if 0 < k < len(values) - 1:
+        a, b, _ = np.polyfit(values[k - 1 : k + 2], heights[k - 1 : k + 2], 2)
+        if a < 0:
+            return float(np.clip(-b / (2 * a), values[k - 1], values[k + 1])), gain
+    return float(values[k]), gain
 
 
 def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+"""Whether the shifts of all views are those of one mistake: a mesh that is moved, or of another scale.
+
+A mesh point p that is taken to p + d + e (p - m), m the cameras' mean position, is seen by a camera at c as
+if it had moved by d + e (c - m): what e does besides magnifies the room about the camera and shows nothing.
+So a view's edges lie f (d + e (c - m))_xy / z from where they belong, in the camera's axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+
+_OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0  # less is nothing to speak of; so many deviations are sure
+_MIN_VIEWS, _MIN_VIEWS_FOR_SCALE = 4, 8
+_FLOOR_PX2 = 0.25  # added to the blur of a peak: no shift is known better than half a pixel
+_OUTLIER = 1.5  # of a peak's blur: views that are further off count less
+_EXPLAINED = 0.75  # what the mistake must leave at most of the median shift
+
+
+@dataclass(frozen=True)
+class SeenShift:
+    """A view: its camera, how far away its edges are, their shift and its blur (``EdgeMatch``)."""
+
+    camera: Camera
+    depth_m: float
+    shift_px: tuple[float, float]
+    blur_px2: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The mistake, as far as it is sure: ``offset_m`` of the mesh amid the cameras (None: none),
+    ``scale`` of the mesh against the cameras (1: right), and the shift of each view that it does not
+    explain."""
+
+    offset_m: tuple[float, float, float] | None
+    scale: float
+    left_px: list[tuple[float, float]]
+    center_m: NDArray[np.float64]
+
+    def moved_m(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """By how much the mesh seems to be moved to a camera at a position, (3,)."""
+        offset = np.zeros(3) if self.offset_m is None else np.array(self.offset_m)
+        return offset + (self.scale - 1) * (position_m - self.center_m)
+
+
+def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
+    """What explains the shifts of all views best; None where there is nothing to speak of.
+
+    Robust least squares: a view that is off by itself must not move the mesh. Scale is looked for in
+    captures of eight views on.
+    """
+    if len(views) < _MIN_VIEWS:
+        return None
+    centers = np.array([view.camera.position_m for view in views])
+    middle = centers.mean(axis=0)
+    rows, whiten = [], []
+    for view in views:
+        camera = view.camera
+        across = camera.world_from_camera[:3, :3].T[:2]
+        factor = np.array([[camera.fx_px], [camera.fy_px]]) / max(view.depth_m, 1e-3)
+        by_scale = (across @ (camera.position_m - middle))[:, None]
+        rows.append(-factor * np.hstack([across, by_scale]))
+        xx, xy, yy = view.blur_px2
+        values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]) + _FLOOR_PX2 * np.eye(2))
+        whiten.append(vectors @ np.diag(values**-0.5) @ vectors.T)
+    a, b = np.array(rows), np.array([view.shift_px for view in views])
+    white = np.array(whiten)
+    if len(views) >= _MIN_VIEWS_FOR_SCALE:
+        found, covariance = _robust(white @ a, (white @ b[..., None])[..., 0])
+        if abs(found[3]) >= max(_SCALE, _SIGMAS * float(np.sqrt(covariance[3, 3]))):
+            if not _is_moved(found[:3], covariance[:3, :3]):
+                found[:3] = 0
+            return _registration(found, a, b, white, middle)
+    a = a[..., :3]  # what is not there must not blur the rest
+    found, covariance = _robust(white @ a, (white @ b[..., None])[..., 0])
+    return _registration(found, a, b, white, middle) if _is_moved(found, covariance) else None
+
+
+def _is_moved(offset_m: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
+    size = float(np.linalg.norm(offset_m))
+    along = offset_m / max(size, 1e-12)
+    return size >= _OFFSET_M and size >= _SIGMAS * float(np.sqrt(along @ covariance @ along))
+
+
+def _robust(
+    a: NDArray[np.float64], b: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Solution (N,) and its covariance for rows (V, 2, N) and (V, 2)."""
+    weight = np.ones(len(a))
+    found = np.zeros(a.shape[2])
+    for _ in range(20):
+        w = np.sqrt(weight)[:, None]
+        system = (a * w[..., None]).reshape(-1, a.shape[2])
+        found = np.linalg.lstsq(system, (b * w).ravel(), rcond=1e-3)[0]
+        left = np.linalg.norm(b - a @ found, axis=1)
+        weight = 1 / np.maximum(left / _OUTLIER, 1) ** 2
+    degrees = max(2 * weight.sum() - a.shape[2], 1)
+    sigma2 = max(float((weight * left**2).sum() / degrees), 0.1)
+    return found, sigma2 * np.linalg.pinv(np.einsum("v,vki,vkj->ij", weight, a, a))
+
+
+def _registration(
+    found: NDArray[np.float64],
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    white: NDArray[np.float64],
+    middle: NDArray[np.float64],
+) -> Registration | None:
+    rest = b - a @ found
+    before, left = (np.linalg.norm((white @ x[..., None])[..., 0], axis=1) for x in (b, rest))
+    if float(np.median(left)) >= _EXPLAINED * float(np.median(before)):
+        return None
+    offset = None if not found[:3].any() else (float(found[0]), float(found[1]), float(found[2]))
+    scale = 1.0 + (float(found[3]) if len(found) > 3 else 0.0)
+    return Registration(offset, scale, [(float(x), float(y)) for x, y in rest], middle)
