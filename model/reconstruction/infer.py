@@ -57,7 +57,7 @@ MEMORY_ATLAS = 4096
 
 
 @dataclass
-class _Seen:
+class Seen:
     """Views as read and traced."""
 
     statistics: list[StatisticsView]
@@ -107,7 +107,7 @@ def _infer(
     _claim(out, capture, maps_from, options)
     with report.stage("trace"):
         traced = TracedGeometry(capture.geometry)
-        seen = _look(capture, traced, tell)
+        seen = look(capture, traced, tell)
     if options.is_checked:
         with report.stage("check"):
             _check(capture, seen, out, report)
@@ -181,9 +181,9 @@ def _read(checkpoint: Path) -> bytes:
         ) from None
 
 
-def _look(capture: Capture, traced: TracedGeometry, tell: Progress) -> _Seen:
+def look(capture: Capture, traced: TracedGeometry, tell: Progress) -> Seen:
     """Read and trace every view."""
-    seen = _Seen([], [], [])
+    seen = Seen([], [], [])
     for number, view in enumerate(capture.views, start=1):
         image = view.read()
         geometry = traced.trace_view(view.camera, image.valid_mask)
@@ -207,7 +207,7 @@ def _look(capture: Capture, traced: TracedGeometry, tell: Progress) -> _Seen:
     return seen
 
 
-def _check(capture: Capture, seen: _Seen, out: Path, report: InferReport) -> None:
+def _check(capture: Capture, seen: Seen, out: Path, report: InferReport) -> None:
     """Check the capture and keep what was found beside the result; refuse a mesh in the wrong frame."""
     looks = [
         Look(view.name, view.camera, ColorImage(statistics.color, valid_mask), geometry)
@@ -233,7 +233,7 @@ def _truth(view: CaptureView) -> dict[str, NDArray]:
 TRUTH = GivenMaps("truth", lambda capture, _: [_truth(view) for view in capture.views])
 
 
-def _choose_size(capture: Capture, seen: _Seen, unwrap: UvReport, options: InferOptions) -> int:
+def _choose_size(capture: Capture, seen: Seen, unwrap: UvReport, options: InferOptions) -> int:
     if options.atlas != "auto":
         return options.atlas
     return atlas_size(list(zip(capture.cameras, seen.geometry, strict=True)), unwrap.metres_per_side)
@@ -251,7 +251,7 @@ def _atlas_memory(size: int, out: Path) -> Iterator[Atlas]:
 
 def _merge(
     capture: Capture,
-    seen: _Seen,
+    seen: Seen,
     traced: TracedGeometry,
     maps: list[dict[str, NDArray]],
     oriented: tuple[Any, NDArray[np.float32]],

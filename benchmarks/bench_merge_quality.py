@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: MIT
+"""What choices of the merge cost in map error, on rendered captures whose truth is known.
+
+    python -m benchmarks.bench_merge_quality weights SHARD ...
+    python -m benchmarks.bench_merge_quality sizes SHARD ... --sizes 0.5x,1x,2x,16384
+    python -m benchmarks.bench_merge_quality precision SHARD ...
+
+``weights``: mean squared error of predicted maps after merging with each choice of weights, and before
+(``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x: twice what
+``auto`` takes): what the atlas loses. ``precision``: of maps predicted in float32 and in bfloat16 against the
+truth, and against each other. An atlas is judged as the views see it: at the surface under each pixel's
+centre, between texels, against the pixel's truth; all surface pixels of all views of all shards count alike.
+``--json`` keeps the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.capture import Capture
+from datagen.meshes import Mesh
+from mitsuba_plugins.variant import select_variant
+from model.checkpoint import bundled_checkpoint
+from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.fill import atlas_size, fill_unseen
+from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides, smooth_regions
+from model.reconstruction.infer import TRUTH, Seen, look
+from model.reconstruction.infer_options import InferOptions, InferReport
+from model.reconstruction.merge import (
+    MAP_NAMES,
+    Atlas,
+    MapMerger,
+    MapView,
+    MergeOptions,
+    Weights,
+    empty_atlas,
+)
+from model.reconstruction.texels import TexelSurface
+from model.reconstruction.uv import unwrapped
+from model.reconstruction.view_maps import predicted_maps
+
+WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
+Maps = list[dict[str, NDArray]]
+
+
+@dataclass
+class Room:
+    """A rendered capture, looked at and unwrapped; ``uv`` (H, W, 2) of each view's pixels, NaN off the
+    surface; ``truth`` the views' true maps; ``auto`` the atlas's side by the views' density."""
+
+    capture: Capture
+    traced: TracedGeometry
+    seen: Seen
+    mesh: Mesh
+    sides: NDArray
+    uv: list[NDArray]
+    truth: Maps
+    auto: int
+
+    def merged(self, maps: Maps, size: int, folder: Path | None, weights: Weights = "none") -> Atlas:
+        """The maps of all views as an atlas, filled."""
+        views = [
+            MapView(
+                view.camera,
+                found,
+                np.where(geometry.surface_mask > 0, geometry.depth_z_m, 0),
+                geometry.face,
+                view.name,
+                found.get("confidence"),
+            )
+            for view, found, geometry in zip(self.capture.views, maps, self.seen.geometry, strict=True)
+        ]
+        merger = MapMerger(views, MergeOptions(weights=weights), None, smooth_regions(self.traced.mesh))
+        atlas = empty_atlas(size, folder)
+        merger.merge(TexelSurface(self.mesh, face_normals(self.mesh, self.sides), size), atlas)
+        fill_unseen(atlas, self.mesh)
+        return atlas
+
+    def atlas_errors(self, atlas: Atlas) -> dict[str, float]:
+        """Sums of squared errors of the atlas as the views see it, by map."""
+        sums = dict.fromkeys(MAP_NAMES, 0.0)
+        for uv, truth in zip(self.uv, self.truth, strict=True):
+            on_surface = ~np.isnan(uv[..., 0])
+            for name in MAP_NAMES:
+                error = looked_up(atlas.maps[name], uv[on_surface]) - truth[name][on_surface]
+                sums[name] += float((error**2).mean(axis=-1).sum())
+        return sums
+
+    def view_errors(self, maps: Maps, reference: Maps) -> dict[str, float]:
+        """Sums of squared errors of maps against others by pixel, by map."""
+        sums = dict.fromkeys(MAP_NAMES, 0.0)
+        for uv, found, truth in zip(self.uv, maps, reference, strict=True):
+            on_surface = ~np.isnan(uv[..., 0])
+            for name in MAP_NAMES:
+                error = found[name][on_surface].astype(np.float64) - truth[name][on_surface]
+                sums[name] += float((error**2).mean(axis=-1).sum())
+        return sums
+
+    @property
+    def num_pixels(self) -> int:
+        """Surface pixels of all views."""
+        return sum(int((~np.isnan(uv[..., 0])).sum()) for uv in self.uv)
+
+
+def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
+    """Values (K, C) of a map (N, N, C) at UVs (K, 2), between its texels."""
+    size = array.shape[0]
+    x = np.clip(uv[:, 0] * size - 0.5, 0, size - 1)
+    y = np.clip((1 - uv[:, 1]) * size - 0.5, 0, size - 1)
+    left, top = x.astype(np.int64), y.astype(np.int64)
+    right, bottom = np.minimum(left + 1, size - 1), np.minimum(top + 1, size - 1)
+    s, t = (x - left)[:, None], (y - top)[:, None]
+    upper = array[top, left] * (1 - s) + array[top, right] * s
+    lower = array[bottom, left] * (1 - s) + array[bottom, right] * s
+    return np.asarray(upper * (1 - t) + lower * t, np.float64)
+
+
+def open_room(shard: Path, library: Sequence[Path]) -> Room:
+    """Read, trace and unwrap."""
+    capture = read_capture(shard, CaptureOptions(library=tuple(library)))
+    traced = TracedGeometry(capture.geometry)
+    seen = look(capture, traced, lambda *_: None)
+    mesh, unwrap = unwrapped(traced.mesh)
+    assert mesh.uv is not None
+    corners, corner_uv = traced.mesh.triangles(), mesh.uv[mesh.faces].astype(np.float64)
+    uvs = []
+    for view, geometry in zip(capture.views, seen.geometry, strict=True):
+        camera, depth = view.camera, geometry.depth_z_m[..., 0].astype(np.float64)
+        rays = camera.ray_directions()
+        points = camera.position_m + rays * (depth / (rays @ camera.forward))[..., None]
+        a, b, c = np.moveaxis(corners[np.maximum(geometry.face, 0)], -2, 0)
+        normal = np.cross(b - a, c - a)
+        area = np.maximum((normal**2).sum(axis=-1), 1e-300)
+        s = (np.cross(points - a, c - a) * normal).sum(axis=-1) / area
+        t = (np.cross(b - a, points - a) * normal).sum(axis=-1) / area
+        weights = np.stack([1 - s - t, s, t], axis=-1)[..., None]
+        uv = (weights * corner_uv[np.maximum(geometry.face, 0)]).sum(axis=-2)
+        uvs.append(np.where(geometry.surface_mask > 0, uv, np.nan))
+    size = atlas_size(list(zip(capture.cameras, seen.geometry, strict=True)), unwrap.metres_per_side)
+    truth = TRUTH.read(capture, seen.statistics)
+    return Room(capture, traced, seen, mesh, seen_sides(seen.geometry, len(mesh.faces)), uvs, truth, size)
+
+
+def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
+    """The checkpoint's maps of all views."""
+    with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
+        (Path(folder) / "views").mkdir()
+        return predicted_maps(
+            room.capture,
+            room.seen.statistics,
+            room.traced,
+            Path(folder),
+            checkpoint,
+            options,
+            InferReport(),
+            lambda *_: None,
+        )
+
+
+def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:
+    """Sums of squared errors by row of the table and by map."""
+    rows: dict[str, dict[str, float]] = {}
+    if what == "precision":
+        whole = predictions(room, checkpoint, InferOptions(precision="float32"))
+        half = predictions(room, checkpoint, InferOptions(precision="bfloat16"))
+        rows["float32 against the truth"] = room.view_errors(whole, room.truth)
+        rows["bfloat16 against the truth"] = room.view_errors(half, room.truth)
+        rows["bfloat16 against float32"] = room.view_errors(half, whole)
+        merged = [room.merged(maps, room.auto, None) for maps in (whole, half)]
+        rows["merged, float32 against the truth"] = room.atlas_errors(merged[0])
+        rows["merged, bfloat16 against the truth"] = room.atlas_errors(merged[1])
+    elif what == "weights":
+        maps = predictions(room, checkpoint, InferOptions(weights="all"))
+        rows["views"] = room.view_errors(maps, room.truth)
+        for weights in WEIGHTS:
+            rows[weights] = room.atlas_errors(room.merged(maps, room.auto, None, weights))
+    else:
+        for size in sizes:
+            factor = float(size.removesuffix("x"))
+            side = round(factor * room.auto) if size.endswith("x") else int(factor)
+            with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
+                atlas = room.merged(room.truth, side, Path(folder) if side > 4096 else None)
+                rows[size] = room.atlas_errors(atlas)
+    return rows
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("what", choices=("weights", "sizes", "precision"))
+    parser.add_argument("shards", nargs="+", type=Path)
+    parser.add_argument("--checkpoint", type=Path)
+    parser.add_argument("--library", type=Path, action="append", default=[])
+    parser.add_argument("--sizes", default="0.25x,0.5x,1x,2x")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    select_variant()
+    sums: dict[str, dict[str, float]] = {}
+    num_pixels = 0
+    for shard in arguments.shards:
+        room = open_room(shard, arguments.library)
+        num_pixels += room.num_pixels
+        checkpoint = arguments.checkpoint or bundled_checkpoint()
+        rows = measure(arguments.what, room, checkpoint, arguments.sizes.split(","))
+        for row, errors in rows.items():
+            kept = sums.setdefault(row, dict.fromkeys(MAP_NAMES, 0.0))
+            for name, value in errors.items():
+                kept[name] += value
+        print(f"{shard.name}: {len(room.capture.views)} views, auto {room.auto}", flush=True)
+    print(f"{'':<36}" + "".join(f"{name:>18}" for name in MAP_NAMES))
+    for row, errors in sums.items():
+        print(f"{row:<36}" + "".join(f"{errors[name] / num_pixels:>18.3e}" for name in MAP_NAMES))
+    if arguments.json:
+        means = {row: {name: e[name] / num_pixels for name in MAP_NAMES} for row, e in sums.items()}
+        arguments.json.write_text(json.dumps(means, indent=2, sort_keys=True) + "\n")
+
+
+if __name__ == "__main__":
+    main()
