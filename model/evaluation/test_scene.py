@@ -27,6 +27,7 @@ from datagen.farm.planning import start_folder, write_plan
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.base import (
     IDENTITY4,
+    Positive,
     Slug,
     StrictModel,
     canonical_json,
@@ -52,8 +53,9 @@ class TestScene(StrictModel):
     """A scene to judge methods by. ``source``: a Mitsuba file, its folder, or an environment package.
 
     ``views`` photographs and ``novel_views`` more on a walk, of ``resolution`` (width, height), by ``render``
-    and ``cameras`` as in recipes. ``seed`` chooses cameras and samples. ``annotations`` mends what the
-    importer finds out about a room (docs/importing.md).
+    and ``cameras`` as in recipes. ``seed`` chooses cameras and samples. ``unit_m``: metres in a unit of a
+    Mitsuba file, so that cameras are at a person's height; ``annotations`` mends what the importer finds out
+    about a room (docs/importing.md).
     """
 
     __test__: ClassVar[bool] = False  # no test case, whatever its name looks like to pytest
@@ -69,6 +71,7 @@ class TestScene(StrictModel):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     render: RenderRecipe = Field(default_factory=lambda: RenderRecipe(quality="standard"))
     cameras: CameraRecipe = CameraRecipe()
+    unit_m: Positive = 1.0
     annotations: Path | None = None
 
 
@@ -176,6 +179,7 @@ def _library(scene: TestScene, folder: Path) -> Path:
             asset_id=scene.name,
             dielectric="replace",
             missing="replace",
+            unit_scale=scene.unit_m,
             annotations=scene.annotations,
             overwrite=True,
         )
