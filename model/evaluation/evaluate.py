@@ -4,12 +4,13 @@
 CACHE/<scene>-<key>/            the rendered scene (``test_scene``)
 CACHE/<scene>-<key>/results/
     geometry-<key>/             the mesh that a method gets, unwrapped
-    <method>-<key>/             what ``materials infer`` writes, views/ and result.json
+    <method>-<key>/             what ``materials infer`` writes, views/ and result-<key>.json
     renders/<key>/              VIEW.exr, a folder for all that decides the pixels
 """
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -44,8 +45,8 @@ from model.reconstruction.merge import MAP_NAMES
 
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
-_REVISION = 2
-"""Of what is measured and how: another one measures anew."""
+_REVISION, _MEASURES = 2, 1
+"""Of atlases and renderings, and of figures: others are made anew."""
 
 
 @dataclass
@@ -235,12 +236,13 @@ def _judge(suite: Suite, scene: _Scene, method: Method, lpips: Lpips, tell: Tell
             return base.model_copy(update={"skipped": f"no checkpoint at {Path(method.checkpoint).name}"})
         weights = sha256_file(Path(method.checkpoint))
         base = base.model_copy(update={"checkpoint": f"{Path(method.checkpoint).stem} {weights[:12]}"})
-    judged = suite.model_dump(mode="json", include={"input_views", "novel_views", "seed", "render", "atlas"})
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
+    maps = _maps_identity(method, name)
+    folder = scene.root / f"{method.name}-{_key(own, weights, suite.atlas, scene.inputs, maps)}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}
-    key = _key(judged, own, weights, lights, lpips.absence == "", scene.inputs, _maps_identity(method, name))
-    folder = scene.root / f"{method.name}-{key}"
-    done = read_result(folder)
+    how = [_MEASURES, scene.novel, suite.render.model_dump(mode="json"), lights, not lpips.absence]
+    path = folder / f"result-{_key(how)}.json"
+    done = read_result(path)
     if done is not None:
         return done
     folder.mkdir(parents=True, exist_ok=True)
@@ -252,7 +254,7 @@ def _judge(suite: Suite, scene: _Scene, method: Method, lpips: Lpips, tell: Tell
     measured = _measure(suite, scene, method, folder, lpips, say)
     measured |= {"folder": str(folder), "peak_memory_mb": round(peak_mb(), 1)}
     result = base.model_copy(update=measured)
-    write_result(folder, result)
+    write_result(path, result)
     return result
 
 
@@ -315,7 +317,7 @@ def _figures(
 def _reconstruct(
     suite: Suite, scene: _Scene, method: Method, folder: Path, tell: Tell
 ) -> tuple[Path, dict[str, Any]]:
-    """The asset of a method, and what ``materials infer`` says of it."""
+    """The asset of a method, and what ``materials infer`` says of it; made where it is not there."""
     geometry, seconds = geometry_for(scene.capture.geometry, method.geometry, scene.root, tell)
     inputs = set(scene.prepared.input_names)
     views = tuple(view for view in scene.capture.views if view.name in inputs)
@@ -328,14 +330,16 @@ def _reconstruct(
     else:
         assert not isinstance(method, TruthMethod)
         given = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)
-    report = infer(capture, folder, checkpoint, options, tell, given)
-    stages = {**{k: round(v, 2) for k, v in report.seconds.items()}}
+    if not (folder / "report.json").is_file():
+        infer(capture, folder, checkpoint, options, tell, given)
+    report = json.loads((folder / "report.json").read_bytes())
+    stages = {name: round(value, 2) for name, value in report["seconds"].items()}
     stages["unwrap"] = round(stages.get("unwrap", 0.0) + seconds, 2)
     found = {
         "seconds": stages,
-        "seen_share": report.seen_share,
-        "atlas_size": report.atlas_size,
-        "notes": tuple(report.notes),
+        "seen_share": report["seen_share"],
+        "atlas_size": report["atlas_size"],
+        "notes": tuple(report["notes"]),
     }
     return folder / "asset", found
 

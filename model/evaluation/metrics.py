@@ -4,7 +4,9 @@
 Maps: mean squared error of linear values over the surface pixels of all views and the map's channels.
 Images: both are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded; PSNR with data range 1; SSIM
 with an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), mean over channels; DSSIM = 1 - SSIM;
-LPIPS-VGG version 0.1. Each is computed view by view and averaged.
+LPIPS-VGG version 0.1. Each is computed view by view and averaged. With a gain: the rendered images are first
+multiplied by one factor for all views, the median of the ratios of luminance over surface pixels, as a light
+would be turned up or down by hand.
 """
 
 from __future__ import annotations
@@ -15,13 +17,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import exposure_for, srgb_from_linear
+from datagen.color import exposure_for, luminance, srgb_from_linear
 from datagen.errors import InputError
 from model.evaluation.rendering import JudgedView
 from model.reconstruction.merge import MAP_NAMES
 
 MAX_PSNR_DB = 99.0  # of equal images, where the formula gives infinity
 _SSIM_SIGMA = 1.5
+_DARK = 1e-6  # keeps the ratio of two black pixels at 1
 
 
 @dataclass
@@ -116,12 +119,25 @@ class Lpips:
             return float(lpips_vgg(self._layers, pair[0], pair[1]))
 
 
+def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView]) -> float:
+    """The factor that brings most of the rendered surfaces to the true luminance."""
+    ratios = []
+    for name, view in truth.items():
+        mask = view.surface_mask & rendered[name].surface_mask
+        bright = np.maximum(luminance(rendered[name].color[mask]), _DARK)
+        ratios.append(np.maximum(luminance(view.color[mask]), _DARK) / bright)
+    joined = np.concatenate(ratios) if ratios else np.zeros(0)
+    return float(np.median(joined)) if joined.size else 1.0
+
+
 def image_figures(
     rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView], exposure: float, lpips: Lpips
 ) -> dict[str, float | None]:
     """Means over the views of ``truth``."""
     rows: list[dict[str, float | None]] = []
+    gain = fitted_gain(rendered, truth)
     for name, true_view in truth.items():
+        brought = shown(rendered[name].color, exposure * gain)
         a, b = (shown(view.color, exposure) for view in (rendered[name], true_view))
         linear = [np.clip(v.color.astype(np.float64) * exposure, 0, 1) for v in (rendered[name], true_view)]
         similarity = ssim(a, b)
@@ -132,6 +148,9 @@ def image_figures(
                 "ssim": similarity,
                 "dssim": 1.0 - similarity,
                 "lpips_vgg": lpips(a, b),
+                "gain": gain,
+                "psnr_gain_db": psnr_db(brought, b),
+                "dssim_gain": 1.0 - ssim(brought, b),
             }
         )
     if not rows:

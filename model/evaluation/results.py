@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What was measured, as plain data; one ``result.json`` for every scene and method."""
+"""What was measured, as plain data; one file for every scene and method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from datagen.formats.base import (
     write_bytes_atomically,
 )
 
-RESULT_FILE = "result.json"
 ViewSet = str
 """``input`` or ``novel``."""
 Figures = dict[str, float | None]
@@ -76,9 +75,8 @@ class SuiteResult(StrictModel):
     scenes: tuple[SceneResult, ...]
 
 
-def read_result(folder: Path) -> MethodResult | None:
-    """The result in a folder; None where there is none that can be read."""
-    path = folder / RESULT_FILE
+def read_result(path: Path) -> MethodResult | None:
+    """A result; None where there is none that can be read."""
     if not path.is_file():
         return None
     try:
@@ -87,6 +85,6 @@ def read_result(folder: Path) -> MethodResult | None:
         return None  # of another version: measured again
 
 
-def write_result(folder: Path, result: MethodResult) -> None:
-    """Write ``result.json``."""
-    write_bytes_atomically(folder / RESULT_FILE, canonical_json(result))
+def write_result(path: Path, result: MethodResult) -> None:
+    """Write a result."""
+    write_bytes_atomically(path, canonical_json(result))

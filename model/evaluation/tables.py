@@ -28,6 +28,9 @@ _ALL = {
     "ssim": "SSIM, Gaussian 11x11 sigma 1.5",
     "dssim": "DSSIM = 1-SSIM",
     "lpips_vgg": "LPIPS-VGG 0.1",
+    "gain": "fitted gain",
+    "psnr_gain_db": "PSNR, clipped sRGB, with the gain (dB)",
+    "dssim_gain": "DSSIM = 1-SSIM, with the gain",
 }
 
 
@@ -180,13 +183,15 @@ def _images_table(result: SuiteResult) -> Table:
                         rows.append(
                             (scene.name, _label(method), light, views, *(figures.get(key) for key in _ALL))
                         )
-    caption = "The same with all measures."
+    caption = (
+        "The same with all measures; the last columns after one factor for all views, as a light is turned "
+        "up or down by hand."
+    )
     if result.lpips_absence:
         caption += f" LPIPS is left out: {result.lpips_absence}."
     columns = ("scene", "method", "light", "views", *_ALL.values())
-    return Table(
-        "images", "Re-rendering, all measures", caption, columns, tuple(rows), (0, 0, 0, 0, 2, 2, 3, 3, 3)
-    )
+    digits = (0, 0, 0, 0, 2, 2, 3, 3, 3, 3, 2, 3)
+    return Table("images", "Re-rendering, all measures", caption, columns, tuple(rows), digits)
 
 
 _STAGES = ("trace", "statistics", "predict", "read maps", "write maps", "unwrap", "merge", "fill", "export")

@@ -18,7 +18,7 @@ from datagen.formats.lights import AreaLight
 from datagen.meshes import Mesh, joined
 from model.evaluation.baselines import maps_files
 from model.evaluation.mesh_errors import with_errors
-from model.evaluation.metrics import MapSums, common_exposure, psnr_db, shown, ssim
+from model.evaluation.metrics import Lpips, MapSums, common_exposure, image_figures, psnr_db, shown, ssim
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.scenery import added_lights, level_place
@@ -192,6 +192,22 @@ def test_exposure_is_common_and_of_surfaces() -> None:
     assert common_exposure([view, _view(0.5, None, 0.3)]) == pytest.approx(3.0, rel=1e-4)
 
 
+def test_gain_undoes_a_dimmer() -> None:
+    random = np.random.default_rng(5)
+    color = random.uniform(0.1, 0.4, (16, 20, 3)).astype(np.float32)
+    maps, mask = _view(0.5).maps, np.ones((16, 20), bool)
+    truth = {"a": JudgedView(color, maps, mask), "b": JudgedView(color[::-1], maps, mask)}
+    dim = {name: JudgedView(0.25 * view.color, maps, mask) for name, view in truth.items()}
+    lpips = Lpips()
+    lpips.absence = "not asked for"
+    figures = image_figures(dim, truth, 1.0, lpips)
+    assert figures["gain"] == pytest.approx(4.0, rel=1e-5)
+    assert figures["psnr_gain_db"] == pytest.approx(99.0)
+    assert figures["dssim_gain"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["psnr_srgb_db"] is not None and figures["psnr_srgb_db"] < 20
+    assert figures["lpips_vgg"] is None
+
+
 # ---- scenery
 
 
@@ -296,7 +312,7 @@ def test_tables_set_the_paper_beside_ours(tmp_path: Path) -> None:
     assert rows["paper: Ours Im."][2:5] == (0.030718, 0.049969, 0.064362)
     assert rows["ours (noise 10 mm)"][2:8] == (0.02, 0.01, 0.05) * 2
     assert {row[1]: row[2:4] for row in summary.rows}["paper: Texture"] == (18.70, 0.30)
-    assert "no weights" in images.caption and images.rows[0][-1] is None
+    assert "no weights" in images.caption and images.rows[0][8] is None
     assert {row[1]: row[-2] for row in cost.rows}["paper: Ours"] == pytest.approx(60 * 20.85)
     write_results(_result(), {"veach-ajar": {"view-000": _view(0.5)}}, tmp_path)
     text = (tmp_path / "evaluation.md").read_text()
