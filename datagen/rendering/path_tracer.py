@@ -9,12 +9,13 @@ The estimator is that of Mitsuba's ``path`` (tests hold one against the other), 
 
 No film is involved: a pixel's samples are neighbours in one array and are added in their order, so that a
 result has the same bytes however many threads made it. Camera, size, seed, sample count and the clamp are
-data of the kernel.
+data of the kernel, which is recorded once for a scene and played again.
 """
 
 from __future__ import annotations
 
 import math
+import weakref
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
 Array = Any
 
-MAX_LANES = 1 << 26
-"""Light paths traced in one launch; a view with more takes several."""
+MAX_LANES = 1 << 24
+"""Light paths traced in one launch; a view with more takes several. Each takes 36 bytes."""
 LATTICE = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence: 1/g and 1/g^2 with g^3 = g + 1."""
 MAX_CROSSINGS = 32
@@ -38,6 +39,14 @@ MAX_CROSSINGS = 32
 
 TINY = 1e-30
 """Keeps the clamp's quotient finite for paths that bring nothing."""
+
+_LIVE: weakref.WeakSet[PathTracer] = weakref.WeakSet()
+
+
+def forget_recordings() -> None:
+    """Of all tracers there are; before Dr.Jit's cache of kernels is emptied."""
+    for tracer in list(_LIVE):
+        tracer.forget_recordings()
 
 
 class PathTracer:
@@ -56,6 +65,9 @@ class PathTracer:
             for flags in (shape.bsdf().flags() for shape in built.scene.shapes() if shape.bsdf() is not None)
         )
         self._is_hidden_shape = self._hidden_table(built) if built.hidden_shapes else None
+        # Recorded once: tracing the Python of hundreds of materials takes longer than a small pass of paths.
+        self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self._is_hidden_shape)
+        _LIVE.add(self)
 
     def _hidden_table(self, built: BuiltScene) -> Any:
         pointers: Any = built.scene.shapes_dr()
@@ -121,25 +133,48 @@ class PathTracer:
         """Sums over ``count`` samples of each entry of ``cells``, flat indices (N,): red, green, blue and
         what the clamp took away, (N,) each."""
         num_lanes = cells.size * count
+        film = sensor.film().crop_size()
         with dr.suspend_grad():
             self._sampler.seed(seed, num_lanes)
-            width, height = dr.opaque(mi.UInt32, size[0]), dr.opaque(mi.UInt32, size[1])
             entry: Any = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
-            pixel: Any = dr.gather(mi.UInt32, mi.UInt32(cells), entry)
-            row: Any = pixel // width
-            offset: Any = self._sampler.next_2d()
-            position = mi.Point2f(
-                (mi.Float(pixel - row * width) + offset.x) / mi.Float(width),
-                (mi.Float(row) + offset.y) / mi.Float(height),
+            cell: Any = dr.gather(mi.UInt32, mi.UInt32(cells), entry)
+            width: Any = dr.opaque(mi.UInt32, size[0])
+            row: Any = cell // width
+            corner = mi.Point2f(mi.Float(cell - row * width), mi.Float(row))
+            cell_px: Any = mi.Vector2f(film[0] / size[0], film[1] / size[1])
+            dr.make_opaque(cell_px)
+            limit_of_paths = dr.opaque(mi.Float, limit)
+            channels = self._recorded(
+                self.scene, self._sampler, sensor.view, corner, cell_px, limit_of_paths, with_seen_lights
             )
-            ray, _ = sensor.sample_ray(mi.Float(0.0), mi.Float(0.5), position, mi.Point2f(0.5))
-            direct, indirect = self.sample(self._sampler, ray, with_seen_lights)
-            kept = dr.minimum(dr.opaque(mi.Float, limit) / dr.maximum(dr.max(indirect), TINY), 1.0)
-            channels = [*(direct + indirect * kept), mi.luminance(indirect) * (1.0 - kept)]
-            dr.eval(channels)
             sums = [dr.block_sum(channel, count) for channel in channels]
             dr.eval(sums)
         return [np.array(s).astype(np.float64) for s in sums]
+
+    def _trace(
+        self,
+        scene: Any,
+        sampler: Any,
+        view: tuple[Any, ...],
+        corner: Array,
+        cell_px: Array,
+        limit: Array,
+        with_seen_lights: bool,
+    ) -> list[Array]:
+        """Red, green, blue and what the clamp took away, of one path through each cell of the image.
+
+        Recorded and played again: whatever differs between calls comes in as an argument.
+        """
+        from datagen.rendering.plugins import rays_through  # knows classes of the variant
+
+        ray = rays_through(view, (corner + sampler.next_2d()) * cell_px)
+        direct, indirect = self.sample(sampler, ray, with_seen_lights)
+        kept = dr.minimum(limit / dr.maximum(dr.max(indirect), TINY), 1.0)
+        return [*(direct + indirect * kept), mi.luminance(indirect) * (1.0 - kept)]
+
+    def forget_recordings(self) -> None:
+        """Record anew at the next call, as is due when kernels are thrown away."""
+        self._recorded.clear()
 
     def render_seen_lights(
         self, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int

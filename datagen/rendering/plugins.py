@@ -67,15 +67,15 @@ class PinholePixels(mi.Sensor):
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
     ) -> tuple[Any, Any]:
         """Ray through ``sample2``, a position on the film in [0, 1]^2 (x right, y down), of weight 1."""
-        x = sample2.x * self.width_px - self.m_centre.x
-        y = sample2.y * self.height_px - self.m_centre.y
-        ray = dr.zeros(mi.Ray3f, dr.width(sample2))
+        position_px = sample2 * mi.ScalarVector2f(self.width_px, self.height_px)
+        ray = rays_through(self.view, position_px)
         ray.time = time
-        direction = self.m_forward + x * self.m_right + y * self.m_down  # to depth 1
-        ray.o = dr.fma(self.m_clip.x, direction, self.m_position)
-        ray.d = dr.normalize(direction)
-        ray.maxt = dr.minimum(self.m_clip.y * dr.norm(direction), dr.largest(mi.Float))
         return ray, mi.Color3f(1.0)
+
+    @property
+    def view(self) -> tuple[Any, ...]:
+        """What :func:`rays_through` needs, all of it data of a kernel."""
+        return (self.m_position, self.m_right, self.m_down, self.m_forward, self.m_centre, self.m_clip)
 
     def sample_ray_differential(
         self, time: Array, sample1: Array, sample2: Array, sample3: Array, active: Array = True
@@ -87,6 +87,18 @@ class PinholePixels(mi.Sensor):
     def to_string(self) -> str:
         """Human-readable description."""
         return f"PinholePixels[{self.width_px}x{self.height_px}]"
+
+
+def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
+    """Rays through positions on the film in pixels, for the :attr:`PinholePixels.view` of a sensor."""
+    origin, right, down, forward, centre, clip = view
+    offset = position_px - centre
+    ray = dr.zeros(mi.Ray3f)
+    direction = forward + offset.x * right + offset.y * down  # to depth 1
+    ray.o = dr.fma(clip.x, direction, origin)
+    ray.d = dr.normalize(direction)
+    ray.maxt = dr.minimum(clip.y * dr.norm(direction), dr.largest(mi.Float))
+    return ray
 
 
 class SunDisc(mi.Emitter):

@@ -119,6 +119,9 @@ def release_memory() -> None:
     """
     import drjit as dr
 
+    from datagen.rendering.path_tracer import forget_recordings
+
+    forget_recordings()
     gc.collect()  # scenes and their materials refer to each other
     dr.flush_malloc_cache()
     dr.flush_kernel_cache()

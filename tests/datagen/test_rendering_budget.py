@@ -297,6 +297,33 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
     assert correlation(shared, view.halves[1]) > 0.5  # the twin: halves that share samples
 
 
+def test_what_was_recorded_once_holds_for_every_call(budgeted: SceneRenderer) -> None:
+    """Other cameras, sizes, counts and limits are data of the recorded kernels: nothing of them stays."""
+    tracer = budgeted._tracer
+    counts = np.full((CAMERAS[0].height_px, CAMERAS[0].width_px), 2, np.int64)
+    counts[::3] = 6
+    calls: list[dict[str, Any]] = [
+        {"sensor": 0, "num_samples": 3, "seed": 1},
+        {"sensor": 1, "num_samples": counts, "seed": 2},
+        {"sensor": 2, "num_samples": 5, "seed": 3, "grid": (7, 5)},
+        {"sensor": 0, "num_samples": 1, "seed": 4, "with_seen_lights": True},
+        {"sensor": 1, "num_samples": 4, "seed": 5, "limit": 0.5},
+        {"sensor": CAMERAS[0].scaled(20, 12), "num_samples": 4, "seed": 6},
+    ]
+
+    def results(is_fresh: bool) -> Iterator[PathSums]:
+        for call in calls:
+            if is_fresh:
+                tracer.forget_recordings()
+            chosen = call["sensor"]
+            camera = CAMERAS[chosen] if isinstance(chosen, int) else chosen
+            yield tracer.add_up(**{**call, "sensor": budgeted._sensor(camera)})
+
+    for played, fresh in zip(results(False), results(True), strict=True):
+        assert (played.radiance == fresh.radiance).all() and played.radiance.any()
+        assert (played.removed_luminance == fresh.removed_luminance).all()
+
+
 # ---------------------------------------------------------------------- clamp
 
 
