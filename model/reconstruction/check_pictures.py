@@ -16,7 +16,7 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.images import encode_png
 
 if TYPE_CHECKING:
-    from model.reconstruction.check import CheckReport, ViewCheck
+    from model.reconstruction.check_views import CheckReport, ViewCheck
 
 COLUMNS, ROWS = 4, 5
 _TILE_PX, _LABEL_PX, _GAP_PX = 400, 42, 6

@@ -19,6 +19,7 @@ from datagen.images import encode_png, read_image
 from datagen.meshes import encode_ply
 from model.reconstruction.check import check_capture
 from model.reconstruction.check_edges import edge_field, match_edges, mesh_edges, photograph_field
+from model.reconstruction.check_registration import SeenShift, common_mistake
 from model.reconstruction.geometry import TracedGeometry
 from model.reconstruction.infer import InferOptions, infer
 from tests.model.photographed_room import (
@@ -56,6 +57,79 @@ def test_a_camera_off_by_a_degree_is_named(axis: tuple[float, float, float]) -> 
     assert off is not None and 0.6 < off < 1.4
     # the twin: a fifth of a degree is nothing to speak of
     assert check_capture(turned(photographed_room(), 3, 0.2, axis)).all_warnings == []
+
+
+@pytest.mark.parametrize("degrees", [2.0, -2.0])
+def test_a_rolled_camera_is_named(degrees: float) -> None:
+    """A camera claimed to be rolled clockwise shows the mesh turned the other way: the photograph's edges are
+    clockwise of the mesh's."""
+    report = check_capture(turned(photographed_room(), 5, degrees, (0, 0, 1.0)))
+    (warning,) = report.all_warnings
+    way = "clockwise" if degrees > 0 else "anticlockwise"
+    assert warning.startswith("view_05: its edges are turned by") and f"degrees {way} against" in warning
+    warp = report.views[5].warp
+    assert warp is not None and np.degrees(warp.roll_rad) == pytest.approx(degrees, abs=0.5)
+    # the twin: a third of a degree is nothing to speak of
+    assert check_capture(turned(photographed_room(), 5, degrees / 6, (0, 0, 1.0))).all_warnings == []
+
+
+@pytest.mark.parametrize(
+    ("metres", "said"), [(0.12, "large in it; the camera stands some"), (-0.12, "small in")]
+)
+def test_a_camera_moved_along_its_view_is_named(metres: float, said: str) -> None:
+    capture = photographed_room()
+    camera = capture.views[1].camera
+    pose = camera.world_from_camera.copy()
+    pose[:3, 3] += metres * camera.forward
+    report = check_capture(with_view(capture, 1, camera=replace(camera, world_from_camera=pose)))
+    (warning,) = report.all_warnings
+    assert warning.startswith("view_01: the mesh looks") and said in warning
+    warp = report.views[1].warp
+    assert warp is not None
+    assert (1 - warp.zoom) * report.views[1].zoom_depth_m == pytest.approx(metres, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("offset", "scale"), [((0.02, -0.01, 0.015), 1.02), ((0, 0, 0), 0.98), ((0.02, 0, 0), 1)]
+)
+def test_offset_and_scale_of_a_mesh_are_told_apart(offset: tuple[float, float, float], scale: float) -> None:
+    """A point 3 m ahead of each camera, projected before and after the mistake, exactly; two views are off by
+    themselves."""
+    rng = np.random.default_rng(0)
+    cameras = []
+    for _ in range(14):
+        eye = rng.uniform(-1.5, 1.5, 3)
+        cameras.append(
+            Camera(320, 220, 200, 205, 160, 110, look_at(eye, eye + rng.normal(size=3) * [1, 1, 0.3]))
+        )
+    middle = np.mean([c.position_m for c in cameras], axis=0)
+    views = []
+    for index, camera in enumerate(cameras):
+        point = camera.position_m + 3 * camera.forward
+        wrong = point + offset + (scale - 1) * (point - middle)
+        shift = camera.project(point[None])[0][0] - camera.project(wrong[None])[0][0]
+        shift = shift + rng.normal(0, 0.1, 2) + (20 if index in (3, 8) else 0)
+        views.append(SeenShift(camera, 3.0, (float(shift[0]), float(shift[1])), (0.3, 0.0, 0.3)))
+    found = common_mistake(views)
+    assert found is not None
+    assert found.scale == pytest.approx(scale, abs=0.002)
+    told = np.zeros(3) if found.offset_m is None else found.offset_m
+    np.testing.assert_allclose(told, offset, atol=0.003)
+    assert (found.offset_m is None) == (not any(offset))
+    left = np.linalg.norm(found.left_px, axis=1)
+    assert left[[3, 8]].min() > 15 and np.delete(left, [3, 8]).max() < 1
+    still = [replace(view, shift_px=(0.2, -0.1)) for view in views]
+    assert common_mistake(still) is None
+
+
+def test_a_focal_length_that_is_off_is_told_once() -> None:
+    capture = photographed_room()
+    for index, view in enumerate(capture.views):
+        longer = replace(view.camera, fx_px=1.04 * view.camera.fx_px, fy_px=1.04 * view.camera.fy_px)
+        capture = with_view(capture, index, camera=longer)
+    report = check_capture(capture)
+    (warning,) = report.all_warnings
+    assert warning.startswith("the mesh looks 1.0") and "too large in most views; the focal" in warning
 
 
 def test_a_mesh_off_by_two_centimetres_is_measured() -> None:

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""What the check looks at and what it finds: views as read and traced, findings by view and for a capture."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera
+from datagen.color import luminance
+from datagen.formats.capture import ColorImage
+from model.reconstruction.check_edges import (
+    EdgeMatch,
+    WarpMatch,
+    match_edges,
+    match_warp,
+    mesh_edges,
+    photograph_field,
+)
+from model.reconstruction.geometry import ViewGeometry
+
+MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room that the mesh is of
+CLIPPED_LEVEL, MAX_CLIPPED = 0.99, 0.5
+_NEAR_M, _MAX_NEAR = 0.05, 0.5  # half a view nearer than this: the camera is in or at a wall
+SEARCH_RAD = np.radians(3.5)  # how far off a camera is looked for
+_MIN_RADIUS_PX = 24  # enough other shifts to tell a peak from accidents
+TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
+SURE = 5.0  # standard deviations: a peak of this height is no accident
+
+
+@dataclass
+class ViewCheck:
+    """What was found about a view. Shares are of its pixels; ``off_deg`` is the shift as an angle of the
+    camera, None where the edges say nothing; ``depth_m`` and ``zoom_depth_m``: how far away edges are, as
+    shifts and magnifications tell."""
+
+    name: str
+    coverage: float
+    back_share: float
+    nearest_m: float
+    edges: EdgeMatch | None = None
+    warp: WarpMatch | None = None
+    off_deg: float | None = None
+    depth_m: float = 0.0
+    zoom_depth_m: float = 0.0
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether the edges say where they belong."""
+        return self.edges is not None and self.edges.at_peak >= SURE
+
+
+@dataclass
+class CheckReport:
+    """Findings by view and for the capture. ``offset_m``: how far the mesh seems to be moved, None where
+    unknown or nothing to speak of; ``scale``: how large it seems to be against the cameras' frame; ``fit``:
+    median over the views of the edges' score as it stands, in standard deviations."""
+
+    name: str
+    views: list[ViewCheck]
+    fit: float = 0.0
+    offset_m: tuple[float, float, float] | None = None
+    scale: float = 1.0
+    better: str = ""
+    warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def all_warnings(self) -> list[str]:
+        """Those of the capture, then those of the views."""
+        return [*self.warnings, *(warning for view in self.views for warning in view.warnings)]
+
+    def table(self) -> dict[str, Any]:
+        """As it is written to ``check.json``."""
+        return {"format": "scene-materials/check", **asdict(self)}
+
+
+def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
+    """What makes a view of little use by itself, each with a remedy."""
+    found = []
+    coverage = float((geometry.face >= 0).mean())
+    if coverage == 0:
+        found.append(f"{name}: sees nothing of the mesh; correct its pose or leave it out")
+    elif coverage < MIN_COVERAGE:
+        found.append(
+            f"{name}: only {coverage:.1%} of its pixels show the mesh; leave it out if it is of another place"
+        )
+    brightness = luminance(color)
+    if not brightness.any():
+        found.append(f"{name}: is black; leave it out")
+    elif float((brightness >= CLIPPED_LEVEL).mean()) > MAX_CLIPPED and float(brightness.max()) <= 1.0:
+        found.append(f"{name}: over half of it is at the sensor's limit; expose less or leave it out")
+    return found
+
+
+@dataclass
+class Look:
+    """A view as read and traced, and the edges of both."""
+
+    name: str
+    camera: Camera
+    image: ColorImage
+    geometry: ViewGeometry
+
+    def __post_init__(self) -> None:
+        self.edges = mesh_edges(self.geometry, self.camera)
+        self.field = photograph_field(self.image.color, self.image.valid_mask)
+
+    @property
+    def radius_px(self) -> int:
+        """The largest shift to look for."""
+        wanted = max(self.camera.fx_px * float(np.tan(SEARCH_RAD)), _MIN_RADIUS_PX)
+        return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
+
+    def checked(self, sides: NDArray[np.float32]) -> ViewCheck:
+        hit = self.geometry.face >= 0
+        depth = self.geometry.depth_z_m[..., 0]
+        is_back = self.geometry.is_front[hit] != (sides[self.geometry.face[hit]] > 0)
+        found = ViewCheck(
+            self.name,
+            coverage=float(hit.mean()),
+            back_share=float(is_back.mean()) if hit.any() else 0.0,
+            nearest_m=float(depth[hit].min()) if hit.any() else 0.0,
+            warnings=view_warnings(self.name, self.image.color, self.geometry),
+        )
+        if hit.any() and float((depth[hit] < _NEAR_M).mean()) > _MAX_NEAR:
+            found.warnings.append(
+                f"{self.name}: most of what it sees is nearer than {100 * _NEAR_M:.0f} cm; "
+                "the camera is inside a wall or a thing, or the unit is wrong (--unit)"
+            )
+        elif found.back_share > 0.5:
+            found.warnings.append(
+                f"{self.name}: sees mostly the back of the mesh; the camera is inside a wall or outside the "
+                "room; correct its pose or leave it out"
+            )
+        if not found.warnings:
+            found.edges = match_edges(self.edges, self.field, self.radius_px)
+            found.warp = match_warp(self.edges, self.field, self.camera, self.radius_px)
+            at = self.edges & hit
+            if at.any():
+                found.depth_m = float(1 / np.mean(1 / depth[at]))
+                found.zoom_depth_m = self._zoom_depth_m(at, depth)
+        if found.edges is not None:
+            is_off = found.edges.surely_px(found.edges.peak_px) > 0
+            shift = float(np.hypot(*found.edges.peak_px)) if is_off else 0.0
+            found.off_deg = float(np.degrees(np.arctan(shift / self.camera.fx_px)))
+        return found
+
+    def _zoom_depth_m(self, at: NDArray[np.bool_], depth: NDArray[np.floating]) -> float:
+        """A camera that moves forward by t magnifies its edges by t over this depth: they go outwards by
+        r t / z each, r from the axis, and least squares make one factor of them."""
+        centers = self.camera.pixel_centers()[at] - [self.camera.cx_px, self.camera.cy_px]
+        squared = (centers**2).sum(axis=-1)
+        return float(squared.sum() / (squared / depth[at]).sum())
+
+    def tolerance_px(self) -> float:
+        return max(_TOLERANCE_PX, self.camera.fx_px * float(np.tan(TOLERANCE_RAD)))
