@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""A test scene as all methods of a suite share it: capture, lights, judged views, the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.formats.base import canonical_json, sha256_hex
+from datagen.formats.capture import Capture, CaptureView
+from datagen.formats.configuration import PlacedAsset
+from datagen.formats.package import open_package
+from datagen.formats.recipe import RenderRecipe
+from datagen.formats.shard import ShardReader
+from mitsuba_plugins.variant import select_variant
+from model.evaluation.metrics import common_exposure
+from model.evaluation.rendering import JudgedView, render_scenery, stored_view
+from model.evaluation.results import MethodResult, SceneResult
+from model.evaluation.scenery import Scenery, added_lights, level_place, true_scenery
+from model.evaluation.suite import ModifiedLight, Suite
+from model.evaluation.test_scene import PreparedScene, TestScene
+from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.rendered import package_geometry
+
+Tell = Callable[[str, int, int], None]
+OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
+_REVISION = 2
+"""Of atlases and renderings: others are made anew."""
+
+
+@dataclass
+class OpenedScene:
+    """A scene with its judged views, ``inputs`` and ``novel``. By light: ``sceneries``, ``truth`` (by view),
+    ``exposures``, ``renders`` (folders of true views that the capture does not have). ``root`` is its folder
+    of results; ``figure_views`` are those of the pictures."""
+
+    recipe: TestScene
+    prepared: PreparedScene
+    root: Path
+    capture: Capture
+    inputs: tuple[str, ...]
+    novel: tuple[str, ...]
+    sceneries: dict[str, Scenery]
+    truth: dict[str, dict[str, JudgedView]] = field(default_factory=dict)
+    exposures: dict[str, float] = field(default_factory=dict)
+    figure_views: dict[str, str] = field(default_factory=dict)
+    renders: dict[str, str] = field(default_factory=dict)
+
+    def view(self, name: str) -> CaptureView:
+        """A view of the capture."""
+        return next(view for view in self.capture.views if view.name == name)
+
+    def views_of(self, light: str) -> tuple[str, ...]:
+        """The views that are rendered under a light."""
+        return (self.figure_views["input"],) if light == INSERTED else (*self.inputs, *self.novel)
+
+    def input_capture(self) -> Capture:
+        """The photographs that methods may use."""
+        inputs = set(self.prepared.input_names)
+        return replace(self.capture, views=tuple(v for v in self.capture.views if v.name in inputs))
+
+    def render_folder(self, scenery: Scenery, views: tuple[str, ...], render: RenderRecipe) -> Path:
+        """A folder that is named by all that decides the pixels."""
+        seen = scenery.seen_by(views).configuration
+        return self.root / "renders" / key_of(seen.model_dump(mode="json"), render.model_dump(mode="json"))
+
+    def result(self, methods: tuple[MethodResult, ...]) -> SceneResult:
+        """The scene's part of a suite's result."""
+        samples = [record.render.path_samples for record in ShardReader(self.prepared.capture).records()]
+        return SceneResult(
+            name=self.recipe.name,
+            num_views=len(self.prepared.input_names),
+            num_novel=len(self.prepared.novel_names),
+            resolution=self.recipe.resolution,
+            judged_views=self.inputs,
+            novel_views=self.novel,
+            exposures=self.exposures,
+            figure_views=self.figure_views,
+            path_samples=float(np.mean(samples)),
+            renders=self.renders,
+            methods=methods,
+        )
+
+
+def key_of(*parts: Any) -> str:
+    """A short hash for the name of a folder or file."""
+    return sha256_hex(canonical_json([_REVISION, *parts]))[:12]
+
+
+def told(tell: Tell, stage: str) -> Callable[[int, int], None]:
+    """A progress of one stage."""
+    return lambda done, total: tell(stage, done, total)
+
+
+def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: Tell) -> OpenedScene:
+    """Read what was rendered, and render what is missing of the truth."""
+    select_variant()
+    whole = read_capture(
+        prepared.capture, CaptureOptions(library=prepared.library, max_width_px=recipe.resolution[0])
+    )
+    random = np.random.default_rng([suite.seed, 0x76696577])
+    drawn = random.permutation(len(prepared.input_names))[: suite.input_views]
+    inputs = tuple(prepared.input_names[k] for k in sorted(drawn))
+    novel = prepared.novel_names[: suite.novel_views]
+    truth = true_scenery(prepared)
+    modified = suite.modified_light.get(recipe.name, ModifiedLight())
+    cameras = [view.camera for view in whole.views]
+    scene = OpenedScene(
+        recipe=recipe,
+        prepared=prepared,
+        root=prepared.capture.parents[2] / "results",
+        capture=whole,
+        inputs=inputs,
+        novel=novel,
+        sceneries={
+            OWN: truth,
+            MODIFIED: truth.lit_by(modified, added_lights(modified, whole.geometry, cameras)),
+        },
+    )
+    scene.truth[OWN] = {name: stored_view(scene.view(name)) for name in (*inputs, *novel)}
+    _choose_figures(suite, scene)
+    for light in (MODIFIED, *([INSERTED] if INSERTED in scene.sceneries else [])):
+        scenery, views = scene.sceneries[light], scene.views_of(light)
+        folder = scene.render_folder(scenery, views, recipe.render)
+        scene.renders[light] = str(folder)
+        said = told(tell, f"{recipe.name}: truth, {light}")
+        scene.truth[light] = render_scenery(scenery, views, folder, recipe.render, said)
+    scene.exposures = {light: common_exposure(list(views.values())) for light, views in scene.truth.items()}
+    if INSERTED in scene.exposures:
+        scene.exposures[INSERTED] = scene.exposures[OWN]
+    return scene
+
+
+def _choose_figures(suite: Suite, scene: OpenedScene) -> None:
+    """Views for the pictures, and the place of the inserted object in one of them."""
+    inserted = suite.inserted[scene.recipe.name]
+    package = open_package(Path(inserted.package))
+    thing, _ = package_geometry(package, PlacedAsset(name=INSERTED, asset=package.id))
+    height_m = float(thing.mesh.positions[:, 2].max()) * inserted.scale
+    position = None if inserted.position_m is None else np.array(inserted.position_m)
+    chosen, best = scene.inputs[0], np.inf
+    for name in scene.inputs if position is None else ():
+        view = scene.view(name)
+        stored = view.source.read_maps(("depth_z_m", "normal_world"))
+        place = level_place(view.camera, stored["depth_z_m"], stored["normal_world"], height_m)
+        if place is not None and place.cost < best:
+            chosen, best, position = name, place.cost, place.position_m
+    scene.figure_views["input"] = chosen
+    if scene.novel:
+        scene.figure_views["novel"] = scene.novel[len(scene.novel) // 2]
+    if position is not None:
+        scene.sceneries[INSERTED] = scene.sceneries[OWN].with_object(inserted, position)
