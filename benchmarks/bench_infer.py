@@ -3,24 +3,40 @@
 
     python -m benchmarks.bench_infer --views 160 --size 640x384 --atlas 16384
     python -m benchmarks.bench_infer --capture SHARD --atlas auto
+    python -m benchmarks.bench_infer --capture SHARD --views 160 --size 640x384 --atlas 16384
 
 Without ``--capture`` the capture is a room of 24 triangles with a block in it, known analytically: its
-geometry is free, so that what is measured is the work by pixel, view and texel. Weights are random: time
-does not depend on them. Writes JSON with ``--json``.
+geometry is free, so that what is measured is the work by pixel, view and texel. With a rendered capture and
+``--views`` its cameras are taken in turn, moved by up to 0.3 m and turned by up to 20 degrees, and what they
+see is looked up in the capture's true albedo and shaded from the camera: as many photographs of the same room
+as are asked for, without rendering them. Weights are random unless ``--checkpoint`` names some; time does not
+depend on them but for the solver's, whose grid follows the predicted albedo. Writes JSON with ``--json``.
+
+Memory is counted twice: what the process itself holds, and all that is resident, with the pages of the
+atlas's files that the system may drop whenever it needs the room.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import resource
 import tempfile
-from dataclasses import asdict
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from datagen.formats.capture import Capture
+from benchmarks.bench_merge_quality import looked_up, open_room, pixel_uv
+from datagen.cameras import Camera
+from datagen.formats.capture import Capture, CaptureView, ColorImage
+from mitsuba_plugins.variant import select_variant
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
@@ -46,11 +62,79 @@ def random_checkpoint(folder: Path) -> Path:
     return path
 
 
-def measure(capture: Capture, options: InferOptions) -> InferReport:
+@dataclass(frozen=True)
+class _Shot:
+    """A photograph in memory."""
+
+    color: NDArray[np.float32]
+
+    def read(self, camera: Camera) -> ColorImage:
+        return ColorImage(self.color, np.ones(self.color.shape[:2], bool))
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        return {}
+
+
+def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, int]) -> Capture:
+    """``num`` views of ``size`` (width, height) of a rendered capture's room."""
+    select_variant()
+    room = open_room(shard, library)
+    albedo = room.merged(room.truth, min(room.auto, 4096), None).maps["diffuse_albedo"]
+    rng = np.random.default_rng(0)
+    views: list[CaptureView] = []
+    while len(views) < num:
+        near = room.capture.cameras[len(views) % len(room.capture.cameras)]
+        pose = near.world_from_camera.copy()
+        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(np.radians(rng.uniform(-20, 20, 3))).as_matrix()
+        pose[:3, 3] += rng.uniform(-0.3, 0.3, 3) * [1, 1, 0.5]
+        scale = np.array([size[0] / near.width_px, size[1] / near.height_px])
+        camera = Camera(
+            *size,
+            near.fx_px * scale[0],
+            near.fy_px * scale[1],
+            near.cx_px * scale[0],
+            near.cy_px * scale[1],
+            pose,
+        )
+        seen = room.traced.trace_view(camera)
+        if (seen.depth_z_m < 0.3).mean() > 0.1:
+            continue  # inside something
+        uv = pixel_uv(room.traced.mesh, room.mesh, camera, seen)
+        on_surface = ~np.isnan(uv[..., 0])
+        cosine = -(seen.normal_world * camera.ray_directions()).sum(axis=-1, keepdims=True)
+        color = np.full((size[1], size[0], 3), 0.5, np.float32)
+        color[on_surface] = (looked_up(albedo, uv[on_surface]) * cosine[on_surface]).astype(np.float32)
+        views.append(CaptureView(f"view-{len(views):03d}", camera, _Shot(color)))
+    return replace(room.capture, views=tuple(views))
+
+
+class MemoryWatch:
+    """Peaks of a process's own memory and of all that is resident, in GB; samples ten times a second."""
+
+    def __init__(self) -> None:
+        self.own_gb, self.resident_gb = 0.0, 0.0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        status = Path("/proc/self/status")
+        while not self._stop.wait(0.1):
+            fields = dict(line.split(":", 1) for line in status.read_text().splitlines() if ":" in line)
+            own, resident = (int(fields[key].split()[0]) / 2**20 for key in ("RssAnon", "VmRSS"))
+            self.own_gb, self.resident_gb = max(self.own_gb, own), max(self.resident_gb, resident)
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+def measure(
+    capture: Capture, options: InferOptions, checkpoint: Path | None, scratch: Path | None
+) -> InferReport:
     """One run into a folder that is thrown away."""
-    with tempfile.TemporaryDirectory(prefix="bench-infer-") as folder:
-        checkpoint = random_checkpoint(Path(folder))
-        return infer(capture, Path(folder) / "out", checkpoint, options)
+    with tempfile.TemporaryDirectory(prefix="bench-infer-", dir=scratch) as folder:
+        return infer(capture, Path(folder) / "out", checkpoint or random_checkpoint(Path(folder)), options)
 
 
 def main() -> None:
@@ -58,30 +142,38 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])
-    parser.add_argument("--views", type=int, default=24)
+    parser.add_argument("--views", type=int, help="24 without --capture, else all that it has")
     parser.add_argument("--size", default="640x384")
     parser.add_argument("--atlas", default="auto")
     parser.add_argument("--precision", default="auto", choices=("auto", "float32", "bfloat16"))
+    parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--no-exr", action="store_true")
+    parser.add_argument("--scratch", type=Path, help="where the result is made and thrown away")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    if arguments.capture:
+    width, height = (int(side) for side in arguments.size.split("x"))
+    if arguments.capture and arguments.views:
+        capture = shot_again(arguments.capture, arguments.library, arguments.views, (width, height))
+    elif arguments.capture:
         capture = read_capture(arguments.capture, CaptureOptions(library=tuple(arguments.library)))
     else:
-        width, height = (int(side) for side in arguments.size.split("x"))
-        capture = room_capture(arguments.views, (width, height))
-    atlas = "auto" if arguments.atlas == "auto" else int(arguments.atlas)
+        capture = room_capture(arguments.views or 24, (width, height))
+    atlas: Any = "auto" if arguments.atlas == "auto" else int(arguments.atlas)
     options = InferOptions(atlas=atlas, precision=arguments.precision, has_exr=not arguments.no_exr)
-    report = measure(capture, options)
-    peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    memory, start = MemoryWatch(), time.process_time()
+    report = measure(capture, options, arguments.checkpoint, arguments.scratch)
+    memory.stop()
+    cpu_s = time.process_time() - start
     print(f"{report.num_views} views, {report.num_triangles} triangles, atlas {report.atlas_size}")
     print(report.table())
     for name, stages in STAGES.items():
         minutes = sum(report.seconds.get(stage, 0.0) for stage in stages) / 60
         print(f"{name:<12}{minutes:>8.2f} min   (paper, Veach Ajar's load, GPU: {PAPER_MINUTES[name]:.2f})")
-    print(f"peak memory {peak_gb:.1f} GB, {torch.get_num_threads()} threads, {report.precision}")
+    print(f"processor time {cpu_s:.0f} s, {torch.get_num_threads()} threads, {report.precision}")
+    print(f"peak memory {memory.own_gb:.1f} GB, with pages of files {memory.resident_gb:.1f} GB")
     if arguments.json:
-        result = {**asdict(report), "peak_memory_gb": peak_gb, "threads": torch.get_num_threads()}
+        peaks = {"peak_own_gb": memory.own_gb, "peak_resident_gb": memory.resident_gb}
+        result = {**asdict(report), **peaks, "cpu_s": cpu_s, "threads": torch.get_num_threads()}
         arguments.json.write_text(json.dumps(result, indent=2, sort_keys=True) + "\n")
 
 

@@ -25,13 +25,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.cameras import Camera
 from datagen.formats.capture import Capture
 from datagen.meshes import Mesh
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.fill import atlas_size, fill_unseen
-from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides, smooth_regions
+from model.reconstruction.geometry import (
+    TracedGeometry,
+    ViewGeometry,
+    face_normals,
+    seen_sides,
+    smooth_regions,
+)
 from model.reconstruction.infer import TRUTH, Seen, look
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.merge import (
@@ -123,27 +130,34 @@ def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
     return np.asarray(upper * (1 - t) + lower * t, np.float64)
 
 
+def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeometry) -> NDArray:
+    """UVs (H, W, 2) of the surface under each pixel's centre, NaN off the surface; the meshes share their
+    triangles' order and corners."""
+    assert unwrapped_mesh.uv is not None
+    face = np.maximum(geometry.face, 0)
+    rays = camera.ray_directions()
+    depth = geometry.depth_z_m[..., 0].astype(np.float64)
+    points = camera.position_m + rays * (depth / (rays @ camera.forward))[..., None]
+    a, b, c = np.moveaxis(mesh.triangles()[face], -2, 0)
+    normal = np.cross(b - a, c - a)
+    area = np.maximum((normal**2).sum(axis=-1), 1e-300)
+    s = (np.cross(points - a, c - a) * normal).sum(axis=-1) / area
+    t = (np.cross(b - a, points - a) * normal).sum(axis=-1) / area
+    shares = np.stack([1 - s - t, s, t], axis=-1)[..., None]
+    uv = (shares * unwrapped_mesh.uv[unwrapped_mesh.faces[face]]).sum(axis=-2)
+    return np.where(geometry.surface_mask > 0, uv, np.nan)
+
+
 def open_room(shard: Path, library: Sequence[Path]) -> Room:
     """Read, trace and unwrap."""
     capture = read_capture(shard, CaptureOptions(library=tuple(library)))
     traced = TracedGeometry(capture.geometry)
     seen = look(capture, traced, lambda *_: None)
     mesh, unwrap = unwrapped(traced.mesh)
-    assert mesh.uv is not None
-    corners, corner_uv = traced.mesh.triangles(), mesh.uv[mesh.faces].astype(np.float64)
-    uvs = []
-    for view, geometry in zip(capture.views, seen.geometry, strict=True):
-        camera, depth = view.camera, geometry.depth_z_m[..., 0].astype(np.float64)
-        rays = camera.ray_directions()
-        points = camera.position_m + rays * (depth / (rays @ camera.forward))[..., None]
-        a, b, c = np.moveaxis(corners[np.maximum(geometry.face, 0)], -2, 0)
-        normal = np.cross(b - a, c - a)
-        area = np.maximum((normal**2).sum(axis=-1), 1e-300)
-        s = (np.cross(points - a, c - a) * normal).sum(axis=-1) / area
-        t = (np.cross(b - a, points - a) * normal).sum(axis=-1) / area
-        weights = np.stack([1 - s - t, s, t], axis=-1)[..., None]
-        uv = (weights * corner_uv[np.maximum(geometry.face, 0)]).sum(axis=-2)
-        uvs.append(np.where(geometry.surface_mask > 0, uv, np.nan))
+    uvs = [
+        pixel_uv(traced.mesh, mesh, view.camera, geometry)
+        for view, geometry in zip(capture.views, seen.geometry, strict=True)
+    ]
     size = atlas_size(list(zip(capture.cameras, seen.geometry, strict=True)), unwrap.metres_per_side)
     truth = TRUTH.read(capture, seen.statistics)
     return Room(capture, traced, seen, mesh, seen_sides(seen.geometry, len(mesh.faces)), uvs, truth, size)

@@ -22,7 +22,7 @@ from datagen.color import srgb_from_linear
 from datagen.formats.base import write_bytes_atomically
 from datagen.images import encode_png
 from model.reconstruction.compiled import num_threads
-from model.reconstruction.merge import MAP_CHANNELS, Atlas
+from model.reconstruction.merge import MAP_CHANNELS, Atlas, let_go
 
 _BAND = 1024
 SEEN, FILLED, EMPTY = 255, 128, 0
@@ -39,10 +39,11 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
     halves = np.arange(65536, dtype=np.uint32).astype(np.uint16).view(np.float16).astype(np.float32)
     values = np.nan_to_num(np.clip(halves, 0.0, 1.0))
     table = quantized_bytes(srgb_from_linear(values) if MAP_CHANNELS[name] == 3 else values)
-    stored = np.empty(array.shape, np.uint8)
+    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # in memory B G R, which the PNG writer need not copy
     for top in range(0, array.shape[0], _BAND):
         band = np.ascontiguousarray(array[top : top + _BAND], np.float16)
         stored[top : top + _BAND] = table[band.view(np.uint16)]
+        let_go(array)
     return stored
 
 
@@ -79,8 +80,7 @@ def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> l
 
 
 def _write_exr(path: Path, half: NDArray) -> None:
-    names = "RGB" if half.shape[2] == 3 else "Y"
-    channels = {name: np.ascontiguousarray(half[..., k]) for k, name in enumerate(names)}
+    channels = {"RGB": half} if half.shape[2] == 3 else {"Y": half[..., 0]}
     temporary = path.with_name(f".{path.name}.partial")
     try:
         with OpenEXR.File(

@@ -29,6 +29,7 @@ GUTTER = 128
 """Texels above and below a band that may fill it."""
 MAX_CHARTS = 20_000  # beyond, charts are so small that filling by triangle is as good
 MIN_SIZE, MAX_SIZE = 256, 16384
+_LARGE_WINDOW = 2**22  # texels of a chart after which memory is let go of
 _GRAZING_COSINE = 0.1  # footprints grow without bound towards grazing views
 
 
@@ -146,6 +147,8 @@ def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -
         seen, unseen = np.zeros(face.shape, np.bool_), np.zeros(face.shape, np.bool_)
         if _split_chart(face, count, charts, chart, seen, unseen):
             _copy_nearest(atlas, window, seen, unseen)
+        if face.size > _LARGE_WINDOW:
+            atlas.release()
 
     with ThreadPoolExecutor(num_threads()) as pool:
         deque(pool.map(fill, partly), maxlen=0)

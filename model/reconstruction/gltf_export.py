@@ -133,6 +133,7 @@ def _encode_textures(reconstruction: Reconstruction) -> tuple[list[bytes], Conve
             difference = np.abs(got - truth)[on_surface]
             sums[k] += float(difference.sum()) / 3
             most[k] = max(most[k], float(difference.max(initial=0)))
+        atlas.release()
     mean = sums / max(num, 1)
     errors = (float(mean[0]), float(most[0]), float(mean[1]), float(most[1]))
     error = ConversionError(*errors, atlas.size // shrink)

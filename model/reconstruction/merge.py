@@ -133,11 +133,6 @@ class Atlas:
         return int(self.count.shape[0])
 
     @property
-    def seen_mask(self) -> NDArray[np.bool_]:
-        """Texels that hold observations."""
-        return np.asarray(self.count > 0)
-
-    @property
     def unseen_mask(self) -> NDArray[np.bool_]:
         """Texels with surface that no view sees."""
         return np.asarray((self.face >= 0) & (self.count == 0))
@@ -146,8 +141,13 @@ class Atlas:
         """Let go of what lies in files; the next access reads it again. Else a large atlas that is walked
         through from end to end would fill the memory with what is not needed any more."""
         for array in (*self.maps.values(), self.count, self.face):
-            if isinstance(array.base, mmap.mmap):
-                array.base.madvise(mmap.MADV_DONTNEED)
+            let_go(array)
+
+
+def let_go(array: NDArray) -> None:
+    """Let go of an array's pages in memory, if it lies in a file that they can be read from again."""
+    if isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        array.base.madvise(mmap.MADV_DONTNEED)
 
 
 def empty_atlas(size: int, folder: Path | None = None) -> Atlas:
