@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""The learning curve's benchmark at the least size: every point has its data, its run and its figures."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks import bench_learning_curve
+from datagen.formats.configuration import Split
+from datagen.formats.shard import Dataset
+from tests.model.training_data import make_dataset
+
+
+@pytest.fixture(scope="module")
+def datasets(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    root = tmp_path_factory.mktemp("curve")
+    good: dict[str, tuple[Split, int]] = {"a": ("train", 2), "b": ("train", 2), "c": ("validation", 2)}
+    cheap: dict[str, tuple[Split, int]] = {
+        "z": ("test", 1),
+        "a": ("train", 2),
+        "b": ("train", 2),
+        "d": ("train", 2),
+    }  # other content
+    return make_dataset(root / "good", good), make_dataset(root / "cheap", cheap)
+
+
+def test_points_of_two_datasets(
+    datasets: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = [*map(str, datasets), "--out", str(tmp_path), "--counts", "1", "2", "--steps", "2"]
+    monkeypatch.setattr(sys, "argv", ["bench", *arguments, "--preset", "smoke", "--threads", "1"])
+    bench_learning_curve.main()
+    report = json.loads((tmp_path / "results.json").read_text())
+    points = {"good 1", "good 2", "cheap 1", "cheap 2"}
+    assert set(report["results"]) == {bench_learning_curve.CONSTANT, *points}
+    errors = [report["results"][point]["diffuse_albedo_mse"] for point in sorted(points)]
+    assert len(set(errors)) == 4 and all(0 < error < 1 for error in errors)
+    assert (tmp_path / "curve.png").stat().st_size > 1000
+    times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("final.safetensors")}
+    assert len(times) == 4
+    bench_learning_curve.main()  # nothing is trained twice
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("final.safetensors")} == times
+    assert json.loads((tmp_path / "results.json").read_text())["results"] == report["results"]
+
+
+def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: Path) -> None:
+    good, cheap = datasets
+    part = bench_learning_curve.part_of(cheap, 2, good, tmp_path / "part")
+    index = Dataset(part).index
+    assert index.splits == {"train": 2, "validation": 1}
+    mine = {s.sha256 for s in index.shards if s.split == "train"}
+    assert mine < {s.sha256 for s in Dataset(cheap).index.shards}
+    judged = [s.sha256 for s in index.shards if s.split == "validation"]
+    assert judged == [s.sha256 for s in Dataset(good).index.shards if s.split == "validation"]
+    assert index.num_views == sum(s.num_views for s in index.shards) == 6
+    with pytest.raises(SystemExit, match="expected at least 9"):
+        bench_learning_curve.part_of(cheap, 9, good, tmp_path / "more")
