@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: MIT
+"""The whole way without ground truth: Cycles takes photographs, COLMAP finds the cameras, `materials infer`.
+
+    python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/end-to-end.md: 20 minutes
+    python -m benchmarks.colmap_end_to_end --out DIR --cameras true    cameras as they were, without COLMAP
+
+1. The study of the bundled library, which the bundled checkpoint has not seen, with objects, ceiling light
+   and daylight; cameras on a walk around its middle, looking across.
+2. Cycles (benchmarks/cycles_photographs.py) renders them with depth of field; :func:`developed` adds shot and
+   read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone mapping.
+3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
+   camera centres, here all of them with 5 mm of error an axis.
+4. The mesh is the room welded and collapsed to ``--triangles``, without UVs.
+5. ``materials infer``, with the check before it.
+6. Atlas and truth are rendered as maps from the true cameras and compared where both show the same surface
+   (depth within 5 %). Beside them stand a constant, each map's own mean, which is the best that a constant can
+   be, and the photographs themselves in the place of the diffuse albedo.
+
+Every step is kept in --out and skipped when it is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera, look_at
+from datagen.color import exposure_for, linear_from_srgb, srgb_from_linear
+from datagen.formats.base import canonical_json, read_json
+from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.images import read_image
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
+FOV_X_DEG = 72.0
+FULL_WELL, READ_NOISE = 12000.0, 8.0  # electrons: a small sensor at base ISO
+JPEG_QUALITY = 92
+CENTER_ERROR_M = 0.005
+RECIPE = {
+    "name": "study",
+    "seed": 3,
+    "configurations": 1,
+    "views": 2,
+    "environments": {"include": ["study"]},
+    "objects": {"count": [14, 14]},
+    "materials": {"replace_probability": 0.0, "vary_probability": 0.0},
+    "lights": {"area_probability": 1.0, "daylight_probability": 1.0, "color_temperature_k": [4500, 6000]},
+}
+
+
+def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
+    """Cameras on an ellipse around the study's middle, at two heights in turn, that look across it."""
+    width, height = size
+    focal = 0.5 * width / float(np.tan(np.radians(FOV_X_DEG) / 2))
+    made = []
+    for k in range(num):
+        angle = 2 * np.pi * k / num
+        way = np.array([np.cos(angle), np.sin(angle), 0.0])
+        eye = np.array([-0.15, -0.27, 1.3 if k % 2 else 1.75]) + way * [0.85, 0.85, 0]
+        target = np.array([-0.15, -0.27, 0.85 if k % 2 else 1.0]) - 1.0 * way
+        camera = Camera(width, height, focal, focal, width / 2, height / 2, look_at(eye, target))
+        made.append(ViewCamera.from_camera(f"view-{k:03d}", camera))
+    return made
+
+
+def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArray[np.uint8]:
+    """What a camera without tone mapping makes of (H, W, 3) radiance: noise, clipping, the sRGB curve."""
+    rng = np.random.default_rng(seed)
+    electrons = np.clip(linear * exposure, 0, None) * FULL_WELL
+    electrons = rng.poisson(np.minimum(electrons, 1e7)) + rng.normal(0, READ_NOISE, linear.shape)
+    shown = srgb_from_linear(np.clip(electrons / FULL_WELL, 0, 1))
+    return (shown * 255 + 0.5).astype(np.uint8)
+
+
+def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
+    """A JPEG that says its focal length, as cameras do."""
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110] = "Cycles", "Cycles"
+    details = exif.get_ifd(0x8769)
+    details[0xA405] = round(36.0 * camera.fx_px / camera.width_px)
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, "JPEG", quality=JPEG_QUALITY, subsampling=0, exif=exif)
+    return data.getvalue()
+
+
+def run(*command: str, log: Path, is_module: bool = True) -> None:
+    """A command in a process of its own; raises where it fails, its output is in ``log``."""
+    start = [sys.executable, "-m"] if is_module else []
+    with log.open("ab") as out:
+        done = subprocess.run([*start, *command], cwd=REPOSITORY, stdout=out, stderr=subprocess.STDOUT)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}; see {log}")
+
+
+@dataclass
+class EndToEnd:
+    """The steps, in order; each leaves its result in ``out``."""
+
+    out: Path
+    views: int
+    size: tuple[int, int]
+    samples: int
+    triangles: int
+    cameras: str
+    atlas: str
+
+    def __post_init__(self) -> None:
+        self.out.mkdir(parents=True, exist_ok=True)
+        self.capture = self.out / f"capture-{self.cameras}"
+        self.result = self.out / f"result-{self.cameras}"
+
+    # ---------------------------------------------------------------- the room and its photographs
+
+    def configuration(self) -> Configuration:
+        """The room, planned, with the walk's cameras."""
+        path = self.out / "configuration.json"
+        if not path.is_file():
+            recipe = self.out / "recipe.yaml"
+            recipe.write_bytes(canonical_json({"format": "scene-materials/recipe", "version": 1, **RECIPE}))
+            shutil.rmtree(self.out / "plan", ignore_errors=True)
+            run("datagen", "plan", str(recipe), "--out", str(self.out / "plan"), log=self.out / "plan.log")
+            (planned,) = (self.out / "plan" / "configurations").glob("*.json")
+            cameras = tuple(walk(self.views, self.size))
+            made = read_json(Configuration, planned).model_copy(update={"cameras": cameras})
+            path.write_bytes(canonical_json(made))
+        return read_json(Configuration, path)
+
+    def photograph(self) -> None:
+        """Export, render with Cycles, develop; and the coarse mesh."""
+        from benchmarks.peer_scene import export
+        from datagen.library import Library, bundled_library
+
+        configuration = self.configuration()
+        blend, log = self.out / "room.blend", self.out / "cycles.log"
+        if not blend.is_file():
+            shutil.rmtree(self.out / "export", ignore_errors=True)
+            export(configuration, Library([bundled_library()]), self.out / "export")
+            run("benchmarks.peer_cycles", "build", str(self.out / "export"), str(blend), log=log)
+        mesh = self.out / "retopology.ply"
+        if not mesh.is_file():
+            options = ("--triangles", str(self.triangles))
+            run("benchmarks.cycles_photographs", "retopology", str(blend), str(mesh), *options, log=log)
+        rendered, images = self.out / "cycles", self.out / "images"
+        options = ("--samples", str(self.samples))
+        run("benchmarks.cycles_photographs", "render", str(blend), str(rendered), *options, log=log)
+        images.mkdir(exist_ok=True)
+        linear = {
+            view.name: read_image(rendered / f"{view.name}.exr")[..., :3].astype(np.float32)
+            for view in configuration.cameras
+        }
+        exposure = exposure_for(np.stack(list(linear.values())))  # one for all, fixed by hand
+        for number, view in enumerate(configuration.cameras):
+            pixels = developed(linear[view.name], exposure, number)
+            (images / f"{view.name}.jpg").write_bytes(jpeg(pixels, view.camera()))
+
+    # ---------------------------------------------------------------- cameras
+
+    def calibrate(self) -> None:
+        """COLMAP's model in the room's frame, or the true cameras, beside the photographs."""
+        if self.capture.is_dir():
+            return
+        partial = self.capture.with_name(f"{self.capture.name}-partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.copytree(self.out / "images", partial / "images")
+        if self.cameras == "true":
+            self._write_true_cameras(partial)
+        else:
+            self._run_colmap(partial)
+        partial.rename(self.capture)
+
+    def _write_true_cameras(self, folder: Path) -> None:
+        frames = []
+        for view in self.configuration().cameras:
+            matrix = np.array(view.world_from_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
+            frames.append(
+                {"file_path": f"images/{view.name}.jpg", "w": view.width_px, "h": view.height_px,
+                 "fl_x": view.fx_px, "fl_y": view.fy_px, "cx": view.cx_px, "cy": view.cy_px,
+                 "transform_matrix": matrix.tolist()}
+            )  # fmt: skip
+        (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+
+    def _run_colmap(self, folder: Path) -> None:
+        """Features and matches on the CPU, incremental mapping, alignment by camera centres."""
+        log, database = self.out / "colmap.log", folder / "database.db"
+        found, aligned = folder / "found", folder / "sparse"
+        found.mkdir()
+        aligned.mkdir()
+        base = ("--database_path", str(database))
+        images = ("--image_path", str(folder / "images"))
+        commands = [
+            ("feature_extractor", *base, *images, "--ImageReader.single_camera", "1",
+             "--ImageReader.camera_model", "SIMPLE_RADIAL", "--SiftExtraction.use_gpu", "0",
+             "--SiftExtraction.peak_threshold", "0.003"),
+            ("exhaustive_matcher", *base, "--SiftMatching.use_gpu", "0",
+             "--SiftMatching.guided_matching", "1"),
+            ("mapper", *base, *images, "--output_path", str(found)),
+        ]  # fmt: skip
+        for command in commands:
+            run("colmap", *command, log=log, is_module=False)
+        models = sorted(found.iterdir(), key=lambda m: (m / "images.bin").stat().st_size)
+        if not models:
+            raise RuntimeError(f"COLMAP found no model; see {log}")
+        rng = np.random.default_rng(5)
+        lines = []
+        for view in self.configuration().cameras:
+            x, y, z = view.camera().position_m + rng.normal(0, CENTER_ERROR_M, 3)
+            lines.append(f"{view.name}.jpg {x} {y} {z}\n")
+        references = folder / "measured_centers.txt"
+        references.write_text("".join(lines))
+        run("colmap", "model_aligner", "--input_path", str(models[-1]), "--output_path", str(aligned),
+            "--ref_images_path", str(references), "--ref_is_gps", "0", "--alignment_type", "custom",
+            "--robust_alignment", "1", "--robust_alignment_max_error", str(6 * CENTER_ERROR_M),
+            log=log, is_module=False)  # fmt: skip
+        database.unlink()
+
+    # ---------------------------------------------------------------- inference and comparison
+
+    def infer(self) -> None:
+        """The command that a user gives."""
+        mesh, log = str(self.out / "retopology.ply"), self.out / f"infer-{self.cameras}.log"
+        options = ("--mesh", mesh, "--out", str(self.result), "--atlas", self.atlas, "--quiet")
+        run("model.cli", "infer", str(self.capture), *options, log=log)
+
+    def pose_errors(self) -> dict[str, float]:
+        """How far the cameras are off: centres in mm, directions and focal length."""
+        from model.reconstruction.captures import CaptureOptions, read_capture
+
+        capture = read_capture(self.capture, CaptureOptions(mesh=self.out / "retopology.ply"))
+        truth = {view.name: view.camera() for view in self.configuration().cameras}
+        millimetres, degrees, focal = [], [], []
+        for view in capture.views:
+            true = truth[view.name.removeprefix("images-")]
+            relative = view.camera.world_from_camera[:3, :3].T @ true.world_from_camera[:3, :3]
+            degrees.append(np.degrees(np.arccos(np.clip((np.trace(relative) - 1) / 2, -1, 1))))
+            millimetres.append(1000 * np.linalg.norm(view.camera.position_m - true.position_m))
+            focal.append(view.camera.fx_px / true.fx_px * true.width_px / view.camera.width_px - 1)
+        return {
+            "registered": len(capture.views),
+            "center_mm_median": float(np.median(millimetres)),
+            "center_mm_max": float(np.max(millimetres)),
+            "turn_deg_median": float(np.median(degrees)),
+            "turn_deg_max": float(np.max(degrees)),
+            "focal_percent": float(100 * np.mean(focal)),
+        }
+
+    def compare(self) -> dict[str, Any]:
+        """Errors of the atlas in the true views, where its texels were seen."""
+        from datagen.library import Library, bundled_library
+
+        configuration = self.configuration()
+        sums: dict[str, list[float]] = {name: [] for name in MAPS}
+        constants: dict[str, list[NDArray]] = {name: [] for name in MAPS}
+        shares, taken = [], []
+        found = self._asset_maps(configuration)
+        true = rendered_maps(configuration, Library([bundled_library()]))
+        for view, ours, truth in zip(configuration.cameras, found, true, strict=True):
+            mask = (ours["depth_z_m"][..., 0] > 0) & (truth["depth_z_m"][..., 0] > 0)
+            mask &= np.abs(ours["depth_z_m"] / np.maximum(truth["depth_z_m"], 1e-6) - 1)[..., 0] < 0.05
+            shares.append(float(mask.mean()))
+            for name in MAPS:
+                sums[name].append(float(((ours[name] - truth[name])[mask] ** 2).mean()))
+                constants[name].append(truth[name][mask])
+            photograph = linear_from_srgb(read_image(self.out / "images" / f"{view.name}.jpg") / 255.0)
+            taken.append(float(((photograph - truth["diffuse_albedo"])[mask] ** 2).mean()))
+            if view.name in _SHOWN:
+                self._picture(view.name, ours, truth)
+        table = {}
+        for name in MAPS:
+            values = np.concatenate(constants[name])
+            table[name] = {
+                "mse": float(np.mean(sums[name])),
+                "constant_mse": float(((values - values.mean(axis=0)) ** 2).mean()),
+            }
+        table["diffuse_albedo"]["photograph_mse"] = float(np.mean(taken))
+        return {"maps": table, "compared_share": float(np.mean(shares))}
+
+    def _asset_maps(self, configuration: Configuration) -> Iterator[dict[str, NDArray]]:
+        from datagen.formats.package import open_package
+        from datagen.inspection.render_package import configuration_of
+        from datagen.library import Library
+
+        path = self.result / "asset"
+        with open_package(path) as package:
+            made = configuration_of(path, package.sha256).model_copy(
+                update={"cameras": configuration.cameras}
+            )
+            yield from rendered_maps(made, Library([path]))
+
+    def _picture(self, name: str, ours: dict[str, NDArray], truth: dict[str, NDArray]) -> None:
+        """Photograph and true maps over a re-rendering's place and the atlas' maps."""
+        from PIL import Image
+
+        photograph = np.asarray(Image.open(self.out / "images" / f"{name}.jpg"))
+        rows = []
+        for maps in (truth, ours):
+            shown = [
+                srgb_from_linear(np.clip(maps["diffuse_albedo"], 0, 1)),
+                srgb_from_linear(np.clip(maps["specular_albedo"], 0, 1)),
+                np.repeat(np.clip(maps["roughness"], 0, 1), 3, axis=-1),
+            ]
+            first = photograph if maps is truth else _normals(maps["normal_world"])
+            rows.append(np.concatenate([first, *((s * 255 + 0.5).astype(np.uint8) for s in shown)], axis=1))
+        folder = self.out / f"pictures-{self.cameras}"
+        folder.mkdir(exist_ok=True)
+        Image.fromarray(np.concatenate(rows)).save(folder / f"{name}.png")
+
+
+_SHOWN = ("view-000", "view-008", "view-016", "view-024")
+
+
+def _normals(normal: NDArray) -> NDArray[np.uint8]:
+    return ((0.5 + 0.5 * normal.astype(np.float32)) * 255).clip(0, 255).astype(np.uint8)
+
+
+def rendered_maps(configuration: Configuration, library: Any) -> Iterator[dict[str, NDArray]]:
+    """D, S, R, depth and normal of each view, (H, W, C) float32."""
+    from datagen.formats.recipe import RenderRecipe
+    from datagen.rendering.renderer import SceneRenderer
+
+    recipe = RenderRecipe(path_samples=1, auxiliary_samples=16, denoise=False)
+    renderer = SceneRenderer(configuration, library, recipe)
+    for view in renderer.render_views(range(len(configuration.cameras))):
+        yield {name: view.buffers[name].astype(np.float32) for name in (*MAPS, "depth_z_m", "normal_world")}
+    renderer.close()
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--views", type=int, default=30)
+    parser.add_argument("--size", type=int, nargs=2, default=(576, 384))
+    parser.add_argument("--samples", type=int, default=14, help="of Cycles")
+    parser.add_argument("--triangles", type=int, default=20000)
+    parser.add_argument("--cameras", choices=("colmap", "true"), default="colmap")
+    parser.add_argument("--atlas", default="2048")
+    chosen = parser.parse_args()
+    steps = EndToEnd(chosen.out.resolve(), chosen.views, tuple(chosen.size), chosen.samples, chosen.triangles,
+                     chosen.cameras, chosen.atlas)  # fmt: skip
+    steps.photograph()
+    steps.calibrate()
+    found: dict[str, Any] = {"poses": steps.pose_errors()}
+    print(json.dumps(found), flush=True)
+    steps.infer()
+    found.update(steps.compare())
+    (steps.out / f"found-{steps.cameras}.json").write_text(json.dumps(found, indent=1))
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
