@@ -13,8 +13,8 @@
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs.
 5. ``materials infer``, with the check before it.
 6. Atlas and truth are rendered as maps from the true cameras and compared where both show the same surface
-   (depth within 5 %). Beside them stand a constant, each map's own mean, which is the best that a constant can
-   be, and the photographs themselves in the place of the diffuse albedo.
+   (depth within 5 %). Beside them stand a constant, each map's own mean, which is the best that a constant
+   can be, and the photographs themselves in the place of the diffuse albedo.
 
 Every step is kept in --out and skipped when it is there.
 """

@@ -28,10 +28,12 @@ from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures.mesh_file import load_mesh, sound_mesh
 from model.reconstruction.infer import InferOptions, infer
 from tests.model.photographed_room import (
+    Photograph,
     photographed_room,
     turned,
     with_color,
     with_mesh,
+    with_view,
 )
 from tests.model.textured_room import materials_at, room_capture, room_mesh
 
@@ -138,6 +140,24 @@ def test_views_that_are_wrong_are_named_in_the_result(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "report.json").read_text())["warnings"] == report.warnings
     assert (tmp_path / "check" / "sheet-01.png").is_file()
     assert (tmp_path / "asset" / "asset.json").is_file()
+
+
+@pytest.mark.parametrize(("level", "said"), [(0.0, "is black"), (1.0, "at the sensor's limit")])
+def test_photographs_that_are_all_black_or_all_white(tmp_path: Path, level: float, said: str) -> None:
+    """Every view is named, and the maps are numbers all the same."""
+    capture = room_capture(3, (64, 48))
+    for index, view in enumerate(capture.views):
+        shape = (view.camera.height_px, view.camera.width_px, 3)
+        blank = Photograph(np.full(shape, level, np.float32), view.source.maps)  # type: ignore[attr-defined]
+        capture = with_view(capture, index, source=blank)
+    torch.manual_seed(3)
+    network = NetworkConfig(base_channels=4, global_channels=8)
+    card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
+    save_checkpoint(tmp_path / "random.safetensors", card, MaterialNetwork(network), ConfidenceNets())
+    report = infer(capture, tmp_path / "out", tmp_path / "random.safetensors", InferOptions(atlas=64))
+    for view in capture.views:
+        assert any(w.startswith(f"{view.name}: ") and said in w for w in report.warnings), report.warnings
+    assert np.isfinite(read_image(tmp_path / "out" / "atlas" / "diffuse_albedo.exr")).all()
 
 
 def test_a_mesh_off_by_two_centimetres(tmp_path: Path) -> None:
