@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The learning curve's benchmark at the least size: every point has its data, its run and its figures."""
+"""The learning curve's benchmark at the least size, and the recipe that adds to what is learnt from."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ from pathlib import Path
 import pytest
 
 from benchmarks import bench_learning_curve
+from datagen.assembly.splits import pools_of_split
+from datagen.formats.base import read_yaml
 from datagen.formats.configuration import Split
+from datagen.formats.recipe import Recipe
 from datagen.formats.shard import Dataset
+from datagen.library import Library, bundled_library
+from tests.conftest import REPOSITORY
 from tests.model.training_data import make_dataset
 
 
@@ -59,3 +64,18 @@ def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: 
     assert index.num_views == sum(s.num_views for s in index.shards) == 6
     with pytest.raises(SystemExit, match="expected at least 9"):
         bench_learning_curve.part_of(cheap, 9, good, tmp_path / "more")
+
+
+def test_more_training_data_leaves_out_what_validation_shows() -> None:
+    """`checkpoint.yaml` adds to `learning.yaml`: no room, thing or material of its validation split."""
+    recipes = {
+        name: read_yaml(Recipe, REPOSITORY / "scenes" / "recipes" / f"{name}.yaml")
+        for name in ("learning", "checkpoint")
+    }
+    with Library([bundled_library()]) as library:
+        held_out = pools_of_split(recipes["learning"], library, "validation")
+        more = pools_of_split(recipes["checkpoint"], library, "train")
+        for kind in ("environments", "objects", "materials"):
+            held, drawn = ({p.id for p in getattr(pools, kind)} for pools in (held_out, more))
+            assert held and drawn and not held & drawn, kind
+    assert recipes["checkpoint"].splits.train == 1.0
