@@ -31,7 +31,8 @@ from datagen.formats.capture import Capture
 from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import FileSource, Package, write_package
 from datagen.importers.packaging import matrix4
-from datagen.meshes import Mesh, encode_ply, vertex_normals
+from datagen.meshes import Mesh, encode_ply, vertex_normals, welded
+from model.reconstruction.geometry import smooth_regions
 from model.reconstruction.merge import MAP_CHANNELS, Atlas
 
 SURFACE = "surface"
@@ -49,15 +50,39 @@ class Reconstruction:
     images: Path
 
 
+def with_normals(mesh: Mesh) -> Mesh:
+    """The mesh with its normals; where it has none, with normals that are smooth within ``smooth_regions``
+    and break between them, its vertices split there. Faces keep their order."""
+    if mesh.normals is not None:
+        return mesh
+    corners = welded(mesh)[1][mesh.faces].astype(np.int64)
+    regions = smooth_regions(mesh).astype(np.int64)[:, None]
+    keys, first, group = np.unique(
+        regions * (int(corners.max(initial=0)) + 1) + corners, return_index=True, return_inverse=True
+    )
+    grouped = Mesh(mesh.positions[mesh.faces.ravel()[first]], group.reshape(-1, 3).astype(np.int32))
+    normals = vertex_normals(grouped)
+    pairs = mesh.faces.astype(np.int64).ravel() * len(keys) + group.ravel()
+    vertices, split = np.unique(pairs, return_inverse=True)
+    source, of_group = vertices // len(keys), vertices % len(keys)
+    return Mesh(
+        mesh.positions[source],
+        split.reshape(-1, 3).astype(np.int32),
+        normals[of_group],
+        None if mesh.uv is None else mesh.uv[source],
+    )
+
+
 def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
     """The chosen triangles (M,) with the vertices they use; normals are made where the mesh has none."""
-    normals = mesh.normals if mesh.normals is not None else vertex_normals(mesh)
+    mesh = with_normals(mesh)
+    assert mesh.normals is not None
     faces = mesh.faces[chosen]
     used, compact = np.unique(faces, return_inverse=True)
     return Mesh(
         mesh.positions[used],
         compact.reshape(-1, 3).astype(np.int32),
-        normals[used],
+        mesh.normals[used],
         None if mesh.uv is None else mesh.uv[used],
     )
 
@@ -66,7 +91,7 @@ def split_by_emission(
     reconstruction: Reconstruction,
 ) -> dict[str, tuple[Mesh, tuple[float, float, float] | None]]:
     """Slot -> triangles and radiance: ``surface``, then ``lamp-0``, ``lamp-1``, ... ."""
-    mesh, geometry = reconstruction.mesh, reconstruction.capture.geometry
+    mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry
     emits = geometry.emitter_mask()
     parts: dict[str, tuple[Mesh, tuple[float, float, float] | None]] = {}
     if not emits.all():

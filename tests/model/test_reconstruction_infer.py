@@ -183,6 +183,24 @@ def test_glb_comes_back_as_the_same_materials(truth: tuple[Path, InferReport], t
             )
 
 
+def test_normals_break_at_creases_only() -> None:
+    """A welded mesh without normals: a cube gets flat sides, a sphere stays smooth; UVs, faces are kept."""
+    import trimesh
+
+    from datagen.meshes import Mesh
+    from model.reconstruction.export import with_normals
+
+    for shape, num in ((trimesh.creation.box(), 24), (trimesh.creation.icosphere(3), 642)):
+        uv = np.random.default_rng(0).random((len(shape.vertices), 2)).astype(np.float32)
+        plain = Mesh(shape.vertices.astype(np.float32), shape.faces.astype(np.int32), None, uv)
+        made = with_normals(plain)
+        assert len(made.positions) == num and made.normals is not None and made.uv is not None
+        np.testing.assert_array_equal(made.triangles(), plain.triangles())
+        np.testing.assert_array_equal(made.uv[made.faces], uv[plain.faces])
+        along = (made.normals[made.faces] * shape.face_normals[:, None]).sum(axis=-1)
+        assert along.min() > (0.9999 if num == 24 else 0.98)
+
+
 def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferReport], tmp_path: Path) -> None:
     """The report says how large the textures are; what is averaged is counted as the conversion's error."""
     from PIL import Image
