@@ -56,6 +56,8 @@ from model.reconstruction.view_maps import predicted_maps
 
 WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
 Maps = list[dict[str, NDArray]]
+MOST = 4096
+"""Side of the largest atlas that ``auto`` may choose here: some rooms stand in a landscape."""
 
 
 @dataclass
@@ -160,7 +162,8 @@ def open_room(shard: Path, library: Sequence[Path]) -> Room:
     ]
     size = atlas_size(list(zip(capture.cameras, seen.geometry, strict=True)), unwrap.metres_per_side)
     truth = TRUTH.read(capture, seen.statistics)
-    return Room(capture, traced, seen, mesh, seen_sides(seen.geometry, len(mesh.faces)), uvs, truth, size)
+    sides = seen_sides(seen.geometry, len(mesh.faces))
+    return Room(capture, traced, seen, mesh, sides, uvs, truth, min(size, MOST))
 
 
 def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
