@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from datagen.cameras import Camera
 from datagen.formats.capture import CaptureGeometry
 from datagen.meshes import Mesh, vertex_normals, welded
-from datagen.multiview.visibility import aligned, vectors_from_rows
+from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -122,11 +122,6 @@ def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArra
     if sides is not None:
         normal *= sides[:, None]
     return normal.astype(np.float32)
-
-
-def copied(array: NDArray, dtype: Any = None) -> NDArray:
-    """A flat aligned copy for a Dr.Jit array."""
-    return aligned(np.asarray(array), dtype)
 
 
 def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.int32]:

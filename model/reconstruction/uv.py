@@ -89,8 +89,7 @@ def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
 
 
 def own_uv_fault(mesh: Mesh) -> str:
-    """Why the mesh's UVs are not a valid unwrap; '' if they are. The Mitsuba variant must have been
-    selected."""
+    """Why the mesh's UVs are not a valid unwrap; '' if they are."""
     assert mesh.uv is not None
     used = mesh.uv[np.unique(mesh.faces)]
     low, high = float(used.min()), float(used.max())
@@ -115,7 +114,7 @@ def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 def padding_texels(mesh: Mesh) -> int | None:
     """Texels between the two charts that are nearest to each other on an atlas of 1024 texels a side, at most
-    ``_MOST_PADDING``; None for meshes too large to tell. The Mitsuba variant must have been selected."""
+    ``_MOST_PADDING``; None for meshes too large to tell."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     if len(mesh.faces) > _MAX_CHART_FACES:

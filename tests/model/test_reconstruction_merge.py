@@ -220,6 +220,35 @@ def test_lists_are_sorted_with_their_weights(num: int) -> None:
         assert pairs == again
 
 
+def test_no_texel_falls_between_triangles() -> None:
+    """A square cut into 800 triangles at random: every texel is one's, the same by rectangles and at once,
+    and one's only but on shared edges. Moving a vertex of one triangle leaves a gap."""
+    rng = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21)), axis=-1)
+    grid[1:-1, 1:-1] += rng.uniform(-0.012, 0.012, (19, 19, 2))
+    index = np.arange(441).reshape(21, 21)
+    p, q, r, t = (
+        index[a, b].ravel() for a, b in (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1])
+    )
+    faces = np.concatenate([np.stack([p, q, r], -1), np.stack([p, t, r], -1)]).astype(np.int32)
+    uv = grid.reshape(-1, 2).astype(np.float32)
+    mesh = Mesh(np.pad(uv, ((0, 0), (0, 1))), faces, None, uv)
+    size = 600
+    surface = TexelSurface(mesh, face_normals(mesh), size)
+    whole = surface.faces(0, 0, size, size)
+    assert (whole >= 0).all()
+    parts = [[surface.faces(x, y, 200, 300) for x in (0, 200, 400)] for y in (0, 300)]
+    np.testing.assert_array_equal(np.block(parts), whole)
+    assert surface.overlap_mask()[1].mean() < 1e-3
+    points = surface.points(whole, 0, 0)[0]
+    np.testing.assert_allclose(points[..., :2], texel_uv(size), atol=1e-6)
+    torn = Mesh(mesh.positions[faces.ravel()], np.arange(len(faces) * 3, dtype=np.int32).reshape(-1, 3), None,
+                uv[faces.ravel()])  # fmt: skip
+    assert torn.uv is not None
+    torn.uv[3 * 210] += 0.004
+    assert (TexelSurface(torn, face_normals(torn), size).faces(0, 0, size, size) < 0).any()
+
+
 def test_tiles_do_not_matter() -> None:
     mesh, size = room_mesh(), 30
     views = noise_views(mesh, 5)
