@@ -3,6 +3,7 @@
 predictions.
 
     python -m benchmarks.bench_learning DATASET --out DIR [--preset small] [--set KEY=VALUE ...] [--threads 2]
+    python -m benchmarks.bench_learning DATASET --out DIR --compare CHECKPOINT ...    trains nothing
 
 On the whole views of the validation split: mean squared errors of every map for a constant (the training
 mean), the exposed median image as diffuse albedo, the single-view network, the network, and the network
@@ -16,6 +17,7 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -69,8 +71,16 @@ def as_table(rows: Rows) -> str:
     lines = ["| method | " + " | ".join(TRUTH_BUFFERS) + " |", "|---" * (len(TRUTH_BUFFERS) + 1) + "|"]
     for label, metrics in rows.items():
         values = [metrics.get(f"{name}_mse") for name in TRUTH_BUFFERS]
-        lines.append(f"| {label} | " + " | ".join("" if v is None else f"{v:.4f}" for v in values) + " |")
+        lines.append(f"| {label} | " + " | ".join("" if v is None else f"{v:.5f}" for v in values) + " |")
     return "\n".join(lines) + "\n"
+
+
+def write_table(rows: Rows, run: dict[str, Any], out: Path) -> None:
+    """``table.md`` and ``results.json``."""
+    table = as_table(rows)
+    print(table)
+    (out / "table.md").write_text(table)
+    (out / "results.json").write_text(json.dumps({**run, "results": rows}, indent=2) + "\n")
 
 
 def plot_curves(folders: dict[str, Path], path: Path) -> None:
@@ -105,9 +115,16 @@ def main() -> None:
     parser.add_argument("--preset", default="small")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--compare", type=Path, nargs="+", metavar="CHECKPOINT", default=[])
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     config = resolve_config(args.preset, None, parse_overrides(args.set))
+    args.out.mkdir(parents=True, exist_ok=True)
+    if args.compare:
+        config = config.model_copy(update={"network": load_checkpoint(args.compare[0]).card.network})
+        rows = compare(config, args.dataset, {path.stem: path for path in args.compare})
+        write_table(rows, {"dataset": str(args.dataset)}, args.out)
+        return
     single = config.model_copy(
         update={"network": config.network.model_copy(update={"uses_statistics": False})}
     )
@@ -118,11 +135,8 @@ def main() -> None:
         Trainer(chosen, [args.dataset], folder, device=torch.device("cpu"), show_progress=True).run()
         folders[label], seconds[label] = folder, time.perf_counter() - start
     rows = compare(config, args.dataset, {label: f / "final.safetensors" for label, f in folders.items()})
-    table = as_table(rows)
-    print(table)
-    (args.out / "table.md").write_text(table)
-    report = {"dataset": str(args.dataset), "preset": args.preset, "training_s": seconds, "results": rows}
-    (args.out / "results.json").write_text(json.dumps(report, indent=2) + "\n")
+    run = {"dataset": str(args.dataset), "preset": args.preset, "training_s": seconds}
+    write_table(rows, run, args.out)
     plot_curves(folders, args.out / "curves.png")
 
 
