@@ -199,6 +199,13 @@ def test_normals_break_at_creases_only() -> None:
         np.testing.assert_array_equal(made.uv[made.faces], uv[plain.faces])
         along = (made.normals[made.faces] * shape.face_normals[:, None]).sum(axis=-1)
         assert along.min() > (0.9999 if num == 24 else 0.98)
+    # a floor with a narrow bevel up to a wall: the floor's corners lean by next to nothing
+    xs, zs = [0, 3, 3.02, 3.02], [0, 0, 0.012, 2.5]
+    points = np.array([[x, y, z] for x, z in zip(xs, zs, strict=True) for y in (0.0, 4.0)], np.float32)
+    faces = np.array([f for k in (0, 2, 4) for f in ([k, k + 2, k + 1], [k + 1, k + 2, k + 3])], np.int32)
+    made = with_normals(Mesh(points, faces))
+    assert made.normals is not None
+    assert made.normals[made.faces[:2]][..., 2].min() > 0.9999
 
 
 def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferReport], tmp_path: Path) -> None:

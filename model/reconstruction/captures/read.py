@@ -182,7 +182,8 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
         raise input_error(calibration.folder, "", got, "a folder", "name it with --images")
     mesh = options.mesh.resolve() if options.mesh is not None else find_mesh(path)
     where = found.relative_to(path).as_posix() if found != path and found.is_relative_to(path) else found.name
-    notes = [f"{len(calibration.images)} cameras in {where} ({form.name})", *calibration.notes]
+    kind = "" if where == form.name else f" ({form.name})"
+    notes = [f"{len(calibration.images)} cameras in {where}{kind}", *calibration.notes]
     up, unit_m = options.up, options.unit_m
     loaded = None
     if up == "auto":
