@@ -84,6 +84,7 @@ def test_paper_suite_is_sound() -> None:
         ("dining-room", 105, (640, 384)),
     ]
     assert not suite.may_be_known
+    assert not read_suite(SMALL.parent / "reduced.yaml").may_be_known
 
 
 # ---- meshes
