@@ -65,7 +65,7 @@ def test_photographs_hold_the_truth(prepared: PreparedScene) -> None:
     assert [type(light) for light in capture.lights] == [type(light) for light in room.lights]
     for mine, theirs in zip(capture.lights, room.lights, strict=True):
         assert mine.model_dump(exclude={"asset"}) == theirs.model_dump(exclude={"asset"})  # own intensities
-    copper = room.materials["copper"].specular_albedo
+    copper = np.array(room.materials["copper"].specular_albedo, dtype=float)
     seen = np.zeros((0, 3))
     for view in capture.views:
         maps = view.source.read_maps(("specular_albedo", "roughness", "surface_mask", "beauty"))
