@@ -31,12 +31,11 @@ from datagen.formats.capture import Capture
 from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import FileSource, Package, write_package
 from datagen.importers.packaging import matrix4
-from datagen.meshes import Mesh, encode_ply, welded
+from datagen.meshes import Mesh, encode_ply
+from model.reconstruction.crease_normals import with_normals
 from model.reconstruction.merge import MAP_CHANNELS, Atlas
 
 SURFACE = "surface"
-CREASE_RAD = np.radians(40.0)  # of meshes without normals
-_MAX_AROUND = 128  # triangles at a vertex that are looked at
 _REGION_MARGIN_M = 0.05  # a capture of one camera has a region of no size
 
 
@@ -49,49 +48,6 @@ class Reconstruction:
     mesh: Mesh
     atlas: Atlas
     images: Path
-
-
-def with_normals(mesh: Mesh) -> Mesh:
-    """The mesh with its normals; where it has none, with normals that break at creases, its vertices split
-    there. Faces keep their order.
-
-    A corner's normal is the mean, by area, over the triangles at its vertex that bend less than
-    ``CREASE_RAD`` from its own: large flat walls keep theirs beside narrow bevels, as modellers' weighted
-    normals do.
-    """
-    if mesh.normals is not None:
-        return mesh
-    corners = mesh.triangles().astype(np.float64)
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
-    place = welded(mesh)[1][mesh.faces].ravel()
-    order = np.argsort(place, kind="stable")  # corners by vertex; corner k is of face k // 3
-    start = np.concatenate([[0], np.cumsum(np.bincount(place))])
-    size = (start[1:] - start[:-1])[place[order]]
-    local = np.arange(len(order)) - start[:-1][place[order]]
-    total = np.repeat(cross, 3, axis=0)
-    for step in range(1, min(int(size.max(initial=1)), _MAX_AROUND)):
-        rows = np.flatnonzero(size > step)  # each corner with the one ``step`` further round its vertex
-        other = rows - local[rows] + (local[rows] + step) % size[rows]
-        a, b = order[rows] // 3, order[other] // 3
-        is_near = (unit[a] * unit[b]).sum(axis=1) > np.cos(CREASE_RAD)
-        total[order[rows[is_near]]] += cross[b[is_near]]
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    normals = np.where(length > 1e-30, total / np.maximum(length, 1e-300), np.repeat(unit, 3, axis=0))
-    coded = np.round((normals + 1) * 511).astype(np.int64)
-    keys = (
-        ((mesh.faces.ravel().astype(np.int64) << 30) | (coded[:, 0] << 20))
-        | (coded[:, 1] << 10)
-        | coded[:, 2]
-    )
-    _, first, split = np.unique(keys, return_index=True, return_inverse=True)
-    source = mesh.faces.ravel()[first]
-    return Mesh(
-        mesh.positions[source],
-        split.reshape(-1, 3).astype(np.int32),
-        normals[first].astype(np.float32),
-        None if mesh.uv is None else mesh.uv[source],
-    )
 
 
 def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:

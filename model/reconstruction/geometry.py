@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from datagen.cameras import Camera
 from datagen.formats.capture import CaptureGeometry
-from datagen.meshes import Mesh, vertex_normals, welded
+from datagen.meshes import Mesh, welded
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
+from model.reconstruction.crease_normals import with_normals
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -62,9 +63,7 @@ class TracedGeometry:
     """A capture's mesh, ready to be looked at. ``scene`` serves shadow rays as well."""
 
     def __init__(self, geometry: CaptureGeometry):
-        mesh = geometry.mesh
-        if mesh.normals is None:
-            mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
+        mesh = with_normals(geometry.mesh)
         self.mesh = mesh
         self.scene = mesh_scene(mesh)
         self._emits = geometry.emitter_mask()

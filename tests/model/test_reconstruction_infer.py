@@ -188,7 +188,7 @@ def test_normals_break_at_creases_only() -> None:
     import trimesh
 
     from datagen.meshes import Mesh
-    from model.reconstruction.export import with_normals
+    from model.reconstruction.crease_normals import with_normals
 
     for shape, num in ((trimesh.creation.box(), 24), (trimesh.creation.icosphere(3), 642)):
         uv = np.random.default_rng(0).random((len(shape.vertices), 2)).astype(np.float32)
