@@ -40,6 +40,7 @@ from model.training.validation import (
 
 TRACKS: tuple[TrackName, ...] = ("diffuse", "specular")
 
+METAL_ABOVE = 0.2  # specular albedo of any channel
 
 Rows = dict[str, dict[str, float]]
 """Metrics by method."""
@@ -64,6 +65,35 @@ def compare(config: TrainingConfig, dataset: Path, checkpoints: dict[str, Path])
             filtered = filtered_predictor(predict, checkpoint.confidence, checkpoint.card.solver)
             rows[f"{label}, filtered"] = evaluate(filtered, batches)
     return rows
+
+
+def metal_errors(path: Path, dataset: Path, num_views: int = 30) -> dict[str, float]:
+    """How a checkpoint's specular albedo does on metal (any channel above 0.2) and elsewhere.
+
+    Over ``num_views`` validation views, evenly spread: the share of metal among pixels with a surface and in
+    the sum of squared errors, mean squared error and mean prediction on metal and elsewhere.
+    """
+    network, device = load_checkpoint(path).network, torch.device("cpu")
+    data = open_data([dataset], network.config, 16)
+    predict = network_predictor(network, ("specular",))
+    pixels, squared, predicted = (dict.fromkeys(("metal", "elsewhere"), 0.0) for _ in range(3))
+    for batch in whole_views(spread(data.validation, num_views), buffer_names(network.config), device):
+        surface, truth = batch["mask"][:, :1] > 0.5, batch["specular_albedo"]
+        specular = predict(batch)["specular_albedo"]
+        error = ((specular - truth) ** 2).mean(dim=1, keepdim=True)
+        metal = (truth.amax(dim=1, keepdim=True) > METAL_ABOVE) & surface
+        for name, chosen in (("metal", metal), ("elsewhere", surface & ~metal)):
+            pixels[name] += float(chosen.sum())
+            squared[name] += float(error[chosen].sum())
+            predicted[name] += float(specular.mean(dim=1, keepdim=True)[chosen].sum())
+    found = {
+        "share_of_pixels": pixels["metal"] / sum(pixels.values()),
+        "share_of_error": squared["metal"] / sum(squared.values()),
+    }
+    for name, count in pixels.items():
+        found[f"mse_{name}"] = squared[name] / max(count, 1.0)
+        found[f"mean_prediction_{name}"] = predicted[name] / max(count, 1.0)
+    return found
 
 
 def as_table(rows: Rows) -> str:
@@ -123,7 +153,9 @@ def main() -> None:
     if args.compare:
         config = config.model_copy(update={"network": load_checkpoint(args.compare[0]).card.network})
         rows = compare(config, args.dataset, {path.stem: path for path in args.compare})
-        write_table(rows, {"dataset": str(args.dataset)}, args.out)
+        metal = {path.stem: metal_errors(path, args.dataset) for path in args.compare}
+        print("specular albedo on metal and elsewhere:", json.dumps(metal, indent=2))
+        write_table(rows, {"dataset": str(args.dataset), "metal": metal}, args.out)
         return
     single = config.model_copy(
         update={"network": config.network.model_copy(update={"uses_statistics": False})}
