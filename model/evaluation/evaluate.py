@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Runs a suite: scenes, methods, figures. What is in the cache already is not done again.
 
-CACHE/<scene>-<key>/            the rendered scene (``test_scene``)
+CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
     geometry-<key>/             the mesh that a method gets, unwrapped
     <method>-<key>/             what ``materials infer`` writes, views/ and result-<key>.json
@@ -26,9 +26,9 @@ from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_
 from model.evaluation.peak_memory import forget_peak, peak_mb
 from model.evaluation.rendering import JudgedView, render_scenery
 from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
+from model.evaluation.room import PreparedScene, assert_not_trained_on, prepare_scene
 from model.evaluation.scenery import recovered_scenery
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
-from model.evaluation.test_scene import PreparedScene, assert_not_trained_on, prepare_scene
 from model.evaluation.unwrapped_geometry import geometry_for
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions

@@ -20,9 +20,9 @@ from mitsuba_plugins.variant import select_variant
 from model.evaluation.metrics import common_exposure
 from model.evaluation.rendering import JudgedView, render_scenery, stored_view
 from model.evaluation.results import MethodResult, SceneResult
+from model.evaluation.room import PreparedScene, TestScene
 from model.evaluation.scenery import Scenery, added_lights, level_place, true_scenery
 from model.evaluation.suite import ModifiedLight, Suite
-from model.evaluation.test_scene import PreparedScene, TestScene
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.rendered import package_geometry
 

@@ -25,8 +25,8 @@ from datagen.formats.package import open_package
 from datagen.formats.shard import ShardReader
 from datagen.importers.packaging import matrix4
 from datagen.library import Library
+from model.evaluation.room import PreparedScene
 from model.evaluation.suite import InsertedObject, ModifiedLight
-from model.evaluation.test_scene import PreparedScene
 
 CEILING_SIDE_M = 0.6
 _CEILING_RADIANCE = (12.0, 12.0, 12.0)

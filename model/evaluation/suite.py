@@ -17,7 +17,7 @@ from datagen.formats.lights import Light
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import bundled_library
 from model.checkpoint import bundled_checkpoint
-from model.evaluation.test_scene import TestScene
+from model.evaluation.room import TestScene
 from model.reconstruction.merge import Weights
 
 BUNDLED = "bundled"

@@ -22,7 +22,7 @@ from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.library import Library
 from model.checkpoint import CheckpointCard, DataRecord, bundled_checkpoint, read_card
 from model.evaluation.photographer import choose_cameras
-from model.evaluation.test_scene import PreparedScene, TestScene, assert_not_trained_on, prepare_scene
+from model.evaluation.room import PreparedScene, TestScene, assert_not_trained_on, prepare_scene
 from model.networks import NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
 from tests.conftest import REPOSITORY

@@ -40,6 +40,7 @@ from datagen.formats.package import Package, is_package
 from datagen.formats.recipe import CameraRecipe, Recipe, RenderRecipe
 from datagen.importers.common import ImportOptions
 from datagen.library import Library
+from datagen.versions import RESULT_REVISION
 from model.checkpoint import CheckpointCard
 from model.evaluation.photographer import choose_cameras
 
@@ -58,7 +59,7 @@ class TestScene(StrictModel):
     about a room (docs/importing.md).
     """
 
-    __test__: ClassVar[bool] = False  # no test case, whatever its name looks like to pytest
+    __test__: ClassVar[bool] = False  # no test case, although pytest would take its name for one
 
     name: Slug
     source: Path
@@ -151,8 +152,9 @@ def assert_not_trained_on(prepared: PreparedScene, card: CheckpointCard) -> None
 
 
 def _key(scene: TestScene) -> str:
-    """Hash of all that decides the pixels, but the software and the source's own files."""
+    """Hash of all that decides the pixels, but the versions of libraries and the source's own files."""
     parts = scene.model_dump(mode="json", exclude={"source", "annotations"})
+    parts["result_revision"] = RESULT_REVISION
     for name, path in (("source", _file(scene.source)), ("annotations", scene.annotations)):
         if path is not None:
             if not path.is_file():
