@@ -111,6 +111,8 @@ class PathTracer:
         cells = np.repeat(np.arange(wanted.size, dtype=np.uint32), wanted // max(step, 1))
         num_per_launch = MAX_LANES // max(step, 1)
         sums = np.zeros((wanted.size, 4))
+        if not self.scene.emitters():  # nothing to find, and lights of other scenes are not to be recorded
+            cells = cells[:0]
         for number, start in enumerate(range(0, cells.size, num_per_launch)):
             launch_seed = (seed + 0x9E3779B9 * number) & 0xFFFFFFFF
             chosen = cells[start : start + num_per_launch]

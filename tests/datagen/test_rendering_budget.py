@@ -324,6 +324,18 @@ def test_what_was_recorded_once_holds_for_every_call(budgeted: SceneRenderer) ->
         assert (played.removed_luminance == fresh.removed_luminance).all()
 
 
+def test_scenes_that_are_open_together_do_not_meddle(budgeted: SceneRenderer, tmp_path: Path) -> None:
+    """Recordings of one scene neither stop those of another nor know its lights; a scene may have none."""
+    recipe = render(path_samples=2, auxiliary_samples=4, denoise=False)
+    sky = EnvironmentLight(name="sky", radiance=(0.5, 1.0, 2.0))
+    dark = renderer(tmp_path / "dark", box_room(), CAMERAS, recipe, objects=OBJECTS, lights=())
+    bright = renderer(tmp_path / "bright", box_room(), CAMERAS, recipe, lights=(sky,), objects=OBJECTS)
+    first = {scene: digest(scene.render_view(0)) for scene in (bright, dark, budgeted)}
+    for scene in (dark, budgeted, bright, dark):
+        assert digest(scene.render_view(0)) == first[scene]
+    assert not dark.render_view(0).buffers["beauty"].any()
+
+
 # ---------------------------------------------------------------------- clamp
 
 
