@@ -166,7 +166,6 @@ def test_a_full_disk_and_one_more_submission(
 
 
 def test_a_controller_that_dies_loses_nothing_that_was_finished(
-    cluster: Cluster,
     expected: dict[str, str],
     tmp_path: Path,
     library_root: Path,
@@ -175,24 +174,29 @@ def test_a_controller_that_dies_loses_nothing_that_was_finished(
     """Killed after the submission it may lose tasks and use their ids again: nothing hangs on ids.
 
     A task that comes to a node under an id that still runs there is held, and the node is drained; then the
-    documented repair is to cancel and to submit again (docs/farm.md).
+    documented repair is to cancel and to submit again (docs/farm.md). The cluster is the test's own: ids that
+    meet again would trouble the next one.
     """
     folder = plan_small(tmp_path / "controller", library_root, num_units=4)
-    _submit(cluster, folder, monkeypatch, throttle=1)
-    cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
-    cluster.kill_controller()
-    cluster.start_controller()
-    cluster.wait_for(lambda: cluster._states().count("idle") + cluster._states().count("mix") >= 1, "nodes")
-    for _ in range(3):
-        if cluster.wait_until_stuck_or_idle():
-            assert cancel(folder.root)
-            cluster.wait_until_idle()
-            cluster.resume_nodes()
-        if read_status(folder.root).done == 4:
-            break
-        _submit(cluster, folder, monkeypatch)
-    assert _hashes(folder) == expected
-    assert len(list(folder.shards_path.iterdir())) == 4
+    with Cluster(tmp_path / "cluster") as cluster:
+        _submit(cluster, folder, monkeypatch, throttle=1)
+        cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
+        cluster.kill_controller()
+        cluster.start_controller()
+        cluster.wait_for(
+            lambda: cluster._states().count("idle") + cluster._states().count("mix") >= 1, "nodes"
+        )
+        for _ in range(3):
+            if cluster.wait_until_stuck_or_idle():
+                assert cancel(folder.root)
+                cluster.wait_until_idle()
+                cluster.resume_nodes()
+            if read_status(folder.root).done == 4:
+                break
+            _submit(cluster, folder, monkeypatch)
+        assert _hashes(folder) == expected
+        assert len(list(folder.shards_path.iterdir())) == 4
+    assert not cluster.leftovers()
 
 
 def test_a_unit_that_always_fails_is_set_aside(
