@@ -90,7 +90,7 @@ class CameraRecipe(StrictModel):
 
 Quality = Literal["draft", "standard", "reference"]
 QUALITIES: dict[Quality, dict[str, float | int | None]] = {
-    "draft": {"max_rel_mse": 0.02, "max_path_samples": 32, "auxiliary_samples": 16, "firefly_clamp": 10.0},
+    "draft": {"max_rel_mse": 0.02, "max_path_samples": 32, "auxiliary_samples": 16, "firefly_clamp": 30.0},
     "standard": {
         "max_rel_mse": 0.005,
         "max_path_samples": 256,

@@ -49,8 +49,9 @@ class Setting:
     variant: str = "llvm_ad_rgb"
 
     def key(self) -> str:
-        """Hash of the setting's values."""
-        return sha256_hex(canonical_json(asdict(self)))[:16]
+        """Hash of the setting's values, and of the numbers that a quality stands for today."""
+        parts = {"setting": asdict(self), "recipe": self.recipe().model_dump(mode="json")}
+        return sha256_hex(canonical_json(parts))[:16]
 
     def recipe(self) -> RenderRecipe:
         """The part of it that the renderer reads."""
