@@ -133,7 +133,8 @@ def measure_view(
     view = renderer._begin(index)
     first, second = (image + view.seen_lights for image in pair)
     budget = SampleBudget(0.0, most)  # goes on to the end
-    counts = budget.first_counts(view.seen_lights.shape[:2])
+    height, width, _ = view.seen_lights.shape
+    counts = budget.first_counts((height, width))
     while counts.any():
         renderer._add_pass(view, counts)
         estimate = view.estimate = renderer._estimate(view)
@@ -182,8 +183,9 @@ def figures(points: list[Point]) -> dict[str, Any]:
 def summarise(points: list[Point]) -> dict[str, Any]:
     """Figures by number of samples, over all of them, and where budgets with several targets end."""
     result: dict[str, Any] = {"all": figures(points)}
-    for samples in sorted({p.samples for p in points}):
-        result[f"{samples} samples"] = figures([p for p in points if p.samples == samples])
+    passes: dict[int, int] = {p.samples: 2 ** round(math.log2(p.samples)) for p in points}  # whole steps of tiles stay below
+    for samples in sorted(set(passes.values())):
+        result[f"{samples} samples"] = figures([p for p in points if passes[p.samples] == samples])
     for target in TARGETS:
         ends = stopped(points, target)
         met = [p for p in ends if p.meets(target)]

@@ -45,6 +45,8 @@ MOST_GROWTH = 4
 """A pass multiplies the samples of a tile by this at most: what is known of it comes from few samples."""
 LEAST_SHARE = 0.05
 """Error that every tile is believed to have, over the mean of the tiles: light that no sample has met yet."""
+LEAST_PASS = 0.1
+"""What a pass adds at least, over all before it: an estimate costs as much as some samples."""
 SAMPLE_STEP = 4
 """What a tile gets more in one half is a multiple of this, so that lists of pixels stay short."""
 
@@ -176,6 +178,8 @@ class SampleBudget:
         room = self.max_samples / 2 - mean
         if 2 * mean < UNIFORM_SAMPLES:
             return nothing + min(int(room), UNIFORM_SAMPLES // 2 - int(mean))
+        if room < LEAST_PASS * mean:
+            return nothing
         tiles = _Tiles(counts.shape)
         errors = tiles.means(estimate.spread_map)
         errors += LEAST_SHARE * float(tiles.means(estimate.spread_map).mean())
