@@ -183,7 +183,8 @@ def figures(points: list[Point]) -> dict[str, Any]:
 def summarise(points: list[Point]) -> dict[str, Any]:
     """Figures by number of samples, over all of them, and where budgets with several targets end."""
     result: dict[str, Any] = {"all": figures(points)}
-    passes: dict[int, int] = {p.samples: 2 ** round(math.log2(p.samples)) for p in points}  # whole steps of tiles stay below
+    # whole steps of tiles stay a little below what a pass aims at
+    passes: dict[int, int] = {p.samples: 2 ** round(math.log2(p.samples)) for p in points}
     for samples in sorted(set(passes.values())):
         result[f"{samples} samples"] = figures([p for p in points if passes[p.samples] == samples])
     for target in TARGETS:
