@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from datagen.cameras import Camera
 from datagen.formats.base import (
     IDENTITY4,
     ClipRange,
@@ -165,6 +166,21 @@ class AssetCamera(StrictModel):
     cy_px: float
     asset_from_camera: Matrix4
     clip_m: ClipRange = None
+
+    def camera(self) -> Camera:
+        """The same as a :class:`datagen.cameras.Camera`, in the asset's frame."""
+        import numpy as np
+
+        return Camera(
+            self.width_px,
+            self.height_px,
+            self.fx_px,
+            self.fy_px,
+            self.cx_px,
+            self.cy_px,
+            np.array(self.asset_from_camera, dtype=np.float64),
+            self.clip_m,
+        )
 
 
 class Provenance(StrictModel):

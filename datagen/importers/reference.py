@@ -67,17 +67,7 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) 
             np.array(camera.asset_from_camera),
             camera.clip_m,
         )
-    full = Camera(
-        camera.width_px,
-        camera.height_px,
-        camera.fx_px,
-        camera.fy_px,
-        camera.cx_px,
-        camera.cy_px,
-        np.array(camera.asset_from_camera),
-        camera.clip_m,
-    )
-    return full.scaled(width_px, round(width_px * camera.height_px / camera.width_px))
+    return camera.camera().scaled(width_px, round(width_px * camera.height_px / camera.width_px))
 
 
 def render_original(

@@ -11,9 +11,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from datagen.cameras import Camera
 from datagen.errors import input_error
-from datagen.formats.asset import AssetCamera, EnvironmentAsset
+from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.lights import EnvironmentLight, Light
 
@@ -37,7 +36,10 @@ def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Co
         seed=seed,
         environment=PlacedAsset(name="environment", asset=asset.id),
         lights=tuple(_located(light, asset.id) for light in asset.lights),
-        cameras=tuple(_view(index, camera) for index, camera in enumerate(asset.cameras)),
+        cameras=tuple(
+            ViewCamera.from_camera(f"view_{index:03d}", camera.camera())
+            for index, camera in enumerate(asset.cameras)
+        ),
         assets={asset.id: content_hash},
     )
 
@@ -47,24 +49,6 @@ def _located(light: Light, asset_id: str) -> Light:
     if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
         return light.model_copy(update={"asset": asset_id})
     return light
-
-
-def _view(index: int, camera: AssetCamera) -> ViewCamera:
-    import numpy as np
-
-    return ViewCamera.from_camera(
-        f"view_{index:03d}",
-        Camera(
-            camera.width_px,
-            camera.height_px,
-            camera.fx_px,
-            camera.fy_px,
-            camera.cx_px,
-            camera.cy_px,
-            np.array(camera.asset_from_camera, dtype=np.float64),
-            camera.clip_m,
-        ),
-    )
 
 
 def render_package(

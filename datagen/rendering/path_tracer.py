@@ -109,7 +109,7 @@ class PathTracer:
         wanted = np.broadcast_to(np.asarray(num_samples, np.int64), (height, width)).ravel()
         step = int(np.gcd.reduce(wanted))  # samples of one entry of the list of pixels
         cells = np.repeat(np.arange(wanted.size, dtype=np.uint32), wanted // max(step, 1))
-        num_per_launch = MAX_LANES // max(step, 1)
+        num_per_launch = max(1, MAX_LANES // max(step, 1))
         sums = np.zeros((wanted.size, 4))
         if not self.scene.emitters():  # nothing to find, and lights of other scenes are not to be recorded
             cells = cells[:0]

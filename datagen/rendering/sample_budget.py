@@ -95,7 +95,7 @@ class ErrorEstimate:
     spread: float
     measured_bias: float
     bias_error: float
-    spread_map: NDArray[np.float32] = field(default_factory=lambda: np.zeros((1, 1), np.float32))
+    spread_map: NDArray[np.float32]
 
 
 def estimate_error(

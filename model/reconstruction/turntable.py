@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datagen.cameras import Camera, look_at
 from datagen.color import exposure_for
 from datagen.errors import input_error
-from datagen.formats.asset import AssetCamera, EnvironmentAsset
+from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
 from model.reconstruction.relight import (
     RelightOptions,
@@ -75,7 +75,7 @@ def write_turntable(
         if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
             expected = "an environment with cameras"
             raise input_error(path, "kind", asset.kind, expected, "give what `materials infer` wrote")
-        made = way_cameras([_camera(c) for c in asset.cameras], options)
+        made = way_cameras([c.camera() for c in asset.cameras], options)
     frames: list[NDArray[np.uint8]] = []
     unlit = []
     exposure = 0.0
@@ -97,18 +97,6 @@ def write_turntable(
     finally:
         partial.unlink(missing_ok=True)
     return made
-
-
-def _camera(camera: AssetCamera) -> Camera:
-    return Camera(
-        camera.width_px,
-        camera.height_px,
-        camera.fx_px,
-        camera.fy_px,
-        camera.cx_px,
-        camera.cy_px,
-        np.array(camera.asset_from_camera, dtype=np.float64),
-    )
 
 
 def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:

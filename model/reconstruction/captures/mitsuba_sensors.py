@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.cameras import Camera
 from datagen.errors import input_error
 from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
 
@@ -29,9 +28,7 @@ def read(path: Path, images: Path | None) -> Calibration:
             made = camera_of(node, number, np.eye(4), Findings())
         except (ArithmeticError, TypeError) as error:
             raise input_error(path, node.where, str(error), "a perspective sensor", "correct it") from None
-        matrix = np.array(made.asset_from_camera, dtype=np.float64)
-        camera = Camera(made.width_px, made.height_px, made.fx_px, made.fy_px, made.cx_px, made.cy_px, matrix)
-        posed.append(PosedImage(made.name, camera, None))
+        posed.append(PosedImage(made.name, made.camera(), None))
     if not posed:
         raise input_error(path, "sensor", "none", "at least one sensor", "add the cameras to the scene")
     return Calibration(tuple(posed), images or path.parent)

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from datagen.cameras import Camera
 from datagen.errors import InputError, Problem, input_error
 from datagen.formats.asset import ASSET_FILE, EnvironmentAsset
@@ -61,9 +59,7 @@ def read_package(path: Path, images: Path | None, encoding: Encoding, has_exposu
             continue
         name = unique(slug(item.name), names)
         names.add(name)
-        pose = np.array(item.asset_from_camera, dtype=np.float64)
-        camera = Camera(item.width_px, item.height_px, item.fx_px, item.fy_px, item.cx_px, item.cy_px, pose)
-        found.append((name, camera, image))
+        found.append((name, item.camera(), image))
     if not found:
         expected = f"images in {folder} named after the cameras, such as {asset.cameras[0].name}.jpg"
         raise InputError(Problem(path, "photographs", "none", expected, "name their folder with --images"))
