@@ -15,6 +15,7 @@ from datagen.formats.capture import Capture, CaptureView
 from datagen.formats.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsView
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
+from model.reconstruction.infer import TRUTH
 from model.reconstruction.infer_options import GivenMaps
 from model.reconstruction.merge import MAP_NAMES
 from model.reconstruction.predict import capture_exposure
@@ -48,19 +49,13 @@ def _source(
     if isinstance(method, TextureMethod):
         return "texture", _texture
     if isinstance(method, OracleMethod):
-        return "oracle", lambda whole, _: [true_maps(view) for view in whole.views]
+        return "oracle", TRUTH.read
     if isinstance(method, ConstantMethod):
         values = {name: np.ravel(getattr(method, name)) for name in MAP_NAMES}
         return f"constant {values}", lambda whole, _: [_constant(view, values) for view in whole.views]
     files = maps_files(method.folder / scene, capture)
     hashes = sha256_hex("".join(sha256_file(path) for path in files.values()).encode())
     return f"maps {hashes}", lambda whole, _: [_read(files[view.name]) for view in whole.views]
-
-
-def true_maps(view: CaptureView) -> Maps:
-    """The true maps of a rendered view as half floats."""
-    stored = view.source.read_maps(MAP_NAMES)
-    return {name: np.clip(values, 0, 1).astype(np.float16) for name, values in stored.items()}
 
 
 def _texture(capture: Capture, statistics: Sequence[StatisticsView]) -> list[Maps]:
