@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.assembly.random import Draws
 from datagen.formats.asset import (
@@ -164,9 +165,12 @@ def _held(moved: float, start: float, low: float, high: float) -> float:
 
 def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
     """Whether a material may go on a slot: right class, opaque, not luminous, tileable where textured."""
+    is_right = material.material.classes[0] in asset.materials[slot].replaceable_by
+    return is_right and _can_be_worn(material, slot, asset)
+
+
+def _can_be_worn(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
     own = material.material
-    if own.classes[0] not in asset.materials[slot].replaceable_by:
-        return False
     if own.emission is not None or own.opacity is not None:
         return False
     if not own.textures():
@@ -197,7 +201,7 @@ def assign_materials(
     ``palette`` holds the material packages on offer, in a fixed order. A class is drawn first, then one of
     its materials, so that a class with many materials does not crowd out the others. A slot among
     ``foreign_slots`` (asset id, slot) never keeps its own material: where nothing suits it, it gets one
-    without textures.
+    without textures. Slots that no class suits are never replaced otherwise.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
@@ -206,18 +210,18 @@ def assign_materials(
         own = asset.materials[slot]
         replaces, varies = draws.chance(recipe.replace_probability), draws.chance(recipe.vary_probability)
         pick = draws.units(2)
+        # Only drawn where it may happen: recipes without it keep the configurations that they had.
+        takes_any = recipe.any_class_probability > 0 and draws.chance(recipe.any_class_probability)
         if own.emission is not None:
             continue
         is_foreign = (package.id, slot) in foreign_slots
+        fits = _can_be_worn if takes_any and own.replaceable_by else suits
+        fitting = [p for p in palette if isinstance(p.asset, MaterialAsset) and fits(p.asset, slot, asset)]
         chosen: Package | None = None
-        fitting = [p for p in palette if isinstance(p.asset, MaterialAsset) and suits(p.asset, slot, asset)]
-        if is_foreign and not fitting:
-            fitting = [p for p in palette if is_plain(p)]
-        if (replaces or is_foreign) and fitting:
-            classes = sorted({p.asset.material.classes[0] for p in fitting})  # type: ignore[union-attr]
-            main = classes[int(pick[0] * len(classes))]
-            of_class = [p for p in fitting if p.asset.material.classes[0] == main]  # type: ignore[union-attr]
-            chosen = of_class[int(pick[1] * len(of_class))]
+        if replaces or is_foreign:
+            chosen = _drawn(fitting, recipe, pick)
+        if is_foreign and chosen is None:
+            chosen = _drawn([p for p in palette if is_plain(p)], MaterialRecipe(), pick)
         material = own if chosen is None else chosen.asset.material  # type: ignore[union-attr]
         adjustment = ColorAdjustment()
         if varies:
@@ -229,6 +233,21 @@ def assign_materials(
                 asset=None if chosen is None else chosen.id, adjustment=adjustment
             )
     return assignments
+
+
+def _drawn(fitting: list[Package], recipe: MaterialRecipe, pick: NDArray[np.float64]) -> Package | None:
+    """One of ``fitting``, its class first, by two numbers in [0, 1); None where no class has a weight."""
+    by_class: dict[MaterialClass, list[Package]] = {}
+    for package in fitting:
+        assert isinstance(package.asset, MaterialAsset)
+        by_class.setdefault(package.asset.material.classes[0], []).append(package)
+    classes = sorted(name for name in by_class if recipe.class_weights.get(name, 1.0) > 0)
+    if not classes:
+        return None
+    weights = np.cumsum([recipe.class_weights.get(name, 1.0) for name in classes])
+    index = int(np.searchsorted(weights, pick[0] * weights[-1], side="right"))
+    of_class = by_class[classes[min(index, len(classes) - 1)]]
+    return of_class[int(pick[1] * len(of_class))]
 
 
 def worn_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from datagen.formats.asset import MaterialClass
 from datagen.formats.base import NonNegative, Positive, Slug, StrictModel, Unit
 
 
@@ -43,9 +44,15 @@ class ObjectRecipe(AssetFilter):
 
 
 class MaterialRecipe(AssetFilter):
-    """How slots are dressed: with which probability an asset's own material is replaced or varied."""
+    """How slots are dressed: with which probability an asset's own material is replaced or varied.
+
+    ``any_class_probability`` of the replacements take no notice of the classes that suit a slot: a floor of
+    steel, a sofa of marble. ``class_weights`` default to 1 a class; 0 leaves a class out.
+    """
 
     replace_probability: Unit = 0.8
+    any_class_probability: Unit = 0.0
+    class_weights: dict[MaterialClass, NonNegative] = {}
     vary_probability: Unit = 0.7
     variation_strength: Unit = 1.0
 

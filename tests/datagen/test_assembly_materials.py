@@ -72,6 +72,46 @@ def test_probabilities_are_kept(library: Library) -> None:
     assert assign_materials(room, palette, still, means, Draws(1)) == {}
 
 
+def worn_classes(library: Library, recipe: MaterialRecipe) -> dict[str, Counter[str]]:
+    room, palette, means = library.package("room-0"), library.select("material"), MeanMaterials()
+    seen: dict[str, Counter[str]] = {}
+    for seed in range(80):
+        for slot, worn in assign_materials(room, palette, recipe, means, Draws(seed)).items():
+            if worn.asset is not None:
+                asset = library.package(worn.asset).asset
+                assert isinstance(asset, MaterialAsset)
+                seen.setdefault(slot, Counter())[asset.material.classes[0]] += 1
+    return seen
+
+
+def test_class_weights_decide_which_class_is_worn(library: Library) -> None:
+    recipe = MaterialRecipe(replace_probability=1.0, class_weights={"metal": 4.0})
+    assert 50 < worn_classes(library, recipe)["shelf"]["metal"] < 78  # four in five of 80, wood is the other
+    without = MaterialRecipe(replace_probability=1.0, class_weights={"metal": 0.0})
+    assert set(worn_classes(library, without)["shelf"]) == {"wood"}
+
+
+def test_a_share_of_replacements_may_be_of_any_class(library: Library) -> None:
+    room = library.package("room-0").asset
+    assert isinstance(room, EnvironmentAsset)
+    assert "metal" not in room.materials["floor"].replaceable_by
+    recipe = MaterialRecipe(
+        replace_probability=1.0, any_class_probability=0.5, class_weights={"metal": 100.0}
+    )
+    seen = worn_classes(library, recipe)
+    assert 25 < seen["floor"]["metal"] < 55
+    assert "ceiling" not in seen  # no class suits it: it keeps its material
+    never = MaterialRecipe(replace_probability=0.0, vary_probability=0.0, any_class_probability=1.0)
+    assert worn_classes(library, never) == {}
+
+
+def test_unweighted_classes_are_drawn_as_without_weights(library: Library) -> None:
+    plain = MaterialRecipe(replace_probability=1.0)
+    assert worn_classes(library, plain) == worn_classes(
+        library, MaterialRecipe(replace_probability=1.0, class_weights={"metal": 1.0, "wood": 1.0})
+    )
+
+
 def test_textures_need_uvs_and_a_tile_size(library: Library, tmp_path: Path) -> None:
     room = library.package("room-0").asset
     assert isinstance(room, EnvironmentAsset)
