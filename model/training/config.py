@@ -37,6 +37,8 @@ class PhaseConfig(StrictModel):
     steps: int | None = Field(default=None, ge=1)
     learning_rate: float | None = Field(default=None, gt=0)
     """None takes the run's."""
+    final_learning_rate: float | None = Field(default=None, gt=0)
+    """None takes the run's."""
 
     @model_validator(mode="after")
     def _one_length(self) -> PhaseConfig:
@@ -98,6 +100,8 @@ class TrainingConfig(StrictModel):
     """Crops a rank and micro-batch; an optimiser step sees batch_size x accumulation x ranks."""
     accumulation: int = Field(default=1, ge=1)
     learning_rate: float = Field(default=2e-5, gt=0)
+    final_learning_rate: float | None = Field(default=None, gt=0)
+    """Each phase's rate falls to this along half a cosine; None leaves it as it is."""
     adam_betas: tuple[float, float] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
     """Gradients of a larger norm, over all weights that a phase trains, are scaled down to it; None leaves

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -126,8 +127,9 @@ class Phase:
         module.requires_grad_(True)
         models.eval()
         module.train()
-        learning_rate = self.config.learning_rate or config.learning_rate
-        self.optimizer = torch.optim.Adam(module.parameters(), learning_rate, betas=config.adam_betas)
+        self.optimizer = torch.optim.Adam(
+            module.parameters(), self.first_learning_rate, betas=config.adam_betas
+        )
         self.parameters = list(module.parameters())
         self.module = module
         if shop.ranks.count > 1:
@@ -135,6 +137,19 @@ class Phase:
         _, self.seed = shop.order(index)
         self.dataset = CropDataset(shop.data.train, config.data, config.network, self.seed, shop.data.size_px)
         self.num_steps = num_steps or shop.num_steps(index)
+
+    @property
+    def first_learning_rate(self) -> float:
+        """The rate of the phase's first step."""
+        return self.config.learning_rate or self.shop.config.learning_rate
+
+    def learning_rate(self, step: int) -> float:
+        """The rate of a step of the phase, counted from 0: constant, or half a cosine to the final one."""
+        first = self.first_learning_rate
+        last = self.config.final_learning_rate or self.shop.config.final_learning_rate
+        if last is None:
+            return first
+        return last + (first - last) * 0.5 * (1 + math.cos(math.pi * step / max(1, self.num_steps - 1)))
 
     @property
     def steps_per_epoch(self) -> int:

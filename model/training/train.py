@@ -208,6 +208,8 @@ class Trainer:
         config, watch = self.config, self.shop.stopwatch
         sums: dict[str, Tensor] = {}
         waited = 0.0
+        for group in phase.optimizer.param_groups:
+            group["lr"] = phase.learning_rate(self.progress.step)
         phase.optimizer.zero_grad(set_to_none=True)
         batch: dict[str, Tensor] = {}
         for micro in range(config.accumulation):

@@ -99,6 +99,29 @@ def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, 
     assert seen == pytest.approx([limit] * 2 if limit else logged, rel=1e-3)
 
 
+def test_the_rate_falls_along_half_a_cosine(dataset, tmp_path, monkeypatch):
+    """From the phase's own first rate to the run's final one; constant where there is none."""
+    seen = []
+    take = torch.optim.Adam.step
+
+    def step(self, *arguments):
+        seen.extend(group["lr"] for group in self.param_groups)
+        return take(self, *arguments)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", step)
+    phases = "phases=[{name: diffuse, steps: 5, learning_rate: 0.008}, {name: specular, steps: 2}]"
+    falling = _config(phases, "learning_rate=0.002", "final_learning_rate=0.0004")
+    Trainer(falling, [dataset], tmp_path / "falling", device=CPU).run()
+    middle = (0.008 + 0.0004) / 2
+    quarter = (0.008 - 0.0004) * 0.5 * 2**-0.5
+    expected = [0.008, middle + quarter, middle, middle - quarter, 0.0004, 0.002, 0.0004]
+    assert seen == pytest.approx(expected)
+    seen.clear()
+    constant = _config("phases=[{name: diffuse, steps: 3}]", "final_learning_rate=null", "learning_rate=0.002")
+    Trainer(constant, [dataset], tmp_path / "constant", device=CPU).run()
+    assert seen == [0.002] * 3
+
+
 def test_phases_train_their_own_part_only(dataset, tmp_path):
     config = _config("phases=[{name: diffuse, steps: 2}]")
     trainer = Trainer(config, [dataset], tmp_path / "run", device=CPU)
