@@ -117,7 +117,8 @@ def test_the_rate_falls_along_half_a_cosine(dataset, tmp_path, monkeypatch):
     expected = [0.008, middle + quarter, middle, middle - quarter, 0.0004, 0.002, 0.0004]
     assert seen == pytest.approx(expected)
     seen.clear()
-    constant = _config("phases=[{name: diffuse, steps: 3}]", "final_learning_rate=null", "learning_rate=0.002")
+    short = "phases=[{name: diffuse, steps: 3}]"
+    constant = _config(short, "final_learning_rate=null", "learning_rate=0.002")
     Trainer(constant, [dataset], tmp_path / "constant", device=CPU).run()
     assert seen == [0.002] * 3
 
