@@ -140,9 +140,11 @@ def test_the_bundled_checkpoint_is_small_and_names_what_it_learnt_from():
     assert path.stat().st_size <= 20e6
     checkpoint = load_checkpoint(path)
     assert checkpoint.confidence is not None
-    (data,) = checkpoint.card.data
-    assert data.num_views == 1000 and {"study", "kitchen"} <= data.assets.keys()
-    assert not {"veach-ajar", "dining-room"} & data.assets.keys()
+    first, second = checkpoint.card.data
+    assert first.num_views == 1000 and {"study", "kitchen"} <= first.assets.keys()
+    assert second.num_views == 720 and "staircase" in second.assets
+    assert not {"veach-ajar", "dining-room"} & (first.assets.keys() | second.assets.keys())
+    assert "study" not in second.assets  # what judges is not learnt from
     assert checkpoint.card.training["initial_checkpoint"] is None
     maps = checkpoint.network.tracks["diffuse"](torch.zeros(1, 9, 32, 32))
     assert maps.shape == (1, 3, 32, 32) and bool(torch.isfinite(maps).all())
