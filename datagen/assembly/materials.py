@@ -2,8 +2,9 @@
 """Which material each slot wears, by class, and how it is varied.
 
 A slot names the classes that suit its geometry (``replaceable_by``); only materials whose main class is
-among them are put there, and only where the mesh has the UVs that a texture needs. Variation stays inside
-what the class is known for: :data:`CLASS_RANGES`.
+among them are put there (but for the share that a recipe's ``any_class_probability`` names), and only where
+the mesh has the UVs that a texture needs. Variation stays inside what the class is known for:
+:data:`CLASS_RANGES`.
 """
 
 from __future__ import annotations
