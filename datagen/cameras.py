@@ -8,9 +8,22 @@ at (u + 0.5, v + 0.5); intrinsics are in pixels. Transforms are named target_fro
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+
+class PinholeRecord(Protocol):
+    """A camera as a file holds it, but for its pose."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    clip_m: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -28,6 +41,20 @@ class Camera:
     cy_px: float
     world_from_camera: NDArray[np.float64]
     clip_m: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, record: PinholeRecord, world_from_camera: ArrayLike) -> Camera:
+        """The camera of a file's record at a pose, (4, 4)."""
+        return cls(
+            record.width_px,
+            record.height_px,
+            record.fx_px,
+            record.fy_px,
+            record.cx_px,
+            record.cy_px,
+            np.array(world_from_camera, dtype=np.float64),
+            record.clip_m,
+        )
 
     @property
     def position_m(self) -> NDArray[np.float64]:

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import colorsys
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.assembly.random import Draws
+from datagen.assembly.random import Draws, weighted_item
 from datagen.formats.asset import (
     EnvironmentAsset,
     Material,
@@ -220,9 +221,9 @@ def assign_materials(
         fitting = [p for p in palette if isinstance(p.asset, MaterialAsset) and fits(p.asset, slot, asset)]
         chosen: Package | None = None
         if replaces or is_foreign:
-            chosen = _drawn(fitting, recipe, pick)
+            chosen = _drawn(fitting, recipe.class_weights, pick)
         if is_foreign and chosen is None:
-            chosen = _drawn([p for p in palette if is_plain(p)], MaterialRecipe(), pick)
+            chosen = _drawn([p for p in palette if is_plain(p)], {}, pick)
         material = own if chosen is None else chosen.asset.material  # type: ignore[union-attr]
         adjustment = ColorAdjustment()
         if varies:
@@ -236,18 +237,19 @@ def assign_materials(
     return assignments
 
 
-def _drawn(fitting: list[Package], recipe: MaterialRecipe, pick: NDArray[np.float64]) -> Package | None:
+def _drawn(
+    fitting: list[Package], class_weights: Mapping[MaterialClass, float], pick: NDArray[np.float64]
+) -> Package | None:
     """One of ``fitting``, its class first, by two numbers in [0, 1); None where no class has a weight."""
     by_class: dict[MaterialClass, list[Package]] = {}
     for package in fitting:
         assert isinstance(package.asset, MaterialAsset)
         by_class.setdefault(package.asset.material.classes[0], []).append(package)
-    classes = sorted(name for name in by_class if recipe.class_weights.get(name, 1.0) > 0)
-    if not classes:
+    classes = sorted(by_class)
+    weights = [class_weights.get(name, 1.0) for name in classes]
+    if not any(weights):
         return None
-    weights = np.cumsum([recipe.class_weights.get(name, 1.0) for name in classes])
-    index = int(np.searchsorted(weights, pick[0] * weights[-1], side="right"))
-    of_class = by_class[classes[min(index, len(classes) - 1)]]
+    of_class = by_class[weighted_item(classes, weights, pick[0])]
     return of_class[int(pick[1] * len(of_class))]
 
 

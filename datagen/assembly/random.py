@@ -25,6 +25,16 @@ def digest(*key: int | str) -> bytes:
     return hashlib.sha256(text.encode()).digest()
 
 
+def weighted_item(items: Sequence[ItemT], weights: Sequence[float], number: float) -> ItemT:
+    """The item that a number, uniform in [0, 1), stands for; some weight must be positive."""
+    cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
+    if not cumulative[-1] > 0:
+        raise ValueError("expected a positive weight")
+    index = int(np.searchsorted(cumulative, number * cumulative[-1], side="right"))
+    last = int(np.flatnonzero(np.asarray(weights) > 0)[-1])
+    return items[min(index, last)]
+
+
 class Draws:
     """A stream of draws for one key."""
 
@@ -68,12 +78,7 @@ class Draws:
 
     def weighted(self, items: Sequence[ItemT], weights: Sequence[float]) -> ItemT:
         """One of the items with probability proportional to its weight; some weight must be positive."""
-        cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
-        if not cumulative[-1] > 0:
-            raise ValueError("expected a positive weight")
-        index = int(np.searchsorted(cumulative, self.unit() * cumulative[-1], side="right"))
-        last = int(np.flatnonzero(np.asarray(weights) > 0)[-1])
-        return items[min(index, last)]
+        return weighted_item(items, weights, self.unit())
 
     def shuffled(self, items: Sequence[ItemT]) -> list[ItemT]:
         """The items in random order."""

@@ -169,18 +169,7 @@ class AssetCamera(StrictModel):
 
     def camera(self) -> Camera:
         """The same as a :class:`datagen.cameras.Camera`, in the asset's frame."""
-        import numpy as np
-
-        return Camera(
-            self.width_px,
-            self.height_px,
-            self.fx_px,
-            self.fy_px,
-            self.cx_px,
-            self.cy_px,
-            np.array(self.asset_from_camera, dtype=np.float64),
-            self.clip_m,
-        )
+        return Camera.of(self, self.asset_from_camera)
 
 
 class Provenance(StrictModel):

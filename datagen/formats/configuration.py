@@ -82,18 +82,7 @@ class ViewCamera(StrictModel):
 
     def camera(self) -> Camera:
         """The same as a :class:`datagen.cameras.Camera`."""
-        import numpy as np
-
-        return Camera(
-            self.width_px,
-            self.height_px,
-            self.fx_px,
-            self.fy_px,
-            self.cx_px,
-            self.cy_px,
-            np.array(self.world_from_camera, dtype=np.float64),
-            self.clip_m,
-        )
+        return Camera.of(self, self.world_from_camera)
 
     @classmethod
     def from_camera(cls, name: str, camera: Camera) -> ViewCamera:

@@ -45,7 +45,7 @@ MAX_MEMBERS = 100_000
 MAX_UNPACKED_BYTES = 16 << 30
 _BOMB_RATIO, _BOMB_BYTES = 500, 64 << 20  # a member of over 64 MB that shrinks 500-fold holds no real asset
 # All that zipfile raises on damaged archives; each was seen with fuzzed ones.
-_ZIP_ERRORS = (
+ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
@@ -111,7 +111,7 @@ class Package:
             try:
                 with self._archive.open(self._prefix + name) as source, partial.open("wb") as sink:
                     shutil.copyfileobj(source, sink, 1 << 20)
-            except (KeyError, *_ZIP_ERRORS) as error:
+            except (KeyError, *ZIP_ERRORS) as error:
                 partial.unlink(missing_ok=True)
                 raise input_error(
                     self.path, name, str(error), "a readable file", "make the package again"
@@ -125,7 +125,7 @@ class Package:
             if self._archive is None:
                 return (self.path / name).read_bytes()
             return self._archive.read(self._prefix + name)
-        except (KeyError, *_ZIP_ERRORS) as error:
+        except (KeyError, *ZIP_ERRORS) as error:
             raise input_error(
                 self.path, name, str(error), "a readable file", "make the package again"
             ) from None
@@ -203,7 +203,7 @@ def is_package(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return _find_prefix(archive.namelist()) is not None
-    except _ZIP_ERRORS:
+    except ZIP_ERRORS:
         return False
 
 
@@ -329,7 +329,7 @@ def _zip_problems(archive: zipfile.ZipFile, where: Path) -> list[Problem]:
 def _open_zip(path: Path) -> Package:
     try:
         archive = zipfile.ZipFile(path)
-    except _ZIP_ERRORS as error:
+    except ZIP_ERRORS as error:
         raise input_error(path, got=str(error), expected="an asset package (folder or zip)") from None
     try:
         problems = _zip_problems(archive, path)
@@ -354,7 +354,7 @@ def _open_zip(path: Path) -> Package:
     except InputError:
         archive.close()
         raise
-    except _ZIP_ERRORS as error:
+    except ZIP_ERRORS as error:
         archive.close()
         raise input_error(path, got=str(error), expected="an intact zip", remedy="copy it again") from None
     except BaseException:

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-import struct
 import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -19,20 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError, Problem, input_error
+from datagen.formats.package import ZIP_ERRORS
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
 MAX_SIDE_CM = 20_000.0  # a ship is less than 200 m long; more is a slip of the unit
 MAX_MEMBER_BYTES = 256 << 20  # far above any model seen (24 MB); a member that claims more is a bomb
-_DAMAGE = (  # all that zipfile raises on damaged archives
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    OSError,
-)
 _KEY = re.compile(r"(?P<name>[A-Za-z]+)#(?P<number>\d+)$")
 _ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.S)
 _LICENSES = (
@@ -113,7 +102,7 @@ class Catalogue:
             ) from None
         except InputError:
             raise
-        except _DAMAGE as error:
+        except ZIP_ERRORS as error:
             raise input_error(
                 where, got=str(error), expected="a readable file", remedy="copy it again"
             ) from None
@@ -133,7 +122,7 @@ def open_catalogue(path: Path) -> Catalogue:
     expected = f"a Sweet Home 3D furniture library: a zip that holds {CATALOGUE_FILE}"
     try:
         archive = zipfile.ZipFile(path)
-    except _DAMAGE as error:
+    except ZIP_ERRORS as error:
         raise input_error(path, got=str(error), expected=expected, remedy="copy it again") from None
     try:
         if CATALOGUE_FILE not in archive.namelist():

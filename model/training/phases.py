@@ -127,25 +127,18 @@ class Phase:
         module.requires_grad_(True)
         models.eval()
         module.train()
-        self.optimizer = torch.optim.Adam(
-            module.parameters(), self.first_learning_rate, betas=config.adam_betas
-        )
+        self.num_steps = num_steps or shop.num_steps(index)
+        self.optimizer = torch.optim.Adam(module.parameters(), self.learning_rate(0), betas=config.adam_betas)
         self.parameters = list(module.parameters())
         self.module = module
         if shop.ranks.count > 1:
             self.module = DistributedDataParallel(module)
         _, self.seed = shop.order(index)
         self.dataset = CropDataset(shop.data.train, config.data, config.network, self.seed, shop.data.size_px)
-        self.num_steps = num_steps or shop.num_steps(index)
-
-    @property
-    def first_learning_rate(self) -> float:
-        """The rate of the phase's first step."""
-        return self.config.learning_rate or self.shop.config.learning_rate
 
     def learning_rate(self, step: int) -> float:
         """The rate of a step of the phase, counted from 0: constant, or half a cosine to the final one."""
-        first = self.first_learning_rate
+        first = self.config.learning_rate or self.shop.config.learning_rate
         last = self.config.final_learning_rate or self.shop.config.final_learning_rate
         if last is None:
             return first
