@@ -67,15 +67,22 @@ def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: 
 
 
 def test_more_training_data_leaves_out_what_validation_shows() -> None:
-    """`checkpoint.yaml` adds to `learning.yaml`: no room, thing or material of its validation split."""
+    """`checkpoint.yaml` and `pale.yaml` add to `learning.yaml`: no room, thing or material of its validation
+    split; `pale_validation.yaml` judges by nothing else."""
     recipes = {
         name: read_yaml(Recipe, REPOSITORY / "scenes" / "recipes" / f"{name}.yaml")
-        for name in ("learning", "checkpoint")
+        for name in ("learning", "checkpoint", "pale", "pale_validation")
     }
     with Library([bundled_library()]) as library:
         held_out = pools_of_split(recipes["learning"], library, "validation")
-        more = pools_of_split(recipes["checkpoint"], library, "train")
-        for kind in ("environments", "objects", "materials"):
-            held, drawn = ({p.id for p in getattr(pools, kind)} for pools in (held_out, more))
-            assert held and drawn and not held & drawn, kind
-    assert recipes["checkpoint"].splits.train == 1.0
+        judged = pools_of_split(recipes["pale_validation"], library, "validation")
+        for name in ("checkpoint", "pale"):
+            more = pools_of_split(recipes[name], library, "train")
+            for kind in ("environments", "objects", "materials"):
+                held, drawn, judge = (
+                    {p.id for p in getattr(pools, kind)} for pools in (held_out, more, judged)
+                )
+                assert held and drawn and not held & drawn, (name, kind)
+                assert judge and judge <= held, kind
+            assert recipes[name].splits.train == 1.0
+    assert recipes["pale_validation"].splits.train == 0.0
