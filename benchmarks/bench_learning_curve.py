@@ -2,13 +2,13 @@
 """What more data would bring: validation error over the number of training configurations.
 
     python -m benchmarks.bench_learning_curve DATASET [OTHER ...] --out DIR [--counts 5 10 20 40]
-        [--steps 400] [--preset small] [--set KEY=VALUE ...] [--threads 2]
+        [--steps 400] [--preset small] [--set KEY=VALUE ...] [--threads 2] [--judge DATASET]
 
 Trains the preset on some of a dataset's training configurations, evenly spread over all, with equally many
 optimiser steps a track for each count; a point is the mean squared error of each map over all views of the
-validation split of the first DATASET. Every OTHER is a curve of its own, judged by the same views: the same
-recipe rendered with fewer samples shows what cheap data costs, another recipe what variety brings. Short runs
-say how curves lie to each other, not how good a long run becomes.
+validation split of ``--judge``, the first DATASET if left out. Every OTHER is a curve of its own, judged by
+the same views: the same recipe rendered with fewer samples shows what cheap data costs, another recipe what
+variety brings. Short runs say how curves lie to each other, not how good a long run becomes.
 
 Writes ``table.md``, ``results.json`` and ``curve.png`` into DIR. Points that are there are not trained again;
 interrupted ones continue. A point costs about ``2 * steps`` times the seconds of a step that
@@ -161,17 +161,19 @@ def main() -> None:
     parser.add_argument("--preset", default="small")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--judge", type=Path, metavar="DATASET", help="whose validation views judge")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     config = short_run(resolve_config(args.preset, None, parse_overrides(args.set)), args.steps)
-    judge, start = args.datasets[0], time.process_time()
+    judge, start = args.judge or args.datasets[0], time.process_time()
     curves: dict[str, dict[int, dict[str, float]]] = {}
     for dataset in args.datasets:
         for count in sorted(args.counts):
             place = args.out / f"{dataset.name}-{count}"
             part = part_of(dataset, count, judge, place / "data")
             curves.setdefault(dataset.name, {})[count] = measure(config, part, place / "run")
-    baseline = constant(config, judge)
+    first = args.datasets[0]
+    baseline = constant(config, args.out / f"{first.name}-{max(args.counts)}" / "data")
     table = as_table(curves, baseline)
     print(table)
     (args.out / "table.md").write_text(table)

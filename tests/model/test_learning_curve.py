@@ -52,6 +52,19 @@ def test_points_of_two_datasets(
     assert json.loads((tmp_path / "results.json").read_text())["results"] == report["results"]
 
 
+def test_a_dataset_without_validation_views_is_judged_by_another(
+    datasets: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, cheap = datasets
+    arguments = [str(cheap), "--judge", str(good), "--out", str(tmp_path), "--counts", "1", "--steps", "1"]
+    monkeypatch.setattr(sys, "argv", ["bench", *arguments, "--preset", "smoke", "--threads", "1"])
+    bench_learning_curve.main()
+    report = json.loads((tmp_path / "results.json").read_text())
+    assert set(report["results"]) == {bench_learning_curve.CONSTANT, "cheap 1"}
+    validation = Dataset(tmp_path / "cheap-1" / "data").index.splits["validation"]
+    assert validation == Dataset(good).index.splits["validation"]
+
+
 def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: Path) -> None:
     good, cheap = datasets
     part = bench_learning_curve.part_of(cheap, 2, good, tmp_path / "part")
