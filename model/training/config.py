@@ -67,6 +67,9 @@ class DataConfig(StrictModel):
     flips: bool = True
     exposure_jitter_stops: float = Field(default=0.5, ge=0, le=4)
     """Each crop's exposure is multiplied by 2^u, u uniform within plus and minus this."""
+    spread_jitter_stops: float = Field(default=0.0, ge=0, le=4)
+    """Each crop's minimum over views is divided, its maximum multiplied by 2^u, a u each, uniform from 0 to
+    this: noise, and errors of cameras and of geometry, only ever move the two apart."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of so many views, each of which is decoded once a loader process."""
     workers: int = Field(default=1, ge=0)

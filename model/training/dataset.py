@@ -313,6 +313,10 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         if self.config.flips:
             sample = flip_sample(sample, horizontal=flips[0], vertical=flips[1])
         sample["exposure"] = sample["exposure"] * 2.0 ** (stops * self.config.exposure_jitter_stops)
+        for name, sign in (("color_min", -1.0), ("color_max", 1.0)):
+            widened = float(torch.rand(1, generator=generator)) * self.config.spread_jitter_stops
+            if name in sample:
+                sample[name] = sample[name] * 2.0 ** (sign * widened)
         return sample
 
 

@@ -150,6 +150,30 @@ def test_crops_are_reproducible_and_differ(shard):
     assert stops.std() > 0.2
 
 
+def test_spread_jitter_moves_minimum_and_maximum_apart(shard):
+    plain = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
+    config = CONFIG.model_copy(update={"spread_jitter_stops": 0.5})
+    jittered = CropDataset(index_shard(shard), config, NETWORK, seed=2)
+    stops = {"color_min": [], "color_max": []}
+    for crop in range(20):
+        before, after = plain[crop], jittered[crop]
+        for name, value in before.items():
+            if name not in stops:
+                assert torch.equal(value, after[name]), name  # nothing else changes, nor what is drawn
+                continue
+            lit = value > 1e-3
+            ratio = torch.log2(after[name][lit] / value[lit])
+            torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio), atol=1e-4, rtol=0)
+            stops[name].append(float(ratio[0]))
+    assert min(stops["color_min"]) >= -0.5 and max(stops["color_min"]) <= 0
+    assert min(stops["color_max"]) >= 0 and max(stops["color_max"]) <= 0.5
+    assert np.std(stops["color_min"]) > 0.05 and np.std(stops["color_max"]) > 0.05
+    single = CropDataset(
+        index_shard(shard), config, NETWORK.model_copy(update={"uses_statistics": False}), seed=2
+    )
+    assert "color_min" not in single[0]
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 def test_loader_yields_the_plan_whatever_the_workers(shard, workers):
     dataset = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
