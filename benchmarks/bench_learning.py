@@ -2,13 +2,13 @@
 """Does it learn? Trains a preset and its single-view version (*No RP*) and compares them with simple
 predictions.
 
-    python -m benchmarks.bench_learning DATASET --out DIR [--preset small] [--set KEY=VALUE ...] [--threads 2]
-    python -m benchmarks.bench_learning DATASET --out DIR --compare CHECKPOINT ...    trains nothing
+    python -m benchmarks.bench_learning DATASET ... --out DIR [--preset small] [--set KEY=VALUE ...]
+    python -m benchmarks.bench_learning DATASET ... --out DIR --compare CHECKPOINT ...    trains nothing
 
-On the whole views of the validation split: mean squared errors of every map for a constant (the training
-mean), the exposed median image as diffuse albedo, the single-view network, the network, and the network
-with the bilateral solver. Writes ``table.md``, ``results.json`` and ``curves.png`` into DIR; interrupted
-runs continue.
+On the whole views of the validation splits, or of ``--judge DATASET`` alone: mean squared errors of every map
+for a constant (the training mean), the exposed median image as diffuse albedo, the single-view network, the
+network, and the network with the bilateral solver. Writes ``table.md``, ``results.json`` and ``curves.png``
+into DIR; interrupted runs continue.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ import torch
 from model.checkpoint import load_checkpoint
 from model.networks import TrackName
 from model.training.config import TrainingConfig, parse_overrides, resolve_config
-from model.training.dataset import TRUTH_BUFFERS, buffer_names
+from model.training.dataset import TRUTH_BUFFERS, ViewPlace, buffer_names
 from model.training.run_log import read_log
-from model.training.sources import open_data, spread
+from model.training.sources import TrainingData, open_data, spread
 from model.training.train import Trainer
 from model.training.validation import (
     constant_predictor,
@@ -46,12 +46,23 @@ Rows = dict[str, dict[str, float]]
 """Metrics by method."""
 
 
-def compare(config: TrainingConfig, dataset: Path, checkpoints: dict[str, Path]) -> Rows:
-    """Metrics by method on the validation split."""
+def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
+    """The validation views, or those of one dataset folder; ``SystemExit`` where there are none."""
+    root = judge.resolve() if judge else Path("/")
+    places = [place for place in data.validation if place.shard.resolve().is_relative_to(root)]
+    if not places:
+        raise SystemExit(f"{judge or 'datasets'}: no validation views")
+    return places
+
+
+def compare(
+    config: TrainingConfig, datasets: list[Path], checkpoints: dict[str, Path], judge: Path | None = None
+) -> Rows:
+    """Metrics by method on the validation views; the training mean is that of all ``datasets``."""
     device = torch.device("cpu")
-    data = open_data([dataset], config.network, config.data.crop_px)
+    data = open_data(datasets, config.network, config.data.crop_px)
     names = buffer_names(config.network)
-    batches = list(whole_views(data.validation, names, device))
+    batches = list(whole_views(judged_views(data, judge), names, device))
     means = mean_maps(whole_views(spread(data.train, 80), names, device))
     rows = {
         "constant (training mean)": evaluate(constant_predictor(means), batches),
@@ -67,17 +78,20 @@ def compare(config: TrainingConfig, dataset: Path, checkpoints: dict[str, Path])
     return rows
 
 
-def metal_errors(path: Path, dataset: Path, num_views: int = 30) -> dict[str, float]:
+def metal_errors(
+    path: Path, datasets: list[Path], judge: Path | None = None, num_views: int = 30
+) -> dict[str, float]:
     """How a checkpoint's specular albedo does on metal (any channel above 0.2) and elsewhere.
 
     Over ``num_views`` validation views, evenly spread: the share of metal among pixels with a surface and in
     the sum of squared errors, mean squared error and mean prediction on metal and elsewhere.
     """
     network, device = load_checkpoint(path).network, torch.device("cpu")
-    data = open_data([dataset], network.config, 16)
+    data = open_data(datasets, network.config, 16)
     predict = network_predictor(network, ("specular",))
+    views = spread(judged_views(data, judge), num_views)
     pixels, squared, predicted = (dict.fromkeys(("metal", "elsewhere"), 0.0) for _ in range(3))
-    for batch in whole_views(spread(data.validation, num_views), buffer_names(network.config), device):
+    for batch in whole_views(views, buffer_names(network.config), device):
         surface, truth = batch["mask"][:, :1] > 0.5, batch["specular_albedo"]
         specular = predict(batch)["specular_albedo"]
         error = ((specular - truth) ** 2).mean(dim=1, keepdim=True)
@@ -140,7 +154,8 @@ def plot_curves(folders: dict[str, Path], path: Path) -> None:
 def main() -> None:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
-    parser.add_argument("dataset", type=Path)
+    parser.add_argument("datasets", type=Path, nargs="+", metavar="DATASET")
+    parser.add_argument("--judge", type=Path, metavar="DATASET", help="the one whose validation views count")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--preset", default="small")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
@@ -150,12 +165,13 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     config = resolve_config(args.preset, None, parse_overrides(args.set))
     args.out.mkdir(parents=True, exist_ok=True)
+    names = [str(dataset) for dataset in args.datasets]
     if args.compare:
         config = config.model_copy(update={"network": load_checkpoint(args.compare[0]).card.network})
-        rows = compare(config, args.dataset, {path.stem: path for path in args.compare})
-        metal = {path.stem: metal_errors(path, args.dataset) for path in args.compare}
+        rows = compare(config, args.datasets, {path.stem: path for path in args.compare}, args.judge)
+        metal = {path.stem: metal_errors(path, args.datasets, args.judge) for path in args.compare}
         print("specular albedo on metal and elsewhere:", json.dumps(metal, indent=2))
-        write_table(rows, {"dataset": str(args.dataset), "metal": metal}, args.out)
+        write_table(rows, {"datasets": names, "metal": metal}, args.out)
         return
     single = config.model_copy(
         update={"network": config.network.model_copy(update={"uses_statistics": False})}
@@ -164,10 +180,11 @@ def main() -> None:
     for label, chosen in (("ours", config), ("No RP", single)):
         folder = args.out / label.lower().replace(" ", "_")
         start = time.perf_counter()
-        Trainer(chosen, [args.dataset], folder, device=torch.device("cpu"), show_progress=True).run()
+        Trainer(chosen, args.datasets, folder, device=torch.device("cpu"), show_progress=True).run()
         folders[label], seconds[label] = folder, time.perf_counter() - start
-    rows = compare(config, args.dataset, {label: f / "final.safetensors" for label, f in folders.items()})
-    run = {"dataset": str(args.dataset), "preset": args.preset, "training_s": seconds}
+    trained = {label: folder / "final.safetensors" for label, folder in folders.items()}
+    rows = compare(config, args.datasets, trained, args.judge)
+    run = {"datasets": names, "preset": args.preset, "training_s": seconds}
     write_table(rows, run, args.out)
     plot_curves(folders, args.out / "curves.png")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import bench_learning_curve
+from benchmarks import bench_learning, bench_learning_curve
 from datagen.assembly.splits import pools_of_split
 from datagen.formats.base import read_yaml
 from datagen.formats.configuration import Split
@@ -63,6 +63,18 @@ def test_a_dataset_without_validation_views_is_judged_by_another(
     assert set(report["results"]) == {bench_learning_curve.CONSTANT, "cheap 1"}
     validation = Dataset(tmp_path / "cheap-1" / "data").index.splits["validation"]
     assert validation == Dataset(good).index.splits["validation"]
+
+    checkpoint = tmp_path / "cheap-1" / "run" / "final.safetensors"
+    compare = [str(cheap), str(good), "--out", str(tmp_path / "compare"), "--compare", str(checkpoint)]
+    monkeypatch.setattr(sys, "argv", ["bench", *compare, "--preset", "smoke", "--judge", str(good)])
+    bench_learning.main()
+    rows = json.loads((tmp_path / "compare" / "results.json").read_text())["results"]
+    assert rows["final"]["diffuse_albedo_mse"] == pytest.approx(
+        report["results"]["cheap 1"]["diffuse_albedo_mse"], rel=1e-4
+    )
+    monkeypatch.setattr(sys, "argv", ["bench", *compare, "--preset", "smoke", "--judge", str(cheap)])
+    with pytest.raises(SystemExit, match="no validation views"):
+        bench_learning.main()
 
 
 def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: Path) -> None:
