@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Equal error against Blender's Cycles: one configuration of the bundled library, everything counted.
 
-    python -m benchmarks.bench_peer                        40 views of 640x384 at `standard`; 20 quiet minutes
+    python -m benchmarks.bench_peer                        40 views of 640x384 at `standard`; quiet hours
+    python -m benchmarks.bench_peer --size 160 96 --peer-views 3 --error-views 2                    18 minutes
     python -m benchmarks.bench_peer --peer-views 40        the peer renders every view instead of a sample
     python -m benchmarks.bench_peer --views 4 --size 96 64 --quality draft --out /tmp/peer      a quick look
 
@@ -16,10 +17,10 @@ configuration; making it is not counted. It has no roughness, no multi-view stat
 
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images of its own, because the materials differ by more than the
-error asked for (agreement of the two is measured and reported). The peer keeps Blender's clamp of indirect
-light in its reference too, which hides what the clamp takes away: this favours the peer. Its sample count is
-found by doubling until the error is at most ours and by interpolation in logarithms, once with as many
-samples for every pixel and once with Cycles' adaptive sampling; the faster of the two is the peer.
+error asked for (agreement of the two is measured and reported). Neither reference is clamped, so that what
+clamps take away is an error of both. The peer's sample count is found by doubling until the error is at most
+ours and by interpolation in logarithms, three times: with Blender's clamp of indirect light and as many
+samples for every pixel, with Cycles' adaptive sampling, and without the clamp; the fastest is the peer.
 
 Every step is kept in --out and skipped when it is there: the same command continues. ``--peer-views N``
 renders N views with the peer and states 40 views as the fixed part + 40 x the median of a view.
@@ -56,6 +57,9 @@ from datagen.versions import pixel_versions
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIRST_SAMPLES = 4
+UNCLAMPED = ("--clamp", "0")
+KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unclamped": UNCLAMPED}
+"""Ways to run the peer, with their options."""
 LEAST_TIMED = 3  # views; the first pays for the scene, the median of the others is a view's cost
 
 
@@ -178,8 +182,8 @@ class Comparison:
                 pairs["ours"][view] = (data["first"], data["second"])
             halves = []
             for half in (0, 1):
-                name = f"peer_reference_{samples}_{view}_{half}"
-                self.peer(name, [view], int(samples), "--noisy", "--seed", str(100 + half))
+                name = f"peer_unclamped_reference_{samples}_{view}_{half}"
+                self.peer(name, [view], int(samples), "--noisy", "--seed", str(100 + half), *UNCLAMPED)
                 halves.append(read_peer(self.folder / name / f"view_{view:03}.exr"))
             pairs["peer"][view] = tuple(halves)
         return pairs
@@ -213,8 +217,8 @@ class Comparison:
         )
 
     def peer_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
-        """Time and error of the peer where its error is ``target``; ``kind`` is "fixed" or "adaptive"."""
-        arguments, options = self.arguments, ["--adaptive"] if kind == "adaptive" else []
+        """Time and error of the peer where its error is ``target``; ``kind`` is one of ``KINDS``."""
+        arguments, options = self.arguments, KINDS[kind]
         samples, curve = self.peer_samples(target, pairs, kind, options)
         count = max(LEAST_TIMED, min(arguments.peer_views, arguments.views))
         rest = [v for v in range(arguments.views) if v not in self.error_views]
@@ -233,7 +237,7 @@ class Comparison:
         }
 
     def peer_samples(
-        self, target: float, pairs: dict[int, Any], kind: str, options: list[str]
+        self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
     ) -> tuple[int | None, dict[int, float]]:
         """Least sample count whose error is ``target``, None if the ceiling does not reach it; the curve."""
         curve: dict[int, float] = {}
@@ -288,7 +292,7 @@ class Comparison:
         our_errors = {v: relative_mse(i, *pairs["ours"][v], exposed=True) for v, i in images.items()}
         target = float(np.mean(list(our_errors.values())))
         print(f"ours: relMSE {target:.5f}", file=sys.stderr)
-        peers = [self.peer_at(target, pairs["peer"], kind) for kind in ("fixed", "adaptive")]
+        peers = [self.peer_at(target, pairs["peer"], kind) for kind in KINDS]
         peers.sort(key=lambda peer: (not peer["reached"], peer["total_cpu_s"]))
         warm_wall = statistics.median(run["wall_s"] for run in warm) if warm else None
         result: dict[str, Any] = {
@@ -310,7 +314,7 @@ class Comparison:
                 "megabytes": num_bytes / 1e6,
             },
             "peer": peers[0],
-            "slower_peer": peers[1],
+            "slower_peers": peers[1:],
         }
         total = result["peer"]["total_wall_s"]
         result["speedup_cold"] = total / cold["wall_s"]
@@ -406,7 +410,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
     parser.add_argument("--peer-views", type=int, default=8, help="views that the peer renders for its time")
     parser.add_argument("--error-views", type=int, default=3)
-    parser.add_argument("--reference-samples", type=int, default=128, help="paths a pixel in each of two")
+    parser.add_argument("--reference-samples", type=int, default=1024, help="paths a pixel in each of two")
     parser.add_argument("--max-peer-samples", type=int, default=1024)
     parser.add_argument("--repeats", type=int, default=1, help="runs of ours with kernels cached")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "peer")
