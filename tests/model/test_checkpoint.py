@@ -140,11 +140,19 @@ def test_the_bundled_checkpoint_is_small_and_names_what_it_learnt_from():
     assert path.stat().st_size <= 20e6
     checkpoint = load_checkpoint(path)
     assert checkpoint.confidence is not None
-    first, second = checkpoint.card.data
-    assert first.num_views == 1000 and {"study", "kitchen"} <= first.assets.keys()
-    assert second.num_views == 720 and "staircase" in second.assets
-    assert not {"veach-ajar", "dining-room"} & (first.assets.keys() | second.assets.keys())
-    assert "study" not in second.assets  # what judges is not learnt from
+    data = {record.name: record for record in checkpoint.card.data}
+    assert {name: record.num_views for name, record in data.items()} == {
+        "learning": 1000,
+        "checkpoint": 720,
+        "pale": 720,
+        "pale_validation": 80,
+    }
+    assert {"study", "kitchen"} <= data["learning"].assets.keys()  # its validation views are of the study
+    for name in ("checkpoint", "pale"):
+        assert "staircase" in data[name].assets
+        assert "study" not in data[name].assets  # what judges is not learnt from
+        assert not data[name].assets.keys() & data["pale_validation"].assets.keys()
+    assert not any({"veach-ajar", "dining-room"} & record.assets.keys() for record in data.values())
     assert checkpoint.card.training["initial_checkpoint"] is None
     maps = checkpoint.network.tracks["diffuse"](torch.zeros(1, 9, 32, 32))
     assert maps.shape == (1, 3, 32, 32) and bool(torch.isfinite(maps).all())
