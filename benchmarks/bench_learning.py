@@ -40,6 +40,7 @@ from model.training.validation import (
 
 TRACKS: tuple[TrackName, ...] = ("diffuse", "specular")
 
+CONSTANT = "constant (training mean)"
 METAL_ABOVE = 0.2  # specular albedo of any channel
 
 Rows = dict[str, dict[str, float]]
@@ -65,7 +66,7 @@ def compare(
     batches = list(whole_views(judged_views(data, judge), names, device))
     means = mean_maps(whole_views(spread(data.train, 80), names, device))
     rows = {
-        "constant (training mean)": evaluate(constant_predictor(means), batches),
+        CONSTANT: evaluate(constant_predictor(means), batches),
         "median image as diffuse albedo": evaluate(median_predictor, batches),
     }
     for label, path in checkpoints.items():

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.bench_learning import TRACKS, Rows
+from benchmarks.bench_learning import CONSTANT, TRACKS, Rows
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex, ShardRecord
 from model.checkpoint import load_checkpoint
@@ -42,8 +42,6 @@ from model.training.validation import (
     network_predictor,
     whole_views,
 )
-
-CONSTANT = "constant (training mean)"
 
 
 def part_of(dataset: Path, count: int, judge: Path, out: Path) -> Path:
@@ -166,14 +164,16 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     config = short_run(resolve_config(args.preset, None, parse_overrides(args.set)), args.steps)
     judge, start = args.judge or args.datasets[0], time.process_time()
+    if len({dataset.name for dataset in args.datasets}) < len(args.datasets):
+        parser.error("datasets of one name would share their points; rename a folder")
     curves: dict[str, dict[int, dict[str, float]]] = {}
+    parts: list[Path] = []
     for dataset in args.datasets:
         for count in sorted(args.counts):
             place = args.out / f"{dataset.name}-{count}"
-            part = part_of(dataset, count, judge, place / "data")
-            curves.setdefault(dataset.name, {})[count] = measure(config, part, place / "run")
-    first = args.datasets[0]
-    baseline = constant(config, args.out / f"{first.name}-{max(args.counts)}" / "data")
+            parts.append(part_of(dataset, count, judge, place / "data"))
+            curves.setdefault(dataset.name, {})[count] = measure(config, parts[-1], place / "run")
+    baseline = constant(config, parts[len(args.counts) - 1])  # of the most of the first dataset
     table = as_table(curves, baseline)
     print(table)
     (args.out / "table.md").write_text(table)

@@ -61,6 +61,9 @@ def test_a_dataset_without_validation_views_is_judged_by_another(
     bench_learning_curve.main()
     report = json.loads((tmp_path / "results.json").read_text())
     assert set(report["results"]) == {bench_learning_curve.CONSTANT, "cheap 1"}
+    monkeypatch.setattr(sys, "argv", ["bench", str(cheap), *arguments])
+    with pytest.raises(SystemExit):  # twice the same name
+        bench_learning_curve.main()
     validation = Dataset(tmp_path / "cheap-1" / "data").index.splits["validation"]
     assert validation == Dataset(good).index.splits["validation"]
 
@@ -99,15 +102,15 @@ def test_more_training_data_leaves_out_what_validation_shows() -> None:
         for name in ("learning", "checkpoint", "pale", "pale_validation")
     }
     with Library([bundled_library()]) as library:
-        held_out = pools_of_split(recipes["learning"], library, "validation")
-        judged = pools_of_split(recipes["pale_validation"], library, "validation")
-        for name in ("checkpoint", "pale"):
-            more = pools_of_split(recipes[name], library, "train")
-            for kind in ("environments", "objects", "materials"):
-                held, drawn, judge = (
-                    {p.id for p in getattr(pools, kind)} for pools in (held_out, more, judged)
-                )
-                assert held and drawn and not held & drawn, (name, kind)
-                assert judge and judge <= held, kind
-            assert recipes[name].splits.train == 1.0
+        pools = {name: pools_of_split(recipes[name], library, "train") for name in ("checkpoint", "pale")}
+        pools |= {
+            name: pools_of_split(recipes[name], library, "validation")
+            for name in ("learning", "pale_validation")
+        }
+    for kind in ("environments", "objects", "materials"):
+        ids = {name: {p.id for p in getattr(pool, kind)} for name, pool in pools.items()}
+        assert all(ids.values()), kind
+        assert not ids["learning"] & (ids["checkpoint"] | ids["pale"]), kind
+        assert ids["pale_validation"] <= ids["learning"], kind
+    assert recipes["checkpoint"].splits.train == recipes["pale"].splits.train == 1.0
     assert recipes["pale_validation"].splits.train == 0.0
