@@ -4,6 +4,8 @@
 The estimator is that of Mitsuba's ``path`` (tests hold one against the other), with what rooms need besides:
 
 * lights that the camera does not see: camera rays pass through them, everything else meets them;
+* an environment seen through windows: shadow rays are sent through the openings where it shines in
+  (:mod:`datagen.rendering.sky_guide`), where others nearly all end at walls;
 * opacity: shadow rays are attenuated by what they cross instead of being stopped by it, so that leaves and
   curtains cast their own shadows also from point lights, and crossing them costs no path depth.
 
@@ -16,6 +18,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -24,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rendering.sample_budget import PathSums
+from datagen.rendering.sky_guide import SkyGuide, learn_sky, observe_sky
 
 if TYPE_CHECKING:
     from datagen.rendering.scene_builder import BuiltScene
@@ -65,9 +69,36 @@ class PathTracer:
             for flags in (shape.bsdf().flags() for shape in built.scene.shapes() if shape.bsdf() is not None)
         )
         self._is_hidden_shape = self._hidden_table(built) if built.hidden_shapes else None
+        self.sky_guide: SkyGuide | None = None
         # Recorded once: tracing the Python of hundreds of materials takes longer than a small pass of paths.
-        self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self._is_hidden_shape)
+        self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self._tables())
         _LIVE.add(self)
+
+    def _tables(self) -> list[Any]:
+        """Arrays that kernels read and that no argument brings."""
+        guide = [] if self.sky_guide is None else self.sky_guide.arrays()
+        return [self._is_hidden_shape, *guide]
+
+    def learn_sky(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
+        """Find out where the environment shines in (:mod:`datagen.rendering.sky_guide`), as ``sensors`` lead
+        there with ``num_samples`` paths a pixel. Without an environment there is nothing to find."""
+        self.sky_guide = None
+        self.forget_recordings()
+        if self.scene.environment() is None:
+            return
+        with dr.suspend_grad():
+            walks = (self._walk_from(sensor, num_samples, seed + k) for k, sensor in enumerate(sensors))
+            self.sky_guide = learn_sky(self.scene, observe_sky(self.scene, self._is_hidden, walks))
+
+    def _walk_from(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
+        """Rays through all pixels of a sensor, and a sampler for their ways."""
+        from datagen.rendering.plugins import rays_through  # knows classes of the variant
+
+        width, height = (int(v) for v in sensor.film().crop_size())
+        self._sampler.seed(seed & 0xFFFFFFFF, width * height * num_samples)
+        pixel: Any = dr.arange(mi.UInt32, width * height * num_samples) // num_samples
+        corner = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width))
+        return rays_through(sensor.view, corner + self._sampler.next_2d()), self._sampler
 
     def _hidden_table(self, built: BuiltScene) -> Any:
         pointers: Any = built.scene.shapes_dr()
@@ -255,6 +286,7 @@ class PathTracer:
                 shows = is_seen & (depth > 0)  # a new array: in place it would change is_seen too
             ds = mi.DirectionSample3f(scene, si, previous)
             emitter_pdf = scene.pdf_emitter_direction(previous, ds, is_seen & ~previous_is_delta)
+            emitter_pdf = self._mixed_pdf(previous.p, ray.d, emitter_pdf, ~si.is_valid())
             weight = dr.select(previous_is_delta, 1.0, _power_heuristic(previous_pdf, emitter_pdf))
             met = throughput * emitter.eval(si, shows) * weight
 
@@ -264,7 +296,7 @@ class PathTracer:
             # ---- light sampled from here ----------------------------------------------------------------
             is_smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             active_emitter = active_next & is_seen & is_smooth
-            ds, radiance = self._sample_emitter(si, sampler.next_2d(), active_emitter)
+            ds, radiance = self._sample_emitter(si, sampler, active_emitter)
             active_emitter &= ds.pdf != 0.0
             wo = si.to_local(ds.d)
 
@@ -309,12 +341,28 @@ class PathTracer:
         shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)
         return (depth == 0) & dr.gather(mi.Bool, self._is_hidden_shape, shape, si.is_valid())
 
-    def _sample_emitter(self, si: Any, sample: Array, active: Array) -> tuple[Any, Any]:
+    def _sample_emitter(self, si: Any, sampler: Any, active: Array) -> tuple[Any, Any]:
         """Direction to a light, and its radiance over the density, less what lies between."""
-        if not self._has_transparency:
-            return self.scene.sample_emitter_direction(si, sample, True, active)
-        ds, radiance = self.scene.sample_emitter_direction(si, sample, False, active)
-        return ds, radiance * self._transmittance(si, ds, active & (ds.pdf != 0.0))
+        if self.sky_guide is None:
+            is_tested = not self._has_transparency
+            ds, radiance = self.scene.sample_emitter_direction(si, sampler.next_2d(), is_tested, active)
+            if is_tested:
+                return ds, radiance
+        else:
+            ds, radiance = self.sky_guide.sample_emitter(
+                self.scene, si, sampler.next_1d(), sampler.next_2d(), active
+            )
+        reaches = active & (ds.pdf != 0.0)
+        if self._has_transparency:
+            return ds, radiance * self._transmittance(si, ds, reaches)
+        is_blocked = self.scene.ray_test(si.spawn_ray_to(ds.p), reaches)
+        return ds, dr.select(reaches & ~is_blocked, radiance, 0.0)
+
+    def _mixed_pdf(self, point: Array, direction: Array, own_pdf: Array, meets_sky: Array) -> Array:
+        """Density of :meth:`_sample_emitter`, from that of the scene's own sampling."""
+        if self.sky_guide is None:
+            return own_pdf
+        return self.sky_guide.mixed_pdf(point, direction, own_pdf, meets_sky)
 
     @dr.syntax
     def _transmittance(self, si: Any, ds: Any, active: Array) -> Array:

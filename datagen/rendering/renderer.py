@@ -54,7 +54,8 @@ HALF_MAX = 65504.0
 VIEWS_IN_FLIGHT = 2  # one is traced while another is denoised
 COARSE_CELLS = 1024  # of the image whose brightness sets the firefly clamp
 COARSE_SAMPLES = 32  # a cell
-COARSE_VIEWS = 8  # at most, whose surfaces decide how long paths are
+COARSE_VIEWS = 8  # at most, whose surfaces decide how long paths are, and that look for windows
+SKY_SAMPLES = 48  # a pixel of those, of paths that look for windows
 _FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
 
 
@@ -163,9 +164,15 @@ class SceneRenderer:
         self._materials = self._make_materials()
         self._max_depth, self._energy_left = self._path_depth()
         self._tracer = PathTracer(self.built, self._max_depth, recipe.russian_roulette_depth)
+        self.learn_sky()
         self._instances = {str(k): v for k, v in self.built.instance_names.items()}
         self._material_names = {str(k): v for k, v in self.built.material_names.items()}
         self.seconds_to_build = time.perf_counter() - start
+
+    def learn_sky(self) -> None:
+        """Let some of the views find out where the environment shines in, for all paths from here on."""
+        coarse = (self._sensor(camera) for _, camera in self._coarse_cameras())
+        self._tracer.learn_sky(coarse, SKY_SAMPLES, self._seed(0, "sky"))
 
     def _path_depth(self) -> tuple[int, float | None]:
         """Segments of the longest path; with them, where the recipe asks for it, what is left behind."""
@@ -175,17 +182,22 @@ class SceneRenderer:
         depth = depth_for(reflectance, self.recipe.max_energy_left)
         return depth, energy_left(reflectance, depth)
 
-    def _coarse_buffers(self) -> Iterator[dict[str, NDArray]]:
-        """Ground truth of some of the views, as small images."""
-        from mitsuba_plugins.material_buffers import render_material_buffers
-
+    def _coarse_cameras(self) -> Iterator[tuple[int, Camera]]:
+        """Some of the views, by index, as small images."""
         cameras = self.configuration.cameras
         for index in range(0, len(cameras), math.ceil(len(cameras) / COARSE_VIEWS)):
             camera = cameras[index].camera()
             side_px = math.isqrt(camera.width_px * camera.height_px // COARSE_CELLS)
-            small = camera.scaled(
-                *(max(1, px // max(1, side_px)) for px in (camera.width_px, camera.height_px))
+            yield (
+                index,
+                camera.scaled(*(max(1, px // max(1, side_px)) for px in (camera.width_px, camera.height_px))),
             )
+
+    def _coarse_buffers(self) -> Iterator[dict[str, NDArray]]:
+        """Ground truth of some of the views, as small images."""
+        from mitsuba_plugins.material_buffers import render_material_buffers
+
+        for index, small in self._coarse_cameras():
             seed = self._seed(index, "depth")
             yield render_material_buffers(self.built.scene, self._sensor(small), 4, seed, self._materials)
 

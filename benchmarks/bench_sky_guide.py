@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""What the guide to where the sky shines in is worth (docs/decisions/0073): variance and time, room by room.
+
+    python -m benchmarks.bench_sky_guide                  6 rooms, 4 views of 160x96; 4 minutes
+
+Rooms of the bundled library as recipes make them, each view traced with ``--samples`` paths a pixel, four times
+with and four times without the guide, with the firefly clamp of the named qualities. Variance is the exposed
+relMSE of one image against the next, halved, mean over views; time is processor time, median over images. Their
+product says how long the same noise takes. What learning costs is given beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bench_qualities import REPOSITORY, planned_folder
+from datagen.farm.folder import DatasetFolder
+from datagen.formats.recipe import RenderRecipe
+from datagen.library import Library
+from datagen.rendering.error import relative_mse
+from datagen.rendering.renderer import SceneRenderer
+from datagen.tradeoff.reference import sized
+
+IMAGES = 4
+CLAMP = 30.0
+
+
+def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
+    """Variance and seconds with and without the guide of one room."""
+    tracer, guide = renderer._tracer, renderer._tracer.sky_guide
+    kinds = {"plain": None, "guided": guide}
+    variances: dict[str, list[float]] = {name: [] for name in kinds}
+    seconds: dict[str, list[float]] = {name: [] for name in kinds}
+    for index, view in enumerate(renderer.configuration.cameras):
+        sensor = renderer._sensor(view.camera())
+        limit = renderer._clamp_limit(sensor, index)
+        images: dict[str, list[Any]] = {name: [] for name in kinds}
+        for name, chosen in kinds.items():
+            tracer.sky_guide = chosen
+            tracer.forget_recordings()
+            tracer.add_up(sensor, 1, 0, limit=limit)  # compiles
+            for seed in range(IMAGES):
+                start = time.process_time()
+                images[name].append(tracer.add_up(sensor, samples, 1 + seed, limit=limit).mean())
+                seconds[name].append(time.process_time() - start)
+        reference = np.mean([image for found in images.values() for image in found], axis=0)
+        for name, found in images.items():
+            pairs = zip(found[::2], found[1::2], strict=True)
+            # (a - b)^2 / 2 over reference^2 + epsilon: both images are shifted to where the reference is
+            differences = [reference + (a - b) / np.sqrt(2.0) for a, b in pairs]
+            variances[name] += [relative_mse(image, reference, exposed=True) for image in differences]
+    tracer.sky_guide = guide
+    mean = {name: statistics.mean(values) for name, values in variances.items()}
+    cost = {name: statistics.median(values) for name, values in seconds.items()}
+    return {
+        "share": float(np.array(guide.share)[0]) if guide is not None else 0.0,
+        "variance": mean,
+        "seconds": cost,
+        "variance_ratio": mean["guided"] / mean["plain"],
+        "time_ratio": cost["guided"] / cost["plain"],
+    }
+
+
+def main() -> None:
+    """Plan, compare, print a table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--configurations", type=int, default=6)
+    parser.add_argument("--samples", type=int, default=32)
+    parser.add_argument("--size", type=int, nargs=2, default=(160, 96))
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "sky_guide")
+    arguments = parser.parse_args()
+    folder = DatasetFolder(planned_folder(arguments.out, arguments.configurations))
+    library = Library(folder.read_record().library_paths)
+    results = {}
+    print("| room | sky's share | learning s | variance | time | same noise in |\n|---|---|---|---|---|---|")
+    for unit in folder.read_plan().units:
+        configuration = sized(folder.read_configuration(unit), tuple(arguments.size), 4)
+        renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1, firefly_clamp=CLAMP))
+        start = time.process_time()
+        renderer.learn_sky()
+        learning = time.process_time() - start
+        found = {"learning_s": learning, **compare(renderer, arguments.samples)}
+        renderer.close()
+        results[configuration.id] = found
+        print(
+            f"| {configuration.environment.asset} | {found['share']:.2f} | {learning:.2f} | "
+            f"{found['variance_ratio']:.2f} | {found['time_ratio']:.2f} | "
+            f"{found['variance_ratio'] * found['time_ratio']:.2f} |",
+            flush=True,
+        )
+    (arguments.out / "bench_sky_guide.json").write_text(
+        json.dumps(results, indent=1) + "\n", encoding="utf-8"
+    )
+
+
+if __name__ == "__main__":
+    main()
