@@ -3,6 +3,7 @@
 
     python -m benchmarks.bench_peer                        40 views of 640x384 at `standard`; quiet hours
     python -m benchmarks.bench_peer --size 160 96 --peer-views 3 --error-views 2                    18 minutes
+    python -m benchmarks.bench_peer --seed 2023            another room
     python -m benchmarks.bench_peer --peer-views 40        the peer renders every view instead of a sample
     python -m benchmarks.bench_peer --views 4 --size 96 64 --quality draft --out /tmp/peer      a quick look
 
@@ -17,10 +18,11 @@ configuration; making it is not counted. It has no roughness, no multi-view stat
 
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images of its own, because the materials differ by more than the
-error asked for (agreement of the two is measured and reported). Neither reference is clamped, so that what
-clamps take away is an error of both. The peer's sample count is found by doubling until the error is at most
-ours and by interpolation in logarithms, three times: with Blender's clamp of indirect light and as many
-samples for every pixel, with Cycles' adaptive sampling, and without the clamp; the fastest is the peer.
+error asked for (agreement of the two is measured and reported). Neither reference is clamped, nor does
+Blender's *filter glossy* make surfaces rougher in it, so that what these take away is an error. The peer's
+sample count is found by doubling until the error is at most ours and by interpolation in logarithms, three
+times: with Blender's defaults and as many samples for every pixel, with Cycles' adaptive sampling, and with
+neither clamp nor filter; the fastest is the peer.
 
 Every step is kept in --out and skipped when it is there: the same command continues. ``--peer-views N``
 renders N views with the peer and states 40 views as the fixed part + 40 x the median of a view.
@@ -57,8 +59,9 @@ from datagen.versions import pixel_versions
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIRST_SAMPLES = 4
-UNCLAMPED = ("--clamp", "0")
-KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unclamped": UNCLAMPED}
+UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
+"""Neither a clamp nor rougher surfaces after a diffuse bounce, as our references."""
+KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
 """Ways to run the peer, with their options."""
 LEAST_TIMED = 3  # views; the first pays for the scene, the median of the others is a view's cost
 
@@ -67,7 +70,7 @@ def recipe_of(arguments: argparse.Namespace) -> Recipe:
     """The configuration that is rendered."""
     return Recipe(
         name="peer",
-        seed=2022,
+        seed=arguments.seed,
         configurations=1,
         views=arguments.views,
         resolution=tuple(arguments.size),
@@ -182,8 +185,8 @@ class Comparison:
                 pairs["ours"][view] = (data["first"], data["second"])
             halves = []
             for half in (0, 1):
-                name = f"peer_unclamped_reference_{samples}_{view}_{half}"
-                self.peer(name, [view], int(samples), "--noisy", "--seed", str(100 + half), *UNCLAMPED)
+                name = f"peer_unbiased_reference_{samples}_{view}_{half}"
+                self.peer(name, [view], int(samples), "--noisy", "--seed", str(100 + half), *UNBIASED)
                 halves.append(read_peer(self.folder / name / f"view_{view:03}.exr"))
             pairs["peer"][view] = tuple(halves)
         return pairs
@@ -406,6 +409,7 @@ def main() -> None:
     """Parse, measure, write ``bench_peer.json`` and ``bench_peer.md``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quality", choices=tuple(QUALITIES), default="standard")
+    parser.add_argument("--seed", type=int, default=2022, help="of the recipe: which room it is")
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
     parser.add_argument("--peer-views", type=int, default=8, help="views that the peer renders for its time")

@@ -3,10 +3,10 @@
 
     python -m benchmarks.bench_sky_guide                  6 rooms, 4 views of 160x96; 4 minutes
 
-Rooms of the bundled library as recipes make them, each view traced with ``--samples`` paths a pixel, four times
-with and four times without the guide, with the firefly clamp of the named qualities. Variance is the exposed
-relMSE of one image against the next, halved, mean over views; time is processor time, median over images. Their
-product says how long the same noise takes. What learning costs is given beside it.
+Rooms of the bundled library as recipes make them, each view traced with ``--samples`` paths a pixel, four
+times with and four times without the guide, with the firefly clamp of the named qualities. Variance is the
+exposed relMSE of one image against the next, halved, mean over views; time is processor time, median over
+images. Their product says how long the same noise takes. What learning costs is given beside it.
 """
 
 from __future__ import annotations

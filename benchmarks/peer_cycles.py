@@ -124,6 +124,7 @@ def set_up(scene: Any, arguments: argparse.Namespace) -> None:
     cycles.use_adaptive_sampling = arguments.adaptive
     cycles.adaptive_threshold = 0.0  # Cycles': from the number of samples
     cycles.sample_clamp_indirect = arguments.clamp
+    cycles.blur_glossy = arguments.filter_glossy
     cycles.pixel_filter_type = "BOX"
     # a path of n segments meets n - 1 surfaces; Cycles does not count the first as a bounce
     bounces = max(0, arguments.max_depth - 2)
@@ -196,6 +197,9 @@ def main() -> None:
     command.add_argument("--adaptive", action="store_true", help="Cycles' adaptive sampling")
     command.add_argument(
         "--clamp", type=float, default=10.0, help="of indirect light; Blender's default is 10"
+    )
+    command.add_argument(
+        "--filter-glossy", type=float, default=1.0, help="after diffuse bounces; Blender's default is 1"
     )
     command.add_argument("--scale", type=float, default=1.0, help="of the resolution")
     arguments = parser.parse_args()
