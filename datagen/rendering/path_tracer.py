@@ -4,6 +4,7 @@
 The estimator is that of Mitsuba's ``path`` (tests hold one against the other), with what rooms need besides:
 
 * lights that the camera does not see: camera rays pass through them, everything else meets them;
+* samples of a pixel that are spread evenly in every pair of dimensions (:mod:`datagen.rendering.sobol`);
 * an environment seen through windows: shadow rays are sent through the openings where it shines in
   (:mod:`datagen.rendering.sky_guide`), where others nearly all end at walls;
 * opacity: shadow rays are attenuated by what they cross instead of being stopped by it, so that leaves and
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 
 from datagen.rendering.sample_budget import PathSums
 from datagen.rendering.sky_guide import SkyGuide, learn_sky, observe_sky
+from datagen.rendering.sobol import OwenSobol
 
 if TYPE_CHECKING:
     from datagen.rendering.scene_builder import BuiltScene
@@ -63,7 +65,6 @@ class PathTracer:
     def __init__(self, built: BuiltScene, max_depth: int, russian_roulette_depth: int):
         self.scene = built.scene
         self.max_depth, self.russian_roulette_depth = max_depth, russian_roulette_depth
-        self._sampler = mi.load_dict({"type": "independent"})
         self._has_transparency = any(
             mi.has_flag(flags, mi.BSDFFlags.Null)
             for flags in (shape.bsdf().flags() for shape in built.scene.shapes() if shape.bsdf() is not None)
@@ -95,10 +96,12 @@ class PathTracer:
         from datagen.rendering.plugins import rays_through  # knows classes of the variant
 
         width, height = (int(v) for v in sensor.film().crop_size())
-        self._sampler.seed(seed & 0xFFFFFFFF, width * height * num_samples)
-        pixel: Any = dr.arange(mi.UInt32, width * height * num_samples) // num_samples
+        lane: Any = dr.arange(mi.UInt32, width * height * num_samples)
+        pixel: Any = lane // num_samples
+        launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+        sampler = OwenSobol(lane % num_samples, mi.sample_tea_32(pixel, launch)[0])
         corner = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width))
-        return rays_through(sensor.view, corner + self._sampler.next_2d()), self._sampler
+        return rays_through(sensor.view, corner + sampler.next_2d()), sampler
 
     def _hidden_table(self, built: BuiltScene) -> Any:
         pointers: Any = built.scene.shapes_dr()
@@ -128,26 +131,31 @@ class PathTracer:
         with_seen_lights: bool = False,
         limit: float = math.inf,
         grid: tuple[int, int] | None = None,
+        before: NDArray[np.int64] | int = 0,
     ) -> PathSums:
         """Sums over ``num_samples`` paths a pixel: one number, or one for each pixel (H, W).
 
         Where the light that a path brings by two or more reflections exceeds ``limit`` in its largest
         channel, it is scaled down to it, and what that takes away is added up too. Direct light is never
         clamped: a patch of sun is as bright as it is. ``grid`` (columns, rows) divides the image into other
-        cells than its pixels. All calls share one kernel.
+        cells than its pixels. ``before``: samples that each cell had with this seed; these are the next
+        ones of its sequence. All calls share one kernel.
         """
         width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
         wanted = np.broadcast_to(np.asarray(num_samples, np.int64), (height, width)).ravel()
         step = int(np.gcd.reduce(wanted))  # samples of one entry of the list of pixels
-        cells = np.repeat(np.arange(wanted.size, dtype=np.uint32), wanted // max(step, 1))
+        repeats = wanted // max(step, 1)
+        cells = np.repeat(np.arange(wanted.size, dtype=np.uint32), repeats)
+        earlier = np.arange(cells.size) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+        firsts = np.repeat(np.broadcast_to(before, (height, width)).ravel(), repeats) + step * earlier
         num_per_launch = max(1, MAX_LANES // max(step, 1))
         sums = np.zeros((wanted.size, 4))
         if not self.scene.emitters():  # nothing to find, and lights of other scenes are not to be recorded
             cells = cells[:0]
-        for number, start in enumerate(range(0, cells.size, num_per_launch)):
-            launch_seed = (seed + 0x9E3779B9 * number) & 0xFFFFFFFF
-            chosen = cells[start : start + num_per_launch]
-            values = self._launch(sensor, (width, height), chosen, step, launch_seed, with_seen_lights, limit)
+        for start in range(0, cells.size, num_per_launch):
+            part = slice(start, start + num_per_launch)
+            chosen, entries = cells[part], (cells[part], firsts[part].astype(np.uint32))
+            values = self._launch(sensor, (width, height), entries, step, seed, with_seen_lights, limit)
             for channel in range(4):  # in the order of the list, whatever the threads did
                 sums[:, channel] += np.bincount(chosen, values[channel], wanted.size)
         image = sums.reshape(height, width, 4)
@@ -157,20 +165,27 @@ class PathTracer:
         self,
         sensor: Any,
         size: tuple[int, int],
-        cells: NDArray[np.uint32],
+        entries: tuple[NDArray[np.uint32], NDArray[np.uint32]],
         count: int,
         seed: int,
         with_seen_lights: bool,
         limit: float,
     ) -> list[NDArray[np.float64]]:
-        """Sums over ``count`` samples of each entry of ``cells``, flat indices (N,): red, green, blue and
-        what the clamp took away, (N,) each."""
+        """Sums over ``count`` samples of each entry: red, green, blue and what the clamp took, (N,) each.
+
+        ``entries``: cells, flat indices (N,), and the number of the first sample of each (N,).
+        """
+        cells, firsts = entries
         num_lanes = cells.size * count
         film = sensor.film().crop_size()
         with dr.suspend_grad():
-            self._sampler.seed(seed, num_lanes)
-            entry: Any = dr.arange(mi.UInt32, num_lanes) // dr.opaque(mi.UInt32, count)
+            samples: Any = dr.opaque(mi.UInt32, count)
+            lane: Any = dr.arange(mi.UInt32, num_lanes)
+            entry: Any = lane // samples
             cell: Any = dr.gather(mi.UInt32, mi.UInt32(cells), entry)
+            index: Any = dr.gather(mi.UInt32, mi.UInt32(firsts), entry) + (lane - entry * samples)
+            launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+            sampler = OwenSobol(index, mi.sample_tea_32(cell, launch)[0])
             width: Any = dr.opaque(mi.UInt32, size[0])
             row: Any = cell // width
             corner = mi.Point2f(mi.Float(cell - row * width), mi.Float(row))
@@ -178,7 +193,7 @@ class PathTracer:
             dr.make_opaque(cell_px)
             limit_of_paths = dr.opaque(mi.Float, limit)
             channels = self._recorded(
-                self.scene, self._sampler, sensor.view, corner, cell_px, limit_of_paths, with_seen_lights
+                self.scene, sampler, sensor.view, corner, cell_px, limit_of_paths, with_seen_lights
             )
             sums = [dr.block_sum(channel, count) for channel in channels]
             dr.eval(sums)

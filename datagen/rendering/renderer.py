@@ -85,7 +85,6 @@ class _ViewInProgress:
     clamp_limit: float
     seconds: dict[str, float]
     halves: list[PathSums] = field(default_factory=lambda: [PathSums(), PathSums()])
-    num_passes: int = 0
     estimate: ErrorEstimate | None = None
     guides: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
 
@@ -320,12 +319,11 @@ class SceneRenderer:
         """Trace ``counts`` more samples a pixel, (H, W) or one number; with a budget, for each half."""
         start = time.perf_counter()
         sensor = self._sensor(self.configuration.cameras[view.index].camera())
-        purposes = ["path"] if self._budget is None else [f"path/{view.num_passes}/{half}" for half in "ab"]
+        purposes = ["path"] if self._budget is None else ["path/a", "path/b"]
         for half, purpose in enumerate(purposes):
-            seed = self._seed(view.index, purpose)
-            sums = self._tracer.add_up(sensor, counts, seed, limit=view.clamp_limit)
+            seed, before = self._seed(view.index, purpose), view.halves[half].counts
+            sums = self._tracer.add_up(sensor, counts, seed, limit=view.clamp_limit, before=before)
             view.halves[half] = view.halves[half] + sums
-        view.num_passes += 1
         view.seconds["path"] = view.seconds.get("path", 0.0) + time.perf_counter() - start
 
     def _seen_lights(self, sensor: Any, mask: NDArray[np.float32], index: int) -> NDArray[np.float32]:

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: MIT
+"""Owen-scrambled Sobol' points: well-spread random numbers for light paths.
+
+The samples of a pixel are the first points of a (0, 2)-sequence, so that any power of two of them are spread
+over the unit square as evenly as can be, and later passes go on where earlier ones stopped. Every pair of
+dimensions of a path has a sequence of its own: the same points in another scrambled order under another
+scramble (padding). Scrambles come from hashes (Laine and Karras 2011; Burley, Practical Hash-Based Owen
+Scrambling, 2020, with its constants), the second dimension from the Pascal matrix in five steps (Ahmed, An
+Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and Compact, 2024). Owen's scrambling makes every
+point uniform by itself, so that estimates stay unbiased.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+
+Array = Any
+
+_PASCAL = ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF))
+_UNIT = 2.0**-24
+
+
+class OwenSobol:
+    """One point after the other for each lane; a state of loops and an argument of recorded functions.
+
+    ``index``: number of the lane's sample within its pixel; ``key``: the pixel's hash. Lanes of one key and
+    different indices are points of one sequence; different keys are independent.
+    """
+
+    # Dr.Jit goes by the names; the types, mi.UInt32 all, are not known before a variant is.
+    DRJIT_STRUCT: ClassVar[dict[str, type]] = dict.fromkeys(("reversed_index", "key", "dimension"), object)
+
+    def __init__(self, index: Array = 0, key: Array = 0):
+        self.reversed_index: Any = dr.brev(mi.UInt32(index))
+        self.key: Any = mi.UInt32(key)
+        self.dimension: Any = dr.zeros(mi.UInt32, dr.width(self.reversed_index))
+
+    def _next(self) -> tuple[Any, Any]:
+        """Index into the next sequence, shuffled, and the hash of its scrambles."""
+        hashed = _hash(self.key ^ (self.dimension * 0x9E3779B9 + 0x632BE5AB))
+        self.dimension = self.dimension + 1
+        return dr.brev(_scramble(self.reversed_index, hashed)), hashed
+
+    def next_1d(self) -> Array:
+        """A number in [0, 1)."""
+        index, hashed = self._next()
+        return _to_unit(_scramble(index, _hash(hashed + 1)))
+
+    def next_2d(self) -> Array:
+        """Two numbers in [0, 1), a Point2f."""
+        index, hashed = self._next()
+        other = index
+        for shift, mask in _PASCAL:
+            other = other ^ ((other >> shift) & mask)
+        first, second = _scramble(index, _hash(hashed + 1)), _scramble(other, _hash(hashed + 2))
+        return mi.Point2f(_to_unit(first), _to_unit(second))
+
+
+def _scramble(reversed_bits: Array, seed: Array) -> Array:
+    """Owen's nested scramble of numbers whose bits are reversed: bits flip by a hash of those above them."""
+    x = reversed_bits + seed
+    for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
+        x = x ^ (x * factor)
+    return x
+
+
+def _hash(x: Array) -> Array:
+    """A 32-bit mixer (Wellons's ``triple32`` family, two rounds)."""
+    x = x ^ (x >> 16)
+    x = x * 0x21F0AAAD
+    x = x ^ (x >> 15)
+    x = x * 0x735A2D97
+    return x ^ (x >> 15)
+
+
+def _to_unit(reversed_bits: Array) -> Array:
+    """Reversed bits as a float in [0, 1): 24 of them fit."""
+    return mi.Float(dr.brev(reversed_bits) >> 8) * _UNIT
