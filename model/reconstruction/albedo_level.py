@@ -60,8 +60,8 @@ class LevelReport:
     used_share: float = 0.0
     spread: float = 0.0
     region_spread: float = 0.0
-    num_points: int = 0
-    num_regions: int = 0
+    points_used: int = 0
+    regions_used: int = 0
     clipped_share: float = 0.0
 
 
@@ -108,9 +108,7 @@ def _fit(
     points: _Points, irradiance: Floats, coverage: Floats, num_regions: int, clipped_share: float
 ) -> AlbedoLevel:
     """Gains out of the points' known irradiance (N, 3) and its share (N,) of the hemisphere."""
-    arriving = (
-        irradiance / np.maximum(coverage, 1e-3)[:, None]
-    )  # what is not known is taken to be like the rest
+    arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]  # the unknown is taken to be like the rest
     weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1)
     left = points.radiance @ LUMINANCE_WEIGHTS
     weight[(arriving @ LUMINANCE_WEIGHTS <= 0) | (left <= _MIN_RADIANCE * np.median(left))] = 0
@@ -118,7 +116,7 @@ def _fit(
     found: dict[str, Any] = {
         "coverage": float(coverage.mean()) if len(coverage) else 0.0,
         "used_share": float(weight.mean()) if len(weight) else 0.0,
-        "num_points": int(used.sum()),
+        "points_used": int(used.sum()),
         "clipped_share": clipped_share,
     }
     if used.sum() < MIN_POINTS or found["used_share"] < MIN_USED:
@@ -137,7 +135,7 @@ def _fit(
     found |= {
         "spread": 0.5 * _range(rest[:, green], weight[used]),
         "region_spread": 0.5 * _range(np.log(gains[regions, green])[region], weight[used]),
-        "num_regions": len(regions),
+        "regions_used": len(regions),
     }
     gain = (float(np.exp(rooms[0])), float(np.exp(rooms[1])), float(np.exp(rooms[2])))
     if found["spread"] > MAX_SPREAD:

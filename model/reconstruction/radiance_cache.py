@@ -63,13 +63,13 @@ class RadianceCache:
         total = sum(view.valid_mask.size for view in views)
         step = max(1, int(np.ceil(np.sqrt(total / MAX_PIXELS))))
         parts = [_pixels_of(view, index, step) for index, view in enumerate(views)]
+        if sum(len(part[0]) for part in parts) == 0:
+            raise ValueError("no view sees the mesh")
         position, normal, color = (np.concatenate([part[k] for part in parts]) for k in (2, 3, 4))
-        if len(position) == 0:
-            raise ValueError("expected views that see the mesh")
         low, high = np.percentile(position, [2, 98], axis=0)
         self.size_m = float(np.linalg.norm(high - low))
         if self.size_m <= 0:
-            raise ValueError("expected an extended surface")
+            raise ValueError("the views see no extended surface")
         self.cube_m = self.size_m / CUBES_ACROSS
         self._low, self._high = position.min(axis=0), position.max(axis=0)
         self._shape = np.ceil((self._high - self._low) / self.cube_m).astype(np.int64) + 3
