@@ -34,9 +34,9 @@ NUM_POINTS, NUM_RAYS = 4096, 400
 """Surface points, about evenly spread over what was seen; rays of each, a square number."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
 """Known share of a point's hemisphere, by the cosine: from which it counts fully, below which not at all."""
-MIN_POINTS, MIN_USED = 200, 0.1
+MIN_POINTS, MIN_USED = 200, 0.33
 """Points, and their mean weight, without which nothing is changed."""
-MAX_SPREAD, MAX_CLIPPED = 0.6, 0.02
+MAX_SPREAD, MAX_IMPOSSIBLE, MAX_CLIPPED = 0.6, 0.25, 0.02
 """Of :class:`LevelReport`, above which nothing is changed."""
 _MIN_REFLECTED = 0.02  # D + S below which a ratio says nothing
 _MIN_RADIANCE = 1e-6  # of the median
@@ -50,8 +50,9 @@ class LevelReport:
     """What was found. ``gain``: the room's, R, G, B; its regions have their own about it. ``coverage``: mean
     known share of the points' hemispheres; ``used_share``: mean weight of the points, 1 for one that is
     covered. ``spread``: half the interquartile range of ln(rho / (D + S)) of points about their region's
-    mode, green; ``region_spread``: the same of the regions' ln gains, by points. ``clipped_share`` of the
-    photographs' pixels. ``reason``: why nothing was changed, or empty."""
+    mode, green; ``region_spread``: the same of the regions' ln gains, by points. ``impossible_share``: of
+    the points, by weight, those that reflect more than arrives. ``clipped_share`` of the photographs' pixels.
+    ``reason``: why nothing was changed, or empty."""
 
     is_applied: bool
     reason: str
@@ -60,6 +61,7 @@ class LevelReport:
     used_share: float = 0.0
     spread: float = 0.0
     region_spread: float = 0.0
+    impossible_share: float = 0.0
     points_used: int = 0
     regions_used: int = 0
     clipped_share: float = 0.0
@@ -123,6 +125,8 @@ def _fit(
         return _unchanged(num_regions, "the photographs show too little of what lights the surfaces", **found)
     regions, region = np.unique(points.region[used], return_inverse=True)
     rho = np.pi * points.radiance / np.maximum(arriving, 1e-300)
+    excess = (points.radiance * np.pi - arriving) @ LUMINANCE_WEIGHTS > 0
+    found["impossible_share"] = float(weight[excess].sum() / weight.sum())
     wanted = np.log(np.maximum(rho[used], 1e-6)) - np.log(np.maximum(points.reflected[used], _MIN_REFLECTED))
     gains, rest = np.ones((num_regions, 3)), np.zeros_like(wanted)
     rooms = np.zeros(3)
@@ -138,7 +142,7 @@ def _fit(
         "regions_used": len(regions),
     }
     gain = (float(np.exp(rooms[0])), float(np.exp(rooms[1])), float(np.exp(rooms[2])))
-    if found["spread"] > MAX_SPREAD:
+    if found["spread"] > MAX_SPREAD or found["impossible_share"] > MAX_IMPOSSIBLE:
         reason = "light that no photograph shows falls on too much of the room"
         return _unchanged(num_regions, reason, gain=gain, **found)
     return AlbedoLevel(gains, LevelReport(True, "", gain=gain, **found))
