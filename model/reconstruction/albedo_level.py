@@ -34,7 +34,7 @@ NUM_POINTS, NUM_RAYS = 4096, 400
 """Surface points, about evenly spread over what was seen; rays of each, a square number."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
 """Known share of a point's hemisphere, by the cosine: from which it counts fully, below which not at all."""
-MIN_POINTS, MIN_USED = 200, 0.33
+MIN_POINTS, MIN_USED = 200, 0.4
 """Points, and their mean weight, without which nothing is changed."""
 MAX_SPREAD, MAX_IMPOSSIBLE, MAX_CLIPPED = 0.6, 0.25, 0.02
 """Of :class:`LevelReport`, above which nothing is changed."""
