@@ -32,7 +32,9 @@ from model.reconstruction.infer import Seen, look
 from model.reconstruction.predict import PredictOptions, Predictor, capture_exposure, view_tensors
 from model.reconstruction.radiance_cache import RadianceView
 
-COLUMNS = "room network views known used spread impossible room-gain best-gain before after".split()
+COLUMNS = (
+    "room | network | views | known | used | spread | impossible | room gain | best gain | before | after"
+)
 
 
 def captured(scene: TestScene, cache: Path) -> Capture:
@@ -100,7 +102,7 @@ def main() -> None:
     if arguments.always:
         albedo_level.MIN_USED, albedo_level.MAX_IMPOSSIBLE, albedo_level.MAX_SPREAD = 0.0, 1.0, np.inf
     suite = read_suite(arguments.suite)
-    print(f"| {' | '.join(COLUMNS)} |", "|---" * len(COLUMNS) + "|", sep="\n")
+    print(f"| {COLUMNS} |", "|---" * (COLUMNS.count("|") + 1) + "|", sep="\n")
     for scene in suite.scenes:
         whole = captured(scene, arguments.cache)
         for number in arguments.views:

@@ -36,7 +36,7 @@ FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
 """Known share of a point's hemisphere, by the cosine: from which it counts fully, below which not at all."""
 MIN_POINTS, MIN_USED = 200, 0.4
 """Points, and their mean weight, without which nothing is changed."""
-MAX_SPREAD, MAX_IMPOSSIBLE, MAX_CLIPPED = 0.6, 0.25, 0.02
+MAX_SPREAD, MAX_IMPOSSIBLE, MAX_CLIPPED = 0.6, 0.2, 0.02
 """Of :class:`LevelReport`, above which nothing is changed."""
 _MIN_REFLECTED = 0.02  # D + S below which a ratio says nothing
 _MIN_RADIANCE = 1e-6  # of the median
