@@ -197,7 +197,12 @@ def _reconstruct(
     given = checkpoint = None
     if isinstance(method, NetworkMethod):
         checkpoint = Path(method.checkpoint)
-        options = replace(options, is_filtered=method.is_filtered, weights=method.weights)
+        options = replace(
+            options,
+            is_filtered=method.is_filtered,
+            weights=method.weights,
+            is_leveled=method.is_leveled,
+        )
     else:
         assert not isinstance(method, TruthMethod)
         given = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)

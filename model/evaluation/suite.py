@@ -54,12 +54,13 @@ class _Method(StrictModel):
 
 class NetworkMethod(_Method):
     """A checkpoint. One that is not there is left out of the tables, and they say so. ``weights`` of the
-    medians over views, as for ``materials infer``."""
+    medians over views and ``is_leveled`` as for ``materials infer``."""
 
     kind: Literal["network"]
     checkpoint: str = BUNDLED
     is_filtered: bool = True
     weights: Weights = "none"
+    is_leveled: bool = True
 
 
 class TextureMethod(_Method):

@@ -63,6 +63,9 @@ def infer(
     precision: Annotated[str, typer.Option("--precision", help="auto, float32 or bfloat16.")] = "auto",
     device: Annotated[str, typer.Option("--device", help="cpu or cuda, for the networks.")] = "cpu",
     no_filter: Annotated[bool, typer.Option("--no-filter", help="Leave the bilateral solver out.")] = False,
+    no_level: Annotated[
+        bool, typer.Option("--no-level", help="Leave diffuse albedo at the level that was predicted.")
+    ] = False,
     no_check: Annotated[
         bool, typer.Option("--no-check", help="Do not compare the mesh with the photographs first.")
     ] = False,
@@ -97,6 +100,7 @@ def infer(
     options = InferOptions(
         atlas="auto" if atlas == "auto" else int(atlas),
         is_filtered=not no_filter,
+        is_leveled=not no_level,
         device=device,
         use_truth=truth,
         is_checked=not no_check,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The whole way from a capture to an asset: trace, statistics, prediction, merge, fill, export.
+"""The whole way from a capture to an asset: trace, statistics, prediction, level, merge, fill, export.
 
 OUT/state.json      what the work belongs to: a hash over checkpoint, cameras, geometry and options
 OUT/views/          predicted maps, one EXR a view; a run that was stopped continues after them
@@ -30,6 +30,7 @@ from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, Color
 from datagen.multiview.statistics import StatisticsView
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
+from model.reconstruction.albedo_level import clipped_share, find_level
 from model.reconstruction.check import Look, check_looks, view_warnings
 from model.reconstruction.fill import atlas_size, fill_unseen
 from model.reconstruction.geometry import (
@@ -48,6 +49,7 @@ from model.reconstruction.merge import (
     MergeOptions,
     empty_atlas,
 )
+from model.reconstruction.radiance_cache import RadianceView
 from model.reconstruction.texels import TexelSurface
 from model.reconstruction.uv import UvReport, unwrapped
 
@@ -121,6 +123,9 @@ def _infer(
         from model.reconstruction.view_maps import predicted_maps  # torch is not needed for given maps
 
         maps = predicted_maps(capture, seen.statistics, traced, out, maps_from, options, report, tell)
+        if options.is_leveled:
+            with report.stage("level"):
+                _level(capture, seen, traced, maps, report)
     with report.stage("unwrap"):
         sides = seen_sides(seen.geometry, report.num_triangles)
         mesh, unwrap = unwrapped(traced.mesh, options.jobs)
@@ -220,6 +225,27 @@ def _check(capture: Capture, seen: Seen, out: Path, report: InferReport) -> None
         remedy = "do that, or leave the check out with --no-check"
         raise input_error(capture.name, "mesh", found.warnings[-1], "a mesh in the cameras' frame", remedy)
     report.warnings += found.all_warnings
+
+
+def _level(
+    capture: Capture, seen: Seen, traced: TracedGeometry, maps: list[dict[str, NDArray]], report: InferReport
+) -> None:
+    """Correct the level of the views' diffuse albedo; what lies on disk stays as it was predicted."""
+    views = [
+        RadianceView(view.camera, statistics.color, geometry, valid_mask)
+        for view, statistics, geometry, valid_mask in zip(
+            capture.views, seen.statistics, seen.geometry, seen.valid_masks, strict=True
+        )
+    ]
+    region_of_face = smooth_regions(traced.mesh)
+    level = find_level(views, maps, traced, region_of_face, clipped_share(capture, seen.statistics))
+    report.albedo_level = asdict(level.report)
+    if not level.report.is_applied:
+        report.notes.append(f"the level of diffuse albedo is the networks': {level.report.reason}")
+        return
+    for view_maps, geometry in zip(maps, seen.geometry, strict=True):
+        region = np.where(geometry.face >= 0, region_of_face[np.maximum(geometry.face, 0)], -1)
+        view_maps["diffuse_albedo"] = level.corrected(view_maps["diffuse_albedo"], region)
 
 
 def _truth(view: CaptureView) -> dict[str, NDArray]:

@@ -24,7 +24,9 @@ class InferOptions:
     """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``use_truth`` merges
     the capture's own ground truth instead of predictions: what the rest of the way loses. ``is_checked``:
     whether the mesh is compared with the photographs first. ``weights`` of the medians over views, see
-    :class:`~model.reconstruction.merge.MergeOptions`; confidence takes the checkpoint's."""
+    :class:`~model.reconstruction.merge.MergeOptions`; confidence takes the checkpoint's. ``is_leveled``:
+    whether predicted diffuse albedo takes its level from the light between the surfaces
+    (``albedo_level``)."""
 
     atlas: int | Literal["auto"] = "auto"
     visibility: Literal["depth", "trace"] = "depth"
@@ -37,6 +39,7 @@ class InferOptions:
     is_checked: bool = True
     jobs: int = 2
     weights: Weights = "none"
+    is_leveled: bool = True
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
@@ -54,7 +57,9 @@ class GivenMaps:
 
 @dataclass
 class InferReport:
-    """What was done. ``seconds`` by stage; ``warnings`` name views where they concern one."""
+    """What was done. ``seconds`` by stage; ``warnings`` name views where they concern one;
+    ``albedo_level`` is a :class:`~model.reconstruction.albedo_level.LevelReport`, empty where none was
+    sought."""
 
     name: str = ""
     num_views: int = 0
@@ -65,6 +70,7 @@ class InferReport:
     unwrap: dict[str, Any] = field(default_factory=dict)
     precision: str = ""
     is_filtered: bool = False
+    albedo_level: dict[str, Any] = field(default_factory=dict)
     gltf_error: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: MIT
+"""What the level of diffuse albedo brings: mean squared errors of the views' maps before and after it.
+
+    python -m benchmarks.bench_albedo_level SUITE --cache DIR [--views 12 25] [--clip 0.02] [--always]
+
+Renders the scenes of a suite, or takes them from the cache of ``materials evaluate``, and predicts the maps
+of their photographs with the suite's networks, of all of them or of the first so many. ``--clip``: the share
+of the pixels that are brought to the sensor's limit first. Errors are over all surface pixels; "best gain" is
+the factor for the room that would make them least.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import model.reconstruction.albedo_level as albedo_level
+from datagen.formats.capture import Capture
+from datagen.multiview.statistics import StatisticsOptions, compute_statistics
+from mitsuba_plugins.variant import select_variant
+from model.checkpoint import load_checkpoint
+from model.evaluation.room import TestScene, prepare_scene
+from model.evaluation.suite import NetworkMethod, read_suite
+from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.geometry import TracedGeometry, smooth_regions
+from model.reconstruction.infer import Seen, look
+from model.reconstruction.predict import PredictOptions, Predictor, capture_exposure, view_tensors
+from model.reconstruction.radiance_cache import RadianceView
+
+COLUMNS = (
+    "room | network | views | known | used | spread | impossible | room gain | best gain | before | after"
+)
+
+
+def captured(scene: TestScene, cache: Path) -> Capture:
+    """The photographs of a scene."""
+    prepared = prepare_scene(scene, cache)
+    options = CaptureOptions(library=prepared.library, max_width_px=scene.resolution[0])
+    capture = read_capture(prepared.capture, options)
+    return replace(capture, views=tuple(v for v in capture.views if v.name in prepared.input_names))
+
+
+def predicted(capture: Capture, seen: Seen, checkpoint: Path) -> Iterator[dict[str, NDArray]]:
+    """Maps of the views, one after another."""
+    predictor = Predictor(
+        load_checkpoint(checkpoint, "cpu"), capture_exposure(seen.statistics), PredictOptions()
+    )
+    gathered = compute_statistics(seen.statistics, StatisticsOptions())
+    for view, statistics, buffers in zip(capture.views, gathered, seen.statistics, strict=True):
+        yield predictor.predict([view_tensors(view.camera, buffers, statistics)])[0]
+
+
+def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
+    """One line of the table."""
+    traced = TracedGeometry(capture.geometry)
+    region_of_face = smooth_regions(traced.mesh)
+    seen = look(capture, traced, lambda *_: None)
+    if clip:
+        limit = np.quantile(np.concatenate([s.color.max(axis=2).ravel() for s in seen.statistics]), 1 - clip)
+        seen.statistics = [replace(s, color=np.minimum(s.color, limit)) for s in seen.statistics]
+    maps = list(predicted(capture, seen, checkpoint))
+    views = [
+        RadianceView(view.camera, statistics.color, geometry, valid)
+        for view, statistics, geometry, valid in zip(
+            capture.views, seen.statistics, seen.geometry, seen.valid_masks, strict=True
+        )
+    ]
+    level = albedo_level.find_level(views, maps, traced, region_of_face)
+    sums = np.zeros(5)
+    for view, view_maps, geometry in zip(capture.views, maps, seen.geometry, strict=True):
+        truth = view.source.read_maps(("diffuse_albedo", "surface_mask"))
+        on_surface = truth["surface_mask"][..., 0] > 0.5
+        region = np.where(geometry.face >= 0, region_of_face[np.maximum(geometry.face, 0)], -1)
+        before = view_maps["diffuse_albedo"]
+        after = level.corrected(before, region)[on_surface].astype(np.float64)
+        true, before = truth["diffuse_albedo"][on_surface].astype(np.float64), before[on_surface]
+        sums += [((before - true) ** 2).sum(), ((after - true) ** 2).sum(), (before * true).sum(),
+                 (before * before).sum(), true.size]  # fmt: skip
+    report = level.report
+    found = (report.coverage, report.used_share, report.spread, report.impossible_share, report.gain[1])
+    figures = [f"{value:.2f}" for value in (*found, sums[2] / sums[3])]
+    figures += [f"{sums[k] / sums[4]:.4f}" for k in range(2)]
+    remark = "" if report.is_applied else f" unchanged: {report.reason}"
+    return f"| {capture.name} | {name} | {len(views)} | {' | '.join(figures)} |{remark}"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("suite", type=Path)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--views", type=int, nargs="*", default=[0], help="the first so many; 0 all")
+    parser.add_argument("--clip", type=float, default=0.0)
+    parser.add_argument("--always", action="store_true", help="correct with too little evidence, too")
+    arguments = parser.parse_args()
+    select_variant()
+    if arguments.always:
+        albedo_level.MIN_USED, albedo_level.MAX_IMPOSSIBLE, albedo_level.MAX_SPREAD = 0.0, 1.0, np.inf
+    suite = read_suite(arguments.suite)
+    print(f"| {COLUMNS} |", "|---" * (COLUMNS.count("|") + 1) + "|", sep="\n")
+    for scene in suite.scenes:
+        whole = captured(scene, arguments.cache)
+        for number in arguments.views:
+            capture = replace(whole, views=whole.views[: number or None])
+            for method in suite.methods:
+                if isinstance(method, NetworkMethod):
+                    print(row(capture, method.name, Path(method.checkpoint), arguments.clip), flush=True)
+
+
+if __name__ == "__main__":
+    main()

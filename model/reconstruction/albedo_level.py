@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: MIT
+"""The level of diffuse albedo, out of how light is reflected between the surfaces of a room.
+
+Networks take a grey wall in a bright room for a white one in a dim room. A room that was photographed all
+over tells: its photographs are the radiance L that leaves every surface, so rays from a point x give its
+irradiance E(x), and with it what the surface reflects (inverse global illumination, Yu et al. 1999):
+
+    rho(x) = pi L(x) / E(x),   about D + S on a rough surface.
+
+It does not depend on exposure. Light that no photograph shows makes rho too large where it falls: lamps
+behind the photographers, sun through a window. So rho corrects D by smooth regions of the mesh, robustly: by
+the mode of ln(rho / (D + S)) over a region's points, drawn to the room's mode where there are few of them.
+What D does within a region stays the networks'. docs/decisions/0017 has the figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.color import LUMINANCE_WEIGHTS
+from datagen.formats.capture import Capture
+from datagen.multiview.statistics import StatisticsView
+from datagen.multiview.visibility import vectors_from_rows
+from model.reconstruction.check_views import CLIPPED_LEVEL
+from model.reconstruction.geometry import TracedGeometry
+from model.reconstruction.radiance_cache import Floats, RadianceCache, RadianceView
+
+NUM_POINTS, NUM_RAYS = 4096, 400
+"""Surface points, about evenly spread over what was seen; rays of each, a square number."""
+FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
+"""Known share of a point's hemisphere, by the cosine: from which it counts fully, below which not at all."""
+MIN_POINTS, MIN_USED = 200, 0.4
+"""Points, and their mean weight, without which nothing is changed."""
+MAX_SPREAD, MAX_IMPOSSIBLE, MAX_CLIPPED = 0.6, 0.2, 0.02
+"""Of :class:`LevelReport`, above which nothing is changed."""
+_MIN_REFLECTED = 0.02  # D + S below which a ratio says nothing
+_MIN_RADIANCE = 1e-6  # of the median
+_POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # of Student's t in ln rho: points, regions
+_ROUNDS = 40
+_CHUNK = 512
+
+
+@dataclass(frozen=True)
+class LevelReport:
+    """What was found. ``gain``: the room's, R, G, B; its regions have their own about it. ``coverage``: mean
+    known share of the points' hemispheres; ``used_share``: mean weight of the points, 1 for one that is
+    covered. ``spread``: half the interquartile range of ln(rho / (D + S)) of points about their region's
+    mode, green; ``region_spread``: the same of the regions' ln gains, by points. ``impossible_share``: of
+    the points, by weight, those that reflect more than arrives. ``clipped_share`` of the photographs' pixels.
+    ``reason``: why nothing was changed, or empty."""
+
+    is_applied: bool
+    reason: str
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    coverage: float = 0.0
+    used_share: float = 0.0
+    spread: float = 0.0
+    region_spread: float = 0.0
+    impossible_share: float = 0.0
+    points_used: int = 0
+    regions_used: int = 0
+    clipped_share: float = 0.0
+
+
+@dataclass(frozen=True)
+class AlbedoLevel:
+    """Gains of D by smooth region of the mesh, (number of regions, 3)."""
+
+    gains: Floats
+    report: LevelReport
+
+    def corrected(self, diffuse_albedo: NDArray, region: NDArray) -> NDArray[np.float16]:
+        """A view's ``diffuse_albedo`` (H, W, 3) times its gains, clipped to [0, 1]; ``region`` (H, W), -1 off
+        the mesh, where it stays."""
+        found = diffuse_albedo.astype(np.float16)
+        on_mesh = region >= 0
+        gained = self.gains[region[on_mesh]] * diffuse_albedo[on_mesh]
+        found[on_mesh] = np.clip(gained, 0, 1)
+        return found
+
+
+def find_level(
+    views: Sequence[RadianceView],
+    maps: Sequence[dict[str, NDArray]],
+    traced: TracedGeometry,
+    region_of_face: NDArray[np.int32],
+    clipped_share: float = 0.0,
+) -> AlbedoLevel:
+    """The level of D in the views' ``maps``. Where there is too little evidence, gains are 1 and the report
+    says why."""
+    num_regions = int(region_of_face.max(initial=-1)) + 1
+    if clipped_share > MAX_CLIPPED:
+        return _unchanged(num_regions, f"{clipped_share:.1%} of the pixels are at the sensor's limit",
+                          clipped_share=clipped_share)  # fmt: skip
+    try:
+        cache = RadianceCache(views)
+    except ValueError as error:
+        return _unchanged(num_regions, str(error), clipped_share=clipped_share)
+    points = _draw_points(cache, views, maps, region_of_face)
+    irradiance, coverage = _irradiance(cache, traced, points.position_m, points.normal)
+    return _fit(points, irradiance, coverage, num_regions, clipped_share)
+
+
+def _fit(
+    points: _Points, irradiance: Floats, coverage: Floats, num_regions: int, clipped_share: float
+) -> AlbedoLevel:
+    """Gains out of the points' known irradiance (N, 3) and its share (N,) of the hemisphere."""
+    arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]  # the unknown is taken to be like the rest
+    weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1)
+    left = points.radiance @ LUMINANCE_WEIGHTS
+    weight[(arriving @ LUMINANCE_WEIGHTS <= 0) | (left <= _MIN_RADIANCE * np.median(left))] = 0
+    used = weight > 0
+    found: dict[str, Any] = {
+        "coverage": float(coverage.mean()) if len(coverage) else 0.0,
+        "used_share": float(weight.mean()) if len(weight) else 0.0,
+        "points_used": int(used.sum()),
+        "clipped_share": clipped_share,
+    }
+    if used.sum() < MIN_POINTS or found["used_share"] < MIN_USED:
+        return _unchanged(num_regions, "the photographs show too little of what lights the surfaces", **found)
+    regions, region = np.unique(points.region[used], return_inverse=True)
+    rho = np.pi * points.radiance / np.maximum(arriving, 1e-300)
+    excess = (points.radiance * np.pi - arriving) @ LUMINANCE_WEIGHTS > 0
+    found["impossible_share"] = float(weight[excess].sum() / weight.sum())
+    wanted = np.log(np.maximum(rho[used], 1e-6)) - np.log(np.maximum(points.reflected[used], _MIN_REFLECTED))
+    gains, rest = np.ones((num_regions, 3)), np.zeros_like(wanted)
+    rooms = np.zeros(3)
+    for channel in range(3):
+        rooms[channel], own = _modes(wanted[:, channel], weight[used], region, len(regions))
+        gains[:, channel] = np.exp(rooms[channel])
+        gains[regions, channel] = np.exp(own)
+        rest[:, channel] = wanted[:, channel] - own[region]
+    green = 1  # most of luminance
+    found |= {
+        "spread": 0.5 * _range(rest[:, green], weight[used]),
+        "region_spread": 0.5 * _range(np.log(gains[regions, green])[region], weight[used]),
+        "regions_used": len(regions),
+    }
+    gain = (float(np.exp(rooms[0])), float(np.exp(rooms[1])), float(np.exp(rooms[2])))
+    if found["spread"] > MAX_SPREAD or found["impossible_share"] > MAX_IMPOSSIBLE:
+        reason = "light that no photograph shows falls on too much of the room"
+        return _unchanged(num_regions, reason, gain=gain, **found)
+    return AlbedoLevel(gains, LevelReport(True, "", gain=gain, **found))
+
+
+def clipped_share(capture: Capture, views: Sequence[StatisticsView]) -> float:
+    """Share of the pixels of photographs that are at the sensor's limit in a channel. Images with values
+    beyond the white of an 8-bit one have no limit that is known; rendered ones have none."""
+    num_clipped = num_pixels = 0
+    for view, read in zip(capture.views, views, strict=True):
+        limit = getattr(view.source, "exposure_scale", None)
+        num_pixels += read.color.shape[0] * read.color.shape[1]
+        if limit is not None and float(read.color.max(initial=0)) <= 1.001 * limit:
+            num_clipped += int((read.color.max(axis=2) >= CLIPPED_LEVEL * limit).sum())
+    return num_clipped / max(num_pixels, 1)
+
+
+def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
+    return AlbedoLevel(np.ones((num_regions, 3)), LevelReport(False, reason, **found))
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Points on surface that does not emit: where, what leaves them, predicted D + S, smooth region."""
+
+    position_m: Floats
+    normal: Floats
+    radiance: Floats
+    reflected: Floats
+    region: NDArray[np.int64]
+
+
+def _draw_points(
+    cache: RadianceCache,
+    views: Sequence[RadianceView],
+    maps: Sequence[dict[str, NDArray]],
+    region_of_face: NDArray[np.int32],
+) -> _Points:
+    """At most one pixel of each cube: points are spread by area and not by how often they were seen."""
+    pixels, random = cache.pixels, np.random.default_rng(0)
+    is_surface = np.zeros(len(pixels.view), dtype=bool)
+    for index, view in enumerate(views):
+        of_view = pixels.view == index
+        is_surface[of_view] = view.geometry.surface_mask.ravel()[pixels.pixel[of_view]] > 0
+    order = random.permutation(np.flatnonzero(is_surface))
+    order = order[np.unique(pixels.cube[order], return_index=True)[1]]
+    chosen = np.sort(random.permutation(order)[:NUM_POINTS])
+    reflected, region = np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64)
+    for index, (view, view_maps) in enumerate(zip(views, maps, strict=True)):
+        here = np.flatnonzero(pixels.view[chosen] == index)
+        at = pixels.pixel[chosen[here]]
+        for name in ("diffuse_albedo", "specular_albedo"):
+            reflected[here] += view_maps[name].reshape(-1, 3)[at]
+        region[here] = region_of_face[view.geometry.face.ravel()[at]]
+    position, normal = pixels.position_m[chosen], pixels.normal[chosen]
+    return _Points(position, normal, cache.at(position, normal)[0], reflected, region)
+
+
+def _irradiance(
+    cache: RadianceCache, traced: TracedGeometry, position_m: Floats, normal: Floats
+) -> tuple[Floats, Floats]:
+    """(N, 3) irradiance out of known directions, and their share (N,) of the hemisphere, by the cosine."""
+    random = np.random.default_rng(1)
+    irradiance, coverage = np.zeros_like(position_m), np.zeros(len(position_m))
+    for first in range(0, len(position_m), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        direction = _cosine_rays(normal[part], random)
+        start = np.repeat(position_m[part] + normal[part] * (2e-4 * cache.size_m), NUM_RAYS, axis=0)
+        distance, facing = _first_hits(traced, start, direction)
+        hit = np.isfinite(distance)
+        radiance, is_known = np.zeros_like(direction), np.zeros(len(direction), dtype=bool)
+        place = start[hit] + direction[hit] * distance[hit, None]
+        radiance[hit], is_known[hit] = cache.at(place, facing[hit])
+        radiance[~hit], is_known[~hit] = cache.beyond(start[~hit], direction[~hit])
+        irradiance[part] = np.pi * radiance.reshape(-1, NUM_RAYS, 3).mean(axis=1)
+        coverage[part] = is_known.reshape(-1, NUM_RAYS).mean(axis=1)
+    return irradiance, coverage
+
+
+def _cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
+    """(N NUM_RAYS, 3) directions by the cosine about ``normal`` (N, 3), stratified."""
+    side = int(np.sqrt(NUM_RAYS))
+    cell = np.arange(NUM_RAYS)
+    u = (cell // side + random.random((len(normal), NUM_RAYS))) / side
+    v = (cell % side + random.random((len(normal), NUM_RAYS))) / side
+    radius, angle = np.sqrt(u), 2 * np.pi * v
+    helper = np.where(np.abs(normal[:, :1]) > 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    tangent = np.cross(normal, helper)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    bitangent = np.cross(normal, tangent)
+    rays = (
+        (radius * np.cos(angle))[..., None] * tangent[:, None]
+        + (radius * np.sin(angle))[..., None] * bitangent[:, None]
+        + np.sqrt(1 - u)[..., None] * normal[:, None]
+    )
+    return rays.reshape(-1, 3)
+
+
+def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Distance (N,) to the mesh, Inf where a ray misses it, and the normal (N, 3) there, towards the ray."""
+    import drjit as dr
+    import mitsuba as mi
+
+    ray = mi.Ray3f(mi.Point3f(vectors_from_rows(start)), vectors_from_rows(direction))
+    si = traced.scene.ray_intersect(ray)
+    is_valid, normal = si.is_valid(), si.n
+    dr.eval(si.t, is_valid, normal)
+    hit = np.asarray(is_valid.numpy(), dtype=bool)
+    facing = np.asarray(normal.numpy(), dtype=np.float64).reshape(3, -1).T
+    facing = np.where((facing * direction).sum(axis=1, keepdims=True) > 0, -facing, facing)
+    return np.where(hit, np.asarray(si.t.numpy(), dtype=np.float64), np.inf), facing
+
+
+def _modes(
+    values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
+) -> tuple[float, Floats]:
+    """The room's mode and those of its regions (num_regions,): the most likely ones where points spread about
+    their region's by Student's t, and regions about the room's."""
+    num = np.bincount(region, weight, num_regions)
+    room = float(_quantiles(values, weight, (0.4,))[0])  # unseen light only ever adds
+    offset = np.zeros(num_regions)
+    for _ in range(_ROUNDS):
+        of_point = weight * _precision((values - room - offset[region]), _POINT_SCALE)
+        of_region = _precision(offset, _REGION_SCALE)
+        summed = np.bincount(region, of_point * (values - room), num_regions)
+        offset = summed / (np.bincount(region, of_point, num_regions) + of_region)
+        shift = float((num * of_region * offset).sum() / (num * of_region).sum())
+        room, offset = room + shift, offset - shift
+    return room, room + offset
+
+
+def _precision(residual: Floats, scale: float) -> Floats:
+    """Weights of a least-squares step for Student's t."""
+    return (_FREEDOM + 1) / (_FREEDOM + (residual / scale) ** 2) / scale**2
+
+
+def _quantiles(values: Floats, weight: Floats, levels: tuple[float, ...]) -> Floats:
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weight[order])
+    return values[order][np.searchsorted(total, np.array(levels) * total[-1])]
+
+
+def _range(values: Floats, weight: Floats) -> float:
+    """Weighted interquartile range."""
+    low, high = _quantiles(values, weight, (0.25, 0.75))
+    return float(high - low)

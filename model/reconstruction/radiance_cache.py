@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: MIT
+"""The light that leaves every photographed surface of a room, out of its photographs: where a ray ends, what
+radiance does it meet?
+
+Surfaces: pixels fall into cubes of space, apart by the axis that their normal is nearest to, so that the two
+sides of a wall stay two. A cube holds the median over views of each view's mean. Background: windows and what
+is beyond the mesh are not far away in general, so a ray takes the photographed ray that leaves the mesh's box
+nearest to it in place and direction. Where no photograph tells, the radiance is unknown, and is said to be.
+
+Colours are linear and of one exposure; radiance is in its unit, as it comes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from datagen.cameras import Camera
+from model.reconstruction.geometry import ViewGeometry
+
+Floats = NDArray[np.float64]
+
+MAX_PIXELS = 4_000_000
+"""Of all views; of more, every second, third ... along both axes serves."""
+CUBES_ACROSS = 150
+"""Along the diagonal of what was seen: 5 cm in a room of 7 m."""
+_MAX_BACKGROUND = 20_000
+_REACH_CUBES = 2.0  # from a place to the nearest cube that has a colour
+_PLACE_WEIGHT = 2.25  # of a move by the diagonal, against 1 rad of direction
+_BACKGROUND_REACH = 1.0
+
+
+@dataclass(frozen=True)
+class RadianceView:
+    """A view: ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False where the photograph has nothing."""
+
+    camera: Camera
+    color: NDArray[np.float32]
+    geometry: ViewGeometry
+    valid_mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SeenPixels:
+    """Pixels that show the mesh: ``view`` (P,), ``pixel`` (P,) flat index, ``position_m`` and ``normal``
+    (P, 3), ``cube`` (P,) of :class:`RadianceCache`."""
+
+    view: NDArray[np.int64]
+    pixel: NDArray[np.int64]
+    position_m: Floats
+    normal: Floats
+    cube: NDArray[np.int64]
+
+
+class RadianceCache:
+    """Raises ValueError where the views see no extended surface."""
+
+    def __init__(self, views: Sequence[RadianceView]):
+        total = sum(view.valid_mask.size for view in views)
+        step = max(1, int(np.ceil(np.sqrt(total / MAX_PIXELS))))
+        parts = [_pixels_of(view, index, step) for index, view in enumerate(views)]
+        if sum(len(part[0]) for part in parts) == 0:
+            raise ValueError("no view sees the mesh")
+        position, normal, color = (np.concatenate([part[k] for part in parts]) for k in (2, 3, 4))
+        low, high = np.percentile(position, [2, 98], axis=0)
+        self.size_m = float(np.linalg.norm(high - low))
+        if self.size_m <= 0:
+            raise ValueError("the views see no extended surface")
+        self.cube_m = self.size_m / CUBES_ACROSS
+        self._low, self._high = position.min(axis=0), position.max(axis=0)
+        self._shape = np.ceil((self._high - self._low) / self.cube_m).astype(np.int64) + 3
+        view_of = np.concatenate([part[0] for part in parts])
+        cube = self.cubes(position, normal)
+        self.pixels = SeenPixels(view_of, np.concatenate([part[1] for part in parts]), position, normal, cube)
+        self._fill(cube, view_of, position, normal, color, len(views))
+        self._set_background(views, step)
+
+    def cubes(self, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
+        """Number of the cube (N,) of places and the normals there; places outside count to the rim."""
+        at = ((position_m - self._low) / self.cube_m).astype(np.int64) + 1
+        at = np.clip(at, 0, self._shape - 1)
+        axis = np.abs(normal).argmax(axis=1)
+        side = 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
+        return ((at[:, 0] * self._shape[1] + at[:, 1]) * self._shape[2] + at[:, 2]) * 6 + side
+
+    def _fill(
+        self,
+        cube: NDArray[np.int64],
+        view: NDArray[np.int64],
+        position: Floats,
+        normal: Floats,
+        color: Floats,
+        num_views: int,
+    ) -> None:
+        order = np.argsort(cube * num_views + view, kind="stable")
+        starts, keys = _runs((cube * num_views + view)[order])
+        num = np.diff(np.append(starts, len(order)))
+        of_view = np.add.reduceat(color[order], starts) / num[:, None]  # a view's mean in a cube
+        cube_of_run = keys // num_views
+        first, self._keys = _runs(cube_of_run)
+        count = np.diff(np.append(first, len(cube_of_run)))
+        self._radiance = np.empty((len(first), 3))
+        for channel in range(3):
+            values = of_view[np.lexsort((of_view[:, channel], cube_of_run)), channel]
+            self._radiance[:, channel] = 0.5 * (values[first + (count - 1) // 2] + values[first + count // 2])
+        pixels = np.add.reduceat(num, first)
+        place = np.add.reduceat(np.add.reduceat(position[order], starts), first) / pixels[:, None]
+        facing = np.add.reduceat(np.add.reduceat(normal[order], starts), first)
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+        self._tree = cKDTree(np.concatenate([place, facing * self.cube_m], axis=1))
+
+    def at(self, position_m: Floats, normal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Radiance (N, 3) that leaves surface with ``normal`` (N, 3, towards the onlooker), and whether it is
+        known: of the place's cube, else of the nearest within reach."""
+        wanted = self.cubes(position_m, normal)
+        index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
+        is_known = self._keys[index] == wanted
+        rest = np.flatnonzero(~is_known)
+        if len(rest):
+            query = np.concatenate([position_m[rest], normal[rest] * self.cube_m], axis=1)
+            distance, nearest = self._tree.query(query, distance_upper_bound=_REACH_CUBES * self.cube_m)
+            found = np.isfinite(distance)
+            index[rest[found]], is_known[rest[found]] = nearest[found], True
+        return np.where(is_known[:, None], self._radiance[index], 0.0), is_known
+
+    def _set_background(self, views: Sequence[RadianceView], step: int) -> None:
+        rays, colors = [], []
+        for view in views:
+            pixel = _grid(view, step)
+            pixel = pixel[((view.geometry.face < 0) & view.valid_mask).ravel()[pixel]]
+            direction = view.camera.ray_directions().reshape(-1, 3)[pixel]
+            rays.append(self._leaving(np.broadcast_to(view.camera.position_m, direction.shape), direction))
+            colors.append(view.color.reshape(-1, 3)[pixel])
+        ray, color = np.concatenate(rays), np.concatenate(colors).astype(np.float64)
+        chosen = np.random.default_rng(0).permutation(len(ray))[:_MAX_BACKGROUND]
+        self._background = color[chosen]
+        self._rays = cKDTree(ray[chosen]) if len(chosen) else None
+
+    def _leaving(self, origin: Floats, direction: Floats) -> Floats:
+        """Rays (N, 6) as where they leave the box of what was seen, in diagonals, and their direction."""
+        safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
+        distance = np.maximum((np.where(safe > 0, self._high, self._low) - origin) / safe, 0.0).min(axis=1)
+        place = (origin + distance[:, None] * direction) * (_PLACE_WEIGHT / self.size_m)
+        return np.concatenate([place, direction], axis=1)
+
+    def beyond(self, origin: Floats, direction: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Radiance (N, 3) along rays that miss the mesh, and whether it is known."""
+        if self._rays is None or not len(origin):
+            return np.zeros((len(origin), 3)), np.zeros(len(origin), dtype=bool)
+        distance, nearest = self._rays.query(
+            self._leaving(origin, direction), distance_upper_bound=_BACKGROUND_REACH
+        )
+        is_known = np.isfinite(distance)
+        found = self._background[np.minimum(nearest, len(self._background) - 1)]
+        return np.where(is_known[:, None], found, 0.0), is_known
+
+
+def _grid(view: RadianceView, step: int) -> NDArray[np.int64]:
+    """Flat indices of every ``step``-th pixel along both axes."""
+    height, width = view.valid_mask.shape
+    rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
+    return (rows[:, None] * width + columns).ravel()
+
+
+def _pixels_of(view: RadianceView, index: int, step: int) -> tuple[NDArray, ...]:
+    """View, flat index, position, normal and colour of the pixels that show the mesh."""
+    depth = view.geometry.depth_z_m.ravel()
+    pixel = _grid(view, step)
+    pixel = pixel[depth[pixel] > 0]
+    direction = view.camera.ray_directions().reshape(-1, 3)[pixel]
+    along = depth[pixel].astype(np.float64) / (direction @ view.camera.forward)
+    return (
+        np.full(len(pixel), index, np.int64),
+        pixel,
+        view.camera.position_m + direction * along[:, None],
+        view.geometry.normal_world.reshape(-1, 3)[pixel].astype(np.float64),
+        view.color.reshape(-1, 3)[pixel].astype(np.float64),
+    )
+
+
+def _runs(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where runs of equal sorted keys start, and their keys."""
+    starts = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
+    return starts, keys[starts]

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: MIT
+"""The level of diffuse albedo out of light between surfaces, on a room whose albedos are known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from datagen.color import linear_from_srgb
+from datagen.images import read_image
+from model.checkpoint import CheckpointCard, save_checkpoint
+from model.networks import MaterialNetwork, NetworkConfig
+from model.reconstruction.albedo_level import MAX_CLIPPED, AlbedoLevel, clipped_share, find_level
+from model.reconstruction.geometry import TracedGeometry, smooth_regions
+from model.reconstruction.infer import InferOptions, infer, look
+from model.reconstruction.radiance_cache import RadianceCache, RadianceView
+from tests.model.lit_box import ALBEDOS, SIDES, box_capture, box_geometry, photographed_box
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+PREDICTED = 0.35
+
+
+def predicted(views: Sequence[RadianceView], level: float = PREDICTED) -> list[dict[str, NDArray]]:
+    """One grey everywhere, nothing specular: all of the level is wrong."""
+    shape = views[0].color.shape
+    maps = {
+        "diffuse_albedo": np.full(shape, level, np.float16),
+        "specular_albedo": np.zeros(shape, np.float16),
+    }
+    return [dict(maps) for _ in views]
+
+
+def level_of(views: Sequence[RadianceView], maps: list[dict[str, NDArray]] | None = None) -> AlbedoLevel:
+    traced = TracedGeometry(box_geometry())
+    return find_level(views, predicted(views) if maps is None else maps, traced, smooth_regions(traced.mesh))
+
+
+def found_albedos(level: AlbedoLevel, maps_level: float = PREDICTED) -> NDArray:
+    """(6, 3) of the walls."""
+    region = smooth_regions(TracedGeometry(box_geometry()).mesh)
+    return maps_level * level.gains[region[: 2 * len(ALBEDOS) : 2]]
+
+
+@pytest.fixture(scope="module")
+def level(mitsuba_variant: str) -> AlbedoLevel:
+    """Of the box as it is."""
+    return level_of(photographed_box())
+
+
+def test_albedo_of_a_closed_room_is_found(level: AlbedoLevel) -> None:
+    """Interreflection with a lamp in sight says all: within 4 % on every wall and channel, whatever was
+    predicted and however the photographs were exposed."""
+    views = photographed_box()
+    assert level.report.is_applied and level.report.reason == ""
+    np.testing.assert_allclose(found_albedos(level), ALBEDOS, rtol=0.04)
+    assert level.report.coverage > 0.97 and level.report.spread < 0.1
+    brighter = [RadianceView(v.camera, 7 * v.color, v.geometry, v.valid_mask) for v in views]
+    paler = level_of(brighter, predicted(views, 0.7))
+    np.testing.assert_allclose(found_albedos(paler, 0.7), found_albedos(level), rtol=1e-3)
+
+
+def test_unseen_sun_does_not_brighten_the_floor() -> None:
+    """A patch of floor is lit several times brighter by what no photograph shows. A mean over the floor would
+    make it 1.5 times as pale at least; the mode stays within 10 %."""
+    views = photographed_box(has_sun=True)
+    level = level_of(views)
+    assert level.report.is_applied
+    np.testing.assert_allclose(found_albedos(level), ALBEDOS, rtol=0.1)
+    shown = np.concatenate([v.color[(v.geometry.face == 8) | (v.geometry.face == 9)] for v in views])
+    assert shown.mean() > 1.5 * np.median(shown)  # the sun is there, and strong
+
+
+def test_corrected_maps_are_clipped_and_leave_the_rest(level: AlbedoLevel) -> None:
+    diffuse = np.full((2, 2, 3), PREDICTED, np.float16)
+    region = np.array([[0, -1], [1, 0]])
+    corrected = level.corrected(diffuse, region)
+    assert corrected.dtype == np.float16
+    np.testing.assert_array_equal(corrected[0, 1], diffuse[0, 1])
+    np.testing.assert_allclose(corrected[1, 0], PREDICTED * level.gains[1], rtol=2e-3)
+    assert level.corrected(np.ones((2, 2, 3), np.float16), region).max() == 1
+    assert (diffuse == np.float16(PREDICTED)).all()
+
+
+def test_same_photographs_same_level(level: AlbedoLevel) -> None:
+    again = level_of(photographed_box())
+    np.testing.assert_array_equal(level.gains, again.gains)
+    assert level.report == again.report
+
+
+@pytest.mark.parametrize(
+    ("kept", "reason"),
+    [(slice(0, 1), "too little"), (slice(0, 0), "no view sees the mesh")],
+    ids=["one view", "no view"],
+)
+def test_too_little_evidence_changes_nothing(kept: slice, reason: str) -> None:
+    views = photographed_box()[kept]
+    found = level_of(views, predicted(views) if views else [])
+    assert not found.report.is_applied and reason in found.report.reason
+    assert (found.gains == 1).all()
+
+
+def test_a_hidden_lamp_changes_nothing() -> None:
+    """The lamp is masked out of all photographs, as where nobody looks up: the room seems to reflect more
+    than arrives."""
+    views = []
+    for view in photographed_box():
+        is_lamp = view.geometry.face >= 12
+        geometry = replace(view.geometry, depth_z_m=np.where(is_lamp[..., None], 0, view.geometry.depth_z_m))
+        views.append(replace(view, geometry=geometry, valid_mask=~is_lamp))
+    found = level_of(views)
+    assert not found.report.is_applied and "no photograph shows" in found.report.reason
+    assert found.report.coverage > 0.8 and found.report.impossible_share > 0.4
+
+
+def test_contradictory_evidence_changes_nothing() -> None:
+    """Predictions that have nothing to do with what reflects, within one wall: no gain makes them right."""
+    views = photographed_box()
+    random, maps = np.random.default_rng(0), predicted(views)
+    for view_maps in maps:
+        values = np.exp(random.uniform(np.log(0.03), 0, (*view_maps["diffuse_albedo"].shape[:2], 1)))
+        view_maps["diffuse_albedo"] = np.repeat(values, 3, axis=2).astype(np.float16)
+    level = level_of(views, maps)
+    assert not level.report.is_applied and "no photograph shows" in level.report.reason
+    assert level.report.spread > 0.6 and (level.gains == 1).all()
+
+
+def test_clipped_photographs_change_nothing() -> None:
+    views = photographed_box()
+    traced = TracedGeometry(box_geometry())
+    region = smooth_regions(traced.mesh)
+    level = find_level(views, predicted(views), traced, region, clipped_share=2 * MAX_CLIPPED)
+    assert not level.report.is_applied and "sensor's limit" in level.report.reason
+    assert find_level(
+        views, predicted(views), traced, region, clipped_share=MAX_CLIPPED / 2
+    ).report.is_applied
+
+
+def test_background_is_found_by_place_and_direction() -> None:
+    """A window that shows two colours: a ray meets the one that was photographed where it goes."""
+    views = [
+        RadianceView(
+            v.camera,
+            np.where(v.camera.ray_directions()[..., 2:] > 0.2, [0.0, 0.0, 9.0], [0.0, 3.0, 0.0]).astype(
+                np.float32
+            ),
+            replace(
+                v.geometry,
+                face=np.where(v.geometry.face < 2, -1, v.geometry.face),
+                depth_z_m=np.where((v.geometry.face < 2)[..., None], 0, v.geometry.depth_z_m),
+            ),
+            v.valid_mask,
+        )
+        for v in photographed_box()
+    ]
+    cache = RadianceCache(views)
+    origin = np.tile(SIDES / 2, (2, 1))
+    direction = np.array([[-1.0, 0.0, 0.5], [-1.0, 0.0, -0.2]])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radiance, is_known = cache.beyond(origin, direction)
+    assert is_known.all()
+    np.testing.assert_array_equal(radiance, [[0, 0, 9], [0, 3, 0]])
+    assert not cache.at(np.array([[2.0, 1.5, 1.2]]), np.array([[0.0, 0.0, 1.0]]))[1].any()  # in mid-air
+
+
+def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> None:
+    """Untrained networks say one grey or another: the atlas takes the gains, the views stay as predicted.
+    Photographs at their limit leave the atlas too."""
+    torch.manual_seed(3)
+    network = NetworkConfig(base_channels=4, global_channels=8)
+    card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
+    save_checkpoint(tmp_path / "random.safetensors", card, MaterialNetwork(network))
+    found, reports = {}, {}
+    for name, is_leveled, white in (
+        ("with", True, np.inf),
+        ("without", False, np.inf),
+        ("clipped", True, 0.6),
+    ):
+        options = InferOptions(atlas=128, is_leveled=is_leveled, is_checked=False, has_exr=False)
+        reports[name] = infer(box_capture(white), tmp_path / name, tmp_path / "random.safetensors", options)
+        atlas = read_image(tmp_path / name / "atlas" / "diffuse_albedo.png")[..., :3] / 255.0
+        seen = read_image(tmp_path / name / "atlas" / "mask.png")[..., 0] == 255
+        found[name] = float(np.median(linear_from_srgb(atlas[seen])))
+    written = json.loads((tmp_path / "with" / "report.json").read_text())["albedo_level"]
+    assert written["is_applied"] and written["coverage"] > 0.9 and "level" in reports["with"].seconds
+    gain = float(np.median(written["gain"]))
+    assert abs(np.log(gain)) > 0.2 and abs(np.log(found["with"] / found["without"] / gain)) < 0.15
+    assert reports["without"].albedo_level == {} and not reports["clipped"].albedo_level["is_applied"]
+    assert any("sensor's limit" in note for note in reports["clipped"].notes)
+    for path in (tmp_path / "with" / "views").iterdir():
+        assert path.read_bytes() == (tmp_path / "without" / "views" / path.name).read_bytes()
+
+
+def test_share_of_clipped_pixels() -> None:
+    """Of photographs with a limit; where values go beyond it, it is none."""
+    traced = TracedGeometry(box_geometry())
+    for white, expected in ((np.inf, 0.0), (0.6, None)):
+        capture = box_capture(white)
+        colors = np.stack([view.read().color for view in capture.views])
+        share = clipped_share(capture, look(capture, traced, lambda *_: None).statistics)
+        assert share == (np.mean(colors.max(axis=-1) >= 0.99 * white) if expected is None else expected)
+        assert (share > MAX_CLIPPED) == (expected is None)
