@@ -50,7 +50,9 @@ def test_pixels_and_dimensions_know_nothing_of_each_other() -> None:
     from datagen.rendering.sobol import OwenSobol
 
     count = 1 << 18
-    keys = mi.sample_tea_32(dr.arange(mi.UInt32, count), mi.UInt32(5))[0]
+    pixel: Any = dr.arange(mi.UInt32, count)
+    launch: Any = mi.UInt32(5)
+    keys = mi.sample_tea_32(pixel, launch)[0]
     sampler = OwenSobol(dr.zeros(mi.UInt32, count), keys)  # the first sample of many pixels
     drawn = np.concatenate([np.array(sampler.next_2d()) for _ in range(6)] + [[np.array(sampler.next_1d())]])
     assert ((drawn >= 0.0) & (drawn < 1.0)).all()
