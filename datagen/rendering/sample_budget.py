@@ -33,10 +33,8 @@ from numpy.typing import NDArray
 from datagen.color import exposure_for, luminance
 from datagen.rendering.error import EPSILON
 
-FIRST_SAMPLES = 4
-"""Samples of the first pass, both halves together."""
-UNIFORM_SAMPLES = 8
-"""Samples that every pixel gets before later passes go where the error is."""
+FIRST_SAMPLES = 8
+"""Of the first pass, both halves together, in every pixel; later passes go where the error is."""
 BIAS_PER_SPREAD = 1.0
 """Squared bias of a denoised half over its spread, as far as nothing better is known (decision 70)."""
 TILE_PX = 16
@@ -153,7 +151,7 @@ class SampleBudget:
     """When to stop: a target for the estimated relMSE, and the most samples a pixel (at least 2) as a mean
     over the image, which is what a view costs.
 
-    Both halves have the same samples in each pixel. The first passes are uniform; then samples go to the
+    Both halves have the same samples in each pixel. The first pass is uniform; then samples go to the
     tiles whose denoised halves differ, as many as bring the image to its target, or twice as many as before.
     """
 
@@ -176,8 +174,6 @@ class SampleBudget:
             return nothing
         mean = float(counts.mean())
         room = self.max_samples / 2 - mean
-        if 2 * mean < UNIFORM_SAMPLES:
-            return nothing + min(int(room), UNIFORM_SAMPLES // 2 - int(mean))
         if room < LEAST_PASS * mean:
             return nothing
         tiles = _Tiles(counts.shape)

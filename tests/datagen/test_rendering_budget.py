@@ -183,11 +183,11 @@ def test_passes_double_until_target_or_ceiling() -> None:
             error = 10 * budget.max_rel_mse if 2 * counts.mean() < met_at else 0.9 * budget.max_rel_mse
             counts = counts + (added := budget.next_counts(counts, estimate_of(error, 0.1)))
 
-    assert list(totals(SampleBudget(0.01, 1000), met_at=30)) == [4, 8, 16, 32]
-    assert list(totals(SampleBudget(0.01, 25), met_at=30)) == [4, 8, 16, 24]
-    assert list(totals(SampleBudget(0.01, 6), met_at=30)) == [4, 6]
+    assert list(totals(SampleBudget(0.01, 1000), met_at=30)) == [8, 16, 32]
+    assert list(totals(SampleBudget(0.01, 25), met_at=30)) == [8, 16, 24]
+    assert list(totals(SampleBudget(0.01, 6), met_at=30)) == [6]
     assert list(totals(SampleBudget(0.01, 2), met_at=30)) == [2]
-    assert list(totals(SampleBudget(0.01, 1000), met_at=1)) == [4]
+    assert list(totals(SampleBudget(0.01, 1000), met_at=1)) == [8]
 
 
 def test_samples_go_where_the_halves_differ() -> None:
