@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 HALF_MAX = 65504.0
 VIEWS_IN_FLIGHT = 2  # one is traced while another is denoised
 COARSE_CELLS = 1024  # of the image whose brightness sets the firefly clamp
-COARSE_SAMPLES = 32  # a cell
+COARSE_SAMPLES = 16  # a cell
 COARSE_VIEWS = 8  # at most, whose surfaces decide how long paths are, and that look for windows
 SKY_SAMPLES = 48  # a pixel of those, of paths that look for windows
 _FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
