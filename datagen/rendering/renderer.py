@@ -6,8 +6,9 @@ but at edges; it is traced as finely as the ground truth and added afterwards. A
 changes its radiance by tens of percent and smears it over its dark surroundings.
 
 The scene is built once; a view is another set of camera numbers for the same kernels. Both passes use a
-box filter on the same pixels. Paths draw their samples from (configuration seed, view index, pass) alone and
-are added in a fixed order, so that a view's bytes do not depend on what was rendered before it or where.
+box filter on the same pixels. Paths draw their samples from (configuration seed, view index, half) alone and
+are added in a fixed order, and fixed views find out beforehand where the sky shines in, so that a view's
+bytes do not depend on what was rendered before it or where.
 
 A recipe gives the number of paths, or an error: then passes are added to two independent halves of the image
 until the error estimated from them (:mod:`datagen.rendering.sample_budget`) is small enough.
