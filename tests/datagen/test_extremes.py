@@ -167,8 +167,8 @@ def test_exposure_and_error_do_not_depend_on_the_unit_of_radiance() -> None:
 
 
 def test_scale_and_brightness_of_a_room_hardly_change_its_image() -> None:
-    # Mitsuba starts rays at least 1.8e-4 m off a surface: much in a room of 1 cm. In one of 10 cm a path of 64
-    # may meet the light's edge or miss it for that, which that pixel shows and the median does not.
+    # Mitsuba starts rays at least 1.8e-4 m off a surface: much in a room of 1 cm. In one of 10 cm a path
+    # in 64 may meet the light's edge or miss it for that, which that pixel shows and the median does not.
     largest = {(1e-3, 1.0): 0.02, (0.1, 1.0): 1 / 64, (1e4, 1.0): 1e-5, (1.0, 1e-6): 1e-6, (1.0, 1e4): 1e-6}
     found = dict(zip(largest, image_at_scales(list(largest)), strict=True))
     assert all(found[key][0] <= limit for key, limit in largest.items()), found
