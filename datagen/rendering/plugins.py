@@ -101,6 +101,14 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
     return ray
 
 
+def outside_distance(scene: Any) -> float:
+    """How far from any point of a scene lies outside of it; 1 without extent."""
+    box = scene.bbox()
+    extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
+    reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
+    return _SHADOW_DISTANCE_FACTOR * max(reach, 1e-3)
+
+
 class SunDisc(mi.Emitter):
     """Parallel light of ``irradiance`` [W/m^2] across ``direction`` (of travel), spread over a cone.
 
@@ -133,10 +141,7 @@ class SunDisc(mi.Emitter):
 
     def set_scene(self, scene: mi.Scene) -> None:
         """Learn how far away the light must start to be outside the scene."""
-        box = scene.bbox()
-        extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
-        reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
-        self.distance = mi.Float(_SHADOW_DISTANCE_FACTOR * max(reach, 1e-3))
+        self.distance = mi.Float(outside_distance(scene))
         dr.make_opaque(self.distance)
 
     def is_environment(self) -> bool:

@@ -90,6 +90,8 @@ class SkyGuide:
         self, scene: Any, box_m: NDArray[np.float64], probabilities: NDArray[np.float64], share: float
     ):
         """``box_m`` (2, 3): lower and upper corner; ``probabilities`` (6 CELLS^2,), by face, column, row."""
+        from datagen.rendering.plugins import outside_distance  # knows classes of the variant
+
         self.environment = scene.environment()
         self.box_m = box_m
         side = box_m[1] - box_m[0]
@@ -97,11 +99,9 @@ class SkyGuide:
         cumulative = np.cumsum(probabilities) / probabilities.sum()
         table = np.searchsorted(cumulative, (np.arange(TABLE) + 0.5) / TABLE)
         drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # what the table really does
-        self.low, self.high = (mi.Point3f(*(float(c) for c in corner)) for corner in box_m)
+        self.low, self.high = _corners(box_m)
         self.share = mi.Float(share)
-        # Beyond what a float32 ray tells from infinity there is nothing: light of the environment comes from
-        # outside of the scene's bounding sphere.
-        self.distance = mi.Float(_far(scene))
+        self.distance = mi.Float(outside_distance(scene))  # from which the environment's light comes
         self.table = mi.UInt32(table.astype(np.uint32))
         self.density = mi.Float((drawn / np.repeat(areas / CELLS**2, CELLS**2)).astype(np.float32))
         dr.make_opaque(self.low, self.high, self.share, self.distance)
@@ -117,19 +117,7 @@ class SkyGuide:
 
     def pdf(self, point: Array, direction: Array) -> Array:
         """Density [1/sr] of :meth:`sample` at ``direction``; ``point`` must be inside the box."""
-        far = [
-            dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, high, low) - p) / d)
-            for p, d, low, high in zip(point, direction, self.low, self.high, strict=True)
-        ]
-        t = dr.minimum(far[0], dr.minimum(far[1], far[2]))
-        is_x, is_y = far[0] == t, far[1] == t
-        along = dr.select(is_x, direction.x, dr.select(is_y, direction.y, direction.z))
-        axis = dr.select(is_x, mi.UInt32(0), dr.select(is_y, mi.UInt32(1), mi.UInt32(2)))
-        share = (point + t * direction - self.low) / (self.high - self.low)
-        column = dr.select(is_x, share.y, share.x)
-        row = dr.select(is_x | is_y, share.z, share.y)
-        face = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
-        cell = (face * CELLS + _cell(column)) * CELLS + _cell(row)
+        cell, t, along = _exit(self.low, self.high, point, direction)
         return dr.gather(mi.Float, self.density, cell) * dr.square(t) / dr.maximum(dr.abs(along), 1e-9)
 
     def sample(self, point: Array, choice: Array, sample: Array) -> Array:
@@ -179,19 +167,33 @@ class SkyGuide:
         return own_pdf * (1.0 - share) + dr.select(has_guide, share * self.pdf(point, direction), 0.0)
 
 
-def _cell(share: Array) -> Array:
-    return mi.UInt32(dr.clip(share * CELLS, 0.0, CELLS - 1.0))
+def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
+    low, high = (mi.Point3f(*(float(c) for c in corner)) for corner in box_m)
+    return low, high
 
 
-def _far(scene: Any) -> float:
-    box = scene.bbox()
-    extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
-    reach = float(np.linalg.norm(extent))
-    return 2.0 * reach if np.isfinite(reach) and reach > 0.0 else 1.0
+def _exit(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
+    """Where rays from inside leave the box: cell, distance, and the direction's part across the face."""
+    far = [
+        dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, upper, lower) - p) / d)
+        for p, d, lower, upper in zip(point, direction, low, high, strict=True)
+    ]
+    t = dr.minimum(far[0], dr.minimum(far[1], far[2]))
+    is_x, is_y = far[0] == t, far[1] == t
+    along = dr.select(is_x, direction.x, dr.select(is_y, direction.y, direction.z))
+    axis = dr.select(is_x, mi.UInt32(0), dr.select(is_y, mi.UInt32(1), mi.UInt32(2)))
+    share = (point + t * direction - low) / (high - low)
+    column, row = dr.select(is_x, share.y, share.x), dr.select(is_x | is_y, share.z, share.y)
+    cell = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
+    for place in (column, row):
+        cell = cell * CELLS + mi.UInt32(dr.clip(place * CELLS, 0.0, CELLS - 1.0))
+    return cell, t, along
 
 
 def learn_sky(scene: Any, observations: SkyObservations) -> SkyGuide | None:
     """A guide from what was observed; None where the sky brings too little for one to pay."""
+    from scipy import ndimage
+
     share = observations.sky_share()
     if len(observations.origins_m) < LEAST_ESCAPES or share < LEAST_SHARE:
         return None
@@ -204,33 +206,15 @@ def learn_sky(scene: Any, observations: SkyObservations) -> SkyGuide | None:
     is_inside = ((observations.origins_m >= box_m[0]) & (observations.origins_m <= box_m[1])).all(axis=1)
     if not weights[is_inside].any():
         return None
-    cells = _exits(box_m, observations.origins_m[is_inside], observations.directions[is_inside])
+    low_corner, high_corner = _corners(box_m)
+    origins: Any = mi.Point3f(observations.origins_m[is_inside].T.astype(np.float32))
+    directions: Any = mi.Vector3f(observations.directions[is_inside].T.astype(np.float32))
+    cells = np.array(_exit(low_corner, high_corner, origins, directions)[0])
     found = np.bincount(cells, weights[is_inside], 6 * CELLS**2).reshape(6, CELLS, CELLS)
-    padded = np.pad(found, ((0, 0), (1, 1), (1, 1)))
-    neighbours = sum(
-        padded[:, 1 + i : 1 + i + CELLS, 1 + j : 1 + j + CELLS]
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-        if i or j
-    )
-    return SkyGuide(scene, box_m, (found + NEIGHBOUR_SHARE * neighbours).ravel(), min(MOST_SHARE, share))
-
-
-def _exits(
-    box_m: NDArray[np.float64], origins_m: NDArray[np.float64], directions: NDArray[np.float64]
-) -> NDArray[np.int64]:
-    """Cells (E,) through which rays from inside leave the box (2, 3)."""
-    rows = np.arange(len(origins_m))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(directions > 0.0, box_m[1], box_m[0])
-        t = np.where(directions == 0.0, np.inf, (ends - origins_m) / directions)
-    axis = t.argmin(axis=1)
-    share = (origins_m + t[rows, axis][:, None] * directions - box_m[0]) / (box_m[1] - box_m[0])
-    column = np.where(axis == 0, share[:, 1], share[:, 0])
-    row = np.where(axis == 2, share[:, 1], share[:, 2])
-    face = 2 * axis + (directions[rows, axis] > 0.0)
-    in_cells = [np.clip(values * CELLS, 0, CELLS - 1).astype(np.int64) for values in (column, row)]
-    return (face * CELLS + in_cells[0]) * CELLS + in_cells[1]
+    around = np.full((1, 3, 3), NEIGHBOUR_SHARE)
+    around[0, 1, 1] = 1.0
+    probabilities = ndimage.convolve(found, around, mode="constant").ravel()
+    return SkyGuide(scene, box_m, probabilities, min(MOST_SHARE, share))
 
 
 def observe_sky(scene: Any, hides: Any, walks: Iterable[tuple[Any, Any]]) -> SkyObservations:
