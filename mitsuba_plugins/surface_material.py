@@ -267,6 +267,10 @@ class SceneMaterials:
 
     # ---- inside kernels ----------------------------------------------------------------------------------
 
+    def tables(self) -> list[Any]:
+        """Arrays that a recorded kernel with :meth:`channels_at` reads, beside the scene's own."""
+        return [self._evaluator_of_shape]
+
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:
         """Registry index of the shape that was hit; 0 for none."""
         return dr.reinterpret_array(mi.UInt32, si.shape)

@@ -97,18 +97,26 @@ class CameraRecipe(StrictModel):
 
 Quality = Literal["draft", "standard", "reference"]
 QUALITIES: dict[Quality, dict[str, float | int | None]] = {
-    "draft": {"max_rel_mse": 0.02, "max_path_samples": 32, "auxiliary_samples": 16, "firefly_clamp": 30.0},
+    "draft": {
+        "max_rel_mse": 0.02,
+        "max_path_samples": 32,
+        "auxiliary_samples": 16,
+        "firefly_clamp": 30.0,
+        "irradiance_cache": True,
+    },
     "standard": {
         "max_rel_mse": 0.005,
         "max_path_samples": 256,
         "auxiliary_samples": 64,
         "firefly_clamp": 30.0,
+        "irradiance_cache": True,
     },
     "reference": {
         "max_rel_mse": 0.0005,
         "max_path_samples": 4096,
         "auxiliary_samples": 64,
         "firefly_clamp": None,
+        "irradiance_cache": False,
     },
 }
 """What the named qualities stand for; measured, see docs/decisions/0070."""
@@ -130,6 +138,8 @@ def _budget_contradictions(given: dict[str, Any]) -> list[str]:
             found.append(f"either quality or {' and '.join(named)}: a quality stands for them")
         if quality == "reference" and given.get("firefly_clamp") is not None:
             found.append("no firefly_clamp with quality reference, which leaves nothing out")
+        if quality == "reference" and given.get("irradiance_cache"):
+            found.append("no irradiance_cache with quality reference, which traces all light")
     if "path_samples" in given:
         others = [name for name in ("max_rel_mse", "max_path_samples") if name in given]
         if others:
@@ -149,12 +159,14 @@ class RenderRecipe(StrictModel):
     * ``path_samples``: so many light paths a pixel (the default, 8);
     * ``max_rel_mse``: render until the estimated relMSE of the finished beauty image against convergence is
       at most this (exposed, see :mod:`datagen.rendering.error`), or ``max_path_samples`` are reached;
-    * ``quality``: a name for such a target, :data:`QUALITIES`. ``max_path_samples``, ``auxiliary_samples``
-      and ``firefly_clamp`` may be given beside it. Numbers take its place as soon as the recipe is read, so
-      that a saved recipe means the same when a later version gives the name other numbers.
+    * ``quality``: a name for such a target, :data:`QUALITIES`. ``max_path_samples``, ``auxiliary_samples``,
+      ``firefly_clamp`` and ``irradiance_cache`` may be given beside it. Numbers take its place as soon as
+      the recipe is read, so that a saved recipe means the same when a later version gives the name others.
 
     ``firefly_clamp``: the most that a light path may bring by two or more reflections, in multiples of what
     the image's exposure shows as white; None clamps nothing, direct light is never clamped.
+    ``irradiance_cache``: paths may end behind their first broad reflection in irradiance that was gathered
+    for all views beforehand: faster, and slightly wrong (docs/decisions/0075).
     ``auxiliary_samples`` clean buffers a pixel. ``max_depth`` segments a path at most (the default, 8), or,
     if ``max_energy_left`` is given instead, as many as the scene's albedo asks for to leave at most that
     share of the light behind.
@@ -166,6 +178,7 @@ class RenderRecipe(StrictModel):
     max_rel_mse: Positive | None = None
     max_path_samples: Annotated[PathSamples, Field(ge=2)] | None = None
     firefly_clamp: Positive | None = None
+    irradiance_cache: bool = False
     auxiliary_samples: Annotated[int, Field(ge=1, le=4096)] = 64
     max_depth: Annotated[int, Field(ge=1, le=1024)] | None = None
     max_energy_left: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None

@@ -24,7 +24,8 @@ class RenderRecord(StrictModel):
     samples ran out before the target was met. ``firefly_clamp_radiance`` is the
     most that a path could bring by two or more reflections, ``clamped_energy`` the share of the luminance
     that this took away. ``max_energy_left`` bounds the share of the light that paths longer than
-    ``max_depth`` would have brought.
+    ``max_depth`` would have brought. ``irradiance_cell_m``: side of the cells whose cached irradiance ended
+    paths; none where all light was traced.
     """
 
     variant: str
@@ -41,6 +42,7 @@ class RenderRecord(StrictModel):
     firefly_clamp_radiance: NonNegative | None = None
     clamped_energy: Unit = 0.0
     max_energy_left: Unit | None = None
+    irradiance_cell_m: NonNegative | None = None
 
 
 class StatisticsRecord(StrictModel):

@@ -7,6 +7,8 @@ The estimator is that of Mitsuba's ``path`` (tests hold one against the other), 
 * samples of a pixel that are spread evenly in every pair of dimensions (:mod:`datagen.rendering.sobol`);
 * an environment seen through windows: shadow rays are sent through the openings where it shines in
   (:mod:`datagen.rendering.sky_guide`), where others nearly all end at walls;
+* a cache of the irradiance behind the first turn, for those who want speed
+  (:mod:`datagen.rendering.irradiance_cache`);
 * opacity: shadow rays are attenuated by what they cross instead of being stopped by it, so that leaves and
   curtains cast their own shadows also from point lights, and crossing them costs no path depth.
 
@@ -27,12 +29,19 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.rendering.irradiance_cache import (
+    IrradianceCache,
+    facing_normal,
+    learn_irradiance,
+    power_heuristic,
+)
 from datagen.rendering.sample_budget import PathSums
 from datagen.rendering.sky_guide import SkyGuide, learn_sky, observe_sky
 from datagen.rendering.sobol import OwenSobol
 
 if TYPE_CHECKING:
     from datagen.rendering.scene_builder import BuiltScene
+    from mitsuba_plugins.surface_material import SceneMaterials
 
 Array = Any
 
@@ -42,6 +51,10 @@ LATTICE = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence: 1/g and 1/g^2 with g^3 = g + 1."""
 MAX_CROSSINGS = 32
 """Transparent surfaces that one ray crosses before it counts as blocked."""
+LEAST_SPREAD = 8.0
+"""Sides of a cell over which a path has to have spread before it may end in the irradiance cache."""
+NARROW_PDF = 2.0
+"""Density [1/sr] from which a reflected direction is too particular for the mean of all directions."""
 
 TINY = 1e-30
 """Keeps the clamp's quotient finite for paths that bring nothing."""
@@ -71,14 +84,16 @@ class PathTracer:
         )
         self._is_hidden_shape = self._hidden_table(built) if built.hidden_shapes else None
         self.sky_guide: SkyGuide | None = None
+        self.irradiance: IrradianceCache | None = None
         # Recorded once: tracing the Python of hundreds of materials takes longer than a small pass of paths.
-        self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self._tables())
+        self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self.tables())
         _LIVE.add(self)
 
-    def _tables(self) -> list[Any]:
+    def tables(self) -> list[Any]:
         """Arrays that kernels read and that no argument brings."""
         guide = [] if self.sky_guide is None else self.sky_guide.arrays()
-        return [self._is_hidden_shape, *guide]
+        cache = [] if self.irradiance is None else self.irradiance.arrays()
+        return [self._is_hidden_shape, *guide, *cache]
 
     def learn_sky(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
         """Find out where the environment shines in (:mod:`datagen.rendering.sky_guide`), as ``sensors`` lead
@@ -89,7 +104,18 @@ class PathTracer:
             return
         with dr.suspend_grad():
             walks = (self._walk_from(sensor, num_samples, seed + k) for k, sensor in enumerate(sensors))
-            self.sky_guide = learn_sky(self.scene, observe_sky(self.scene, self._is_hidden, walks))
+            self.sky_guide = learn_sky(self.scene, observe_sky(self.scene, self.is_hidden, walks))
+
+    def learn_irradiance(
+        self, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
+    ) -> None:
+        """Find out how bright surfaces are (:mod:`datagen.rendering.irradiance_cache`), and let paths end
+        there from here on. ``num_pixels``: of all views, for which this is done."""
+        self.irradiance = None
+        self.forget_recordings()
+        if self.scene.emitters():
+            with dr.suspend_grad():
+                self.irradiance = learn_irradiance(self, materials, sensors, num_pixels, seed)
 
     def _walk_from(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
         """Rays through all pixels of a sensor, and a sampler for their ways."""
@@ -266,7 +292,7 @@ class PathTracer:
         num_crossed, active = mi.UInt32(0), mi.Bool(True)
         while active:
             si = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
-            is_seen = active & ~self._is_hidden(si, mi.UInt32(0))
+            is_seen = active & ~self.is_hidden(si, mi.UInt32(0))
             result += throughput * si.emitter(self.scene).eval(si, is_seen)
             active &= si.is_valid()
             if dr.hint(self._has_transparency, mode="scalar"):
@@ -289,20 +315,21 @@ class PathTracer:
         depth, num_crossed = mi.UInt32(0), mi.UInt32(0)
         previous = dr.zeros(mi.Interaction3f)
         previous_pdf, previous_is_delta = mi.Float(1.0), mi.Bool(True)
+        spread_m, is_cached, cached = mi.Float(0.0), mi.Bool(False), mi.Color3f(0.0)
         active = mi.Bool(True)
         while active:
             si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
 
             # ---- light that the ray met ---------------------------------------------------------------
-            is_seen = active & ~self._is_hidden(si, depth)
+            is_seen = active & ~self.is_hidden(si, depth)
             emitter = si.emitter(scene)
             shows = is_seen
             if dr.hint(not with_seen_lights, mode="scalar"):
                 shows = is_seen & (depth > 0)  # a new array: in place it would change is_seen too
             ds = mi.DirectionSample3f(scene, si, previous)
             emitter_pdf = scene.pdf_emitter_direction(previous, ds, is_seen & ~previous_is_delta)
-            emitter_pdf = self._mixed_pdf(previous.p, ray.d, emitter_pdf, ~si.is_valid())
-            weight = dr.select(previous_is_delta, 1.0, _power_heuristic(previous_pdf, emitter_pdf))
+            emitter_pdf = self.mixed_pdf(previous.p, ray.d, emitter_pdf, ~si.is_valid())
+            weight = dr.select(previous_is_delta, 1.0, power_heuristic(previous_pdf, emitter_pdf))
             met = throughput * emitter.eval(si, shows) * weight
 
             active_next = active & si.is_valid() & ((depth + 1 < self.max_depth) | ~is_seen)
@@ -311,7 +338,12 @@ class PathTracer:
             # ---- light sampled from here ----------------------------------------------------------------
             is_smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             active_emitter = active_next & is_seen & is_smooth
-            ds, radiance = self._sample_emitter(si, sampler, active_emitter)
+            if dr.hint(self.irradiance is not None, mode="scalar"):
+                returns = active_next & is_seen & (depth > 0)
+                spread_m += dr.select(returns, self._spread(previous, previous_pdf, si, ray.d), 0.0)
+                cached, is_cached = self._look_up(si, ray.d, spread_m, sampler.next_2d(), returns)
+                active_emitter &= ~is_cached  # what is cached includes direct light
+            ds, radiance = self.sample_emitter(si, sampler, active_emitter)
             active_emitter &= ds.pdf != 0.0
             wo = si.to_local(ds.d)
 
@@ -319,7 +351,7 @@ class PathTracer:
             value, pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
                 ctx, si, wo, sampler.next_1d(), sampler.next_2d(), active_next
             )
-            weight = dr.select(ds.delta, 1.0, _power_heuristic(ds.pdf, pdf))
+            weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))
             sampled = dr.select(active_emitter, throughput * value * radiance * weight, 0.0)
             direct += dr.select(depth <= 1, met, 0.0) + dr.select(depth == 0, sampled, 0.0)
             indirect += dr.select(depth <= 1, 0.0, met) + dr.select(depth == 0, 0.0, sampled)
@@ -328,6 +360,8 @@ class PathTracer:
             if dr.hint(self._is_hidden_shape is not None, mode="scalar"):
                 passes |= ~is_seen
                 bsdf_weight = dr.select(is_seen, bsdf_weight, 1.0)
+            ends = is_cached & ~passes & (bs.pdf < NARROW_PDF)
+            indirect += dr.select(ends, throughput * bsdf_weight * cached, 0.0)
             direction = dr.select(passes, ray.d, si.to_world(bs.wo))
             ray = si.spawn_ray(direction)
             throughput *= bsdf_weight
@@ -336,7 +370,8 @@ class PathTracer:
             previous = dr.select(scatters, mi.Interaction3f(si), previous)
             previous_pdf = dr.select(scatters, bs.pdf, previous_pdf)
             is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-            previous_is_delta = dr.select(scatters, is_delta, previous_is_delta)
+            # A narrow lobe that leaves the cache had no shadow ray: lights that it meets count in full.
+            previous_is_delta = dr.select(scatters, is_delta | is_cached, previous_is_delta)
             depth = dr.select(scatters, depth + 1, depth)
             num_crossed = dr.select(passes, num_crossed + 1, num_crossed)
 
@@ -346,17 +381,35 @@ class PathTracer:
             plays = scatters & (depth >= self.russian_roulette_depth)
             survives = sampler.next_1d() < survival
             throughput = dr.select(plays, throughput / dr.maximum(survival, 1e-30), throughput)
-            active = active_next & (~plays | survives) & (largest > 0.0) & (num_crossed < MAX_CROSSINGS)
+            active = (
+                active_next & ~ends & (~plays | survives) & (largest > 0.0) & (num_crossed < MAX_CROSSINGS)
+            )
         return direct, indirect
 
-    def _is_hidden(self, si: Any, depth: Array) -> Array:
+    @staticmethod
+    def _spread(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
+        """Side in metres of the area at ``si`` that a direction of density ``pdf`` stands for."""
+        cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
+        return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, TINY))
+
+    def _look_up(
+        self, si: Any, direction: Array, spread_m: Array, sample: Array, active: Array
+    ) -> tuple[Any, Any]:
+        """Mean radiance from all directions at a hit, E / pi, and whether the path may end with it."""
+        cache = self.irradiance
+        assert cache is not None
+        is_wide = active & (spread_m > LEAST_SPREAD * cache.cells.side)
+        irradiance, is_known = cache.interpolated(si.p, facing_normal(si, direction), sample, is_wide)
+        return irradiance / math.pi, is_known
+
+    def is_hidden(self, si: Any, depth: Array) -> Array:
         """Whether a ray that comes from the camera met a light that the camera does not see."""
         if self._is_hidden_shape is None:
             return mi.Bool(False)
         shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)
         return (depth == 0) & dr.gather(mi.Bool, self._is_hidden_shape, shape, si.is_valid())
 
-    def _sample_emitter(self, si: Any, sampler: Any, active: Array) -> tuple[Any, Any]:
+    def sample_emitter(self, si: Any, sampler: Any, active: Array) -> tuple[Any, Any]:
         """Direction to a light, and its radiance over the density, less what lies between."""
         if self.sky_guide is None:
             is_tested = not self._has_transparency
@@ -373,8 +426,8 @@ class PathTracer:
         is_blocked = self.scene.ray_test(si.spawn_ray_to(ds.p), reaches)
         return ds, dr.select(reaches & ~is_blocked, radiance, 0.0)
 
-    def _mixed_pdf(self, point: Array, direction: Array, own_pdf: Array, meets_sky: Array) -> Array:
-        """Density of :meth:`_sample_emitter`, from that of the scene's own sampling."""
+    def mixed_pdf(self, point: Array, direction: Array, own_pdf: Array, meets_sky: Array) -> Array:
+        """Density of :meth:`sample_emitter`, from that of the scene's own sampling."""
         if self.sky_guide is None:
             return own_pdf
         return self.sky_guide.mixed_pdf(point, direction, own_pdf, meets_sky)
@@ -400,10 +453,3 @@ class PathTracer:
                 left = mi.Color3f(0.0)
                 active = mi.Bool(False)
         return left
-
-
-def _power_heuristic(pdf: Array, other: Array) -> Array:
-    """Veach's power heuristic; 0 where both densities vanish."""
-    square, other_square = dr.square(pdf), dr.square(other)
-    total = square + other_square
-    return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)

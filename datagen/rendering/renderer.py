@@ -7,8 +7,8 @@ changes its radiance by tens of percent and smears it over its dark surroundings
 
 The scene is built once; a view is another set of camera numbers for the same kernels. Both passes use a
 box filter on the same pixels. Paths draw their samples from (configuration seed, view index, half) alone and
-are added in a fixed order, and fixed views find out beforehand where the sky shines in, so that a view's
-bytes do not depend on what was rendered before it or where.
+are added in a fixed order. Where the sky shines in and how bright surfaces are is found out beforehand from
+fixed views, so that a view's bytes do not depend on what was rendered before it or where.
 
 A recipe gives the number of paths, or an error: then passes are added to two independent halves of the image
 until the error estimated from them (:mod:`datagen.rendering.sample_budget`) is small enough.
@@ -57,6 +57,7 @@ COARSE_CELLS = 1024  # of the image whose brightness sets the firefly clamp
 COARSE_SAMPLES = 16  # a cell
 COARSE_VIEWS = 8  # at most, whose surfaces decide how long paths are, and that look for windows
 SKY_SAMPLES = 48  # a pixel of those, of paths that look for windows
+IRRADIANCE_VIEWS = 64  # at most, from which paths look for the irradiance of surfaces
 _FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
 
 
@@ -165,6 +166,8 @@ class SceneRenderer:
         self._max_depth, self._energy_left = self._path_depth()
         self._tracer = PathTracer(self.built, self._max_depth, recipe.russian_roulette_depth)
         self.learn_sky()
+        if recipe.irradiance_cache:
+            self.learn_irradiance()
         self._instances = {str(k): v for k, v in self.built.instance_names.items()}
         self._material_names = {str(k): v for k, v in self.built.material_names.items()}
         self.seconds_to_build = time.perf_counter() - start
@@ -173,6 +176,14 @@ class SceneRenderer:
         """Let some of the views find out where the environment shines in, for all paths from here on."""
         coarse = (self._sensor(camera) for _, camera in self._coarse_cameras())
         self._tracer.learn_sky(coarse, SKY_SAMPLES, self._seed(0, "sky"))
+
+    def learn_irradiance(self) -> None:
+        """Let all views together find out how bright surfaces are; paths may end there from here on."""
+        cameras = [view.camera() for view in self.configuration.cameras]
+        num_pixels = sum(camera.width_px * camera.height_px for camera in cameras)
+        chosen = cameras[:: math.ceil(len(cameras) / IRRADIANCE_VIEWS)]
+        sensors = (self._sensor(camera) for camera in chosen)
+        self._tracer.learn_irradiance(self._materials, sensors, num_pixels, self._seed(0, "irradiance"))
 
     def _path_depth(self) -> tuple[int, float | None]:
         """Segments of the longest path; with them, where the recipe asks for it, what is left behind."""
@@ -402,6 +413,8 @@ class SceneRenderer:
         fields: dict[str, Any] = {}
         if self._energy_left is not None:
             fields["max_energy_left"] = quantized(self._energy_left, 4)
+        if self._tracer.irradiance is not None:
+            fields["irradiance_cell_m"] = quantized(self._tracer.irradiance.cells.side_m, 4)
         if self._budget is not None and view.estimate is not None:
             fields["estimated_rel_mse"] = quantized(view.estimate.rel_mse, 4)
             fields["at_ceiling"] = not self._budget.is_met(view.estimate)

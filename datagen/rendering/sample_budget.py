@@ -182,7 +182,7 @@ class SampleBudget:
         if not errors.any():
             errors += 1.0  # the halves agree everywhere: what is wrong is the bias, which says not where
         before = tiles.means(counts)
-        for share in (0.25, 0.5, 1.0):
+        for share in (0.25, 0.5, 1.0, 2.0):
             after = _distribute(errors, before, tiles.areas, min(share * mean, room))
             gain = (errors * tiles.areas * before / after).sum() / (errors * tiles.areas).sum()
             if gain * (estimate.rel_mse + estimate.standard_error) <= self.max_rel_mse:

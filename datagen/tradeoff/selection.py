@@ -21,6 +21,7 @@ RENDER_FIELDS = (
     "max_depth",
     "russian_roulette_depth",
     "firefly_clamp",
+    "irradiance_cache",
 )
 """What a recommendation may change: the other fields change what a view is, not how well it is rendered."""
 

@@ -28,7 +28,8 @@ class Setting:
     """One way to render, gather and store a view.
 
     ``quality`` names a target of the recipe (its samples, clamp and auxiliary samples then count, not those
-    given here). ``firefly_clamp`` 0 clamps nothing. ``texture_shrink``: texels a side that become one.
+    given here). ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
+    ``texture_shrink``: texels a side that become one.
     ``image_scale``: share of the resolution's side; such images are enlarged again to be judged. ``storage``
     float keeps every channel in single precision.
     """
@@ -40,6 +41,7 @@ class Setting:
     max_depth: int = DEFAULT_MAX_DEPTH
     russian_roulette_depth: int = 5
     firefly_clamp: float = 0.0
+    irradiance_cache: int = 0
     texture_shrink: int = 1
     image_scale: float = 1.0
     best_views: int = 12
@@ -65,7 +67,8 @@ class Setting:
             return RenderRecipe.model_validate({**common, "quality": self.quality})
         samples = {"path_samples": self.path_samples, "auxiliary_samples": self.auxiliary_samples}
         clamp = {"firefly_clamp": self.firefly_clamp} if self.firefly_clamp else {}
-        return RenderRecipe.model_validate({**common, **samples, **clamp})
+        cache = {"irradiance_cache": bool(self.irradiance_cache)}
+        return RenderRecipe.model_validate({**common, **samples, **clamp, **cache})
 
     def differences(self, base: Setting) -> dict[str, Any]:
         """Fields in which it differs from another."""
@@ -85,6 +88,7 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "max_depth": (2, 3, 4, 6, 8, 12, 16),
     "russian_roulette_depth": (2, 3, 5, 8),
     "firefly_clamp": (0.0, 3.0, 10.0, 30.0, 100.0),
+    "irradiance_cache": (0, 1),
     "texture_shrink": (1, 2, 4, 8),
     "image_scale": (1.0, 0.75, 0.5),
     "best_views": (4, 8, 12, 24),
@@ -103,6 +107,7 @@ FACTORIAL: dict[str, tuple[Any, ...]] = {
 """Fields that interact; all combinations are tried."""
 _LIMITS: dict[str, tuple[float, float]] = {
     "firefly_clamp": (0.0, 1e6),
+    "irradiance_cache": (0, 1),
     "image_scale": (0.05, 1.0),
     "best_views": (4, 24),
 }

@@ -161,6 +161,7 @@ def _draw_point(axes: Axes, point: Point) -> None:
         return
     marker = {16: "s", 64: "o"}.get(setting.auxiliary_samples, "D")
     is_plain = setting.max_depth == 8 and setting.russian_roulette_depth == 5 and not setting.firefly_clamp
+    is_plain &= not setting.irradiance_cache
     if not is_plain:
         axes.plot(point.cpu_s, point.rel_mse, "x", ms=5, color="#777777")
         return

@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: MIT
+"""Irradiance of a scene's surfaces, gathered once for all of a configuration's views.
+
+Most of a path's time and noise lies behind the surface that its first turn meets, and all views of a room
+ask the same question there: how bright is this wall? So surfaces are divided into cells (a cube's part of one
+of six orientations), and each cell's irradiance E is estimated beforehand from all cameras together. A path
+may then end where it has spread over more than a few cells:
+
+    light that a broad lobe would have fetched = (lobe's value / its density) x E / pi,
+
+which is final gathering (Reichert 1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose
+records are means over cells. When a path has spread enough is decided as Mueller et al. do (Real-time Neural
+Radiance Caching, 2021): by the area that its directions' densities stand for.
+
+E is found in rounds: first by whole paths, so that light gets around, then as radiosity finds it, but by
+sampling: a shadow ray and one cosine-distributed ray from each point, whose hit sends on reflectance x E / pi
+of the rounds before. What this neglects, and what it costs: docs/decisions/0075.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.rendering.sobol import OwenSobol
+
+if TYPE_CHECKING:
+    from datagen.rendering.path_tracer import PathTracer
+    from mitsuba_plugins.surface_material import SceneMaterials
+
+Array = Any
+
+MOST_RAYS = 40960
+"""Camera rays that paths start with, of all views together; each finds irradiance at up to four places."""
+LEAST_RAYS = 4096
+PIXELS_PER_RAY = 16
+"""Pixels of all views for which there is one of those rays: what is shared must cost less than the views."""
+MOST_CELLS = 1 << 21
+"""Cells of the grid with ``MOST_RAYS``, nearly all of them empty air: 0.07 m in a room of 5 m."""
+BOX_PERCENTILE = 1.0
+"""Share of the visited points beyond each face of the grid's box: what light meets of the street is not the
+room."""
+BOX_MARGIN = 0.05
+"""What the box is larger than that, of its longest side."""
+LEAST_HITS = 64
+"""Rays that have to meet a surface for a cache to be worth anything."""
+TURNS = 3
+"""Reflections of the paths that look for irradiance in the end."""
+LONG_TURNS = 12
+"""And in the rounds before, so that light gets around: 0.9^12 of white walls' light is left for the next."""
+WARM_UP, ROUNDS = 6, 12
+"""Rounds of whole paths, whose results count ``KEEP`` as much with each that follows, and rounds that count
+fully."""
+WARM_UP_SHARE, KEEP = 4, 0.25
+"""What the rays are divided by in the former; what remains of the rounds before."""
+PRIOR_SAMPLES = 4.0
+"""A cell's mean is drawn towards that of the cells around it as if they had added so many samples."""
+LEVELS = 3
+"""How often the side of those surroundings is doubled."""
+MAX_CROSSINGS = 8
+"""Transparent surfaces that a ray crosses while learning."""
+INVERSE_PI = 1.0 / np.pi
+
+
+class SurfaceCells:
+    """A grid of cubes over a box, each with six orientations. ``side_m`` of a cube follows from the number of
+    cells; no side is less than 1/512 of the box's longest."""
+
+    def __init__(self, box_m: NDArray[np.float64], most_cells: int):
+        """``box_m`` (2, 3): lower and upper corner."""
+        extent = np.maximum(box_m[1] - box_m[0], 1e-6 * (box_m[1] - box_m[0]).max())
+        side = max(float((6.0 * extent.prod() / most_cells) ** (1.0 / 3.0)), float(extent.max()) / 512.0)
+        self.shape = tuple(int(n) for n in np.ceil(extent / side))
+        self.num_cells = 6 * int(np.prod(self.shape))
+        self.side_m = side
+        self.low = mi.Point3f(*(float(v) for v in box_m[0]))
+        self.side = mi.Float(side)
+        self.counts = mi.Vector3u(*self.shape)
+        dr.make_opaque(self.low, self.side, self.counts)
+
+    def arrays(self) -> list[Any]:
+        """All that a recorded kernel reads."""
+        return [self.low, self.side, self.counts]
+
+    def index(self, point: Array, normal: Array) -> tuple[Any, Any]:
+        """Cell of a point on a surface with this normal, and whether it lies in the box."""
+        place = dr.floor((point - self.low) / self.side)
+        is_inside = dr.all((place >= 0.0) & (place < mi.Vector3f(self.counts)))
+        cube: Any = mi.Vector3u(dr.select(is_inside, place, 0.0))
+        size: Any = dr.abs(normal)
+        is_x = (size.x >= size.y) & (size.x >= size.z)
+        is_y = ~is_x & (size.y >= size.z)
+        axis = dr.select(is_x, mi.UInt32(0), dr.select(is_y, mi.UInt32(1), mi.UInt32(2)))
+        along = dr.select(is_x, normal.x, dr.select(is_y, normal.y, normal.z))
+        orientation = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
+        columns = (orientation * self.counts.x + cube.x) * self.counts.y + cube.y
+        return columns * self.counts.z + cube.z, is_inside
+
+
+class IrradianceCache:
+    """Irradiance by cell: what was observed so far, and its means as kernels look them up.
+
+    Cells that were seen have a record, numbered from 1; record 0 stands for all others.
+    """
+
+    def __init__(self, cells: SurfaceCells):
+        self.cells = cells
+        self._record_of_cell = np.zeros(cells.num_cells, np.uint32)
+        self._cell_of_record = np.zeros(1, np.int64)
+        self._sums = np.zeros((1, 3))
+        self._counts = np.zeros(1)
+        self._upload(np.zeros((1, 3)))
+
+    def arrays(self) -> list[Any]:
+        """All that a recorded kernel reads."""
+        return [self.records, self.means, *self.cells.arrays()]
+
+    @property
+    def num_records(self) -> int:
+        """Cells whose irradiance is known."""
+        return len(self._counts) - 1
+
+    def add(self, cells: NDArray[np.int64], irradiance: NDArray[np.float64], keep: float = 1.0) -> None:
+        """Take samples (N, 3) of the irradiance in cells (N,) into the means; ``keep`` is the weight that
+        those before have from here on."""
+        new = np.unique(cells[self._record_of_cell[cells] == 0])
+        self._record_of_cell[new] = np.arange(len(self._counts), len(self._counts) + len(new))
+        self._cell_of_record = np.concatenate([self._cell_of_record, new])
+        record, size = self._record_of_cell[cells], len(self._cell_of_record)
+        self._sums = keep * np.concatenate([self._sums, np.zeros((len(new), 3))])
+        self._counts = keep * np.concatenate([self._counts, np.zeros(len(new))])
+        self._counts += np.bincount(record, minlength=size)
+        for channel in range(3):
+            self._sums[:, channel] += np.bincount(record, irradiance[:, channel], size)
+        self._upload(self._sums / np.maximum(self._counts, 1e-9)[:, None])
+
+    def finish(self) -> None:
+        """Draw the means of cells with few samples towards those of their surroundings."""
+        means = np.zeros_like(self._sums)
+        grid = (6, *self.cells.shape)
+        places = np.array(np.unravel_index(self._cell_of_record[1:], grid))
+        counts, sums = self._counts[1:], self._sums[1:]
+        around, prior = np.zeros((self.num_records, 3)), 0.0
+        for level in range(LEVELS, -1, -1):
+            blocks = np.ravel_multi_index((places[0], *(places[1:] >> level)), grid)
+            _, block = np.unique(blocks, return_inverse=True)
+            total = np.bincount(block, counts)[block]
+            added = np.stack([np.bincount(block, column)[block] for column in sums.T], axis=-1)
+            around = (added + prior * around) / (total + prior)[:, None]
+            prior = PRIOR_SAMPLES
+        means[1:] = around
+        self._upload(means)
+
+    def _upload(self, means: NDArray[np.float64]) -> None:
+        is_known = np.arange(len(means)) > 0
+        self.records = mi.UInt32(self._record_of_cell)
+        self.means = mi.Float(np.column_stack([means, is_known]).astype(np.float32).ravel())
+
+    def irradiance(self, point: Array, normal: Array, active: Array) -> tuple[Any, Any]:
+        """Irradiance (Color3f) of the cell at a point, and whether it is known."""
+        cell, is_inside = self.cells.index(point, normal)
+        active = active & is_inside
+        record = dr.gather(mi.UInt32, self.records, cell, active)
+        found: Any = dr.gather(mi.Vector4f, self.means, record, active)
+        return mi.Color3f(found.x, found.y, found.z), active & (found.w > 0.0)
+
+    def interpolated(self, point: Array, normal: Array, sample: Array, active: Array) -> tuple[Any, Any]:
+        """:meth:`irradiance` up to half a cell beside the point, by numbers in [0, 1): over many calls cells
+        blend into each other. Where the place beside is not known, that of the point itself."""
+        here, is_known = self.irradiance(point, normal, active)
+        frame = mi.Frame3f(normal)
+        shift = (sample - 0.5) * self.cells.side
+        beside, also = self.irradiance(point + frame.s * shift.x + frame.t * shift.y, normal, is_known)
+        return dr.select(also, beside, here), is_known
+
+
+def facing_normal(si: Any, direction: Array) -> Array:
+    """Normal of the geometry on the side that a ray of ``direction`` meets."""
+    return dr.mulsign(mi.Vector3f(si.n), -dr.dot(si.n, direction))
+
+
+def learn_irradiance(
+    tracer: PathTracer, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
+) -> IrradianceCache | None:
+    """Gather the irradiance that paths of ``tracer`` may end in; None where cameras see nothing.
+
+    ``sensors`` are asked one after the other, so that one object may stand for all. ``num_pixels`` of all
+    views together say how much may be spent.
+    """
+    num_rays = min(MOST_RAYS, max(LEAST_RAYS, num_pixels // PIXELS_PER_RAY))
+    views = [(sensor.view, tuple(int(v) for v in sensor.film().crop_size())) for sensor in sensors]
+    rays = _camera_rays(views, num_rays, seed)
+    points = _visited(tracer.scene, rays, seed)
+    if len(points) < LEAST_HITS:
+        return None
+    low, high = np.percentile(points, [BOX_PERCENTILE, 100.0 - BOX_PERCENTILE], axis=0)
+    margin = BOX_MARGIN * float((high - low).max())
+    if not margin > 0.0:
+        return None
+    # As many samples for each cell that has a surface in it: their number goes with the side's inverse square
+    most_cells = int(MOST_CELLS * (num_rays / MOST_RAYS) ** 1.5)
+    cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), most_cells))
+
+    def walk(scene: Any, ray: Any, sampler: Any, is_warm: Any) -> list[tuple[Any, ...]]:
+        return _walk(tracer, scene, materials, cache, ray, sampler, is_warm)
+
+    state = lambda *_: [*tracer.tables(), *materials.tables(), *cache.arrays()]  # noqa: E731
+    recorded: Any = dr.freeze(walk, state_fn=state)
+    gc.collect()
+    gc.disable()  # arrays that come to their end while kernels are recorded end the process
+    try:
+        for number in range(WARM_UP + ROUNDS):
+            is_warm = number >= WARM_UP
+            lane: Any = dr.arange(mi.UInt32, num_rays if is_warm else num_rays // WARM_UP_SHARE)
+            chosen: Any = lane if is_warm else lane * WARM_UP_SHARE
+            ray = dr.gather(mi.Ray3f, rays, chosen)
+            launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+            index = dr.opaque(mi.UInt32, number) + dr.zeros(mi.UInt32, dr.width(lane))
+            sampler = OwenSobol(index, mi.sample_tea_32(chosen, launch)[0])
+            steps = recorded(tracer.scene, ray, sampler, dr.opaque(mi.Bool, is_warm))
+            dr.eval(steps)
+            found = [(np.array(cell)[keep], np.array(light).T[keep]) for cell, light, keep in _arrays(steps)]
+            cells, light = (np.concatenate(parts) for parts in zip(*found, strict=True))
+            cache.add(cells.astype(np.int64), light.astype(np.float64), 1.0 if number > WARM_UP else KEEP)
+    finally:
+        gc.enable()
+        recorded.clear()
+    cache.finish()
+    return cache
+
+
+def _arrays(steps: list[tuple[Any, ...]]) -> Iterable[tuple[Any, Any, NDArray[np.bool_]]]:
+    for cell, is_found, light in steps:
+        yield cell, light, np.array(is_found)
+
+
+def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: int) -> Any:
+    """Rays through all views (``PinholePixels.view`` and size in pixels), spread evenly over each."""
+    from datagen.rendering.plugins import rays_through  # knows classes of the variant
+
+    parts = []
+    for number, (view, (width, height)) in enumerate(views):
+        share = num_rays * (number + 1) // len(views) - num_rays * number // len(views)
+        lane: Any = dr.arange(mi.UInt32, share)
+        camera: Any = dr.full(mi.UInt32, number, share)
+        launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+        key: Any = mi.sample_tea_32(camera, launch)[0]
+        position = OwenSobol(lane, key).next_2d() * mi.Vector2f(width, height)
+        ray = rays_through(view, position)
+        parts.append([np.array(ray.o), np.array(ray.d), np.broadcast_to(np.array(ray.maxt), share)])
+    origins, directions, reaches = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+    rays: Any = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
+    rays.maxt = mi.Float(reaches)
+    return rays
+
+
+def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
+    """Points (N, 3) that rays meet, and their reflections in all directions."""
+    launch: Any = dr.opaque(mi.UInt32, (seed + 1) & 0xFFFFFFFF)
+    lane: Any = dr.arange(mi.UInt32, dr.width(ray))
+    sampler = OwenSobol(dr.zeros(mi.UInt32, dr.width(ray)), mi.sample_tea_32(lane, launch)[0])
+    points, active = [], mi.Bool(True)
+    for _ in range(TURNS):
+        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
+        active &= si.is_valid()
+        local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        ray = si.spawn_ray(mi.Frame3f(facing_normal(si, ray.d)).to_world(local))
+        points.append(np.array(si.p).T[np.array(active)])
+    return np.concatenate(points).astype(np.float64)
+
+
+@dr.syntax
+def _walk(
+    tracer: Any, scene: Any, materials: Any, cache: Any, ray: Any, sampler: Any, is_warm: Any
+) -> list[tuple[Any, Any, Any]]:
+    """Of the surfaces that a path meets: cell, whether there is one, and one sample of its irradiance.
+
+    What a surface sends on is what its cell is known to receive if ``is_warm``, else what comes along the
+    rest of the path; behind the last turn, always the former.
+    """
+    ray = mi.Ray3f(ray)
+    cells: list[Any] = [mi.UInt32(0) for _ in range(TURNS + 1)]
+    is_found: list[Any] = [mi.Bool(False) for _ in range(TURNS + 1)]
+    irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(TURNS + 1)]
+    # What light that comes along the ray adds to the irradiance of each surface before
+    share: list[Any] = [mi.Color3f(0.0) for _ in range(TURNS + 1)]
+    last = dr.select(is_warm, mi.UInt32(TURNS), mi.UInt32(LONG_TURNS))
+    depth, num_crossed, active = mi.UInt32(0), mi.UInt32(0), mi.Bool(True)
+    previous = dr.zeros(mi.Interaction3f)
+    previous_pdf = mi.Float(1.0)
+    while active:
+        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
+        hits = active & si.is_valid()
+        is_light = hits & si.shape.is_emitter()
+        channels = materials.channels_at(si, hits)
+        passes = (hits & ~is_light & (sampler.next_1d() >= channels.opacity)) | tracer.is_hidden(si, depth)
+        arrives = active & ~passes
+
+        # ---- what the ray from the surface before has met -------------------------------------------------
+        ds = mi.DirectionSample3f(scene, si, previous)
+        emitter_pdf = scene.pdf_emitter_direction(previous, ds, arrives & (depth > 0))
+        emitter_pdf = tracer.mixed_pdf(previous.p, ray.d, emitter_pdf, ~si.is_valid())
+        emitted = si.emitter(scene).eval(si, arrives) * power_heuristic(previous_pdf, emitter_pdf)
+        normal = facing_normal(si, ray.d)
+        known, is_known = cache.irradiance(si.p, normal, arrives & hits)
+        diffuse, specular = channels.diffuse_albedo, channels.specular_albedo
+        reflectance = dr.minimum((1.0 - specular) * diffuse + specular_reflectance(channels), 1.0)
+        is_known &= is_warm | (depth > last)
+        came = np.pi * emitted + dr.select(is_known, reflectance * known, 0.0)
+
+        # ---- this surface ----------------------------------------------------------------------------------
+        turns = arrives & hits & (depth <= last)
+        ds, radiance = tracer.sample_emitter(si, sampler, turns)
+        cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
+        weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
+        direct = dr.select(turns & (ds.pdf > 0.0), radiance * cosine * weight, 0.0)
+        cell, is_inside = cache.cells.index(si.p, normal)
+        for turn in range(TURNS + 1):
+            irradiance[turn] += dr.select(arrives, share[turn] * came, 0.0)
+            share[turn] = dr.select(is_known, 0.0, dr.select(arrives, share[turn] * reflectance, share[turn]))
+            here = turns & (depth == turn)
+            cells[turn] = dr.select(here, cell, cells[turn])
+            is_found[turn] |= here & is_inside
+            share[turn] = dr.select(here, 1.0, share[turn])
+            irradiance[turn] += share[turn] * direct
+        local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        ray = si.spawn_ray(dr.select(turns, mi.Frame3f(normal).to_world(local), ray.d))
+        previous = dr.select(turns, mi.Interaction3f(si), previous)
+        previous_pdf = dr.select(turns, local.z * INVERSE_PI, previous_pdf)
+        depth = dr.select(turns, depth + 1, depth)
+        num_crossed = dr.select(passes, num_crossed + 1, num_crossed)
+        active = (turns | (active & passes)) & (num_crossed < MAX_CROSSINGS)
+    return list(zip(cells, is_found, irradiance, strict=True))
+
+
+def specular_reflectance(channels: Any) -> Array:
+    """Light of all directions that the specular lobe sends on, in [0, 1].
+
+    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere; how both parts fall with
+    roughness is a fit to the BSDF, to 0.01.
+    """
+    specular, square = channels.specular_albedo, channels.roughness * channels.roughness
+    grazing = (1.0 - specular) / 21.0 * dr.maximum(1.0 - 1.25 * square, 0.0)
+    return specular * (1.0 - 0.34 * square * channels.roughness) + grazing
+
+
+def power_heuristic(pdf: Array, other: Array) -> Array:
+    """Veach's power heuristic; 0 where both densities vanish."""
+    square, other_square = dr.square(pdf), dr.square(other)
+    total = square + other_square
+    return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: MIT
+"""The irradiance cache: cells, means, a furnace whose irradiance is known, and images with and without it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera, look_at
+from datagen.errors import InputError
+from datagen.formats.asset import SlotMaterial
+from datagen.formats.base import parse_model
+from datagen.formats.lights import PointLight
+from datagen.formats.recipe import RenderRecipe
+from datagen.rendering.renderer import SceneRenderer
+from tests.datagen.rendering_scenes import GREY, SmallScene, down_camera, quad, renderer
+from tests.datagen.test_rendering_depth import closed_room
+from tests.datagen.test_rendering_renderer import digest
+from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, walled_room
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+
+PLAIN = RenderRecipe(path_samples=4, auxiliary_samples=4, denoise=False, max_depth=16)
+CACHED = PLAIN.model_copy(update={"irradiance_cache": True})
+INDOORS = Camera(24, 16, 20, 20, 12, 8, look_at([0.5, -1.0, 1.2], [0.0, 1.0, 0.8]))
+BOX_M = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]])
+
+
+def cells_at(cells: Any, points: Any, normal: tuple[float, float, float]) -> tuple[NDArray, NDArray]:
+    import mitsuba as mi
+
+    index, is_inside = cells.index(mi.Point3f(np.array(points, np.float32).T), mi.Vector3f(*normal))
+    return np.array(index), np.broadcast_to(np.array(is_inside), len(points))
+
+
+def test_cells_tell_places_and_orientations_apart() -> None:
+    from datagen.rendering.irradiance_cache import SurfaceCells
+
+    cells = SurfaceCells(BOX_M, 6 * 2000)
+    assert cells.side_m == pytest.approx(0.1) and cells.shape == (20, 10, 10)
+    points = [[0.05, 0.55, 0.25], [0.08, 0.51, 0.29], [0.12, 0.55, 0.25], [-0.01, 0.5, 0.5], [1.0, 1.01, 0.5]]
+    index, is_inside = cells_at(cells, points, (0, 0, 1))
+    assert index[0] == index[1] != index[2] and is_inside.tolist() == [True, True, True, False, False]
+    normals = [(0.9, 0.1, -0.4), (-0.9, 0.1, 0.4), (0, 1, 0.9), (0.1, -1, 0), (0, 0.5, 1), (0.2, 0, -1)]
+    one_place = [int(cells_at(cells, points[:1], normal)[0][0]) for normal in normals]
+    assert len(set(one_place)) == 6 and max(one_place) < cells.num_cells
+    assert one_place[4] == index[0]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_cells_follow_the_scale_of_the_scene(scale: float) -> None:
+    from datagen.rendering.irradiance_cache import SurfaceCells
+
+    cells = SurfaceCells(BOX_M * scale, 6 * 2000)
+    assert cells.side_m == pytest.approx(0.1 * scale) and cells.num_cells <= 6 * 21 * 11 * 11
+    flat = SurfaceCells(np.array([[0.0, 0.0, 0.0], [scale, scale, 0.0]]), 1 << 21)
+    assert flat.side_m >= scale / 512 and flat.num_cells <= 6 * 512 * 512
+
+
+def test_means_forget_what_they_are_told_to_and_lean_on_their_surroundings() -> None:
+    import mitsuba as mi
+
+    from datagen.rendering.irradiance_cache import PRIOR_SAMPLES, IrradianceCache, SurfaceCells
+
+    cells = SurfaceCells(BOX_M, 6 * 2000)
+    cache = IrradianceCache(cells)
+    (near, beside, far), _ = cells_at(
+        cells, [[0.05, 0.05, 0.05], [0.15, 0.05, 0.05], [1.95, 0.95, 0.95]], (0, 0, 1)
+    )
+
+    def means(*points: list[float]) -> tuple[NDArray, NDArray]:
+        where = mi.Point3f(np.array(points, np.float32).T)
+        value, is_known = cache.irradiance(where, mi.Vector3f(0, 0, 1), mi.Bool(True))
+        return np.array(value).T, np.array(is_known)
+
+    assert not means([0.05, 0.05, 0.05])[1].any()
+    cache.add(np.array([near, near]), np.array([[1.0, 2.0, 3.0], [3.0, 4.0, 5.0]]))
+    assert means([0.05, 0.05, 0.05])[0][0] == pytest.approx([2, 3, 4])
+    cache.add(np.array([near]), np.array([[8.0, 8.0, 8.0]]), keep=0.5)  # two samples count as one
+    assert means([0.05, 0.05, 0.05])[0][0] == pytest.approx([5, 5.5, 6])
+    cache.add(
+        np.repeat([near, beside, far], [996, 1, 1]),
+        np.repeat([[10.0] * 3, [0.0] * 3, [7.0] * 3], [996, 1, 1], 0),
+    )
+    assert cache.num_records == 3
+    cache.finish()
+    value, is_known = means([0.05, 0.05, 0.05], [0.15, 0.05, 0.05], [1.95, 0.95, 0.95], [1.0, 0.5, 0.5])
+    assert is_known.tolist() == [True, True, True, False]
+    assert value[0] == pytest.approx([10] * 3, rel=0.02)
+    assert value[1] == pytest.approx([10 * PRIOR_SAMPLES / (1 + PRIOR_SAMPLES)] * 3, rel=0.02)
+    assert value[2] == pytest.approx([7] * 3)
+
+
+def irradiance(room: SceneRenderer) -> NDArray[np.float32]:
+    """Of all known cells, (N, 3)."""
+    cache = room._tracer.irradiance
+    assert cache is not None
+    table = np.array(cache.means).reshape(-1, 4)
+    assert np.isfinite(table).all() and (table >= 0).all()
+    return table[1:, :3]
+
+
+@pytest.mark.parametrize("reflectance", [0.0, 0.5, 0.8])
+def test_irradiance_of_a_closed_room_is_known(tmp_path: Path, reflectance: float) -> None:
+    """All that a bulb sends out is absorbed: mean irradiance x area x (1 - rho) is 4 pi x intensity."""
+    room = closed_room(None)
+    room.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (reflectance,) * 3})}
+    bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 2.0, 0.0))
+    made = renderer(tmp_path, room, [INDOORS], CACHED, lights=(bulb,))
+    found = np.average(irradiance(made), axis=0, weights=wall_areas(made))
+    expected = 4.0 * np.pi / (64.0 * (1.0 - reflectance))
+    assert found == pytest.approx([expected, 2 * expected, 0.0], rel=0.03)
+
+
+def wall_areas(room: SceneRenderer) -> NDArray[np.float64]:
+    """Part of the walls of a closed room that lies in each known cell, (N,)."""
+    cache = room._tracer.irradiance
+    assert cache is not None
+    cells = cache.cells
+    orientation, *cube = np.unravel_index(cache._cell_of_record[1:], (6, *cells.shape))
+    low = np.array(cells.low).T.ravel() + cells.side_m * np.stack(cube, axis=-1)
+    inside = np.minimum(low + cells.side_m, [2, 2, 2]) - np.maximum(low, [-2, -2, 0])
+    inside[np.arange(len(low)), orientation // 2] = 1.0
+    return inside.prod(axis=1)
+
+
+def test_reflectance_of_the_specular_lobe_is_that_of_the_bsdf() -> None:
+    import drjit as dr
+    import mitsuba as mi
+
+    from datagen.rendering.irradiance_cache import specular_reflectance
+    from mitsuba_plugins.surface_material import SurfaceChannels
+
+    numbers = np.random.default_rng(7).random((4, 1 << 16), np.float32)
+    for specular in (0.0, 0.04, 0.5):
+        for roughness in (0.05, 0.5, 0.8, 1.0):
+            material = {"type": "cook_torrance", "diffuse_albedo": 0.0, "roughness": roughness}
+            bsdf = mi.load_dict({**material, "specular_albedo": specular})
+            si = dr.zeros(mi.SurfaceInteraction3f, numbers.shape[1])
+            si.wi = mi.warp.square_to_cosine_hemisphere(mi.Point2f(numbers[:2]))
+            draws = mi.Float(numbers[2]), mi.Point2f(numbers[[3, 2]])
+            _, weight = bsdf.sample(mi.BSDFContext(), si, *draws)
+            channels = SurfaceChannels(None, mi.Color3f(specular), mi.Float(roughness), None, None)
+            fit = float(np.array(specular_reflectance(channels))[0, 0])
+            assert fit == pytest.approx(float(dr.mean(weight.x)[0]), abs=0.015 + 0.05 * specular)
+
+
+def test_irradiance_does_not_pass_a_wall(tmp_path: Path) -> None:
+    """A lamp on one side of a thin wall, a camera on each: the dark side stays dark."""
+    parts = {
+        "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
+        "wall": (quad([0, -2, 0], [0, 4, 0], [0, 0, 2]), "grey"),
+        "ceiling": (quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]), "grey"),
+        "left": (quad([-2, -2, 0], [0, 4, 0], [0, 0, 2]), "grey"),
+        "right": (quad([2, 2, 0], [0, -4, 0], [0, 0, 2]), "grey"),
+        "front": (quad([2, -2, 0], [-4, 0, 0], [0, 0, 2]), "grey"),
+        "back": (quad([-2, 2, 0], [4, 0, 0], [0, 0, 2]), "grey"),
+    }
+    cameras = [
+        Camera(24, 16, 12, 12, 12, 8, look_at([side, -1.5, 1.2], [side, 1.0, 0.6])) for side in (-1.0, 1.0)
+    ]
+    bulb = PointLight(name="bulb", position_m=(-1.0, 0.0, 1.5), intensity=(5.0, 5.0, 5.0))
+    room = renderer(tmp_path, SmallScene(parts), cameras, CACHED, lights=(bulb,))
+    lit, dark = (room.render_view(k).buffers["beauty"] for k in (0, 1))
+    assert lit.mean() > 0.1
+    # cells of the floor lie on both sides of a wall that has no thickness
+    assert dark.mean() < 0.01 * lit.mean()
+
+
+@pytest.mark.parametrize("lights", [(LAMP,), (DAYLIGHT,)], ids=["lamp", "daylight"])
+def test_images_agree_with_those_of_whole_paths_and_have_less_noise(tmp_path: Path, lights: Any) -> None:
+    made = {}
+    for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
+        room = renderer(tmp_path / name, walled_room(), CAMERAS, recipe, lights=lights)
+        sensor = room._sensor(CAMERAS[0])
+        made[name] = np.stack([room._tracer.add_up(sensor, 128, seed).mean() for seed in range(8)])
+    means = {name: images.mean(axis=0) for name, images in made.items()}
+    variances = {name: images.var(axis=0, ddof=1).mean() for name, images in made.items()}
+    assert means["cached"].mean() == pytest.approx(means["plain"].mean(), rel=0.03)
+    scale = means["plain"].mean()
+    noise = np.sqrt((variances["plain"] + variances["cached"]) / 8)
+    difference = np.sqrt(((means["cached"] - means["plain"]) ** 2).mean())
+    assert difference < 0.05 * scale + 1.5 * noise
+    assert variances["cached"] < variances["plain"]
+
+
+def test_bytes_do_not_depend_on_order_and_the_record_says_so(tmp_path: Path) -> None:
+    room = renderer(tmp_path / "a", walled_room(), CAMERAS, CACHED, lights=(LAMP,))
+    both = [room.render_view(k) for k in (0, 1)]
+    again = renderer(tmp_path / "b", walled_room(), CAMERAS, CACHED, lights=(LAMP,)).render_view(1)
+    assert digest(again) == digest(both[1])
+    cache = room._tracer.irradiance
+    assert cache is not None and again.render.irradiance_cell_m == pytest.approx(cache.cells.side_m, rel=1e-3)
+    plain = renderer(tmp_path / "c", walled_room(), CAMERAS, PLAIN, lights=(LAMP,)).render_view(1)
+    assert plain.render.irradiance_cell_m is None
+
+
+def test_light_passes_what_is_half_transparent(tmp_path: Path) -> None:
+    """Behind a curtain of opacity 0.4 in the window, paths find what whole paths find."""
+    means = []
+    for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
+        scene = walled_room(curtain=True)
+        room = renderer(tmp_path / name, scene, CAMERAS, recipe, lights=(DAYLIGHT,))
+        means.append(room._tracer.add_up(room._sensor(CAMERAS[0]), 512, 3).mean().mean())
+    assert means[1] == pytest.approx(means[0], rel=0.05)
+
+
+def test_nothing_to_see_or_no_light_means_no_cache(tmp_path: Path) -> None:
+    away = Camera(24, 16, 20, 20, 12, 8, look_at([0, 0, 3], [0, 0, 6], up=(0.0, 1.0, 0.0)))
+    assert renderer(tmp_path / "away", None, [away], CACHED, lights=(LAMP,))._tracer.irradiance is None
+    dark = renderer(tmp_path / "dark", None, [down_camera()], CACHED)
+    assert dark._tracer.irradiance is None and dark.render_view(0).render.irradiance_cell_m is None
+
+
+def test_white_walls_do_not_run_away(tmp_path: Path) -> None:
+    """Where everything reflects all light, rounds add light without end, but only so much each."""
+    white = SlotMaterial(diffuse_albedo=(1, 1, 1), specular_albedo=(1, 1, 1), roughness=0.3)
+    room = closed_room(None)
+    room.slots = {"wall": white}
+    bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 1.0, 1.0))
+    found = irradiance(renderer(tmp_path, room, [INDOORS], CACHED, lights=(bulb,)))
+    assert found.mean() < 30 * 4 * np.pi / 32  # rounds x what the bulb sends on 32 square metres
+
+
+def test_reference_quality_has_no_cache() -> None:
+    assert parse_model(RenderRecipe, {"quality": "standard"}, "recipe.yaml").irradiance_cache
+    assert not parse_model(RenderRecipe, {"quality": "reference"}, "recipe.yaml").irradiance_cache
+    assert not parse_model(
+        RenderRecipe, {"quality": "draft", "irradiance_cache": False}, "r"
+    ).irradiance_cache
+    with pytest.raises(InputError, match="no irradiance_cache with quality reference"):
+        parse_model(RenderRecipe, {"quality": "reference", "irradiance_cache": True}, "recipe.yaml")
