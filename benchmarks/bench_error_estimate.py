@@ -7,8 +7,8 @@
 Three configurations of the bundled library and three imported scenes (from ../shared/data, or SCENE_DATA),
 five views each, small images. Each view has two independent references of 2,048 paths a pixel or more; they
 are written to --cache as EXR one after the other, so that the command can be stopped and started again. Each
-view is rendered as the renderer does it, pass by pass; at every total the estimated error is set against the
-true one.
+view is rendered as `draft` and `standard` are, with clamp and irradiance cache, pass by pass; at every total
+the estimated error is set against the true one. References are of whole paths without a clamp.
 """
 
 from __future__ import annotations
@@ -118,12 +118,18 @@ def reference(
 
 
 def references(renderer: SceneRenderer, index: int, samples: int, folder: Path) -> list[NDArray[np.float32]]:
-    """Two independent references of a view."""
+    """Two independent references of a view, of whole paths."""
     configuration = renderer.configuration
     camera = configuration.cameras[index]
     digest = sha256_hex(canonical_json(configuration))[:8]
     stem = f"{configuration.id}-{digest}-{camera.width_px}x{camera.height_px}-{index}-{samples}"
-    return [reference(renderer, index, half, samples, folder / f"{stem}-{half}.exr") for half in (0, 1)]
+    tracer, cache = renderer._tracer, renderer._tracer.irradiance
+    tracer.irradiance = None
+    tracer.forget_recordings()
+    pair = [reference(renderer, index, half, samples, folder / f"{stem}-{half}.exr") for half in (0, 1)]
+    tracer.irradiance = cache
+    tracer.forget_recordings()
+    return pair
 
 
 def measure_view(
@@ -256,6 +262,7 @@ def main() -> None:
     parser.add_argument("--reference-samples", type=int, default=2048, help="paths a pixel in each of two")
     parser.add_argument("--most", type=int, default=128, help="samples of the last pass")
     parser.add_argument("--clamp", type=float, default=QUALITIES["standard"]["firefly_clamp"])
+    parser.add_argument("--whole-paths", action="store_true", help="measure without the irradiance cache")
     parser.add_argument("--cache", type=Path, default=RESULTS)
     parser.add_argument("--out", type=Path, default=RESULTS / "bench_error_estimate.json")
     parser.add_argument("--plot", type=Path, default=IMAGE)
@@ -263,7 +270,12 @@ def main() -> None:
     folder = arguments.cache / "references"
     folder.mkdir(parents=True, exist_ok=True)
     points: list[Point] = []
-    recipe = RenderRecipe(max_rel_mse=1e-9, max_path_samples=1 << 16, firefly_clamp=arguments.clamp)
+    recipe = RenderRecipe(
+        max_rel_mse=1e-9,
+        max_path_samples=1 << 16,
+        firefly_clamp=arguments.clamp,
+        irradiance_cache=not arguments.whole_paths,
+    )
     for name, configuration, library in scenes(arguments.scenes, arguments.cache, tuple(arguments.size)):
         renderer = SceneRenderer(configuration, library, recipe)
         for index in range(min(arguments.views, len(configuration.cameras))):

@@ -5,8 +5,9 @@
     python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
 
 Plans configurations of the bundled library and sweeps ``draft`` and ``standard`` (``reference`` too with
-``--reference``, which takes long) against fixed sample counts. A quality's excess is its cost over what the
-front of fixed counts needs for the same error, in processor seconds and in light paths. Qualities know the
+``--reference``, which takes long) against fixed sample counts, with all light traced and with the irradiance
+cache and the clamp that the two have. A quality's excess is its cost over what the front of all those needs
+for the same error, in processor seconds and in light paths. Qualities know the
 error of each view, fixed counts do not: over rooms that differ, an excess below 1 is to be expected; a
 quality pays for it with a denoiser run or two more a pass. Allowed: --slack in light paths (which no machine
 changes), --time-slack in processor seconds. Trials are kept in --out and not repeated.
@@ -18,6 +19,7 @@ import argparse
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from datagen.formats.base import canonical_json
@@ -27,6 +29,7 @@ from datagen.tradeoff.sweep import Sweep, SweepOptions
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIXED = "path_samples=2,4,8,16,32,64,128,256"
+CLAMP = 30.0  # of draft and standard
 SLACK, TIME_SLACK = 1.25, 1.5
 
 
@@ -80,12 +83,15 @@ def main() -> None:
     )
     folder = planned_folder(arguments.out, arguments.configurations)
     sweep = Sweep(folder, arguments.out / "sweep", options)
+    fixed = [setting for setting in sweep.settings if not setting.quality]
+    sweep.settings += [replace(setting, irradiance_cache=1, firefly_clamp=CLAMP) for setting in fixed]
     points = points_of(sweep.run(lambda what, _: print(what, file=sys.stderr)))
     found = excesses(points)
     print("| setting | relMSE | worst room | light paths | processor s | excess: paths | excess: time |")
     print("|---|---|---|---|---|---|---|")
     for p in sorted(points, key=lambda p: p.rel_mse, reverse=True):
         name = p.setting.quality or f"{p.setting.path_samples} paths"
+        name += ", cached" if p.setting.irradiance_cache else ""
         excess = found.get(p.setting.quality)
         cells = f"{excess['path_samples']:.2f} | {excess['cpu_s']:.2f}" if excess else " | "
         print(

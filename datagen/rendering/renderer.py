@@ -165,12 +165,16 @@ class SceneRenderer:
         self._materials = self._make_materials()
         self._max_depth, self._energy_left = self._path_depth()
         self._tracer = PathTracer(self.built, self._max_depth, recipe.russian_roulette_depth)
-        self.learn_sky()
-        if recipe.irradiance_cache:
-            self.learn_irradiance()
+        self.learn()
         self._instances = {str(k): v for k, v in self.built.instance_names.items()}
         self._material_names = {str(k): v for k, v in self.built.material_names.items()}
         self.seconds_to_build = time.perf_counter() - start
+
+    def learn(self) -> None:
+        """Find out beforehand what the recipe's paths need to know of the whole scene."""
+        self.learn_sky()
+        if self.recipe.irradiance_cache:
+            self.learn_irradiance()
 
     def learn_sky(self) -> None:
         """Let some of the views find out where the environment shines in, for all paths from here on."""

@@ -3,7 +3,8 @@
 
 Stages run one after the other so that each one's seconds are its own; in production they overlap, and a view
 costs about their processor seconds divided by the cores. The first view is rendered twice: what it compiles
-is not counted. Seconds are medians over views.
+is not counted. Seconds are medians over views, and with them a view's share of what is learned about the
+whole scene beforehand.
 
 * ``rel_mse``: exposed relMSE of the stored beauty (``datagen.rendering.error``), mean over views;
 * ``maps_error``: mean absolute error of D, S, R and the normal, over pixels that are surface;
@@ -33,6 +34,7 @@ from datagen.tradeoff.settings import Setting
 
 if TYPE_CHECKING:
     from datagen.library import Library
+    from datagen.rendering.renderer import SceneRenderer
 
 ERROR_MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world")
 STAGES = ("render", "statistics", "compress")
@@ -98,6 +100,7 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     start = time.process_time()
     renderer = SceneRenderer(at_size, library, setting.recipe(), caches, _denoiser(setting))
     build_cpu_s = time.process_time() - start
+    learning = _learning(renderer)
     renderer.render_view(0)
     watch = Stopwatch()
     rendered = []
@@ -121,6 +124,8 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     errors = [_errors(reference, index, buffers) for index, buffers in enumerate(stored)]
     seconds = watch.medians()
     total = seconds.pop("total")
+    for kind, spent in learning.items():  # once for all views
+        total[kind] += spent / len(rendered)
     passes = sorted({name for view in rendered for name in view.seconds})
     map_errors = {name: float(np.mean([e[name] for e in errors])) for name in ERROR_MAPS}
     return Trial(
@@ -142,6 +147,13 @@ def measure(configuration: Configuration, library: Library, reference: Reference
         build_cpu_s=build_cpu_s,
         num_views=len(rendered),
     )
+
+
+def _learning(renderer: SceneRenderer) -> dict[str, float]:
+    """Seconds that it takes to learn about the scene, kernels being there."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    renderer.learn()
+    return {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
 
 
 def _scaled(configuration: Configuration, share: float) -> Configuration:
