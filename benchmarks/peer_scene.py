@@ -188,12 +188,14 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
 
 
 def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
-    """Two independent converged images of each view that is not there yet, ``view_000.npz``."""
+    """Two independent converged images of each view that is not there yet, ``view_000.npz``; no light in them
+    comes from a cache."""
     from benchmarks.bench_view import reference_half
     from datagen.rendering.renderer import SceneRenderer
 
     configuration, library, planned = open_folder(folder)
-    renderer = SceneRenderer(configuration, library, planned.read_recipe().render)
+    recipe = planned.read_recipe().render.model_copy(update={"irradiance_cache": False})
+    renderer = SceneRenderer(configuration, library, recipe)
     out.mkdir(parents=True, exist_ok=True)
     for view in views:
         path = out / f"view_{view:03}.npz"
