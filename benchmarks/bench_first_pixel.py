@@ -53,7 +53,9 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
     from datagen.rendering.renderer import SceneRenderer
 
     mark("renderer's imports")
-    recipe = RenderRecipe(variant="llvm_ad_rgb", path_samples=1, auxiliary_samples=1, denoise=False)
+    recipe = RenderRecipe(
+        variant="llvm_ad_rgb", path_samples=1, auxiliary_samples=1, denoise=False, irradiance_cache=True
+    )
     if profile is not None:
         import cProfile
 

@@ -19,7 +19,6 @@ of the rounds before. What this neglects, and what it costs: docs/decisions/0075
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +27,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.rendering.recording import undisturbed
 from datagen.rendering.sobol import OwenSobol
 
 if TYPE_CHECKING:
@@ -210,34 +210,35 @@ def learn_irradiance(
     def walk(scene: Any, ray: Any, sampler: Any, is_warm: Any) -> list[tuple[Any, ...]]:
         return _walk(tracer, scene, materials, cache, ray, sampler, is_warm)
 
-    state = lambda *_: [*tracer.tables(), *materials.tables(), *cache.arrays()]  # noqa: E731
+    def state(*_: Any) -> list[Any]:
+        return [*tracer.tables(), *materials.tables(), *cache.arrays()]
+
     recorded: Any = dr.freeze(walk, state_fn=state)
-    gc.collect()
-    gc.disable()  # arrays that come to their end while kernels are recorded end the process
-    try:
-        for number in range(WARM_UP + ROUNDS):
-            is_warm = number >= WARM_UP
-            lane: Any = dr.arange(mi.UInt32, num_rays if is_warm else num_rays // WARM_UP_SHARE)
-            chosen: Any = lane if is_warm else lane * WARM_UP_SHARE
-            ray = dr.gather(mi.Ray3f, rays, chosen)
-            launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
-            index = dr.opaque(mi.UInt32, number) + dr.zeros(mi.UInt32, dr.width(lane))
-            sampler = OwenSobol(index, mi.sample_tea_32(chosen, launch)[0])
+    for number in range(WARM_UP + ROUNDS):
+        is_warm = number >= WARM_UP
+        lane: Any = dr.arange(mi.UInt32, num_rays if is_warm else num_rays // WARM_UP_SHARE)
+        chosen: Any = lane if is_warm else lane * WARM_UP_SHARE
+        launch: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+        index = dr.opaque(mi.UInt32, number) + dr.zeros(mi.UInt32, dr.width(lane))
+        sampler = OwenSobol(index, mi.sample_tea_32(chosen, launch)[0])
+        ray = dr.gather(mi.Ray3f, rays, chosen)
+        with undisturbed():
             steps = recorded(tracer.scene, ray, sampler, dr.opaque(mi.Bool, is_warm))
-            dr.eval(steps)
-            found = [(np.array(cell)[keep], np.array(light).T[keep]) for cell, light, keep in _arrays(steps)]
-            cells, light = (np.concatenate(parts) for parts in zip(*found, strict=True))
-            cache.add(cells.astype(np.int64), light.astype(np.float64), 1.0 if number > WARM_UP else KEEP)
-    finally:
-        gc.enable()
-        recorded.clear()
+        dr.eval(steps)
+        cache.add(*_observed(steps), keep=1.0 if number > WARM_UP else KEEP)
+    recorded.clear()
     cache.finish()
     return cache
 
 
-def _arrays(steps: list[tuple[Any, ...]]) -> Iterable[tuple[Any, Any, NDArray[np.bool_]]]:
-    for cell, is_found, light in steps:
-        yield cell, light, np.array(is_found)
+def _observed(steps: list[tuple[Any, Any, Any]]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Cells (N,) and samples of their irradiance (N, 3) from what :func:`_walk` returns."""
+    cells, samples = [], []
+    for cell, is_found, irradiance in steps:
+        chosen = np.array(is_found)
+        cells.append(np.array(cell)[chosen].astype(np.int64))
+        samples.append(np.array(irradiance).T[chosen].astype(np.float64))
+    return np.concatenate(cells), np.concatenate(samples)
 
 
 def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: int) -> Any:

@@ -35,6 +35,7 @@ from datagen.rendering.irradiance_cache import (
     learn_irradiance,
     power_heuristic,
 )
+from datagen.rendering.recording import undisturbed
 from datagen.rendering.sample_budget import PathSums
 from datagen.rendering.sky_guide import SkyGuide, learn_sky, observe_sky
 from datagen.rendering.sobol import OwenSobol
@@ -218,9 +219,10 @@ class PathTracer:
             cell_px: Any = mi.Vector2f(film[0] / size[0], film[1] / size[1])
             dr.make_opaque(cell_px)
             limit_of_paths = dr.opaque(mi.Float, limit)
-            channels = self._recorded(
-                self.scene, sampler, sensor.view, corner, cell_px, limit_of_paths, with_seen_lights
-            )
+            with undisturbed():
+                channels = self._recorded(
+                    self.scene, sampler, sensor.view, corner, cell_px, limit_of_paths, with_seen_lights
+                )
             sums = [dr.block_sum(channel, count) for channel in channels]
             dr.eval(sums)
         return [np.array(s).astype(np.float64) for s in sums]

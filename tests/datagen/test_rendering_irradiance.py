@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -224,6 +226,41 @@ def test_white_walls_do_not_run_away(tmp_path: Path) -> None:
     bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 1.0, 1.0))
     found = irradiance(renderer(tmp_path, room, [INDOORS], CACHED, lights=(bulb,)))
     assert found.mean() < 30 * 4 * np.pi / 32  # rounds x what the bulb sends on 32 square metres
+
+
+RECORDS_IN_GARBAGE = """
+import gc, sys
+from pathlib import Path
+import numpy as np
+from mitsuba_plugins.variant import select_variant
+select_variant("llvm_ad_rgb")
+import mitsuba as mi
+from tests.datagen.test_rendering_irradiance import CACHED, CAMERAS, LAMP, renderer, walled_room
+
+class Loop: pass
+room = renderer(Path(sys.argv[1]), walled_room(), CAMERAS, CACHED, lights=(LAMP,))
+gc.collect()
+gc.disable()
+loop = Loop()
+loop.itself, loop.array = loop, mi.UInt32(np.arange(1 << 16, dtype=np.uint32))
+del loop
+room._tracer.forget_recordings()
+gc.set_threshold(0)
+trace = room._tracer.sample
+def tracing(*arguments):
+    gc.collect() if gc.isenabled() else None
+    return trace(*arguments)
+room._tracer.sample = tracing
+gc.enable()
+room._tracer.add_up(room._sensor(CAMERAS[0]), 1, 0)
+"""
+
+
+def test_garbage_waits_until_kernels_are_recorded(tmp_path: Path) -> None:
+    """An array on NumPy's memory, kept alive by a cycle alone, would end the process while recording."""
+    command = [sys.executable, "-c", RECORDS_IN_GARBAGE, str(tmp_path / "room")]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_reference_quality_has_no_cache() -> None:
