@@ -152,7 +152,8 @@ class SampleBudget:
     over the image, which is what a view costs.
 
     Both halves have the same samples in each pixel. The first pass is uniform; then samples go to the
-    tiles whose denoised halves differ, as many as bring the image to its target, or twice as many as before.
+    tiles whose denoised halves differ: as many as bring the image to its target, or twice as many as all
+    before.
     """
 
     max_rel_mse: float
