@@ -8,7 +8,7 @@ Three configurations of the bundled library and three imported scenes (from ../s
 five views each, small images. Each view has two independent references of 2,048 paths a pixel or more; they
 are written to --cache as EXR one after the other, so that the command can be stopped and started again. Each
 view is rendered as `draft` and `standard` are, with clamp and irradiance cache, pass by pass; at every total
-the estimated error is set against the true one. References are of whole paths without a clamp.
+the estimated error is set against the true one. References are of paths of 32 segments without a clamp.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from datagen.library import Library, resolve_library_paths
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import PathSums, SampleBudget
+from datagen.tradeoff.reference import MAX_DEPTH, RUSSIAN_ROULETTE_DEPTH
 
 BUNDLED = ("living_room", "kitchen", "bathroom")
 IMPORTED = ("staircase", "veach-ajar", "bathroom2")
@@ -103,13 +104,20 @@ def read_rgb(path: Path) -> NDArray[np.float32]:
 def reference(
     renderer: SceneRenderer, index: int, half: int, samples: int, path: Path
 ) -> NDArray[np.float32]:
-    """Mean of ``samples`` unclamped paths a pixel, (H, W, 3), without seen lights; read if it is there."""
+    """Mean of ``samples`` unclamped paths a pixel, (H, W, 3), without seen lights; read if it is there.
+
+    All light is traced, and further than the renderer does it: what a cache holds has no longest path.
+    """
+    from datagen.rendering.path_tracer import PathTracer
+
     if not path.is_file():
         sensor = renderer._sensor(renderer.configuration.cameras[index].camera())
+        tracer = PathTracer(renderer.built, MAX_DEPTH, RUSSIAN_ROULETTE_DEPTH)
+        tracer.sky_guide = renderer._tracer.sky_guide
         sums = PathSums()
         for number in range(math.ceil(samples / CHUNK)):
             seed = 0x5EED0000 + 0x10000 * half + number
-            sums = sums + renderer._tracer.add_up(sensor, CHUNK, seed)
+            sums = sums + tracer.add_up(sensor, CHUNK, seed)
         partial = path.with_suffix(".partial")
         with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": sums.mean()}) as file:
             file.write(str(partial))
@@ -118,18 +126,13 @@ def reference(
 
 
 def references(renderer: SceneRenderer, index: int, samples: int, folder: Path) -> list[NDArray[np.float32]]:
-    """Two independent references of a view, of whole paths."""
+    """Two independent references of a view."""
     configuration = renderer.configuration
     camera = configuration.cameras[index]
     digest = sha256_hex(canonical_json(configuration))[:8]
-    stem = f"{configuration.id}-{digest}-{camera.width_px}x{camera.height_px}-{index}-{samples}"
-    tracer, cache = renderer._tracer, renderer._tracer.irradiance
-    tracer.irradiance = None
-    tracer.forget_recordings()
-    pair = [reference(renderer, index, half, samples, folder / f"{stem}-{half}.exr") for half in (0, 1)]
-    tracer.irradiance = cache
-    tracer.forget_recordings()
-    return pair
+    size = f"{camera.width_px}x{camera.height_px}"
+    stem = f"{configuration.id}-{digest}-{size}-{index}-{samples}-{MAX_DEPTH}"
+    return [reference(renderer, index, half, samples, folder / f"{stem}-{half}.exr") for half in (0, 1)]
 
 
 def measure_view(
