@@ -169,7 +169,7 @@ class RenderRecipe(StrictModel):
     for all views beforehand: faster, and slightly wrong (docs/decisions/0075).
     ``auxiliary_samples`` clean buffers a pixel. ``max_depth`` segments a path at most (the default, 8), or,
     if ``max_energy_left`` is given instead, as many as the scene's albedo asks for to leave at most that
-    share of the light behind.
+    share of the light behind; cached irradiance has had any number of reflections.
     """
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from datagen.rendering.renderer import SceneRenderer
 
 ERROR_MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world")
-STAGES = ("render", "statistics", "compress")
+STAGES = ("learn", "render", "statistics", "compress")
 
 
 class Stopwatch:
@@ -124,8 +124,8 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     errors = [_errors(reference, index, buffers) for index, buffers in enumerate(stored)]
     seconds = watch.medians()
     total = seconds.pop("total")
-    for kind, spent in learning.items():  # once for all views
-        total[kind] += spent / len(rendered)
+    seconds["learn"] = {kind: spent / len(rendered) for kind, spent in learning.items()}
+    total = {kind: spent + seconds["learn"][kind] for kind, spent in total.items()}
     passes = sorted({name for view in rendered for name in view.seconds})
     map_errors = {name: float(np.mean([e[name] for e in errors])) for name in ERROR_MAPS}
     return Trial(

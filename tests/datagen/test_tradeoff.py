@@ -228,7 +228,7 @@ def test_results_and_recommendation(swept: tuple[Path, Path]) -> None:
     for row in rows:
         trial = trials[int(row["samples_asked"])]
         assert float(row["rel_mse"]) == trial.rel_mse and int(row["bytes_a_view"]) == trial.bytes_a_view
-        stages = sum(float(row[f"{name}_cpu_s"]) for name in ("render", "statistics", "compress"))
+        stages = sum(float(row[f"{name}_cpu_s"]) for name in ("learn", "render", "statistics", "compress"))
         assert float(row["cpu_s"]) == pytest.approx(stages) and float(row["cpu_s"]) > 0
     summary = json.loads((out / "tradeoff.json").read_text())
     assert summary["recommended"]["rel_mse"] <= limit
