@@ -2,8 +2,9 @@
 """What can be traded for time: one setting, the sweeps around a base point, and the factorial.
 
 Every field of :class:`Setting` costs or saves time. The base point is the recipe's defaults with a fixed
-number of samples; a sweep changes one field, the factorial crosses the three that interact: clean auxiliary
-buffers are worth what the denoiser makes of them, and both decide how many samples are needed.
+number of samples; a sweep changes one field, the factorial crosses the four that interact: clean auxiliary
+buffers are worth what the denoiser makes of them, and both decide how many samples are needed, as does a
+cache that makes them cheaper and calmer.
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ FACTORIAL: dict[str, tuple[Any, ...]] = {
     "path_samples": (2, 4, 8, 16, 32),
     "auxiliary_samples": (16, 64),
     "denoiser": ("fast", "balanced", "high"),
+    "irradiance_cache": (0, 1),
 }
 """Fields that interact; all combinations are tried."""
 _LIMITS: dict[str, tuple[float, float]] = {

@@ -161,11 +161,11 @@ def _draw_point(axes: Axes, point: Point) -> None:
         return
     marker = {16: "s", 64: "o"}.get(setting.auxiliary_samples, "D")
     is_plain = setting.max_depth == 8 and setting.russian_roulette_depth == 5 and not setting.firefly_clamp
-    is_plain &= not setting.irradiance_cache
     if not is_plain:
         axes.plot(point.cpu_s, point.rel_mse, "x", ms=5, color="#777777")
         return
-    axes.plot(point.cpu_s, point.rel_mse, marker, ms=6, color=color, zorder=2)
+    edge = "black" if setting.irradiance_cache else color
+    axes.plot(point.cpu_s, point.rel_mse, marker, ms=6, color=color, mec=edge, mew=1.2, zorder=2)
     axes.annotate(
         str(setting.path_samples),
         (point.cpu_s, point.rel_mse),
@@ -185,6 +185,7 @@ def _add_legend(axes: Axes) -> None:
         Line2D([], [], marker="s", ls="", color="#333333", label="16 auxiliary samples"),
         Line2D([], [], marker="o", ls="", color="#333333", label="64 auxiliary samples"),
         Line2D([], [], marker="D", ls="", color="#333333", label="other auxiliary samples"),
+        Line2D([], [], marker="o", ls="", color="white", mec="black", mew=1.2, label="irradiance cache"),
         Line2D([], [], marker="x", ls="", color="#777777", label="other depth, roulette, clamp"),
         Line2D([], [], marker="*", ls="", ms=11, color="#009e73", mec="black", label="named quality"),
         Line2D([], [], ls="-", color="#333333", label="front; numbers are path samples"),

@@ -106,16 +106,18 @@ def irradiance(room: SceneRenderer) -> NDArray[np.float32]:
     return table[1:, :3]
 
 
-@pytest.mark.parametrize("reflectance", [0.0, 0.5, 0.8])
-def test_irradiance_of_a_closed_room_is_known(tmp_path: Path, reflectance: float) -> None:
+@pytest.mark.parametrize(
+    ("reflectance", "intensity"), [(0.0, 1.0), (0.5, 1.0), (0.8, 1.0), (0.5, 1e-6), (0.5, 1e6)]
+)
+def test_irradiance_of_a_closed_room_is_known(tmp_path: Path, reflectance: float, intensity: float) -> None:
     """All that a bulb sends out is absorbed: mean irradiance x area x (1 - rho) is 4 pi x intensity."""
     room = closed_room(None)
     room.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (reflectance,) * 3})}
-    bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(1.0, 2.0, 0.0))
+    bulb = PointLight(name="bulb", position_m=(0.0, 0.0, 1.0), intensity=(intensity, 2 * intensity, 0.0))
     made = renderer(tmp_path, room, [INDOORS], CACHED, lights=(bulb,))
     found = np.average(irradiance(made), axis=0, weights=wall_areas(made))
-    expected = 4.0 * np.pi / (64.0 * (1.0 - reflectance))
-    assert found == pytest.approx([expected, 2 * expected, 0.0], rel=0.03)
+    expected = 4.0 * np.pi * intensity / (64.0 * (1.0 - reflectance))
+    assert found == pytest.approx([expected, 2 * expected, 0.0], rel=0.03, abs=0.0)
 
 
 def wall_areas(room: SceneRenderer) -> NDArray[np.float64]:
