@@ -65,6 +65,10 @@ LEVELS = 3
 """How often the side of those surroundings is doubled."""
 MAX_CROSSINGS = 8
 """Transparent surfaces that a ray crosses while learning."""
+LEAST_SPREAD = 8.0
+"""Sides of a cell over which a path has to have spread before it may end in the cache."""
+NARROW_PDF = 2.0
+"""Density [1/sr] from which a reflected direction is too particular for the mean of all directions."""
 INVERSE_PI = 1.0 / np.pi
 
 
@@ -170,14 +174,28 @@ class IrradianceCache:
         found: Any = dr.gather(mi.Vector4f, self.means, record, active)
         return mi.Color3f(found.x, found.y, found.z), active & (found.w > 0.0)
 
-    def interpolated(self, point: Array, normal: Array, sample: Array, active: Array) -> tuple[Any, Any]:
-        """:meth:`irradiance` up to half a cell beside the point, by numbers in [0, 1): over many calls cells
-        blend into each other. Where the place beside is not known, that of the point itself."""
-        here, is_known = self.irradiance(point, normal, active)
+    def mean_radiance(
+        self, si: Any, direction: Array, spread_m: Array, sample: Array, active: Array
+    ) -> tuple[Any, Any]:
+        """Mean of the radiance that a hit receives from all directions, E / pi, and whether a path that has
+        spread over ``spread_m`` may end with it.
+
+        It is that of a place up to half a cell beside the hit, by numbers in [0, 1), so that over many calls
+        cells blend into each other; where that place is not known, of the hit itself.
+        """
+        normal = facing_normal(si, direction)
+        is_wide = active & (spread_m > LEAST_SPREAD * self.cells.side)
+        here, is_known = self.irradiance(si.p, normal, is_wide)
         frame = mi.Frame3f(normal)
         shift = (sample - 0.5) * self.cells.side
-        beside, also = self.irradiance(point + frame.s * shift.x + frame.t * shift.y, normal, is_known)
-        return dr.select(also, beside, here), is_known
+        beside, also = self.irradiance(si.p + frame.s * shift.x + frame.t * shift.y, normal, is_known)
+        return INVERSE_PI * dr.select(also, beside, here), is_known
+
+
+def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
+    """Side in metres of the area at a hit that a direction of density ``pdf`` [1/sr] stands for."""
+    cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
+    return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))
 
 
 def facing_normal(si: Any, direction: Array) -> Array:

@@ -30,10 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rendering.irradiance_cache import (
+    NARROW_PDF,
     IrradianceCache,
-    facing_normal,
     learn_irradiance,
     power_heuristic,
+    spread_of,
 )
 from datagen.rendering.recording import undisturbed
 from datagen.rendering.sample_budget import PathSums
@@ -52,11 +53,6 @@ LATTICE = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence: 1/g and 1/g^2 with g^3 = g + 1."""
 MAX_CROSSINGS = 32
 """Transparent surfaces that one ray crosses before it counts as blocked."""
-LEAST_SPREAD = 8.0
-"""Sides of a cell over which a path has to have spread before it may end in the irradiance cache."""
-NARROW_PDF = 2.0
-"""Density [1/sr] from which a reflected direction is too particular for the mean of all directions."""
-
 TINY = 1e-30
 """Keeps the clamp's quotient finite for paths that bring nothing."""
 
@@ -312,6 +308,7 @@ class PathTracer:
         """Radiance that arrives along camera rays, one path each: (Color3f, Color3f), by at most one
         reflection and by more."""
         scene, ctx = self.scene, mi.BSDFContext()
+        cache: Any = self.irradiance
         ray = mi.Ray3f(ray)
         direct, indirect, throughput = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(1.0)
         depth, num_crossed = mi.UInt32(0), mi.UInt32(0)
@@ -340,10 +337,10 @@ class PathTracer:
             # ---- light sampled from here ----------------------------------------------------------------
             is_smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             active_emitter = active_next & is_seen & is_smooth
-            if dr.hint(self.irradiance is not None, mode="scalar"):
+            if dr.hint(cache is not None, mode="scalar"):
                 returns = active_next & is_seen & (depth > 0)
-                spread_m += dr.select(returns, self._spread(previous, previous_pdf, si, ray.d), 0.0)
-                cached, is_cached = self._look_up(si, ray.d, spread_m, sampler.next_2d(), returns)
+                spread_m += dr.select(returns, spread_of(previous, previous_pdf, si, ray.d), 0.0)
+                cached, is_cached = cache.mean_radiance(si, ray.d, spread_m, sampler.next_2d(), returns)
                 active_emitter &= ~is_cached  # what is cached includes direct light
             ds, radiance = self.sample_emitter(si, sampler, active_emitter)
             active_emitter &= ds.pdf != 0.0
@@ -387,22 +384,6 @@ class PathTracer:
                 active_next & ~ends & (~plays | survives) & (largest > 0.0) & (num_crossed < MAX_CROSSINGS)
             )
         return direct, indirect
-
-    @staticmethod
-    def _spread(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-        """Side in metres of the area at ``si`` that a direction of density ``pdf`` stands for."""
-        cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
-        return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, TINY))
-
-    def _look_up(
-        self, si: Any, direction: Array, spread_m: Array, sample: Array, active: Array
-    ) -> tuple[Any, Any]:
-        """Mean radiance from all directions at a hit, E / pi, and whether the path may end with it."""
-        cache = self.irradiance
-        assert cache is not None
-        is_wide = active & (spread_m > LEAST_SPREAD * cache.cells.side)
-        irradiance, is_known = cache.interpolated(si.p, facing_normal(si, direction), sample, is_wide)
-        return irradiance / math.pi, is_known
 
     def is_hidden(self, si: Any, depth: Array) -> Array:
         """Whether a ray that comes from the camera met a light that the camera does not see."""
