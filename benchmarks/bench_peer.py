@@ -18,7 +18,8 @@ configuration; making it is not counted. It has no roughness, no multi-view stat
 
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images of its own, because the materials differ by more than the
-error asked for (agreement of the two is measured and reported). Neither reference is clamped, nor does
+error asked for (agreement of the two is measured and reported; where it is poor the command ends with 1).
+Neither reference is clamped, nor does
 Blender's *filter glossy* make surfaces rougher in it, so that what these take away is an error. The peer's
 sample count is found by doubling until the error is at most ours and by interpolation in logarithms, three
 times: with Blender's defaults and as many samples for every pixel, with Cycles' adaptive sampling, and with
@@ -326,6 +327,12 @@ class Comparison:
         return result
 
 
+def agrees(agreement: dict[str, Any]) -> bool:
+    """Whether converged images of both are of the same room under the same light."""
+    ratios, correlations = agreement["ratio_of_means"], agreement["correlation"]
+    return all(0.8 < ratio < 1.25 for ratio in ratios) and min(correlations) > 0.85
+
+
 def interpolated(curve: dict[int, float], target: float) -> int:
     """Sample count at which the last two points of a falling curve cross ``target``, in logarithms."""
     *before, high = sorted(curve)
@@ -424,6 +431,9 @@ def main() -> None:
     text = table(result)
     (arguments.out / "bench_peer.md").write_text(text + "\n", encoding="utf-8")
     print(text)
+    if not agrees(result["agreement"]):
+        print("the two do not show the same room: their times are not to be compared", file=sys.stderr)
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

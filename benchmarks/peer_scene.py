@@ -164,7 +164,8 @@ def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[n
         pixels = read_image(library.package(light.asset).local_file(light.image)).astype(np.float64)
         environment_from_world = np.array(light.world_from_environment)[:3, :3].T
         values = light.scale * lookup(pixels[..., :3])(directions @ environment_from_world.T)
-    return values.reshape(rows, columns, 3).astype(np.float32)
+    # OpenEXR writes memory as it lies, whatever the strides say
+    return np.ascontiguousarray(values.reshape(rows, columns, 3), np.float32)
 
 
 def export(configuration: Configuration, library: Library, out: Path) -> None:

@@ -9,9 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import OpenEXR
 import pytest
 
-from benchmarks.bench_peer import extrapolated, interpolated
+from benchmarks.bench_peer import agrees, extrapolated, interpolated
+from benchmarks.peer_scene import sky_image
+from datagen.formats.lights import SkyLight
+from datagen.library import Library
 from tests.conftest import REPOSITORY
 
 
@@ -32,6 +37,25 @@ def test_total_is_the_fixed_part_and_the_median_of_a_view() -> None:
     assert result["is_extrapolated"]
     complete = extrapolated(run, 4)
     assert (complete["total_wall_s"], complete["is_extrapolated"]) == (44.0, False)
+
+
+def test_two_that_show_different_rooms_are_not_compared() -> None:
+    same = {"ratio_of_means": [0.96, 1.1], "correlation": [0.95, 0.99]}
+    assert agrees(same)
+    assert not agrees({**same, "ratio_of_means": [0.96, 0.12]})
+    assert not agrees({**same, "correlation": [0.99, 0.6]})
+
+
+def test_the_peer_gets_the_sky_that_is_rendered(tmp_path: Path, mitsuba_variant: str) -> None:
+    light = SkyLight(name="sky", sun_direction=(0.5, -0.7, 0.5), turbidity=5.0, sky_scale=3.0, sun_scale=1.0)
+    image = sky_image(light, Library([]))
+    with OpenEXR.File({}, {"RGB": image}) as file:
+        file.write(str(tmp_path / "sky.exr"))
+    with OpenEXR.File(str(tmp_path / "sky.exr")) as file:
+        read = file.channels()["RGB"].pixels
+    assert np.array_equal(read, image)  # OpenEXR takes memory as it lies
+    above, horizon = image[: len(image) // 4].mean(axis=(0, 1)), image[len(image) // 2 - 2].mean(axis=0)
+    assert above[2] > above[0] and horizon.sum() > above.sum()
 
 
 @pytest.mark.slow
