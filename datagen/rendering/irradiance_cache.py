@@ -27,6 +27,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.rendering.path_terms import facing_normal, power_heuristic
 from datagen.rendering.recording import undisturbed
 from datagen.rendering.sobol import OwenSobol
 
@@ -198,11 +199,6 @@ def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))
 
 
-def facing_normal(si: Any, direction: Array) -> Array:
-    """Normal of the geometry on the side that a ray of ``direction`` meets."""
-    return dr.mulsign(mi.Vector3f(si.n), -dr.dot(si.n, direction))
-
-
 def learn_irradiance(
     tracer: PathTracer, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
 ) -> IrradianceCache | None:
@@ -367,10 +363,3 @@ def specular_reflectance(channels: Any) -> Array:
     specular, square = channels.specular_albedo, channels.roughness * channels.roughness
     grazing = (1.0 - specular) / 21.0 * dr.maximum(1.0 - 1.25 * square, 0.0)
     return specular * (1.0 - 0.34 * square * channels.roughness) + grazing
-
-
-def power_heuristic(pdf: Array, other: Array) -> Array:
-    """Veach's power heuristic; 0 where both densities vanish."""
-    square, other_square = dr.square(pdf), dr.square(other)
-    total = square + other_square
-    return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)

@@ -33,9 +33,9 @@ from datagen.rendering.irradiance_cache import (
     NARROW_PDF,
     IrradianceCache,
     learn_irradiance,
-    power_heuristic,
     spread_of,
 )
+from datagen.rendering.path_terms import power_heuristic
 from datagen.rendering.recording import undisturbed
 from datagen.rendering.sample_budget import PathSums
 from datagen.rendering.sky_guide import SkyGuide, learn_sky, observe_sky

@@ -27,6 +27,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.rendering.path_terms import facing_normal
+
 Array = Any
 
 CELLS = 32
@@ -272,7 +274,7 @@ def _walk(scene: Any, hides: Any, ray: Any, sampler: Any) -> tuple[list[tuple[An
             states[turn] = dr.select(arrives, dr.select(leaves, mi.UInt32(2), mi.UInt32(1)), states[turn])
         turns = active & si.is_valid() & ~passes & (depth < 2)
         ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), True, turns)
-        normal = dr.mulsign(mi.Vector3f(si.n), -dr.dot(si.n, ray.d))
+        normal = facing_normal(si, ray.d)
         irradiance = mi.luminance(light) * dr.maximum(dr.dot(normal, ds.d), 0.0)
         is_sky = ds.emitter == environment
         from_sky += dr.select(turns & is_sky, irradiance, 0.0)
