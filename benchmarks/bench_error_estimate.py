@@ -113,7 +113,7 @@ def reference(
     if not path.is_file():
         sensor = renderer._sensor(renderer.configuration.cameras[index].camera())
         tracer = PathTracer(renderer.built, MAX_DEPTH, RUSSIAN_ROULETTE_DEPTH)
-        tracer.sky_guide = renderer._tracer.sky_guide
+        tracer.guide_by(renderer._tracer.sky_guide)
         sums = PathSums()
         for number in range(math.ceil(samples / CHUNK)):
             seed = 0x5EED0000 + 0x10000 * half + number

@@ -43,8 +43,7 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
         limit = renderer._clamp_limit(sensor, index)
         images: dict[str, list[Any]] = {name: [] for name in kinds}
         for name, chosen in kinds.items():
-            tracer.sky_guide = chosen
-            tracer.forget_recordings()
+            tracer.guide_by(chosen)
             tracer.add_up(sensor, 1, 0, limit=limit)  # compiles
             for seed in range(IMAGES):
                 start = time.process_time()
@@ -56,11 +55,11 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
             # (a - b)^2 / 2 over reference^2 + epsilon: both images are shifted to where the reference is
             differences = [reference + (a - b) / np.sqrt(2.0) for a, b in pairs]
             variances[name] += [relative_mse(image, reference, exposed=True) for image in differences]
-    tracer.sky_guide = guide
+    tracer.guide_by(guide)
     mean = {name: statistics.mean(values) for name, values in variances.items()}
     cost = {name: statistics.median(values) for name, values in seconds.items()}
     return {
-        "share": float(np.array(guide.share)[0]) if guide is not None else 0.0,
+        "share": guide.share if guide is not None else 0.0,
         "variance": mean,
         "seconds": cost,
         "variance_ratio": mean["guided"] / mean["plain"],

@@ -32,6 +32,7 @@ from datagen.rendering.recording import undisturbed
 from datagen.rendering.sobol import OwenSobol
 
 if TYPE_CHECKING:
+    from datagen.rendering.light_choice import LightChoice
     from datagen.rendering.path_tracer import PathTracer
     from mitsuba_plugins.surface_material import SceneMaterials
 
@@ -114,12 +115,13 @@ class IrradianceCache:
     Cells that were seen have a record, numbered from 1; record 0 stands for all others.
     """
 
-    def __init__(self, cells: SurfaceCells):
-        self.cells = cells
+    def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
+        self.cells, self._num_techniques = cells, num_techniques
         self._record_of_cell = np.zeros(cells.num_cells, np.uint32)
         self._cell_of_record = np.zeros(1, np.int64)
-        self._sums = np.zeros((1, 3))
+        self._sums = np.zeros((1, 3 + num_techniques))
         self._counts = np.zeros(1)
+        self._squares = np.zeros((1, num_techniques))
         self._upload(np.zeros((1, 3)))
 
     def arrays(self) -> list[Any]:
@@ -131,19 +133,19 @@ class IrradianceCache:
         """Cells whose irradiance is known."""
         return len(self._counts) - 1
 
-    def add(self, cells: NDArray[np.int64], irradiance: NDArray[np.float64], keep: float = 1.0) -> None:
-        """Take samples (N, 3) of the irradiance in cells (N,) into the means; ``keep`` is the weight that
-        those before have from here on."""
+    def add(self, cells: NDArray[np.int64], samples: NDArray[np.float64], keep: float = 1.0) -> None:
+        """Take samples in cells (N,) into the means; ``keep`` is the weight that those before have from here
+        on. ``samples`` (N, 3 + T): irradiance, and squares of what techniques of sampling lights brought."""
         new = np.unique(cells[self._record_of_cell[cells] == 0])
         self._record_of_cell[new] = np.arange(len(self._counts), len(self._counts) + len(new))
         self._cell_of_record = np.concatenate([self._cell_of_record, new])
         record, size = self._record_of_cell[cells], len(self._cell_of_record)
-        self._sums = keep * np.concatenate([self._sums, np.zeros((len(new), 3))])
+        self._sums = keep * np.concatenate([self._sums, np.zeros((len(new), self._sums.shape[1]))])
         self._counts = keep * np.concatenate([self._counts, np.zeros(len(new))])
         self._counts += np.bincount(record, minlength=size)
-        for channel in range(3):
-            self._sums[:, channel] += np.bincount(record, irradiance[:, channel], size)
-        self._upload(self._sums / np.maximum(self._counts, 1e-9)[:, None])
+        for channel in range(self._sums.shape[1]):
+            self._sums[:, channel] += np.bincount(record, samples[:, channel], size)
+        self._upload(self._sums[:, :3] / np.maximum(self._counts, 1e-9)[:, None])
 
     def finish(self) -> None:
         """Draw the means of cells with few samples towards those of their surroundings."""
@@ -151,7 +153,7 @@ class IrradianceCache:
         grid = (6, *self.cells.shape)
         places = np.array(np.unravel_index(self._cell_of_record[1:], grid))
         counts, sums = self._counts[1:], self._sums[1:]
-        around, prior = np.zeros((self.num_records, 3)), 0.0
+        around, prior = np.zeros_like(sums), 0.0
         for level in range(LEVELS, -1, -1):
             blocks = np.ravel_multi_index((places[0], *(places[1:] >> level)), grid)
             _, block = np.unique(blocks, return_inverse=True)
@@ -160,36 +162,50 @@ class IrradianceCache:
             around = (added + prior * around) / (total + prior)[:, None]
             prior = PRIOR_SAMPLES
         means[1:] = around
-        self._upload(means)
+        means[0, 3:] = sums[:, 3:].sum(axis=0)  # wherever nothing is known: what is usual
+        self._upload(means[:, :3])
+        self._squares = means[:, 3:]
+
+    def light_shares(self) -> NDArray[np.float64]:
+        """What each technique of sampling lights should get, (records + 1, T), once finished: the root of
+        what it brought, squared."""
+        return np.sqrt(self._squares)
 
     def _upload(self, means: NDArray[np.float64]) -> None:
         is_known = np.arange(len(means)) > 0
         self.records = mi.UInt32(self._record_of_cell)
         self.means = mi.Float(np.column_stack([means, is_known]).astype(np.float32).ravel())
 
-    def irradiance(self, point: Array, normal: Array, active: Array) -> tuple[Any, Any]:
-        """Irradiance (Color3f) of the cell at a point, and whether it is known."""
+    def record(self, point: Array, normal: Array, active: Array) -> Array:
+        """Number of the record at a point, 0 where there is none."""
         cell, is_inside = self.cells.index(point, normal)
-        active = active & is_inside
-        record = dr.gather(mi.UInt32, self.records, cell, active)
+        return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
+
+    def place(self, si: Any, direction: Array, active: Array) -> Array:
+        """Number of the record where a ray of ``direction`` hits a surface, 0 where there is none."""
+        return self.record(si.p, facing_normal(si, direction), active)
+
+    def irradiance(self, record: Array, active: Array) -> tuple[Any, Any]:
+        """Irradiance (Color3f) of a record, and whether it is known."""
         found: Any = dr.gather(mi.Vector4f, self.means, record, active)
         return mi.Color3f(found.x, found.y, found.z), active & (found.w > 0.0)
 
     def mean_radiance(
-        self, si: Any, direction: Array, spread_m: Array, sample: Array, active: Array
+        self, si: Any, direction: Array, place: Array, spread_m: Array, sample: Array, active: Array
     ) -> tuple[Any, Any]:
         """Mean of the radiance that a hit receives from all directions, E / pi, and whether a path that has
-        spread over ``spread_m`` may end with it.
+        spread over ``spread_m`` may end with it. ``place`` is where the hit lies.
 
         It is that of a place up to half a cell beside the hit, by numbers in [0, 1), so that over many calls
         cells blend into each other; where that place is not known, of the hit itself.
         """
         normal = facing_normal(si, direction)
         is_wide = active & (spread_m > LEAST_SPREAD * self.cells.side)
-        here, is_known = self.irradiance(si.p, normal, is_wide)
+        here, is_known = self.irradiance(place, is_wide)
         frame = mi.Frame3f(normal)
         shift = (sample - 0.5) * self.cells.side
-        beside, also = self.irradiance(si.p + frame.s * shift.x + frame.t * shift.y, normal, is_known)
+        other = self.record(si.p + frame.s * shift.x + frame.t * shift.y, normal, is_known)
+        beside, also = self.irradiance(other, is_known)
         return INVERSE_PI * dr.select(also, beside, here), is_known
 
 
@@ -219,7 +235,8 @@ def learn_irradiance(
         return None
     # As many samples for each cell that has a surface in it: their number goes with the side's inverse square
     most_cells = int(MOST_CELLS * (num_rays / MOST_RAYS) ** 1.5)
-    cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), most_cells))
+    num_techniques = 0 if tracer.lights is None else tracer.lights.num_techniques
+    cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), most_cells), num_techniques)
 
     def walk(scene: Any, ray: Any, sampler: Any, is_warm: Any) -> list[tuple[Any, ...]]:
         return _walk(tracer, scene, materials, cache, ray, sampler, is_warm)
@@ -239,19 +256,27 @@ def learn_irradiance(
         with undisturbed():
             steps = recorded(tracer.scene, ray, sampler, dr.opaque(mi.Bool, is_warm))
         dr.eval(steps)
-        cache.add(*_observed(steps), keep=1.0 if number > WARM_UP else KEEP)
+        cache.add(*_observed(steps, num_techniques), keep=1.0 if number > WARM_UP else KEEP)
     recorded.clear()
     cache.finish()
     return cache
 
 
-def _observed(steps: list[tuple[Any, Any, Any]]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Cells (N,) and samples of their irradiance (N, 3) from what :func:`_walk` returns."""
+def _observed(
+    steps: list[tuple[Any, ...]], num_techniques: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Cells (N,) and samples (N, 3 + T) as :meth:`IrradianceCache.add` takes them, from what :func:`_walk`
+    returns."""
     cells, samples = [], []
-    for cell, is_found, irradiance in steps:
+    for cell, is_found, irradiance, technique, brought in steps:
         chosen = np.array(is_found)
         cells.append(np.array(cell)[chosen].astype(np.int64))
-        samples.append(np.array(irradiance).T[chosen].astype(np.float64))
+        values = np.zeros((len(cells[-1]), 3 + num_techniques))
+        values[:, :3] = np.array(irradiance).T[chosen]
+        if num_techniques:
+            rows = np.arange(len(values))
+            values[rows, 3 + np.array(technique)[chosen]] = np.array(brought)[chosen].astype(np.float64) ** 2
+        samples.append(values)
     return np.concatenate(cells), np.concatenate(samples)
 
 
@@ -293,8 +318,9 @@ def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
 @dr.syntax
 def _walk(
     tracer: Any, scene: Any, materials: Any, cache: Any, ray: Any, sampler: Any, is_warm: Any
-) -> list[tuple[Any, Any, Any]]:
-    """Of the surfaces that a path meets: cell, whether there is one, and one sample of its irradiance.
+) -> list[tuple[Any, ...]]:
+    """Of the surfaces that a path meets: cell, whether there is one, one sample of its irradiance, and what
+    :func:`_put_down` says of its shadow ray.
 
     What a surface sends on is what its cell is known to receive if ``is_warm``, else what comes along the
     rest of the path; behind the last turn, always the former.
@@ -303,6 +329,8 @@ def _walk(
     cells: list[Any] = [mi.UInt32(0) for _ in range(TURNS + 1)]
     is_found: list[Any] = [mi.Bool(False) for _ in range(TURNS + 1)]
     irradiance: list[Any] = [mi.Color3f(0.0) for _ in range(TURNS + 1)]
+    techniques: list[Any] = [mi.UInt32(0) for _ in range(TURNS + 1)]
+    brought: list[Any] = [mi.Float(0.0) for _ in range(TURNS + 1)]
     # What light that comes along the ray adds to the irradiance of each surface before
     share: list[Any] = [mi.Color3f(0.0) for _ in range(TURNS + 1)]
     last = dr.select(is_warm, mi.UInt32(TURNS), mi.UInt32(LONG_TURNS))
@@ -320,10 +348,11 @@ def _walk(
         # ---- what the ray from the surface before has met -------------------------------------------------
         ds = mi.DirectionSample3f(scene, si, previous)
         emitter_pdf = scene.pdf_emitter_direction(previous, ds, arrives & (depth > 0))
-        emitter_pdf = tracer.mixed_pdf(previous.p, ray.d, emitter_pdf, ~si.is_valid())
-        emitted = si.emitter(scene).eval(si, arrives) * power_heuristic(previous_pdf, emitter_pdf)
+        emitter = si.emitter(scene)
+        emitter_pdf = tracer.mixed_pdf(previous.p, ray.d, emitter_pdf, emitter, mi.UInt32(0))
+        emitted = emitter.eval(si, arrives) * power_heuristic(previous_pdf, emitter_pdf)
         normal = facing_normal(si, ray.d)
-        known, is_known = cache.irradiance(si.p, normal, arrives & hits)
+        known, is_known = cache.irradiance(cache.record(si.p, normal, arrives & hits), arrives & hits)
         diffuse, specular = channels.diffuse_albedo, channels.specular_albedo
         reflectance = dr.minimum((1.0 - specular) * diffuse + specular_reflectance(channels), 1.0)
         is_known &= is_warm | (depth > last)
@@ -331,10 +360,11 @@ def _walk(
 
         # ---- this surface ----------------------------------------------------------------------------------
         turns = arrives & hits & (depth <= last)
-        ds, radiance = tracer.sample_emitter(si, sampler, turns)
+        ds, radiance = tracer.sample_emitter(si, sampler, mi.UInt32(0), turns)
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
         weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
         direct = dr.select(turns & (ds.pdf > 0.0), radiance * cosine * weight, 0.0)
+        technique, value = _put_down(tracer.lights, ds, radiance, direct)
         cell, is_inside = cache.cells.index(si.p, normal)
         for turn in range(TURNS + 1):
             irradiance[turn] += dr.select(arrives, share[turn] * came, 0.0)
@@ -342,6 +372,8 @@ def _walk(
             here = turns & (depth == turn)
             cells[turn] = dr.select(here, cell, cells[turn])
             is_found[turn] |= here & is_inside
+            techniques[turn] = dr.select(here, technique, techniques[turn])
+            brought[turn] = dr.select(here, value, brought[turn])
             share[turn] = dr.select(here, 1.0, share[turn])
             irradiance[turn] += share[turn] * direct
         local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
@@ -351,7 +383,17 @@ def _walk(
         depth = dr.select(turns, depth + 1, depth)
         num_crossed = dr.select(passes, num_crossed + 1, num_crossed)
         active = (turns | (active & passes)) & (num_crossed < MAX_CROSSINGS)
-    return list(zip(cells, is_found, irradiance, strict=True))
+    return list(zip(cells, is_found, irradiance, techniques, brought, strict=True))
+
+
+def _put_down(lights: LightChoice | None, ds: Any, radiance: Any, direct: Any) -> tuple[Any, Any]:
+    """Technique to which a shadow ray is put down, and the luminance that it brought, of ``direct``, times
+    the root of the technique's probability: its square's mean over all rays is then that over its own."""
+    if lights is None:
+        return mi.UInt32(0), mi.Float(0.0)
+    technique = lights.technique(ds, mi.luminance(radiance) * ds.pdf)
+    probability = lights.probability(mi.UInt32(0), technique)
+    return technique, mi.luminance(direct) * dr.sqrt(probability)
 
 
 def specular_reflectance(channels: Any) -> Array:

@@ -35,6 +35,7 @@ from datagen.rendering.irradiance_cache import (
     learn_irradiance,
     spread_of,
 )
+from datagen.rendering.light_choice import LightChoice, even_choice
 from datagen.rendering.path_terms import power_heuristic
 from datagen.rendering.recording import undisturbed
 from datagen.rendering.sample_budget import PathSums
@@ -81,6 +82,7 @@ class PathTracer:
         )
         self._is_hidden_shape = self._hidden_table(built) if built.hidden_shapes else None
         self.sky_guide: SkyGuide | None = None
+        self.lights: LightChoice | None = even_choice(self.scene, None)
         self.irradiance: IrradianceCache | None = None
         # Recorded once: tracing the Python of hundreds of materials takes longer than a small pass of paths.
         self._recorded: Any = dr.freeze(self._trace, state_fn=lambda *_: self.tables())
@@ -88,31 +90,37 @@ class PathTracer:
 
     def tables(self) -> list[Any]:
         """Arrays that kernels read and that no argument brings."""
-        guide = [] if self.sky_guide is None else self.sky_guide.arrays()
+        lights = [] if self.lights is None else self.lights.arrays()
         cache = [] if self.irradiance is None else self.irradiance.arrays()
-        return [self._is_hidden_shape, *guide, *cache]
+        return [self._is_hidden_shape, *lights, *cache]
 
     def learn_sky(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
         """Find out where the environment shines in (:mod:`datagen.rendering.sky_guide`), as ``sensors`` lead
         there with ``num_samples`` paths a pixel. Without an environment there is nothing to find."""
-        self.sky_guide = None
-        self.forget_recordings()
+        self.guide_by(None)
         if self.scene.environment() is None:
             return
         with dr.suspend_grad():
             walks = (self._walk_from(sensor, num_samples, seed + k) for k, sensor in enumerate(sensors))
-            self.sky_guide = learn_sky(self.scene, observe_sky(self.scene, self.is_hidden, walks))
+            self.guide_by(learn_sky(self.scene, observe_sky(self.scene, self.is_hidden, walks)))
+
+    def guide_by(self, guide: SkyGuide | None) -> None:
+        """Let shadow rays go through the openings of ``guide``, and forget what was learned with another."""
+        self.sky_guide, self.irradiance = guide, None
+        self.lights = even_choice(self.scene, guide)
+        self.forget_recordings()
 
     def learn_irradiance(
         self, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
     ) -> None:
         """Find out how bright surfaces are (:mod:`datagen.rendering.irradiance_cache`), and let paths end
         there from here on. ``num_pixels``: of all views, for which this is done."""
-        self.irradiance = None
-        self.forget_recordings()
+        self.guide_by(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
                 self.irradiance = learn_irradiance(self, materials, sensors, num_pixels, seed)
+        if self.irradiance is not None and self.lights is not None:
+            self.lights = LightChoice(self.scene, self.sky_guide, self.irradiance.light_shares())
 
     def _walk_from(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
         """Rays through all pixels of a sensor, and a sampler for their ways."""
@@ -315,6 +323,7 @@ class PathTracer:
         previous = dr.zeros(mi.Interaction3f)
         previous_pdf, previous_is_delta = mi.Float(1.0), mi.Bool(True)
         spread_m, is_cached, cached = mi.Float(0.0), mi.Bool(False), mi.Color3f(0.0)
+        place, previous_place = mi.UInt32(0), mi.UInt32(0)  # in the cache
         active = mi.Bool(True)
         while active:
             si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
@@ -327,7 +336,7 @@ class PathTracer:
                 shows = is_seen & (depth > 0)  # a new array: in place it would change is_seen too
             ds = mi.DirectionSample3f(scene, si, previous)
             emitter_pdf = scene.pdf_emitter_direction(previous, ds, is_seen & ~previous_is_delta)
-            emitter_pdf = self.mixed_pdf(previous.p, ray.d, emitter_pdf, ~si.is_valid())
+            emitter_pdf = self.mixed_pdf(previous.p, ray.d, emitter_pdf, emitter, previous_place)
             weight = dr.select(previous_is_delta, 1.0, power_heuristic(previous_pdf, emitter_pdf))
             met = throughput * emitter.eval(si, shows) * weight
 
@@ -340,9 +349,12 @@ class PathTracer:
             if dr.hint(cache is not None, mode="scalar"):
                 returns = active_next & is_seen & (depth > 0)
                 spread_m += dr.select(returns, spread_of(previous, previous_pdf, si, ray.d), 0.0)
-                cached, is_cached = cache.mean_radiance(si, ray.d, spread_m, sampler.next_2d(), returns)
+                place = cache.place(si, ray.d, active_next & is_seen)
+                cached, is_cached = cache.mean_radiance(
+                    si, ray.d, place, spread_m, sampler.next_2d(), returns
+                )
                 active_emitter &= ~is_cached  # what is cached includes direct light
-            ds, radiance = self.sample_emitter(si, sampler, active_emitter)
+            ds, radiance = self.sample_emitter(si, sampler, place, active_emitter)
             active_emitter &= ds.pdf != 0.0
             wo = si.to_local(ds.d)
 
@@ -368,6 +380,7 @@ class PathTracer:
             scatters = active_next & ~passes
             previous = dr.select(scatters, mi.Interaction3f(si), previous)
             previous_pdf = dr.select(scatters, bs.pdf, previous_pdf)
+            previous_place = dr.select(scatters, place, previous_place)
             is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
             # A narrow lobe that leaves the cache had no shadow ray: lights that it meets count in full.
             previous_is_delta = dr.select(scatters, is_delta | is_cached, previous_is_delta)
@@ -392,28 +405,29 @@ class PathTracer:
         shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)
         return (depth == 0) & dr.gather(mi.Bool, self._is_hidden_shape, shape, si.is_valid())
 
-    def sample_emitter(self, si: Any, sampler: Any, active: Array) -> tuple[Any, Any]:
-        """Direction to a light, and its radiance over the density, less what lies between."""
-        if self.sky_guide is None:
+    def sample_emitter(self, si: Any, sampler: Any, place: Array, active: Array) -> tuple[Any, Any]:
+        """Direction to a light, and its radiance over the density, less what lies between. ``place``: where
+        ``si`` lies in the cache of irradiance, or 0."""
+        if self.lights is None:
             is_tested = not self._has_transparency
             ds, radiance = self.scene.sample_emitter_direction(si, sampler.next_2d(), is_tested, active)
             if is_tested:
                 return ds, radiance
         else:
-            ds, radiance = self.sky_guide.sample_emitter(
-                self.scene, si, sampler.next_1d(), sampler.next_2d(), active
-            )
+            ds, radiance = self.lights.sample_emitter(si, place, sampler.next_2d(), sampler.next_1d(), active)
         reaches = active & (ds.pdf != 0.0)
         if self._has_transparency:
             return ds, radiance * self._transmittance(si, ds, reaches)
         is_blocked = self.scene.ray_test(si.spawn_ray_to(ds.p), reaches)
         return ds, dr.select(reaches & ~is_blocked, radiance, 0.0)
 
-    def mixed_pdf(self, point: Array, direction: Array, own_pdf: Array, meets_sky: Array) -> Array:
-        """Density of :meth:`sample_emitter`, from that of the scene's own sampling."""
-        if self.sky_guide is None:
+    def mixed_pdf(
+        self, point: Array, direction: Array, own_pdf: Array, emitter: Array, place: Array
+    ) -> Array:
+        """Density of :meth:`sample_emitter` towards an emitter, from that of the scene's own sampling."""
+        if self.lights is None:
             return own_pdf
-        return self.sky_guide.mixed_pdf(point, direction, own_pdf, meets_sky)
+        return self.lights.pdf(point, direction, own_pdf, self.lights.index(emitter), place)
 
     @dr.syntax
     def _transmittance(self, si: Any, ds: Any, active: Array) -> Array:

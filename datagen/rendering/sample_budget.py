@@ -37,8 +37,11 @@ FIRST_SAMPLES = 8
 """Of the first pass, both halves together, in every pixel; later passes go where the error is."""
 BIAS_PER_SPREAD = 1.0
 """Squared bias of a denoised half over its spread, as far as nothing better is known (decision 70)."""
-TILE_PX = 16
-"""Side of the blocks that get the same number of samples: so large that one wild pixel does not decide."""
+TILE_PX = 4
+"""Side of the blocks that get the same number of samples: edges and highlights are narrow."""
+AROUND_PX = 3
+"""Side of the squares whose mean error counts, so that one wild pixel does not decide, and of those in which
+the greatest of these means counts, so that an edge gets samples also where its halves happened to agree."""
 MOST_GROWTH = 4
 """A pass multiplies the samples of a tile by this at most: what is known of it comes from few samples."""
 LEAST_SHARE = 0.05
@@ -178,8 +181,8 @@ class SampleBudget:
         if room < LEAST_PASS * mean:
             return nothing
         tiles = _Tiles(counts.shape)
-        errors = tiles.means(estimate.spread_map)
-        errors += LEAST_SHARE * float(tiles.means(estimate.spread_map).mean())
+        errors = tiles.means(_around(estimate.spread_map))
+        errors += LEAST_SHARE * float(errors.mean())
         if not errors.any():
             errors += 1.0  # the halves agree everywhere: what is wrong is the bias, which says not where
         before = tiles.means(counts)
@@ -189,6 +192,13 @@ class SampleBudget:
             if gain * (estimate.rel_mse + estimate.standard_error) <= self.max_rel_mse:
                 break
         return tiles.spread_out((after - before).astype(np.int64))
+
+
+def _around(spread_map: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Greatest of the means around each pixel, (H, W)."""
+    from scipy import ndimage
+
+    return ndimage.maximum_filter(ndimage.uniform_filter(spread_map, AROUND_PX), AROUND_PX)
 
 
 class _Tiles:

@@ -85,37 +85,43 @@ class SkyObservations:
 class SkyGuide:
     """A density of directions towards openings, for points inside its box.
 
-    ``share`` of the shadow rays follow it there; :func:`learn_sky` says when there is none.
+    ``share`` of the shadow rays follow it there unless places know better
+    (:mod:`datagen.rendering.light_choice`); :func:`learn_sky` says when there is none.
     """
 
     def __init__(
-        self, scene: Any, box_m: NDArray[np.float64], probabilities: NDArray[np.float64], share: float
+        self,
+        scene: Any,
+        box_m: NDArray[np.float64],
+        probabilities: NDArray[np.float64],
+        share: float,
+        brightest: float,
     ):
-        """``box_m`` (2, 3): lower and upper corner; ``probabilities`` (6 CELLS^2,), by face, column, row."""
+        """``box_m`` (2, 3): lower and upper corner; ``probabilities`` (6 CELLS^2,), by face, column, row;
+        ``brightest`` luminance of the sky without its sun."""
         from datagen.rendering.plugins import outside_distance  # knows classes of the variant
 
         self.environment = scene.environment()
-        self.box_m = box_m
+        self.box_m, self.share = box_m, share
         side = box_m[1] - box_m[0]
         areas = np.array([side[(axis + 1) % 3] * side[(axis + 2) % 3] for axis in (0, 0, 1, 1, 2, 2)])
         cumulative = np.cumsum(probabilities) / probabilities.sum()
         table = np.searchsorted(cumulative, (np.arange(TABLE) + 0.5) / TABLE)
         drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # what the table really does
         self.low, self.high = _corners(box_m)
-        self.share = mi.Float(share)
+        self.brightest = mi.Float(brightest)
         self.distance = mi.Float(outside_distance(scene))  # from which the environment's light comes
         self.table = mi.UInt32(table.astype(np.uint32))
         self.density = mi.Float((drawn / np.repeat(areas / CELLS**2, CELLS**2)).astype(np.float32))
-        dr.make_opaque(self.low, self.high, self.share, self.distance)
+        dr.make_opaque(self.low, self.high, self.brightest, self.distance)
 
     def arrays(self) -> list[Any]:
         """All that a recorded kernel reads."""
-        return [self.low, self.high, self.share, self.distance, self.table, self.density]
+        return [self.low, self.high, self.brightest, self.distance, self.table, self.density]
 
-    def share_at(self, point: Array) -> Array:
-        """Share of the shadow rays from ``point`` that follow the guide; 0 outside of the box."""
-        is_inside = dr.all((point >= self.low) & (point <= self.high))
-        return dr.select(is_inside, self.share, 0.0)
+    def contains(self, point: Array) -> Array:
+        """Whether a point is inside the box."""
+        return dr.all((point >= self.low) & (point <= self.high))
 
     def pdf(self, point: Array, direction: Array) -> Array:
         """Density [1/sr] of :meth:`sample` at ``direction``; ``point`` must be inside the box."""
@@ -137,36 +143,6 @@ class SkyGuide:
         )
         side: Any = self.high - self.low
         return dr.normalize(self.low + share * side - point)
-
-    def sample_emitter(
-        self, scene: Any, si: Any, choice: Array, sample: Array, active: Array
-    ) -> tuple[Any, Any]:
-        """Direction to a light (a ``DirectionSample3f``) and its radiance over the density, whatever lies
-        between: by the guide or by the scene's own sampling, with the density of both."""
-        share = self.share_at(si.p)
-        guided = active & (choice < share)
-        own, radiance = scene.sample_emitter_direction(si, sample, False, active & ~guided)
-        direction = self.sample(si.p, choice / dr.maximum(share, 1e-6), sample)
-        sky = dr.zeros(mi.SurfaceInteraction3f)
-        sky.wi = -direction
-        environment = mi.EmitterPtr(self.environment)
-        through: Any = dr.zeros(mi.DirectionSample3f)
-        through.d, through.n, through.dist = direction, -direction, self.distance
-        through.p = si.p + direction * self.distance
-        through.emitter = environment
-        own_pdf: Any = dr.select(guided, scene.pdf_emitter_direction(si, through, guided), own.pdf)
-        brought = dr.select(guided, self.environment.eval(sky, guided), radiance * own.pdf)
-        ds: Any = dr.select(guided, through, own)
-        meets_sky = guided | (own.emitter == environment)
-        ds.pdf = self.mixed_pdf(si.p, ds.d, own_pdf, meets_sky & active)
-        ds.delta = own.delta & ~guided
-        return ds, dr.select(ds.pdf > 0.0, brought / dr.maximum(ds.pdf, 1e-30), 0.0)
-
-    def mixed_pdf(self, point: Array, direction: Array, own_pdf: Array, meets_sky: Array) -> Array:
-        """Density of :meth:`sample_emitter`, from that of the scene's own sampling."""
-        share = self.share_at(point)
-        has_guide = meets_sky & (share > 0.0)
-        return own_pdf * (1.0 - share) + dr.select(has_guide, share * self.pdf(point, direction), 0.0)
 
 
 def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
@@ -216,7 +192,7 @@ def learn_sky(scene: Any, observations: SkyObservations) -> SkyGuide | None:
     around = np.full((1, 3, 3), NEIGHBOUR_SHARE)
     around[0, 1, 1] = 1.0
     probabilities = ndimage.convolve(found, around, mode="constant").ravel()
-    return SkyGuide(scene, box_m, probabilities, min(MOST_SHARE, share))
+    return SkyGuide(scene, box_m, probabilities, min(MOST_SHARE, share), float(weights.max()))
 
 
 def observe_sky(scene: Any, hides: Any, walks: Iterable[tuple[Any, Any]]) -> SkyObservations:

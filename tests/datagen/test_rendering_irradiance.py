@@ -76,7 +76,8 @@ def test_means_forget_what_they_are_told_to_and_lean_on_their_surroundings() -> 
 
     def means(*points: list[float]) -> tuple[NDArray, NDArray]:
         where = mi.Point3f(np.array(points, np.float32).T)
-        value, is_known = cache.irradiance(where, mi.Vector3f(0, 0, 1), mi.Bool(True))
+        record = cache.record(where, mi.Vector3f(0, 0, 1), mi.Bool(True))
+        value, is_known = cache.irradiance(record, mi.Bool(True))
         return np.array(value).T, np.array(is_known)
 
     assert not means([0.05, 0.05, 0.05])[1].any()

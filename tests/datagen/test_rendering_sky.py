@@ -61,13 +61,10 @@ def images(room: SceneRenderer, samples: int, count: int, *, guided: bool) -> ND
     """Independent images (count, H, W, 3) of the first view, with or without the guide."""
     tracer, guide = room._tracer, room._tracer.sky_guide
     assert guide is not None
-    if not guided:
-        tracer.sky_guide = None
-    tracer.forget_recordings()
+    tracer.guide_by(guide if guided else None)
     sensor = room._sensor(CAMERAS[0])
     found = [tracer.render(sensor, samples, 50 + seed, with_seen_lights=False) for seed in range(count)]
-    tracer.sky_guide = guide
-    tracer.forget_recordings()
+    tracer.guide_by(guide)
     return np.stack(found).astype(np.float64)
 
 
@@ -117,7 +114,7 @@ def test_directions_lead_to_the_window(tmp_path: Path) -> None:
     import mitsuba as mi
 
     guide = rendered(tmp_path, walled_room(), SKY)._tracer.sky_guide
-    assert guide is not None and float(np.array(guide.share)[0]) == 0.5
+    assert guide is not None and guide.share == 0.5
     count = 4096
     sampler: Any = mi.load_dict({"type": "independent"})
     sampler.seed(1, count)
@@ -131,14 +128,14 @@ def test_directions_lead_to_the_window(tmp_path: Path) -> None:
 def test_points_outside_of_the_box_are_left_to_the_lights_own_sampling(tmp_path: Path) -> None:
     import mitsuba as mi
 
-    guide = rendered(tmp_path, walled_room(), SKY)._tracer.sky_guide
-    assert guide is not None
-    outside, direction = mi.Point3f(0.7, 9.0, 1.2), mi.Vector3f(0.0, 1.0, 0.0)
-    assert np.array(guide.share_at(outside)).tolist() == [0.0]
-    own = mi.Float(0.25)
-    assert np.array(guide.mixed_pdf(outside, direction, own, mi.Bool(True))).tolist() == [0.25]
-    inside = guide.mixed_pdf(mi.Point3f(0.7, 1.0, 1.2), direction, own, mi.Bool(True))
-    assert np.isfinite(np.array(inside)).all() and np.array(inside)[0] > 0.25
+    lights = rendered(tmp_path, walled_room(), SKY)._tracer.lights
+    assert lights is not None and lights.guide is not None
+    direction, own, first = mi.Vector3f(0.0, 1.0, 0.0), mi.Float(0.25), mi.UInt32(0)
+    outside, inside = mi.Point3f(0.7, 9.0, 1.2), mi.Point3f(0.7, 1.0, 1.2)
+    assert [np.array(lights.guide.contains(point))[0] for point in (outside, inside)] == [False, True]
+    assert np.array(lights.pdf(outside, direction, own, first, first)).tolist() == [0.25]
+    density = np.array(lights.pdf(inside, direction, own, first, first))
+    assert np.isfinite(density).all() and density[0] > 0.25
 
 
 @pytest.mark.parametrize("case", ["no environment", "sealed", "lamp outshines it", "nothing but sky"])

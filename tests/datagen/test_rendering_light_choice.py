@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""The choice of lights: slots, the warp of a number, what places learn, and images that stay as they were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.cameras import Camera, look_at
+from datagen.formats.lights import PointLight
+from datagen.formats.recipe import RenderRecipe
+from datagen.rendering.renderer import SceneRenderer
+from tests.datagen.rendering_scenes import SmallScene, quad, renderer
+from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, walled_room
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+
+RECIPE = RenderRecipe(path_samples=4, auxiliary_samples=4, denoise=False, max_depth=8, irradiance_cache=True)
+SIDES = (-1.0, 1.0)
+
+
+def two_chambers(tmp_path: Path) -> SceneRenderer:
+    """A wall between a bright lamp and a dim one, a camera on each side."""
+    parts = {
+        "floor": (quad([-2, -2, 0], [4, 0, 0], [0, 4, 0]), "grey"),
+        "ceiling": (quad([-2, 2, 2], [4, 0, 0], [0, -4, 0]), "grey"),
+        "left": (quad([-2, -2, 0], [0, 4, 0], [0, 0, 2]), "grey"),
+        "wall_left": (quad([-0.1, 2, 0], [0, -4, 0], [0, 0, 2]), "grey"),
+        "wall_right": (quad([0.1, -2, 0], [0, 4, 0], [0, 0, 2]), "grey"),
+        "right": (quad([2, 2, 0], [0, -4, 0], [0, 0, 2]), "grey"),
+        "front": (quad([2, -2, 0], [-4, 0, 0], [0, 0, 2]), "grey"),
+        "back": (quad([-2, 2, 0], [4, 0, 0], [0, 0, 2]), "grey"),
+    }
+    lamps = tuple(
+        PointLight(name=f"lamp {k}", position_m=(x, 0.0, 1.5), intensity=(power,) * 3)
+        for k, (x, power) in enumerate(zip(SIDES, (50.0, 0.5), strict=True))
+    )
+    cameras = [Camera(24, 16, 12, 12, 12, 8, look_at([x, -1.5, 1.2], [x, 1.0, 0.6])) for x in SIDES]
+    return renderer(tmp_path, SmallScene(parts), cameras, RECIPE, lights=lamps)
+
+
+def spread(
+    room: SceneRenderer, view: int, count: int = 8, samples: int = 64, limit: float = np.inf
+) -> NDArray[np.float64]:
+    """Independent images of one view, (count, H, W, 3); ``limit`` is what reflected light is clamped to."""
+    sensor = room._sensor(room.configuration.cameras[view].camera())
+    images = [room._tracer.add_up(sensor, samples, 50 + k, limit=limit).mean() for k in range(count)]
+    return np.stack(images).astype(np.float64)
+
+
+def with_even_choice(room: SceneRenderer) -> None:
+    """As if places had learned nothing of lights, but keep what they know of irradiance."""
+    from datagen.rendering.light_choice import LightChoice
+
+    tracer = room._tracer
+    assert tracer.lights is not None and tracer.irradiance is not None
+    shape = (tracer.irradiance.num_records + 1, tracer.lights.num_techniques)
+    tracer.lights = LightChoice(tracer.scene, tracer.sky_guide, np.ones(shape))
+    tracer.forget_recordings()
+
+
+def test_slots_follow_shares_and_leave_nobody_out() -> None:
+    from datagen.rendering.light_choice import SLOTS, whole_slots
+
+    shares = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1e-300, 1e-300, 2e-300], [1e30, 3e30, 0.0]])
+    slots = whole_slots(shares)
+    assert (slots.sum(axis=1) == SLOTS).all() and slots.min() == 1
+    assert slots[0].tolist() == [SLOTS - 2, 1, 1]
+    assert np.ptp(slots[1]) <= 1
+    assert slots[2, 2] > 1.8 * slots[2, 0] and slots[3, 1] > 2.8 * slots[3, 0]
+    many = whole_slots(np.random.default_rng(3).random((1000, 5)) ** 8)
+    assert (many.sum(axis=1) == SLOTS).all() and many.min() == 1
+
+
+def test_a_number_is_warped_into_a_technique_and_a_number(tmp_path: Path) -> None:
+    import mitsuba as mi
+
+    lights = two_chambers(tmp_path)._tracer.lights
+    assert lights is not None and lights.num_techniques == 2
+    count = 1 << 16
+    numbers = mi.Float((np.arange(count, dtype=np.float32) + 0.5) / count)
+    for place in (0, 1, 7):
+        technique, rest = (np.array(found) for found in lights.choose(mi.UInt32(place), numbers))
+        assert rest.min() >= 0.0 and rest.max() < 1.0
+        for k in (0, 1):
+            probability = np.array(lights.probability(mi.UInt32(place), mi.UInt32(k)))[0]
+            assert (technique == k).mean() == pytest.approx(probability, abs=2 / count)
+            histogram = np.histogram(rest[technique == k], 8, (0, 1))[0] / count
+            assert histogram == pytest.approx([probability / 8] * 8, abs=4 / count)
+
+
+def test_places_choose_the_light_that_they_see(tmp_path: Path) -> None:
+    """The lamp of the other chamber is a hundred times as bright, and hidden."""
+    import mitsuba as mi
+
+    room = two_chambers(tmp_path)
+    tracer = room._tracer
+    assert tracer.lights is not None and tracer.irradiance is not None
+    x = np.repeat(SIDES, 200) + np.tile(np.linspace(-0.8, 0.8, 200), 2)
+    point = mi.Point3f(x, np.zeros(400), np.zeros(400))
+    place = tracer.irradiance.record(point, mi.Vector3f(0, 0, 1), mi.Bool(True))
+    assert (np.array(place) > 0).mean() > 0.95
+    own = np.array(tracer.lights.probability(place, mi.UInt32(np.repeat([0, 1], 200))))
+    assert np.median(own) > 0.95 and (own > 0.5).mean() > 0.9
+
+
+def test_less_noise_and_the_same_light_behind_a_wall(tmp_path: Path) -> None:
+    room = two_chambers(tmp_path)
+    # Of one sample each: more are divided among lights too evenly to tell
+    learned = spread(room, 1, 64, 1, limit=1e-20)
+    with_even_choice(room)
+    even = spread(room, 1, 64, 1, limit=1e-20)
+    assert learned.mean() == pytest.approx(even.mean(), rel=0.01)
+    variances = [images.var(axis=0, ddof=1).mean() for images in (learned, even)]
+    assert variances[0] < 0.25 * variances[1]
+
+
+@pytest.mark.parametrize("lights", [(LAMP, DAYLIGHT), (DAYLIGHT,)], ids=["lamp and daylight", "daylight"])
+def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
+    """Against an even choice with the same cache: area light, sun, sky, and the guide to the window."""
+    room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=lights)
+    assert room._tracer.sky_guide is not None or len(lights) == 2
+    learned = spread(room, 0, 16, 128)
+    with_even_choice(room)
+    even = spread(room, 0, 16, 128)
+    means = [sample.mean(axis=(1, 2, 3)) for sample in (learned, even)]
+    error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
+    assert abs(means[0].mean() - means[1].mean()) < 4 * error
+    assert error < 0.01 * means[1].mean()  # the comparison tells something
+
+
+def test_more_lights_than_a_table_tells_apart_are_chosen_evenly(tmp_path: Path) -> None:
+    from datagen.rendering.light_choice import MOST_TECHNIQUES
+
+    bulbs = tuple(
+        PointLight(name=f"bulb {k}", position_m=(0.1 * k - 0.8, 0.0, 1.5), intensity=(1.0, 1.0, 1.0))
+        for k in range(MOST_TECHNIQUES + 1)
+    )
+    room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=bulbs)
+    assert room._tracer.lights is None and room._tracer.irradiance is not None
+    many = spread(room, 0, 4).mean()
+    one = PointLight(name="all", position_m=(0.0, 0.0, 1.5), intensity=(MOST_TECHNIQUES + 1.0,) * 3)
+    single = renderer(tmp_path / "one", walled_room(), CAMERAS, RECIPE, lights=(one,))
+    assert single._tracer.lights is None
+    assert many == pytest.approx(spread(single, 0, 4).mean(), rel=0.2)
