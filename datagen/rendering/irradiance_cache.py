@@ -27,12 +27,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.rendering.light_choice import MOST_LEARNED, LightChoice
 from datagen.rendering.path_terms import facing_normal, power_heuristic
 from datagen.rendering.recording import undisturbed
 from datagen.rendering.sobol import OwenSobol
 
 if TYPE_CHECKING:
-    from datagen.rendering.light_choice import LightChoice
     from datagen.rendering.path_tracer import PathTracer
     from mitsuba_plugins.surface_material import SceneMaterials
 
@@ -168,7 +168,7 @@ class IrradianceCache:
 
     def light_shares(self) -> NDArray[np.float64]:
         """What each technique of sampling lights should get, (records + 1, T), once finished: the root of
-        what it brought, squared."""
+        what it brought, squared. T is 0 where nothing of this was learned."""
         return np.sqrt(self._squares)
 
     def _upload(self, means: NDArray[np.float64]) -> None:
@@ -235,11 +235,14 @@ def learn_irradiance(
         return None
     # As many samples for each cell that has a surface in it: their number goes with the side's inverse square
     most_cells = int(MOST_CELLS * (num_rays / MOST_RAYS) ** 1.5)
-    num_techniques = 0 if tracer.lights is None else tracer.lights.num_techniques
+    lights = tracer.lights
+    if lights is not None and lights.num_techniques > MOST_LEARNED:
+        lights = None
+    num_techniques = 0 if lights is None else lights.num_techniques
     cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), most_cells), num_techniques)
 
     def walk(scene: Any, ray: Any, sampler: Any, is_warm: Any) -> list[tuple[Any, ...]]:
-        return _walk(tracer, scene, materials, cache, ray, sampler, is_warm)
+        return _walk(tracer, scene, materials, cache, lights, ray, sampler, is_warm)
 
     def state(*_: Any) -> list[Any]:
         return [*tracer.tables(), *materials.tables(), *cache.arrays()]
@@ -317,7 +320,14 @@ def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
 
 @dr.syntax
 def _walk(
-    tracer: Any, scene: Any, materials: Any, cache: Any, ray: Any, sampler: Any, is_warm: Any
+    tracer: Any,
+    scene: Any,
+    materials: Any,
+    cache: Any,
+    lights: Any,
+    ray: Any,
+    sampler: Any,
+    is_warm: Any,
 ) -> list[tuple[Any, ...]]:
     """Of the surfaces that a path meets: cell, whether there is one, one sample of its irradiance, and what
     :func:`_put_down` says of its shadow ray.
@@ -364,7 +374,7 @@ def _walk(
         cosine = dr.maximum(dr.dot(normal, ds.d), 0.0)
         weight = dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, cosine * INVERSE_PI))
         direct = dr.select(turns & (ds.pdf > 0.0), radiance * cosine * weight, 0.0)
-        technique, value = _put_down(tracer.lights, ds, radiance, direct)
+        technique, value = _put_down(lights, ds, radiance, direct)
         cell, is_inside = cache.cells.index(si.p, normal)
         for turn in range(TURNS + 1):
             irradiance[turn] += dr.select(arrives, share[turn] * came, 0.0)

@@ -29,9 +29,12 @@ if TYPE_CHECKING:
 Array = Any
 
 SLOTS = 32
-"""Of a place's table; probabilities are multiples of its inverse, which is the least one."""
-MOST_TECHNIQUES = 16
-"""With more lights than that the scene's own choice stays: a place's table could not tell them apart."""
+"""Of a place's table, or twice as many as there are techniques; probabilities are multiples of its inverse,
+which is the least one."""
+MOST_LEARNED = 16
+"""With more techniques places learn nothing: tables would be large, and few rays tell them apart."""
+MOST_TECHNIQUES = 512
+"""With more the scene's own choice stays, and no guide is used: numbers in a table have 10 bits."""
 BELOW_ONE = 1.0 - 2.0**-20
 """Keeps a warped number in its part of the unit interval when it is rounded."""
 
@@ -39,21 +42,23 @@ BELOW_ONE = 1.0 - 2.0**-20
 class LightChoice:
     """Probabilities of T techniques at each of P places: emitters in the scene's order, then the guide.
 
-    ``shares`` (P, T), of any sum, say what each should get. Place 0 stands for wherever nothing is known.
+    ``shares`` (P, T), of any sum, say what each should get. Place 0 stands for wherever nothing is known; if
+    there is no other, all places are it.
     """
 
     def __init__(self, scene: Any, guide: SkyGuide | None, shares: NDArray[np.float64]):
         self.scene, self.guide = scene, guide
         self.num_emitters = len(scene.emitters())
         self.num_techniques = self.num_emitters + (guide is not None)
-        counts = whole_slots(shares)
+        self.num_places, self.num_slots = len(shares), max(SLOTS, 2 * self.num_techniques)
+        counts = whole_slots(shares, self.num_slots)
         starts = np.cumsum(counts, axis=1) - counts
         order = np.repeat(np.tile(np.arange(self.num_techniques), len(counts)), counts.ravel())
-        order = order.reshape(-1, SLOTS)
+        order = order.reshape(-1, self.num_slots)
         rows = np.arange(len(counts))[:, None]
-        packed = order | starts[rows, order] << 8 | counts[rows, order] << 16
+        packed = order | starts[rows, order] << 10 | counts[rows, order] << 20
         self.table = mi.UInt32(packed.ravel().astype(np.uint32))
-        self.probabilities = mi.Float((counts / SLOTS).ravel().astype(np.float32))
+        self.probabilities = mi.Float((counts / self.num_slots).ravel().astype(np.float32))
         registry = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr())).astype(np.int64)
         index_of = np.zeros(int(registry.max(initial=0)) + 1, np.uint32)
         index_of[registry] = np.arange(len(registry))
@@ -75,14 +80,17 @@ class LightChoice:
 
     def probability(self, place: Array, technique: Array) -> Array:
         """With which a technique is chosen."""
-        return dr.gather(mi.Float, self.probabilities, place * self.num_techniques + technique)
+        row: Any = place if self.num_places > 1 else mi.UInt32(0)
+        return dr.gather(mi.Float, self.probabilities, row * self.num_techniques + technique)
 
     def choose(self, place: Array, sample: Array) -> tuple[Any, Any]:
         """A technique by a number in [0, 1), and what is left of it: again a number in [0, 1)."""
-        slot = dr.minimum(mi.UInt32(sample * SLOTS), SLOTS - 1)
-        packed: Any = dr.gather(mi.UInt32, self.table, place * SLOTS + slot)
-        start, count = mi.Float((packed >> 8) & 0xFF), mi.Float(packed >> 16)
-        return packed & 0xFF, dr.clip((sample * SLOTS - start) / count, 0.0, BELOW_ONE)
+        row: Any = place if self.num_places > 1 else mi.UInt32(0)
+        scaled = sample * self.num_slots
+        slot = dr.minimum(mi.UInt32(scaled), self.num_slots - 1)
+        packed: Any = dr.gather(mi.UInt32, self.table, row * self.num_slots + slot)
+        start, count = mi.Float((packed >> 10) & 0x3FF), mi.Float(packed >> 20)
+        return packed & 0x3FF, dr.clip((scaled - start) / count, 0.0, BELOW_ONE)
 
     def sample_emitter(
         self, si: Any, place: Array, sample: Array, choice: Array, active: Array
@@ -142,7 +150,7 @@ def even_choice(scene: Any, guide: SkyGuide | None) -> LightChoice | None:
     """The choice before anything is learned: the guide gets its share of the shadow rays, emitters the rest,
     evenly. None where there is nothing to choose, or too much."""
     num_emitters = len(scene.emitters())
-    if num_emitters + (guide is not None) > MOST_TECHNIQUES or (guide is None and num_emitters < 2):
+    if not 2 <= num_emitters + (guide is not None) <= MOST_TECHNIQUES:
         return None
     shares = np.ones(num_emitters)
     if guide is not None:
@@ -150,13 +158,13 @@ def even_choice(scene: Any, guide: SkyGuide | None) -> LightChoice | None:
     return LightChoice(scene, guide, shares[None])
 
 
-def whole_slots(shares: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Slots (P, T) of ``SLOTS`` for shares (P, T): at least one each, else in proportion."""
+def whole_slots(shares: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
+    """Slots (P, T) of ``num_slots`` for shares (P, T): at least one each, else in proportion."""
     total = shares.sum(axis=1, keepdims=True)
     even = np.full_like(shares, 1.0 / shares.shape[1])
     parts = np.divide(shares, total, out=even, where=total > 0.0)
-    wanted = 1.0 + parts * (SLOTS - shares.shape[1])
+    wanted = 1.0 + parts * (num_slots - shares.shape[1])
     counts = np.floor(wanted).astype(np.int64)
-    missing = SLOTS - counts.sum(axis=1, keepdims=True)
+    missing = num_slots - counts.sum(axis=1, keepdims=True)
     rank = np.argsort(np.argsort(counts - wanted, axis=1, kind="stable"), axis=1, kind="stable")
     return counts + (rank < missing)

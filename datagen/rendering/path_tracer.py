@@ -119,8 +119,8 @@ class PathTracer:
         if self.scene.emitters():
             with dr.suspend_grad():
                 self.irradiance = learn_irradiance(self, materials, sensors, num_pixels, seed)
-        if self.irradiance is not None and self.lights is not None:
-            self.lights = LightChoice(self.scene, self.sky_guide, self.irradiance.light_shares())
+        if self.irradiance is not None and (shares := self.irradiance.light_shares()).size:
+            self.lights = LightChoice(self.scene, self.sky_guide, shares)
 
     def _walk_from(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
         """Rays through all pixels of a sensor, and a sampler for their ways."""

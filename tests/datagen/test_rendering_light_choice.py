@@ -15,7 +15,7 @@ from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.rendering_scenes import SmallScene, quad, renderer
-from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, walled_room
+from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, SKY, walled_room
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
@@ -133,17 +133,22 @@ def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
     assert error < 0.01 * means[1].mean()  # the comparison tells something
 
 
-def test_more_lights_than_a_table_tells_apart_are_chosen_evenly(tmp_path: Path) -> None:
-    from datagen.rendering.light_choice import MOST_TECHNIQUES
+def test_many_lights_are_chosen_evenly(tmp_path: Path) -> None:
+    """More than places learn about; the guide to the window keeps its share."""
+    from datagen.rendering.light_choice import MOST_LEARNED
 
     bulbs = tuple(
-        PointLight(name=f"bulb {k}", position_m=(0.1 * k - 0.8, 0.0, 1.5), intensity=(1.0, 1.0, 1.0))
-        for k in range(MOST_TECHNIQUES + 1)
+        PointLight(name=f"bulb {k}", position_m=(0.1 * k - 1.0, 0.0, 1.5), intensity=(1e-3, 1e-3, 1e-3))
+        for k in range(MOST_LEARNED + 4)
     )
-    room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=bulbs)
-    assert room._tracer.lights is None and room._tracer.irradiance is not None
-    many = spread(room, 0, 4).mean()
-    one = PointLight(name="all", position_m=(0.0, 0.0, 1.5), intensity=(MOST_TECHNIQUES + 1.0,) * 3)
-    single = renderer(tmp_path / "one", walled_room(), CAMERAS, RECIPE, lights=(one,))
-    assert single._tracer.lights is None
-    assert many == pytest.approx(spread(single, 0, 4).mean(), rel=0.2)
+    room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(*bulbs, SKY))
+    tracer = room._tracer
+    assert tracer.sky_guide is not None and tracer.irradiance is not None and tracer.lights is not None
+    assert tracer.lights.num_places == 1 and tracer.lights.num_techniques == len(bulbs) + 2
+    guided = spread(room, 0)
+    tracer.guide_by(None)
+    plain = spread(room, 0)
+    means = [sample.mean(axis=(1, 2, 3)) for sample in (guided, plain)]
+    error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
+    assert abs(means[0].mean() - means[1].mean()) < 0.03 * means[1].mean() + 4 * error
+    assert error < 0.03 * means[1].mean()
