@@ -13,7 +13,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from benchmarks.bench_peer import agrees, extrapolated, interpolated
+from benchmarks.bench_peer import agrees, extrapolated, interpolated, rank
 from benchmarks.peer_scene import sky_image
 from datagen.formats.lights import SkyLight
 from datagen.library import Library
@@ -44,6 +44,12 @@ def test_two_that_show_different_rooms_are_not_compared() -> None:
     assert agrees(same)
     assert not agrees({**same, "ratio_of_means": [0.96, 0.12]})
     assert not agrees({**same, "correlation": [0.99, 0.6]})
+
+
+def test_the_peer_is_the_fastest_that_gets_there_or_the_nearest() -> None:
+    fast, slow = ({"reached": True, "total_cpu_s": seconds, "rel_mse": 0.01} for seconds in (10.0, 20.0))
+    near, far = ({"reached": False, "total_cpu_s": 1.0 / error, "rel_mse": error} for error in (0.02, 0.1))
+    assert sorted([far, slow, near, fast], key=rank) == [fast, slow, near, far]
 
 
 def test_the_peer_gets_the_sky_that_is_rendered(tmp_path: Path, mitsuba_variant: str) -> None:
