@@ -89,17 +89,17 @@ def passes(renderer: Any) -> dict[str, float]:
     return found
 
 
-def planned_folder(cache: Path, size: tuple[int, int], views: int) -> Path:
-    """The configuration that is measured, planned once."""
+def planned_folder(cache: Path, size: tuple[int, int], views: int, configurations: int = 1) -> Path:
+    """The configurations that are measured, planned once."""
     from datagen.formats.base import canonical_json
     from datagen.formats.recipe import ObjectRecipe, Recipe
 
-    folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}"
+    folder = cache / f"first_pixel_{size[0]}x{size[1]}_{views}_{configurations}"
     if not (folder / "plan.json").is_file():
         recipe = Recipe(
             name="first",
             seed=2022,
-            configurations=1,
+            configurations=configurations,
             views=views,
             resolution=size,
             objects=ObjectRecipe(count=(10, 24)),

@@ -20,8 +20,6 @@ import argparse
 import gc
 import json
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -30,11 +28,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.bench_first_pixel import planned_folder
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
-from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration
-from datagen.formats.recipe import ObjectRecipe, Recipe, RenderRecipe
+from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer, release_memory
 from datagen.rendering.scene_builder import AssetCaches, build_scene
@@ -57,26 +55,6 @@ class ImagesOfConstants(TextureCache):
         shape = (CONSTANT_SIDE, CONSTANT_SIDE) + (() if role in SCALAR_ROLES else (3,))
         self.num_bytes += 2 * int(np.prod(shape))
         return upload(np.broadcast_to(constant, shape).astype(np.float32))
-
-
-def planned(folder: Path, size: tuple[int, int], views: int) -> DatasetFolder:
-    """Two configurations."""
-    plan = folder / f"scene_needs_{size[0]}x{size[1]}_{views}"
-    if not (plan / "plan.json").is_file():
-        recipe = Recipe(
-            name="needs",
-            seed=2022,
-            configurations=2,
-            views=views,
-            resolution=size,
-            objects=ObjectRecipe(count=(10, 24)),
-        )
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / "scene_needs.yaml"
-        path.write_bytes(canonical_json(recipe))  # JSON is YAML
-        command = [sys.executable, "-m", "datagen", "plan", str(path), "--out", str(plan)]
-        subprocess.run(command, check=True, cwd=REPOSITORY, stdout=subprocess.DEVNULL)
-    return DatasetFolder(plan)
 
 
 def seconds(work: Callable[[], Any]) -> float:
@@ -187,7 +165,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
     select_variant("llvm_ad_rgb")
-    folder = planned(arguments.out, tuple(arguments.size), arguments.views)
+    folder = DatasetFolder(planned_folder(arguments.out, tuple(arguments.size), arguments.views, 2))
     library = Library(folder.read_record().library_paths)
     first, second = (folder.read_configuration(unit) for unit in folder.read_plan().units)
     rows = loading((first, second), library, arguments.repeats)
