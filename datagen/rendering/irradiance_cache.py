@@ -116,7 +116,7 @@ class IrradianceCache:
     """
 
     def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
-        self.cells, self._num_techniques = cells, num_techniques
+        self.cells = cells
         self._record_of_cell = np.zeros(cells.num_cells, np.uint32)
         self._cell_of_record = np.zeros(1, np.int64)
         self._sums = np.zeros((1, 3 + num_techniques))
