@@ -78,17 +78,19 @@ class LightChoice:
         registry: Any = dr.reinterpret_array(mi.UInt32, emitter)
         return dr.gather(mi.UInt32, self.index_of_emitter, registry)
 
+    def _row(self, place: Array) -> Array:
+        """Of the tables: that of the place, or the only one."""
+        return place if self.num_places > 1 else mi.UInt32(0)
+
     def probability(self, place: Array, technique: Array) -> Array:
         """With which a technique is chosen."""
-        row: Any = place if self.num_places > 1 else mi.UInt32(0)
-        return dr.gather(mi.Float, self.probabilities, row * self.num_techniques + technique)
+        return dr.gather(mi.Float, self.probabilities, self._row(place) * self.num_techniques + technique)
 
     def choose(self, place: Array, sample: Array) -> tuple[Any, Any]:
         """A technique by a number in [0, 1), and what is left of it: again a number in [0, 1)."""
-        row: Any = place if self.num_places > 1 else mi.UInt32(0)
         scaled = sample * self.num_slots
         slot = dr.minimum(mi.UInt32(scaled), self.num_slots - 1)
-        packed: Any = dr.gather(mi.UInt32, self.table, row * self.num_slots + slot)
+        packed: Any = dr.gather(mi.UInt32, self.table, self._row(place) * self.num_slots + slot)
         start, count = mi.Float((packed >> 10) & 0x3FF), mi.Float(packed >> 20)
         return packed & 0x3FF, dr.clip((scaled - start) / count, 0.0, BELOW_ONE)
 
