@@ -245,6 +245,9 @@ class _Assembly:
             job.settings.texture_bits,
         )
         entry["replaceable_by"] = list(replaceable_by(material, job.problems))
+        origin = material.get("sm_baked_from") or (name if slot_name != name else None)
+        if origin is not None:
+            entry["baked_from"] = str(origin)
         if material.get("sm_tile_size_m") is not None and baked.uv is None and baked.window == UNIT_WINDOW:
             entry["tile_size_m"] = float(material["sm_tile_size_m"])
         self.materials[slot_name] = entry

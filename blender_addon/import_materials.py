@@ -36,8 +36,9 @@ def make_material(name: str, entry: dict[str, Any], folder: Path, pack: bool) ->
     for key, tag in (("classes", "sm_class"), ("replaceable_by", "sm_replaceable_by")):
         if entry.get(key):
             material[tag] = ", ".join(entry[key])
-    if entry.get("tile_size_m"):
-        material["sm_tile_size_m"] = entry["tile_size_m"]
+    for key in ("tile_size_m", "baked_from"):
+        if entry.get(key):
+            material[f"sm_{key}"] = entry[key]
     build = _Nodes(material.node_tree, folder, pack)
     diffuse = entry.get("diffuse_albedo", [0.5] * 3)
     specular = entry.get("specular_albedo", [0.04] * 3)

@@ -190,6 +190,15 @@ def is_plain(package: Package) -> bool:
     return not own.textures() and own.emission is None and own.opacity is None
 
 
+def slots_by_material(asset: ObjectAsset | EnvironmentAsset) -> list[tuple[str, ...]]:
+    """The slots of an asset, those that hold bakes of one material together, in the order of first slots."""
+    groups: dict[tuple[bool, str], list[str]] = {}
+    for slot in sorted(asset.materials):
+        origin = asset.materials[slot].baked_from
+        groups.setdefault((origin is not None, origin or slot), []).append(slot)
+    return [tuple(slots) for slots in groups.values()]
+
+
 def assign_materials(
     package: Package,
     palette: list[Package],
@@ -203,38 +212,61 @@ def assign_materials(
     ``palette`` holds the material packages on offer, in a fixed order. A class is drawn first, then one of
     its materials, so that a class with many materials does not crowd out the others. A slot among
     ``foreign_slots`` (asset id, slot) never keeps its own material: where nothing suits it, it gets one
-    without textures. Slots that no class suits are never replaced otherwise.
+    without textures. Slots that no class suits are never replaced otherwise. Bakes of one material
+    (``baked_from``) get one assignment, which suits all of them.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     assignments = {}
-    for slot in sorted(asset.materials):
-        own = asset.materials[slot]
+    for slots in slots_by_material(asset):
+        own = [asset.materials[slot] for slot in slots]
         replaces, varies = draws.chance(recipe.replace_probability), draws.chance(recipe.vary_probability)
         pick = draws.units(2)
         # Only drawn where it may happen: recipes without it keep the configurations that they had.
         takes_any = recipe.any_class_probability > 0 and draws.chance(recipe.any_class_probability)
-        if own.emission is not None:
+        if any(material.emission is not None for material in own):
             continue
-        is_foreign = (package.id, slot) in foreign_slots
-        fits = _can_be_worn if takes_any and own.replaceable_by else suits
-        fitting = [p for p in palette if isinstance(p.asset, MaterialAsset) and fits(p.asset, slot, asset)]
+        is_foreign = any((package.id, slot) in foreign_slots for slot in slots)
+        fits = _can_be_worn if takes_any and all(m.replaceable_by for m in own) else suits
+        fitting = [
+            p
+            for p in palette
+            if isinstance(p.asset, MaterialAsset) and all(fits(p.asset, slot, asset) for slot in slots)
+        ]
         chosen: Package | None = None
         if replaces or is_foreign:
             chosen = _drawn(fitting, recipe.class_weights, pick)
         if is_foreign and chosen is None:
             chosen = _drawn([p for p in palette if is_plain(p)], {}, pick)
-        material = own if chosen is None else chosen.asset.material  # type: ignore[union-attr]
         adjustment = ColorAdjustment()
         if varies:
-            mean = means.mean(chosen or package, material)
-            strength = recipe.variation_strength
-            adjustment = draw_adjustment(mean, material.classes[0], strength, draws)
+            if chosen is None:
+                main_class = own[0].classes[0]
+                mean = _mean_of([means.mean(package, material) for material in own])
+            else:
+                assert isinstance(chosen.asset, MaterialAsset)
+                main_class = chosen.asset.material.classes[0]
+                mean = means.mean(chosen, chosen.asset.material)
+            adjustment = draw_adjustment(mean, main_class, recipe.variation_strength, draws)
         if chosen is not None or adjustment != ColorAdjustment():
-            assignments[slot] = MaterialAssignment(
+            assignment = MaterialAssignment(
                 asset=None if chosen is None else chosen.id, adjustment=adjustment
             )
+            assignments.update(dict.fromkeys(slots, assignment))
     return assignments
+
+
+def _mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
+    """The mean over the bakes of one material."""
+    if len(bakes) == 1:
+        return bakes[0]
+
+    def color(channel: str) -> tuple[float, float, float]:
+        red, green, blue = np.mean([getattr(bake, channel) for bake in bakes], axis=0).tolist()
+        return (red, green, blue)
+
+    roughness = float(np.mean([bake.roughness for bake in bakes]))
+    return MeanMaterial(color("diffuse_albedo"), color("specular_albedo"), roughness)
 
 
 def _drawn(

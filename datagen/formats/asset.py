@@ -90,9 +90,12 @@ class SlotMaterial(Material):
     """A material inside an object or environment. Its name is its slot.
 
     ``replaceable_by``: classes of material that suit the geometry and may take its place; empty = fixed.
+    ``baked_from``: the material of which this slot holds a bake for one mesh; slots of one origin are one
+    material and are varied and replaced together. None where the slot is the whole material.
     """
 
     replaceable_by: tuple[MaterialClass, ...] = ()
+    baked_from: Annotated[str, Field(min_length=1)] | None = None
 
 
 class Part(StrictModel):
