@@ -53,7 +53,8 @@ def _api_index(pages: dict[str, list[str]]) -> str:
         "# API reference",
         "",
         "Made from the docstrings of every module. Shapes, units and ranges are those of "
-        "[the conventions](../conventions.md); bad input raises `datagen.errors.InputError` everywhere.",
+        "[the conventions](../conventions.md); bad input raises "
+        "`datagen.foundation.errors.InputError` everywhere.",
         "",
     ]
     for owner, modules in pages.items():

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from datagen.formats.capture import Capture, CaptureGeometry, GeometryPart
-from datagen.meshes import Mesh, without_degenerate
+from datagen.foundation.meshes.mesh import Mesh, without_degenerate
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.check import CheckReport, check_capture
 

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from benchmarks.bench_view import RESULTS, configuration_of, converted
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Configuration
-from datagen.formats.exr import decode_channels
 from datagen.formats.recipe import QUALITIES, AssetFilter, Recipe, RenderRecipe
+from datagen.foundation.exr import decode_channels
 from datagen.library import Library, resolve_library_paths
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import SceneRenderer

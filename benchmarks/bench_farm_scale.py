@@ -26,7 +26,6 @@ from pathlib import Path
 import numpy as np
 
 from datagen.assembly.plan import configuration_id
-from datagen.cameras import Camera, look_at
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, UnitManifest
 from datagen.farm.local import LocalOptions, run_local
@@ -36,6 +35,7 @@ from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.recipe import Recipe, RenderRecipe
 from datagen.formats.view import RenderRecord, ViewRecord
+from datagen.foundation.cameras import Camera, look_at
 from datagen.library import Library, bundled_library
 
 

@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bench_merge_quality import looked_up, open_room, pixel_uv
-from datagen.cameras import Camera
 from datagen.formats.capture import Capture, CaptureView, ColorImage
+from datagen.foundation.cameras import Camera
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets

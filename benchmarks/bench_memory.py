@@ -24,7 +24,6 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from datagen.cameras import Camera, look_at
 from datagen.formats.asset import Material, SlotMaterial, Texture
 from datagen.formats.configuration import (
     ColorAdjustment,
@@ -35,7 +34,8 @@ from datagen.formats.configuration import (
 )
 from datagen.formats.lights import AreaLight, EnvironmentLight, PointLight
 from datagen.formats.recipe import RenderRecipe
-from datagen.images import encode_png
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.images import encode_png
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.rendering_scenes import SmallScene, box, placed, quad

@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
 from datagen.formats.capture import Capture
-from datagen.meshes import Mesh
+from datagen.foundation.cameras import Camera
+from datagen.foundation.meshes.mesh import Mesh
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
 from model.reconstruction.captures import CaptureOptions, read_capture

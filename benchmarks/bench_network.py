@@ -25,8 +25,8 @@ import cv2
 import numpy as np
 import torch
 
-from datagen.buffers import BUFFERS, VIEW_BUFFERS
-from datagen.formats.exr import decode_view, encode_view
+from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS
+from datagen.foundation.exr import decode_view, encode_view
 from model.networks import NetworkConfig, Track
 from model.training.config import PRESETS, TrainingConfig, resolve_config
 from model.training.dataset import buffer_names

@@ -50,13 +50,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import luminance
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.recipe import QUALITIES, ObjectRecipe, Recipe, RenderRecipe
 from datagen.formats.shard import ShardReader
+from datagen.foundation.color import luminance
+from datagen.foundation.versions import pixel_versions
 from datagen.rendering.error import relative_mse
-from datagen.versions import pixel_versions
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIRST_SAMPLES = 4

@@ -27,7 +27,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from datagen.cameras import Camera, look_at
+from datagen.foundation.cameras import Camera, look_at
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics, has_surface
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
 from mitsuba_plugins.variant import select_variant

@@ -29,16 +29,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from datagen.cameras import Camera
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
-from datagen.formats.exr import encode_view
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.cameras import Camera
+from datagen.foundation.exr import encode_view
+from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.rendering.error import relative_mse
 from datagen.rendering.renderer import RenderedView, SceneRenderer
-from datagen.versions import pixel_versions
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))

@@ -34,11 +34,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
-from datagen.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.formats.base import canonical_json, read_json
 from datagen.formats.configuration import Configuration, ViewCamera
-from datagen.images import read_image
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
+from datagen.foundation.images import read_image
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
@@ -291,7 +291,7 @@ class EndToEnd:
 
     def _asset_maps(self, configuration: Configuration) -> list[dict[str, NDArray]]:
         from datagen.formats.package import open_package
-        from datagen.inspection.render_package import configuration_of
+        from datagen.formats.standalone import configuration_of
         from datagen.library import Library
 
         path = self.result / "asset"

@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from datagen.images import read_image
+from datagen.foundation.images import read_image
 from datagen.importers.common import ImportOptions
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.importers.reference import Agreement, agreement, render_converted, render_original
@@ -79,7 +79,7 @@ def write_picture(path: Path, reference: np.ndarray, images: dict[str, np.ndarra
     """Reference, original and converted side by side, at one exposure."""
     import cv2
 
-    from datagen.color import exposure_for, srgb_from_linear
+    from datagen.foundation.color import exposure_for, srgb_from_linear
 
     height, width = images["original"].shape[:2]
     row = [cv2.resize(np.ascontiguousarray(reference), (width, height), interpolation=cv2.INTER_AREA)]

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import BUFFERS
-from datagen.cameras import Camera
-from datagen.color import linear_from_log, log_from_linear
-from datagen.formats.exr import decode_view, encode_view, to_storage
 from datagen.formats.lights import AreaLight
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import linear_from_log, log_from_linear
+from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.multiview.visibility import PackedViews, observe_points
 from mitsuba_plugins.variant import select_variant
@@ -120,7 +120,7 @@ def spread_of_alike_views(num_views: int) -> float:
 
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
     """Views of the boxes from places beside the usual ones, each rendered anew."""
-    from datagen.cameras import look_at
+    from datagen.foundation.cameras import look_at
     from tests.datagen.multiview_scenes import _POSES, hit_boxes
 
     rng = np.random.default_rng(3)

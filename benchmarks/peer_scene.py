@@ -24,16 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.assembly.daylight import _SUN_HALF_ANGLE_RAD, _sunsky, lookup, sun_of
-from datagen.color import srgb_from_linear
-from datagen.errors import InputError, Problem
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.lights import EnvironmentLight, SkyLight
-from datagen.images import encode_png, read_image
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.meshes.ply import decode_ply, encode_ply
 from datagen.library import Library
-from datagen.meshes import decode_ply, encode_ply
 from datagen.rendering.materials import SurfaceMaterial, resolve_materials
 from datagen.rendering.scene_builder import _uv_scale
 from datagen.rendering.textures import NO_ADJUSTMENT, SCALAR_ROLES, _decoded, adjusted_constant

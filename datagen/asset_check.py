@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.errors import InputError, Problem
 from datagen.formats.asset import (
     EnvironmentAsset,
     Material,
@@ -23,8 +22,10 @@ from datagen.formats.asset import (
 )
 from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
-from datagen.images import MAX_IMAGE_SIDE_PX, read_image
-from datagen.meshes import Mesh, decode_ply, inspect_mesh, lying_normals
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.images import MAX_IMAGE_SIDE_PX, read_image
+from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, lying_normals
+from datagen.foundation.meshes.ply import decode_ply
 
 BOUNDS_TOLERANCE_M = 2e-3  # declared bounds are rounded when written; a larger difference is a mistake
 _REEXPORT = "re-export the asset"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from datagen.command_line import run_command
 from datagen.farm.commands import farm
+from datagen.foundation.command_line import run_command
 from datagen.tradeoff.command import tradeoff
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ def import_command(
 
 
 def _pairs(option: str, values: list[str] | None) -> dict[str, str]:
-    from datagen.errors import input_error
+    from datagen.foundation.errors import input_error
 
     pairs = {}
     for value in values or ():
@@ -197,7 +197,7 @@ def _parse_import_options(options_type: type, **values: object) -> Any:
     """Options of an import, their types and choices checked."""
     from pydantic import TypeAdapter, ValidationError
 
-    from datagen.errors import InputError, Problem
+    from datagen.foundation.errors import InputError, Problem
 
     try:
         return TypeAdapter(options_type).validate_python(values)
@@ -247,7 +247,7 @@ def _print_recipe(recipe: Recipe) -> None:
 
 def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
     from datagen.farm.planning import create_plan
-    from datagen.progress import ProgressBar
+    from datagen.foundation.progress import ProgressBar
 
     opened = _open_library(recipe, base)
     with ProgressBar("assembling", recipe.configurations, "configurations") as progress:
@@ -308,7 +308,7 @@ def _run_stages(
     """Run stages of all units with a bar; ends the command with 75 when interrupted, 1 when units failed."""
     from datagen.farm.folder import DatasetFolder
     from datagen.farm.local import EXIT_INTERRUPTED, LocalOptions, run_local
-    from datagen.progress import ProgressBar
+    from datagen.foundation.progress import ProgressBar
 
     folder = DatasetFolder(out)
     plan = folder.read_plan()
@@ -362,9 +362,9 @@ def estimate(
     """
     import shutil
 
+    from datagen.foundation.progress import ProgressBar
     from datagen.inspection.estimate import estimate as run_estimate
     from datagen.inspection.estimate import print_estimate
-    from datagen.progress import ProgressBar
 
     recipe = _load_recipe(recipe_path, library, {})
     opened = _open_library(recipe, recipe_path.parent)

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Literal
 
 from datagen.asset_check import check_package
-from datagen.errors import InputError, Problem
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.package import AnyAsset, Package, is_package, open_package
+from datagen.foundation.errors import InputError, Problem
 
 AssetKind = Literal["environment", "object", "material"]
 KIND_FOLDERS: dict[str, str] = {"environment": "environments", "object": "objects", "material": "materials"}

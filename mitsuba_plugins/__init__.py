@@ -41,7 +41,7 @@ def register() -> None:
 
 
 def load_dict(scene: dict[str, Any], **options: Any) -> Any:
-    """``mitsuba.load_dict`` that raises one :class:`datagen.errors.InputError` for all bad materials.
+    """``mitsuba.load_dict`` that raises one :class:`InputError` for all bad materials.
 
     By itself Mitsuba turns what a plugin's constructor raises into a ``RuntimeError`` with a stack trace, at
     the first fault. ``options`` are those of ``mitsuba.load_dict`` (``parallel``, ``optimize``).

@@ -37,7 +37,7 @@ class CookTorrance(mi.BSDF):
 
     Parameters: ``diffuse_albedo``, ``specular_albedo`` (RGB or texture, linear, [0, 1]), ``roughness``
     (number or texture, [0, 1]; of an RGB texture the luminance is used), ``two_sided`` (default true).
-    Raises :class:`datagen.errors.InputError` where a parameter holds NaN, Inf or a value outside its range.
+    Raises :class:`InputError` where a parameter holds NaN, Inf or a value outside its range.
     Values set later through ``mi.traverse`` are clamped at evaluation instead.
     """
 

@@ -25,7 +25,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.errors import input_error
+from datagen.foundation.errors import input_error
 from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 
 Array = Any
@@ -316,12 +316,12 @@ def render_material_buffers(
     ids: IdTable | SceneMaterials | None = None,
     hide_emitters: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Ground-truth buffers of one view as NumPy arrays (H, W, C), by the names of ``datagen.buffers``.
+    """Ground-truth buffers of one view as NumPy arrays (H, W, C), by the names of ``foundation.buffers``.
 
     float32 but for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers it holds
     ``position_world`` [m], the point that ``depth_z_m`` [m] belongs to. ``ids`` maps shape ids to (instance
     id, material id); a :class:`SceneMaterials` made once serves all views of a scene. ``hide_emitters`` must
-    be that of the beauty image's integrator. Raises :class:`datagen.errors.InputError` where a shape's
+    be that of the beauty image's integrator. Raises :class:`InputError` where a shape's
     material has no D, S and R or a shape is missing from ``ids``.
     """
     _check_spp(spp)

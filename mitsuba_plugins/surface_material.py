@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem
 from mitsuba_plugins.cook_torrance import CookTorrance
 from mitsuba_plugins.texture_checks import exposed, needs_uv
 
@@ -171,7 +171,7 @@ class SceneMaterials:
     """The materials and ids of every shape of a scene, ready to be evaluated inside a kernel.
 
     ``ids`` maps shape ids to (instance id, material id), both in [1, 2^24); None numbers them in the scene's
-    order. Raises :class:`datagen.errors.InputError` with every shape whose BSDF has no counterpart among the
+    order. Raises :class:`InputError` with every shape whose BSDF has no counterpart among the
     project's channels, that is missing from ``ids``, or whose texture needs UVs that its mesh lacks.
     """
 

@@ -15,7 +15,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from datagen.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem
 
 TOLERANCE = 1e-4
 """Values this far outside [0, 1] are rounding (half floats, resampling) and are clamped, not refused."""
@@ -105,7 +105,7 @@ _gathered: list[Problem] | None = None
 def check_parameter(material: str, name: str, texture: Any) -> None:
     """Report everything that is wrong with one parameter.
 
-    Raises :class:`datagen.errors.InputError`, or hands the problems to :func:`gathering_problems`.
+    Raises :class:`datagen.foundation.errors.InputError`, or hands the problems to :func:`gathering_problems`.
     """
     problems = parameter_problems(material, name, texture)
     if problems and _gathered is None:

@@ -8,7 +8,7 @@ from typing import Annotated, Optional
 
 import typer
 
-from datagen.command_line import run_command
+from datagen.foundation.command_line import run_command
 from model.evaluation.commands import register_verbs as register_evaluation
 from model.reconstruction.commands import register_verbs
 
@@ -109,7 +109,7 @@ def fetch_weights(
 
     Example: materials fetch-weights
     """
-    from datagen.errors import input_error
+    from datagen.foundation.errors import input_error
     from model.training.perceptual import LPIPS_CHECK_VALUE, lpips_check_value
     from model.training.weights import fetch_vgg, load_vgg
 

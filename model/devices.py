@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import torch
 
-from datagen.errors import input_error
+from datagen.foundation.errors import input_error
 
 
 def parse_device(text: str) -> torch.device:

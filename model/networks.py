@@ -104,7 +104,7 @@ def assemble_inputs(
 
     ``buffers`` holds linear colours ``beauty``, ``color_median``, ``color_max``, ``color_min`` (B, 3, H, W),
     ``normal_camera`` (B, 3, H, W) unit vectors and ``depth_z_m`` (B, 1, H, W); ``exposure`` (B,) is the
-    factor that :func:`datagen.color.exposure_for` gives. ``KeyError`` names a buffer that is missing.
+    factor that :func:`color.exposure_for` gives. ``KeyError`` names a buffer that is missing.
     """
     exposure = exposure.reshape(-1, 1, 1, 1)
     parts = []

@@ -38,7 +38,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as starting_at
 from hypothesis import strategies as st
 
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from tests.conftest import REPOSITORY
 
 EXAMPLES = int(os.environ.get("HOSTILE_EXAMPLES", "60"))

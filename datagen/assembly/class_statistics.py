@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.assembly.materials import CLASS_RANGES, MeanMaterials
-from datagen.errors import InputError
 from datagen.formats.asset import MATERIAL_CLASSES, Material, MaterialAsset, Texture
 from datagen.formats.package import Package
-from datagen.images import read_image, texture_values
+from datagen.formats.textures import texture_values
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import read_image
 from datagen.library import Library
 
 _STRIDE_PX = 128  # spreads need fewer texels than means

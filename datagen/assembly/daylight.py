@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from datagen.assembly.geometry import Floats, RayScene
 from datagen.assembly.light_probe import EnvironmentMap
-from datagen.assembly.random import Draws
-from datagen.errors import input_error
 from datagen.formats.asset import Opening
 from datagen.formats.lights import DirectionalLight, EnvironmentLight, SkyLight
-from datagen.images import read_image
+from datagen.foundation.errors import input_error
+from datagen.foundation.images import read_image
+from datagen.foundation.random import Draws
 from datagen.library import Library
 
 SUN_ELEVATION_RAD = (math.radians(6.0), math.radians(65.0))

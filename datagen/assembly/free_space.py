@@ -11,10 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene
-from datagen.assembly.random import Draws
 from datagen.assembly.things import fibonacci_sphere
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset
+from datagen.foundation.errors import input_error
+from datagen.foundation.random import Draws
 
 NUM_FEELERS = 96  # rays that feel around a camera: a gap of 15 degrees between two of them
 _REACH_M = 6.0  # free space without regions extends this far from the environment's own cameras

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.package import Package
-from datagen.meshes import Mesh, decode_ply, inspect_mesh
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import Mesh, inspect_mesh
+from datagen.foundation.meshes.ply import decode_ply
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from datagen.assembly.daylight import environment_radiance, sky_radiance, sun_of
 from datagen.assembly.geometry import Floats, Hits
-from datagen.assembly.light_changes import scaled
 from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe, Rectangle
 from datagen.assembly.lights import PlannedGroup, RoomToLight, plan_lights, plan_panels
-from datagen.assembly.random import Draws
-from datagen.errors import input_error
 from datagen.formats.base import quantized
+from datagen.formats.light_changes import scaled
 from datagen.formats.lights import (
     AreaLight,
     EnvironmentLight,
@@ -29,6 +27,8 @@ from datagen.formats.lights import (
     SkyLight,
 )
 from datagen.formats.recipe import LightRecipe
+from datagen.foundation.errors import input_error
+from datagen.foundation.random import Draws
 from datagen.library import Library
 
 SHARE_RANGE = (0.25, 1.0)  # of a group in the sum, before normalisation

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
-from datagen.assembly.random import Draws
 from datagen.formats.asset import Opening
 from datagen.formats.lights import (
     AreaLight,
@@ -29,6 +28,7 @@ from datagen.formats.lights import (
     SphereLight,
     SpotLight,
 )
+from datagen.foundation.random import Draws
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 NUM_BOUNCES = 5

@@ -20,14 +20,13 @@ from datagen.assembly.daylight import (
     rotation_about_up,
 )
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
-from datagen.assembly.light_changes import moved_light
 from datagen.assembly.light_probe import LUMINANCE, is_from_outside
 from datagen.assembly.materials import MeanMaterial
-from datagen.assembly.random import Draws
 from datagen.assembly.things import fibonacci_sphere
 from datagen.formats.asset import EnvironmentAsset, LightSlot, ObjectAsset
 from datagen.formats.base import quantized
 from datagen.formats.configuration import PlacedAsset
+from datagen.formats.light_changes import moved_light
 from datagen.formats.lights import (
     AreaLight,
     EnvironmentLight,
@@ -36,6 +35,7 @@ from datagen.formats.lights import (
     SkyLight,
 )
 from datagen.formats.recipe import LightRecipe
+from datagen.foundation.random import Draws
 from datagen.library import Library
 
 _DIRECT_SUN_PROBABILITY = 0.6

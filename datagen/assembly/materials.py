@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.assembly.random import Draws, weighted_item
 from datagen.formats.asset import (
     EnvironmentAsset,
     Material,
@@ -30,7 +29,9 @@ from datagen.formats.base import quantized
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
 from datagen.formats.package import Package
 from datagen.formats.recipe import MaterialRecipe
-from datagen.images import read_image, texture_values
+from datagen.formats.textures import texture_values
+from datagen.foundation.images import read_image
+from datagen.foundation.random import Draws, weighted_item
 from datagen.library import Library
 
 _MEAN_STRIDE_PX = 512  # a mean colour needs no more texels than this a side

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.assembly.geometry import Floats, RayScene, distance_m, world_points
-from datagen.assembly.random import Draws
 from datagen.assembly.shortfall import shortfall
 from datagen.assembly.things import (
     PlacedThing,
@@ -28,9 +27,10 @@ from datagen.assembly.things import (
     pose,
     rotation_z,
 )
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, SupportSurface
 from datagen.formats.recipe import ObjectRecipe
+from datagen.foundation.errors import input_error
+from datagen.foundation.random import Draws
 
 CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground bear load
 MAX_PENETRATION_M = 5e-4  # coplanar contact counts as a cut in any exact test: it is made this far above

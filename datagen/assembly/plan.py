@@ -20,17 +20,17 @@ from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
 from datagen.assembly.materials import MeanMaterials, assign_materials, worn_materials
 from datagen.assembly.placement import place_things
-from datagen.assembly.random import Draws, digest
 from datagen.assembly.shortfall import Shortfall
 from datagen.assembly.splits import Pools, pools_of_split, recipe_problems, split_of
 from datagen.assembly.things import PlacedThing, Room, Thing
 from datagen.assembly.views import ViewFinder
-from datagen.errors import InputError
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, Split, ViewCamera
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import Package
 from datagen.formats.recipe import Recipe
+from datagen.foundation.errors import InputError
+from datagen.foundation.random import Draws, digest
 from datagen.library import Library
 
 NUM_EYES = 384  # places where the light is probed

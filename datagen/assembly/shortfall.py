@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from datagen.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem
 
 
 class Shortfall(InputError):

@@ -17,13 +17,13 @@ from fractions import Fraction
 from weakref import WeakKeyDictionary
 
 from datagen.assembly.materials import is_plain
-from datagen.assembly.random import digest
-from datagen.errors import InputError, Problem
 from datagen.formats.asset import Material, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
 from datagen.formats.package import Package
 from datagen.formats.recipe import AssetFilter, Recipe
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.random import digest
 from datagen.library import Library
 
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")

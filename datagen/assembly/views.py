@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
 from datagen.assembly.light_levels import Lighting
-from datagen.assembly.random import Draws
 from datagen.assembly.shortfall import shortfall
-from datagen.cameras import Camera, look_at
 from datagen.formats.base import quantized
 from datagen.formats.recipe import CameraRecipe
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.random import Draws
 
 PREVIEW_WIDTH_PX = 64
 MAX_NEAR_PIXELS = 0.02  # share of the image that may be nearer than min_distance_m

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.farm.folder import DatasetFolder, UnitManifest
 from datagen.formats.base import canonical_json, inside, sha256_file, write_bytes_atomically
 from datagen.formats.configuration import Split
 from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
 from datagen.formats.view import ViewRecord
+from datagen.foundation.errors import InputError, Problem, input_error
 
 
 def collect(root: Path, deep: bool = False) -> DatasetIndex:

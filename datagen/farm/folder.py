@@ -26,7 +26,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.base import (
     RelativePath,
     Slug,
@@ -40,6 +39,7 @@ from datagen.formats.base import (
 from datagen.formats.configuration import Configuration, Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord
+from datagen.foundation.errors import InputError, Problem, input_error
 
 
 class FolderRecord(StrictModel):

@@ -25,9 +25,9 @@ from pathlib import Path
 
 import psutil
 
-from datagen.errors import InputError, input_error
 from datagen.farm.folder import DatasetFolder, FailureRecord, Plan, PlannedUnit
 from datagen.formats.base import canonical_json, write_bytes_atomically
+from datagen.foundation.errors import InputError, input_error
 
 EXIT_INTERRUPTED = 75
 """Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""

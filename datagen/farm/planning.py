@@ -11,14 +11,14 @@ from pathlib import Path
 import yaml
 
 from datagen.assembly.plan import assemble, check_recipe, configuration_id
-from datagen.errors import InputError
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, unit_key
 from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord
+from datagen.foundation.errors import InputError
+from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
-from datagen.versions import pixel_versions
 from mitsuba_plugins.variant import resolve_variant
 
 

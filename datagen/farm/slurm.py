@@ -14,11 +14,11 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.errors import input_error
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.local import EXIT_INTERRUPTED, check_writable
 from datagen.farm.status import array_spec
 from datagen.formats.base import sha256_hex, write_bytes_atomically
+from datagen.foundation.errors import input_error
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.errors import InputError
 from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit, UnitManifest
 from datagen.formats.base import inside
+from datagen.foundation.errors import InputError
 
 RUNNING_AGE_S = 600.0
 """A unit whose heartbeat is younger counts as running."""

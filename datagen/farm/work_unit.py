@@ -22,9 +22,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import BUFFERS
-from datagen.color import exposure_for
-from datagen.errors import InputError, input_error
 from datagen.farm.folder import DatasetFolder, PlannedUnit, UnitManifest, ViewTiming, unit_key
 from datagen.formats.base import (
     canonical_json,
@@ -35,11 +32,14 @@ from datagen.formats.base import (
     write_bytes_atomically,
 )
 from datagen.formats.configuration import Configuration
-from datagen.formats.exr import decode_view, encode_view, to_storage
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import write_shard
 from datagen.formats.view import StatisticsRecord, ViewRecord
-from datagen.versions import pixel_versions
+from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.color import exposure_for
+from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.exr import decode_view, encode_view, to_storage
+from datagen.foundation.versions import pixel_versions
 
 if TYPE_CHECKING:
     from datagen.library import Library

@@ -13,7 +13,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from datagen.cameras import Camera
 from datagen.formats.base import (
     IDENTITY4,
     ClipRange,
@@ -28,6 +27,7 @@ from datagen.formats.base import (
     Vector3,
 )
 from datagen.formats.lights import Light
+from datagen.foundation.cameras import Camera
 
 ASSET_FILE = "asset.json"
 MATERIAL_CLASSES = (
@@ -158,7 +158,7 @@ class Box(StrictModel):
 
 
 class AssetCamera(StrictModel):
-    """A camera that came with the asset (see ``datagen.cameras`` for the conventions)."""
+    """A camera that came with the asset (see ``datagen.foundation.cameras`` for the conventions)."""
 
     name: str
     width_px: Annotated[int, Field(gt=0, le=65536)]
@@ -171,7 +171,7 @@ class AssetCamera(StrictModel):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """The same as a :class:`datagen.cameras.Camera`, in the asset's frame."""
+        """The same as a :class:`datagen.foundation.cameras.Camera`, in the asset's frame."""
         return Camera.of(self, self.asset_from_camera)
 
 

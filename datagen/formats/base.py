@@ -10,12 +10,14 @@ import os
 import reprlib
 import stat
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from datagen.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem
 
 MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file is not one of ours
 _MAX_YAML_BYTES = 512 * 1024  # people write these; the parser takes 5 s for as much
@@ -245,3 +247,15 @@ def quantized(value: float, digits: int = 9) -> float:
     if value == 0 or not math.isfinite(value):
         return 0.0 if value == 0 else value
     return float(f"{value:.{digits}g}")
+
+
+def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
+    """Rows of a (4, 4) affine matrix for a file, with the last row exact."""
+    rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
+    return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
+
+
+def vector3(values: NDArray | list[float]) -> Vector3:
+    """Three numbers for a file, to nine significant digits."""
+    x, y, z = (quantized(float(v)) for v in values)
+    return x, y, z

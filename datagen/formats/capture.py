@@ -3,7 +3,7 @@
 
 A capture is cameras, images and geometry. In memory it is a :class:`Capture`, whose images are read on
 demand; on disk ``capture.json`` (:class:`CaptureFile`) names images, cameras with their distortion, and the
-mesh. World: metres, right-handed, Z up; ``datagen.cameras`` fixes the rest. Images are (H, W, 3), linear
+mesh. World: metres, right-handed, Z up; ``foundation.cameras`` fixes the rest. Images are (H, W, 3), linear
 Rec.709, row 0 at the top, all views of a capture under one exposure.
 """
 
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem
 from datagen.formats.base import IDENTITY4, Matrix4, Positive, Slug, StrictModel
 from datagen.formats.configuration import ViewCamera
 from datagen.formats.lights import Light
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from datagen.meshes import Mesh
+    from datagen.foundation.meshes.mesh import Mesh
 
 CAPTURE_FILE = "capture.json"
 Encoding = Literal["auto", "linear", "srgb", "gamma22"]

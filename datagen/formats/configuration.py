@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from datagen.cameras import Camera
 from datagen.formats.base import (
     IDENTITY4,
     ClipRange,
@@ -22,6 +21,7 @@ from datagen.formats.base import (
     StrictModel,
 )
 from datagen.formats.lights import Light
+from datagen.foundation.cameras import Camera
 
 Split = Literal["train", "validation", "test"]
 
@@ -68,7 +68,7 @@ class PlacedAsset(StrictModel):
 
 
 class ViewCamera(StrictModel):
-    """A camera of the configuration (conventions in ``datagen.cameras``)."""
+    """A camera of the configuration (conventions in ``datagen.foundation.cameras``)."""
 
     name: Slug
     width_px: Annotated[int, Field(gt=0, le=65536)]
@@ -81,7 +81,7 @@ class ViewCamera(StrictModel):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """The same as a :class:`datagen.cameras.Camera`."""
+        """The same as a :class:`datagen.foundation.cameras.Camera`."""
         return Camera.of(self, self.world_from_camera)
 
     @classmethod

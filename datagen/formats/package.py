@@ -23,7 +23,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.asset import (
     ASSET_FILE,
     EnvironmentAsset,
@@ -33,6 +32,7 @@ from datagen.formats.asset import (
 )
 from datagen.formats.base import MAX_TEXT_BYTES, canonical_json, parse_model, sha256_file, sha256_hex
 from datagen.formats.lights import EnvironmentLight
+from datagen.foundation.errors import InputError, Problem, input_error
 
 AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset
 _MODELS: dict[str, type[AnyAsset]] = {

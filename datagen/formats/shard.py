@@ -18,12 +18,12 @@ from typing import BinaryIO, Literal
 
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem
 from datagen.formats.base import RelativePath, StrictModel, inside, parse_model, read_json
 from datagen.formats.configuration import Configuration, Split
-from datagen.formats.exr import decode_view
 from datagen.formats.recipe import Recipe
 from datagen.formats.view import ViewRecord
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.exr import decode_view
 
 CONFIGURATION_MEMBER = "__meta__/configuration.json"
 INDEX_FILE = "index.json"

@@ -24,8 +24,8 @@ from datagen.formats.asset import (
 )
 from datagen.formats.base import StrictModel, quantized, read_yaml
 from datagen.formats.lights import AreaLight, Light
+from datagen.foundation.meshes.mesh import Mesh
 from datagen.importers.room_grid import MIN_CELL_M, RoomGrid, rectangles, short_vector, surface_points
-from datagen.meshes import Mesh
 
 _STANDING_ROOM_M = 0.12  # a support needs this much free height
 _LEVEL_M = 0.012  # horizontal triangles within this height belong to one surface

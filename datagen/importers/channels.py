@@ -17,11 +17,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import srgb_from_linear
 from datagen.formats.asset import Texture
 from datagen.formats.package import FileSource
-from datagen.images import IMAGE_SUFFIXES, encode_png, read_image, texture_values
-from datagen.importers.common import slug
+from datagen.formats.textures import texture_values
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.images import IMAGE_SUFFIXES, encode_png, read_image
+from datagen.foundation.naming import slug
 
 MAX_CHANNEL_SPREAD = 0.5 / 255  # a baked channel that varies less than half an 8-bit step is a constant
 ChannelName = Literal["rgb", "r", "g", "b", "a"]
@@ -83,14 +84,14 @@ class ImageCache:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Like :func:`datagen.images.read_image`, also for BMP, TGA, TIFF and HDR, which packages do not hold."""
+    """Like :func:`read_image`, also for BMP, TGA, TIFF and HDR, which packages do not hold."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2
 
     pixels = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_UNCHANGED) if file.is_file() else None
     if pixels is None:
-        from datagen.errors import input_error
+        from datagen.foundation.errors import input_error
 
         raise input_error(file, got="unreadable", expected="an image", remedy="convert it to PNG or EXR")
     if pixels.ndim == 2:

@@ -9,12 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from datagen.errors import input_error
 from datagen.formats.asset import MaterialClass, Provenance
 from datagen.formats.base import Positive, Slug
+from datagen.foundation.errors import input_error
+from datagen.foundation.findings import Findings
 
 DielectricPolicy = Literal["refuse", "replace"]
 DielectricStandIn = Literal["opaque", "remove"]
@@ -91,45 +89,6 @@ class ImportedAsset:
     notes: tuple[str, ...] = ()
 
 
-class Findings:
-    """Collects approximations and notes during an import; each sentence once, in order."""
-
-    def __init__(self) -> None:
-        self._approximations: dict[str, None] = {}
-        self._notes: dict[str, None] = {}
-
-    def approximate(self, sentence: str) -> str:
-        self._approximations[sentence] = None
-        return sentence
-
-    def note(self, sentence: str) -> None:
-        self._notes[sentence] = None
-
-    @property
-    def approximations(self) -> tuple[str, ...]:
-        return tuple(self._approximations)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        return tuple(self._notes)
-
-
-def slug(text: str) -> str:
-    """A name that is safe as an id and as a file: lower-case letters, digits, '_' and '-'."""
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", text)
-    cleaned = re.sub(r"[^a-z0-9_-]+", "-", words.lower()).strip("-_")
-    return cleaned or "unnamed"
-
-
-def unique(name: str, taken: set[str] | dict[str, object]) -> str:
-    """``name``, or ``name_2``, ``name_3``, ... if it is taken."""
-    candidate, number = name, 1
-    while candidate in taken:
-        number += 1
-        candidate = f"{name}_{number}"
-    return candidate
-
-
 @dataclass(frozen=True)
 class Origin:
     """Licence and authorship as the files beside a source state them; '' where they say nothing."""
@@ -204,17 +163,3 @@ def provenance(
 def mended_note(num_normals: int, num_meshes: int) -> str:
     """What an import says of normals that no renderer could use."""
     return f"{num_normals} normals of {num_meshes} meshes were missing or lay in their surface, mended"
-
-
-Z_UP_FROM_Y_UP = np.array(
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
-"""Rotation that turns +Y up into +Z up: (x, y, z) becomes (x, -z, y)."""
-
-
-def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
-    """(4, 4) transform from the file's frame to metres with Z up."""
-    if not (np.isfinite(unit_scale) and unit_scale > 0):
-        raise input_error("unit scale", got=unit_scale, expected="a positive number of metres in a unit")
-    scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
-    return scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))

@@ -9,8 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.errors import InputError, Problem, input_error
-from datagen.importers.common import ImportedAsset, ImportOptions, slug
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.naming import slug
+from datagen.importers.common import ImportedAsset, ImportOptions
 
 if TYPE_CHECKING:
     from datagen.importers.sweet_home_report import ImportWatch

@@ -15,7 +15,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.asset import (
     AssetCamera,
     EnvironmentAsset,
@@ -24,27 +23,29 @@ from datagen.formats.asset import (
     Part,
     SlotMaterial,
 )
-from datagen.formats.base import IDENTITY4, quantized
+from datagen.formats.base import IDENTITY4, matrix4, quantized, vector3
 from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight
+from datagen.foundation.axes import asset_from_source
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.findings import Findings
+from datagen.foundation.meshes.gltf import GltfFile, PlacedNode, triangles_of
+from datagen.foundation.meshes.mesh import (
+    Mesh,
+    flat_shaded,
+    inspect_mesh,
+    with_sound_normals,
+    without_degenerate,
+)
+from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.naming import slug, unique
 from datagen.importers import annotate
 from datagen.importers.channels import ImageCache, TextureFiles
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import (
-    Findings,
-    ImportedAsset,
-    ImportOptions,
-    asset_from_source,
-    mended_note,
-    provenance,
-    slug,
-    unique,
-)
-from datagen.importers.gltf_file import GltfFile, PlacedNode
+from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, provenance
 from datagen.importers.gltf_materials import GltfMaterial, GltfMaterialConverter
 from datagen.importers.mitsuba_materials import raise_problems
 from datagen.importers.mitsuba_shapes import transformed_uv
-from datagen.importers.packaging import finish, matrix4, vector3
-from datagen.meshes import Mesh, encode_ply, flat_shaded, inspect_mesh, with_sound_normals, without_degenerate
+from datagen.importers.packaging import finish
 
 LUMENS_PER_WATT = 683.0
 """glTF lights are photometric; Blender and others convert with this factor, and so it is undone."""
@@ -399,17 +400,6 @@ class _GltfImporter:
             else:
                 found.append(PointLight(name=name, position_m=position, intensity=value))
         return found
-
-
-def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
-    """Triangle list (M, 3) of a list (4), strip (5) or fan (6)."""
-    if mode == 4 or len(indices) < 3:
-        return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
-    k = np.arange(max(0, len(indices) - 2))
-    if mode == 6:
-        return np.stack([indices[0] + 0 * k, indices[k + 1], indices[k + 2]], axis=1).astype(np.int32)
-    odd = k % 2
-    return np.stack([indices[k + odd], indices[k + 1 - odd], indices[k + 2]], axis=1).astype(np.int32)
 
 
 def _bounds(pieces: list[_Piece]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,9 +10,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import Problem
 from datagen.formats.asset import MaterialClass, SlotMaterial, Texture
-from datagen.images import encode_png, normalized
+from datagen.foundation.errors import Problem
+from datagen.foundation.findings import Findings
+from datagen.foundation.images import encode_png, normalized
+from datagen.foundation.meshes.gltf import GltfFile
+from datagen.foundation.naming import slug, unique
 from datagen.importers.channels import (
     ChannelName,
     Color,
@@ -24,8 +27,7 @@ from datagen.importers.channels import (
     combine,
 )
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import Findings, ImportOptions, slug, unique
-from datagen.importers.gltf_file import GltfFile
+from datagen.importers.common import ImportOptions
 from datagen.importers.pbr import DEFAULT_F0, metallic_roughness
 
 _LEFT_OUT = (

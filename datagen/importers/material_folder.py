@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.errors import Problem, input_error
 from datagen.formats.asset import Material, MaterialAsset, MaterialClass, Texture
-from datagen.images import encode_png
+from datagen.foundation.errors import Problem, input_error
+from datagen.foundation.findings import Findings
+from datagen.foundation.images import encode_png
+from datagen.foundation.naming import slug
 from datagen.importers.channels import ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
 from datagen.importers.classes import guess_class
-from datagen.importers.common import Findings, ImportedAsset, ImportOptions, provenance, slug
+from datagen.importers.common import ImportedAsset, ImportOptions, provenance
 from datagen.importers.mitsuba_materials import raise_problems
 from datagen.importers.packaging import finish
 from datagen.importers.pbr import green_points_up, metallic_roughness

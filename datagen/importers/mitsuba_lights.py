@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import Problem
-from datagen.formats.asset import AssetCamera
-from datagen.formats.base import quantized
+from datagen.formats.base import matrix4, quantized, vector3
 from datagen.formats.lights import (
     AreaLight,
     DirectionalLight,
@@ -27,79 +24,19 @@ from datagen.formats.lights import (
     SphereLight,
     SpotLight,
 )
+from datagen.formats.mitsuba.scene import SceneNode
+from datagen.foundation.axes import unit_vector
+from datagen.foundation.errors import Problem
+from datagen.foundation.findings import Findings
+from datagen.foundation.naming import unique
 from datagen.importers.channels import TextureFiles
-from datagen.importers.common import Findings, ImportOptions, unique
+from datagen.importers.common import ImportOptions
 from datagen.importers.mitsuba_materials import scene_file
-from datagen.importers.mitsuba_scene import MitsubaScene, SceneNode
-from datagen.importers.packaging import matrix4, vector3
 
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
 """Mitsuba's equirectangular image has its centre along +Z and its top along +Y; ours along +Y and +Z."""
-
-MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Mitsuba's camera has x to the left and y upwards; ours x to the right and y downwards. Both look
-along +z."""
-
-
-def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
-    """Up axis of a scene by its first sensor's upward direction; y if there is none."""
-    for sensor in scene.all_of("sensor"):
-        up = np.asarray(sensor.get("to_world", np.eye(4)))[:3, 1]
-        return "z" if abs(up[2]) > abs(up[1]) else "y"
-    return "y"
-
-
-def camera_of(
-    node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
-) -> AssetCamera:
-    """A perspective sensor as a camera; apertures and crops are left out with a note."""
-    film = next(iter(node.children_of("film")), SceneNode("film", "hdrfilm"))
-    width, height = int(film.get("width", 768)), int(film.get("height", 576))
-    name = node.id or f"camera_{number}"
-    if node.type != "perspective":
-        findings.approximate(f"{name}: sensor {node.type!r} as a pinhole camera")
-    if film.get("crop_width") or film.get("crop_height"):
-        findings.approximate(f"{name}: crop of the film left out")
-    to_world = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
-    if np.linalg.det(to_world[:3, :3]) < 0:
-        findings.approximate(f"{name}: the sensor mirrors the image, the camera does not")
-    matrix = asset_from_source @ to_world @ MITSUBA_FROM_CAMERA
-    forward, down = _unit(matrix[:3, 2]), matrix[:3, 1]
-    down = _unit(down - forward * float(down @ forward))
-    rigid = np.eye(4)
-    rigid[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
-    rigid[:3, 3] = matrix[:3, 3]
-    focal = _focal_px(node, width, height)
-    return AssetCamera(
-        name=name,
-        width_px=width,
-        height_px=height,
-        fx_px=quantized(focal),
-        fy_px=quantized(focal),
-        cx_px=width * (0.5 + float(node.get("principal_point_offset_x", 0.0))),
-        cy_px=height * (0.5 + float(node.get("principal_point_offset_y", 0.0))),
-        asset_from_camera=matrix4(rigid),
-    )
-
-
-def _focal_px(node: SceneNode, width: int, height: int) -> float:
-    if "focal_length" in node.values:  # in mm of a 35 mm film, along the diagonal
-        return (
-            float(str(node.get("focal_length")).removesuffix("mm"))
-            / math.hypot(36, 24)
-            * math.hypot(width, height)
-        )
-    axis = str(node.get("fov_axis", "x"))
-    size = {
-        "x": width,
-        "y": height,
-        "diagonal": math.hypot(width, height),
-        "smaller": min(width, height),
-        "larger": max(width, height),
-    }.get(axis, width)
-    return 0.5 * size / math.tan(0.5 * math.radians(float(node.get("fov", 90.0))))
 
 
 class LightConverter:
@@ -206,7 +143,7 @@ class LightConverter:
             SpotLight(
                 name=self._name(node),
                 position_m=vector3(matrix[:3, 3]),
-                direction=vector3(_unit(matrix[:3, 2])),
+                direction=vector3(unit_vector(matrix[:3, 2])),
                 intensity=self._intensity(node.get("intensity", 1.0)),
                 cutoff_rad=quantized(cutoff),
                 beam_width_rad=quantized(cutoff * 0.75 if beam is None else math.radians(float(beam))),
@@ -220,7 +157,7 @@ class LightConverter:
         self.lights.append(
             DirectionalLight(
                 name=self._name(node),
-                direction=vector3(_unit(direction)),
+                direction=vector3(unit_vector(direction)),
                 irradiance=_color(node.get("irradiance", 1.0)),
             )
         )
@@ -245,7 +182,7 @@ class LightConverter:
         self.lights.append(
             SkyLight(
                 name=self._name(node),
-                sun_direction=vector3(_unit(direction)),
+                sun_direction=vector3(unit_vector(direction)),
                 turbidity=float(node.get("turbidity", 3.0)),
                 ground_albedo=float(np.mean(albedo)),
                 sky_scale=sky_scale,
@@ -294,10 +231,6 @@ def emitter_shape_light(
             radiance=radiance,
         )
     return None
-
-
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    return vector / max(float(np.linalg.norm(vector)), 1e-30)
 
 
 def _color(value: object) -> tuple[float, float, float]:

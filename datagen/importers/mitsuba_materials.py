@@ -16,8 +16,10 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem
 from datagen.formats.asset import MaterialClass
+from datagen.formats.mitsuba.scene import SceneNode
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.findings import Findings
 from datagen.importers import fresnel
 from datagen.importers.channels import (
     BakedSource,
@@ -30,8 +32,7 @@ from datagen.importers.channels import (
     combine,
     is_constant,
 )
-from datagen.importers.common import Findings, ImportOptions
-from datagen.importers.mitsuba_scene import SceneNode
+from datagen.importers.common import ImportOptions
 
 CHECKER_TILE_PX = 128  # a checker edge then blurs over 1/128 of a tile under bilinear filtering
 MISSING_GREY = 0.5

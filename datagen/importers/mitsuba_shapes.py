@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
-from datagen.importers.mitsuba_scene import SceneNode
-from datagen.importers.obj import read_obj
-from datagen.meshes import Mesh, compacted, flat_shaded, read_ply, with_sound_normals
+from datagen.formats.mitsuba.scene import SceneNode
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import Mesh, compacted, flat_shaded, with_sound_normals
+from datagen.foundation.meshes.obj import read_obj
+from datagen.foundation.meshes.ply import read_ply
 
 SUPPORTED_SHAPES = ("obj", "ply", "rectangle", "disk", "cube", "sphere", "cylinder")
 FILE_SHAPES = ("obj", "ply")

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, input_error
 from datagen.formats.asset import (
     AssetCamera,
     EnvironmentAsset,
@@ -23,23 +22,22 @@ from datagen.formats.asset import (
     SlotMaterial,
     Texture,
 )
-from datagen.formats.base import IDENTITY4, quantized
+from datagen.formats.base import IDENTITY4, matrix4, quantized
+from datagen.formats.mitsuba.scene import MitsubaScene, SceneNode, parse_scene
+from datagen.formats.mitsuba.sensors import camera_of, guess_up
 from datagen.formats.package import FileSource
-from datagen.images import encode_png
+from datagen.foundation.axes import asset_from_source
+from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.findings import Findings
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, without_degenerate
+from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.naming import slug, unique
 from datagen.importers import annotate
 from datagen.importers.channels import ImageCache, ImageSource, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import (
-    Findings,
-    ImportedAsset,
-    ImportOptions,
-    asset_from_source,
-    mended_note,
-    provenance,
-    slug,
-    unique,
-)
-from datagen.importers.mitsuba_lights import LightConverter, camera_of, emitter_shape_light, guess_up
+from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, provenance
+from datagen.importers.mitsuba_lights import LightConverter, emitter_shape_light
 from datagen.importers.mitsuba_materials import (
     Draft,
     MaterialConverter,
@@ -47,7 +45,6 @@ from datagen.importers.mitsuba_materials import (
     raise_problems,
     scene_file,
 )
-from datagen.importers.mitsuba_scene import MitsubaScene, SceneNode, parse_scene
 from datagen.importers.mitsuba_shapes import (
     FILE_SHAPES,
     SUPPORTED_SHAPES,
@@ -55,8 +52,7 @@ from datagen.importers.mitsuba_shapes import (
     shape_mesh,
     transformed_uv,
 )
-from datagen.importers.packaging import finish, matrix4
-from datagen.meshes import Mesh, encode_ply, inspect_mesh, without_degenerate
+from datagen.importers.packaging import finish
 
 _PANE_RATIO = 0.05  # a see-through part thinner than this share of its second extent is a pane
 
@@ -398,7 +394,7 @@ class _SceneImporter:
 
 def is_pane(mesh: Mesh) -> bool:
     """Whether every separate piece of a mesh is flat: thin against its second-largest extent."""
-    from datagen.meshes import welded
+    from datagen.foundation.meshes.mesh import welded
 
     points, index = welded(mesh)
     faces = index[mesh.faces]

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from datagen.asset_check import check_package
-from datagen.formats.base import Matrix4, Vector3, canonical_json, quantized
+from datagen.formats.base import canonical_json
 from datagen.formats.package import AnyAsset, FileSource, Package, write_package
-from datagen.importers.common import Findings, ImportedAsset, ImportOptions
+from datagen.foundation.findings import Findings
+from datagen.importers.common import ImportedAsset, ImportOptions
 
 RECORD_FILE = "import.json"
 
@@ -56,15 +54,3 @@ def finish(
             approximations=findings.approximations,
             notes=findings.notes,
         )
-
-
-def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
-    """Rows of a (4, 4) affine matrix for a file, with the last row exact."""
-    rows = [tuple(quantized(float(x), 12) for x in row) for row in matrix[:3]]
-    return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
-
-
-def vector3(values: NDArray | list[float]) -> Vector3:
-    """Three numbers for a file, to nine significant digits."""
-    x, y, z = (quantized(float(v)) for v in values)
-    return x, y, z

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.color import luminance
-from datagen.errors import input_error
 from datagen.formats.asset import AssetCamera, EnvironmentAsset
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.lights import EnvironmentLight, Light
+from datagen.formats.mitsuba.scene import parse_scene
+from datagen.formats.mitsuba.sensors import camera_of
 from datagen.formats.package import Package
-from datagen.importers.common import Findings
-from datagen.importers.mitsuba_lights import camera_of
-from datagen.importers.mitsuba_scene import parse_scene
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import luminance
+from datagen.foundation.errors import input_error
+from datagen.foundation.findings import Findings
 
 if TYPE_CHECKING:
     from datagen.library import Library

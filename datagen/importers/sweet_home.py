@@ -19,29 +19,25 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.asset import ObjectAsset, Part, Provenance, SupportKind
-from datagen.formats.base import IDENTITY4, quantized
+from datagen.formats.base import IDENTITY4, quantized, vector3
 from datagen.formats.package import open_package
-from datagen.images import IMAGE_SUFFIXES
+from datagen.foundation.axes import Z_UP_FROM_Y_UP
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.findings import Findings
+from datagen.foundation.images import IMAGE_SUFFIXES
+from datagen.foundation.meshes.mesh import Mesh, with_sound_normals, without_degenerate
+from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.naming import slug, unique
 from datagen.importers.annotate import read_annotations
 from datagen.importers.classes import guess_category, guess_supports
-from datagen.importers.common import (
-    Z_UP_FROM_Y_UP,
-    Findings,
-    ImportedAsset,
-    ImportOptions,
-    mended_note,
-    slug,
-    unique,
-)
+from datagen.importers.common import ImportedAsset, ImportOptions, mended_note
 from datagen.importers.mitsuba_xml import is_pane
-from datagen.importers.packaging import finish, vector3
+from datagen.importers.packaging import finish
 from datagen.importers.sweet_home_catalogue import Catalogue, Piece, open_catalogue
 from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConverter
 from datagen.importers.sweet_home_model import ObjModel, read_obj_model
 from datagen.importers.sweet_home_mtl import PhongMaterial, read_mtl
-from datagen.meshes import Mesh, encode_ply, with_sound_normals, without_degenerate
 
 SUFFIX = ".sh3f"
 _IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")

@@ -16,8 +16,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.package import ZIP_ERRORS
+from datagen.foundation.errors import InputError, Problem, input_error
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
 MAX_SIDE_CM = 20_000.0  # a ship is less than 200 m long; more is a slip of the unit

@@ -14,14 +14,15 @@ from typing import Literal, cast
 
 import numpy as np
 
-from datagen.color import linear_from_srgb
-from datagen.errors import Problem
 from datagen.formats.asset import MaterialClass, SlotMaterial
-from datagen.images import normalized
+from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.errors import Problem
+from datagen.foundation.findings import Findings
+from datagen.foundation.images import normalized
 from datagen.importers.annotate import Annotations
 from datagen.importers.channels import Color, ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
-from datagen.importers.common import Findings, ImportOptions
+from datagen.importers.common import ImportOptions
 from datagen.importers.fresnel import perceptual_roughness
 from datagen.importers.sweet_home_mtl import PhongMaterial
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
-from datagen.meshes import Mesh, compacted
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import Mesh, compacted
 
 CREASE_COSINE = 0.5
 """Edges of less than 60 degrees are smooth within a smoothing group."""

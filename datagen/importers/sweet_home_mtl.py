@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.errors import input_error
+from datagen.foundation.errors import input_error
 
 
 @dataclass

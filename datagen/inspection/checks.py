@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import BUFFERS
-from datagen.cameras import Camera
-from datagen.color import luminance
+from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import luminance
 from datagen.inspection.findings import Fault, Severity
 
 RANGE_TOLERANCE = 2e-3  # half floats near 1 are 5e-4 apart, and averages round

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import exposure_for, srgb_from_linear
-from datagen.errors import InputError, Problem
 from datagen.formats.base import write_bytes_atomically
-from datagen.formats.exr import decode_view
 from datagen.formats.shard import CONFIGURATION_MEMBER, INDEX_FILE, Dataset, ShardReader
+from datagen.foundation.color import exposure_for, srgb_from_linear
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.exr import decode_view
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw, ImageFont

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from datagen.errors import input_error
+from datagen.foundation.errors import input_error
 from datagen.library import check_library, describe_library, find_packages, resolve_library_paths
 
 

@@ -11,45 +11,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from datagen.errors import input_error
-from datagen.formats.asset import EnvironmentAsset
-from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
-from datagen.formats.lights import EnvironmentLight, Light
-
-
-def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Configuration:
-    """The package alone as a configuration; cameras keep their order and are named ``view_000`` on."""
-    from datagen.formats.package import open_package
-
-    asset = open_package(package_path).asset
-    if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
-        raise input_error(
-            package_path,
-            "kind",
-            asset.kind,
-            "an environment with at least one camera",
-            "add a camera and export again",
-        )
-    return Configuration(
-        id=asset.id,
-        index=0,
-        seed=seed,
-        environment=PlacedAsset(name="environment", asset=asset.id),
-        lights=tuple(_located(light, asset.id) for light in asset.lights),
-        cameras=tuple(
-            ViewCamera.from_camera(f"view_{index:03d}", camera.camera())
-            for index, camera in enumerate(asset.cameras)
-        ),
-        assets={asset.id: content_hash},
-    )
-
-
-def _located(light: Light, asset_id: str) -> Light:
-    """An image of the package's own light is looked up by the package's id."""
-    if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
-        return light.model_copy(update={"asset": asset_id})
-    return light
-
 
 def render_package(
     package_path: Path, out: Path, samples: int = 64, max_depth: int = 8, denoise: bool = False
@@ -57,6 +18,7 @@ def render_package(
     """Render every camera; returns the EXR files, named after the cameras' order."""
     from datagen.formats.package import open_package
     from datagen.formats.recipe import RenderRecipe
+    from datagen.formats.standalone import configuration_of
     from datagen.library import Library
     from datagen.rendering.renderer import SceneRenderer
 

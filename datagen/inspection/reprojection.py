@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
+from datagen.foundation.cameras import Camera
 from datagen.inspection.findings import Fault
 
 POINTS_A_VIEW = 3000

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import STATISTICS_BUFFERS
-from datagen.errors import InputError
 from datagen.formats.base import ModelT, parse_model, sha256_file, sha256_hex
 from datagen.formats.configuration import Configuration
-from datagen.formats.exr import decode_view
 from datagen.formats.shard import CONFIGURATION_MEMBER, ShardReader, ShardRecord
 from datagen.formats.view import ViewRecord
+from datagen.foundation.buffers import STATISTICS_BUFFERS
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view
 from datagen.inspection import checks
 from datagen.inspection.findings import Fault, Report
 from datagen.inspection.reprojection import Geometry, check_reprojection

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datagen.errors import InputError, input_error
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
 from datagen.formats.base import inside, read_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
+from datagen.foundation.errors import InputError, input_error
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
 from datagen.inspection.shard_check import ShardJob, verify_shard
 
@@ -158,7 +158,8 @@ def expected_roughness(configuration: Configuration, library: Library) -> dict[s
 
 
 def _texture_range(package: Package, material: Material, offset: float) -> float:
-    from datagen.images import read_image, texture_values
+    from datagen.formats.textures import texture_values
+    from datagen.foundation.images import read_image
 
     texture = material.roughness
     assert isinstance(texture, Texture)

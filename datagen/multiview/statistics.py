@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import STATISTICS_BUFFERS
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem
+from datagen.foundation.buffers import MIN_COVERAGE, STATISTICS_BUFFERS
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem
 from datagen.multiview.view_selection import OwnView, Selection, select_views
 from datagen.multiview.visibility import (
     PackedViews,
@@ -34,8 +34,6 @@ from mitsuba_plugins.variant import select_variant
 if TYPE_CHECKING:
     import mitsuba as mi
 
-MIN_COVERAGE = 0.5
-"""Least ``surface_mask`` of a pixel that counts as surface; below, its colour is mostly something else's."""
 MIN_BEST_VIEWS, MAX_BEST_VIEWS = 4, 24
 _MIN_WEIGHT = 1e-3
 

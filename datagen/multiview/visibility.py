@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import exposure_for
+from datagen.foundation.color import exposure_for
 
 EPSILON = 0.01
 """Keeps black pixels from counting without bound; a hundredth of white, squared, in exposed images."""

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem
-from datagen.meshes import Mesh, decode_ply, inspect_mesh, joined
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, joined
+from datagen.foundation.meshes.ply import decode_ply
 
 if TYPE_CHECKING:
     from datagen.formats.package import Package

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from datagen.errors import Problem
 from datagen.formats.configuration import Configuration
 from datagen.formats.lights import (
     AreaLight,
@@ -26,8 +25,9 @@ from datagen.formats.lights import (
     SphereLight,
     SpotLight,
 )
-from datagen.images import read_image
-from datagen.meshes import Mesh
+from datagen.foundation.errors import Problem
+from datagen.foundation.images import read_image
+from datagen.foundation.meshes.mesh import Mesh
 from datagen.rendering.geometry import make_shape
 
 if TYPE_CHECKING:

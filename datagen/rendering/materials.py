@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from datagen.errors import Problem
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
+from datagen.foundation.errors import Problem
 from datagen.rendering.textures import NO_ADJUSTMENT, TextureCache
 
 if TYPE_CHECKING:

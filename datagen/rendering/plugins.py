@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.cameras import Camera
+from datagen.foundation.cameras import Camera
 
 Array = Any
 # Shadow rays start this many scene diagonals away: outside of it, and finite so that float32 stays exact.
@@ -24,7 +24,7 @@ _SHADOW_DISTANCE_FACTOR = 2.0
 
 
 class PinholePixels(mi.Sensor):
-    """The project's :class:`datagen.cameras.Camera` as a sensor. Set it with :meth:`set_camera`."""
+    """The project's :class:`Camera` as a sensor. Set it with :meth:`set_camera`."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)

@@ -30,14 +30,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import BUFFERS, RENDERED_BUFFERS
-from datagen.cameras import Camera
-from datagen.color import exposure_for
-from datagen.errors import input_error
 from datagen.formats.base import quantized
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, RenderRecipe
 from datagen.formats.view import RenderRecord
+from datagen.foundation.buffers import BUFFERS, RENDERED_BUFFERS
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import exposure_for
+from datagen.foundation.errors import input_error
 from datagen.rendering.denoiser import Denoiser, OidnDenoiser, auxiliary_albedo, make_denoiser
 from datagen.rendering.path_depth import depth_for, energy_left, reflectance_met
 from datagen.rendering.sample_budget import (

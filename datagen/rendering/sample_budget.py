@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import exposure_for, luminance
+from datagen.foundation.color import exposure_for, luminance
 from datagen.rendering.error import EPSILON
 
 FIRST_SAMPLES = 8

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part
 from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.lights import EnvironmentLight
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem
 from datagen.rendering.geometry import (
     GroupKey,
     MeshCache,

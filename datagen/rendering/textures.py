@@ -2,7 +2,7 @@
 """Channels of a material as Mitsuba textures: decoded, adjusted and uploaded once, shared between scenes.
 
 What the BSDF reads is what the ground truth reads, so every decision about values falls here, before upload:
-decoding, scale and offset (``datagen.images``), then the configuration's :class:`ColorAdjustment`, then the
+decoding, scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`, then the
 rounding to half floats. Constants go through the same functions as images, as images of one texel.
 """
 
@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import linear_from_srgb
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.asset import Texture
 from datagen.formats.configuration import ColorAdjustment
-from datagen.images import read_image, texture_values
+from datagen.formats.textures import texture_values
+from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.images import read_image
 
 if TYPE_CHECKING:
     from datagen.formats.package import Package

@@ -90,7 +90,7 @@ def _announce(sweep: Sweep) -> None:
 
 def _run(sweep: Sweep) -> None:
     """Measure with a bar; an interrupt ends the command with 75."""
-    from datagen.progress import ProgressBar
+    from datagen.foundation.progress import ProgressBar
 
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
@@ -109,7 +109,7 @@ def _run(sweep: Sweep) -> None:
 
 
 def _write(sweep: Sweep, limits: dict[str, float]) -> None:
-    from datagen.errors import InputError
+    from datagen.foundation.errors import InputError
     from datagen.tradeoff.selection import front_of, points_of, recommend
     from datagen.tradeoff.writing import Results, write_results
 

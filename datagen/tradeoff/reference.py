@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import BUFFERS
-from datagen.color import exposure_for
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.recipe import RenderRecipe
-from datagen.versions import pixel_versions
+from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.color import exposure_for
+from datagen.foundation.versions import pixel_versions
 
 if TYPE_CHECKING:
     from datagen.library import Library

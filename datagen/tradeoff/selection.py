@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem
 from datagen.tradeoff.settings import Setting
 from datagen.tradeoff.trial import Trial
 

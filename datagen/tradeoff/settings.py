@@ -15,10 +15,10 @@ from typing import Any, Literal, get_args
 
 from pydantic import ValidationError
 
-from datagen.errors import InputError, Problem
 from datagen.formats.base import canonical_json, sha256_hex
-from datagen.formats.exr import COMPRESSIONS
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, QUALITIES, RenderRecipe
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.exr import COMPRESSIONS
 
 DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
 """OIDN's network sizes, guided by albedo and normal; ``unguided``: ``high`` with colours alone; OptiX."""

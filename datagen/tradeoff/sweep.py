@@ -19,16 +19,16 @@ from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import QUALITIES
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.tradeoff.reference import Reference, make_reference, reference_key, sized
 from datagen.tradeoff.settings import Setting, base_setting, planned_settings
 from datagen.tradeoff.trial import Trial, measure
-from datagen.versions import pixel_versions
 from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, VARIANTS, has_cuda, resolve_variant
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 8, 16384

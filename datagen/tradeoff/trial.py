@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.buffers import BUFFERS
 from datagen.formats.configuration import Configuration, ViewCamera
-from datagen.formats.exr import COMPRESSIONS, decode_view, encode_view, to_storage
+from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.exr import COMPRESSIONS, decode_view, encode_view, to_storage
 from datagen.rendering.denoiser import OidnDenoiser
 from datagen.rendering.error import relative_mse
 from datagen.tradeoff.reference import STATISTICS, Reference

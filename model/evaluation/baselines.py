@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem
 from datagen.formats.base import sha256_file, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
-from datagen.formats.exr import decode_view, encode_view
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsView
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
 from model.reconstruction.infer import TRUTH

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from datagen.errors import InputError, Problem
 from datagen.formats.base import sha256_file
-from datagen.formats.exr import decode_view
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.exr import decode_view
 from model.checkpoint import read_card
 from model.evaluation.baselines import given_maps, maps_files
 from model.evaluation.metrics import Lpips, MapSums, image_figures

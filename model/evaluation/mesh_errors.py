@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import CaptureGeometry, GeometryPart
-from datagen.meshes import Mesh, joined, welded, without_degenerate
+from datagen.foundation.meshes.mesh import Mesh, joined, welded, without_degenerate
 from model.evaluation.suite import GeometryError
 
 _MIN_FACES = 4  # a part of fewer triangles is not reduced

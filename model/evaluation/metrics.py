@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import exposure_for, luminance, srgb_from_linear
-from datagen.errors import InputError
+from datagen.foundation.color import exposure_for, luminance, srgb_from_linear
+from datagen.foundation.errors import InputError
 from model.evaluation.rendering import JudgedView
 from model.reconstruction.merge import MAP_NAMES
 

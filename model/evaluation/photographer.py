@@ -21,14 +21,14 @@ from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
 from datagen.assembly.materials import MeanMaterials, worn_materials
 from datagen.assembly.plan import NUM_EYES
-from datagen.assembly.random import Draws
 from datagen.assembly.views import ViewFinder, preview_of
-from datagen.cameras import Camera
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import PlacedAsset, ViewCamera
 from datagen.formats.package import Package
 from datagen.formats.recipe import CameraRecipe, LightRecipe
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import input_error
+from datagen.foundation.random import Draws
 from datagen.library import Library
 
 _OWN_LIGHTS = LightRecipe(

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import srgb_from_linear
-from datagen.formats.exr import decode_view
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.exr import decode_view
 from model.evaluation.metrics import shown
 from model.evaluation.rendering import BUFFERS, JudgedView, judged_view
 from model.evaluation.results import MethodResult, SceneResult

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import CaptureView
-from datagen.formats.exr import decode_view, encode_view
 from datagen.formats.recipe import RenderRecipe
-from datagen.inspection.report.figures import surface_pixels
+from datagen.foundation.buffers import surface_pixels
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view, encode_view
 from datagen.library import Library
 from model.evaluation.scenery import Scenery
 from model.reconstruction.merge import MAP_NAMES

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from datagen.errors import InputError
 from datagen.formats.base import (
     NonNegative,
     Slug,
@@ -14,6 +13,7 @@ from datagen.formats.base import (
     read_json,
     write_bytes_atomically,
 )
+from datagen.foundation.errors import InputError
 
 ViewSet = str
 """``input`` or ``novel``."""

@@ -17,9 +17,6 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from datagen.assembly.light_changes import moved_light
-from datagen.assembly.random import digest
-from datagen.errors import InputError, Problem, input_error
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, Plan
 from datagen.farm.local import Event, LocalOptions, run_local
@@ -36,11 +33,14 @@ from datagen.formats.base import (
     write_bytes_atomically,
 )
 from datagen.formats.configuration import Configuration, PlacedAsset
+from datagen.formats.light_changes import moved_light
 from datagen.formats.package import Package, is_package
 from datagen.formats.recipe import CameraRecipe, Recipe, RenderRecipe
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.random import digest
+from datagen.foundation.versions import RESULT_REVISION
 from datagen.importers.common import ImportOptions
 from datagen.library import Library
-from datagen.versions import RESULT_REVISION
 from model.checkpoint import CheckpointCard
 from model.evaluation.photographer import choose_cameras
 

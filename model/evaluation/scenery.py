@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.assembly.light_changes import scaled
-from datagen.cameras import Camera
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.base import matrix4
 from datagen.formats.capture import CaptureGeometry
 from datagen.formats.configuration import Configuration, PlacedAsset
+from datagen.formats.light_changes import scaled
 from datagen.formats.lights import AreaLight, Light
 from datagen.formats.package import open_package
 from datagen.formats.shard import ShardReader
-from datagen.importers.packaging import matrix4
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import input_error
 from datagen.library import Library
 from model.evaluation.room import PreparedScene
 from model.evaluation.suite import InsertedObject, ModifiedLight

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from datagen.errors import InputError, Problem
 from datagen.formats.base import NonNegative, Positive, Slug, StrictModel, Unit, Vector3, read_yaml
 from datagen.formats.lights import Light
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.errors import InputError, Problem
 from datagen.library import bundled_library
 from model.checkpoint import bundled_checkpoint
 from model.evaluation.room import TestScene

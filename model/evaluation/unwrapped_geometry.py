@@ -13,7 +13,7 @@ import numpy as np
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import CaptureGeometry, GeometryPart
-from datagen.meshes import Mesh, vertex_normals
+from datagen.foundation.meshes.mesh import Mesh, vertex_normals
 from model.evaluation.mesh_errors import with_errors
 from model.evaluation.suite import GeometryError
 from model.reconstruction.uv import unwrapped

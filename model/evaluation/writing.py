@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
-from datagen.images import encode_png
+from datagen.foundation.images import encode_png
 from model.evaluation.pictures import COLUMNS, RELIGHTING, Row, scene_rows, sheet
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import SceneResult, SuiteResult

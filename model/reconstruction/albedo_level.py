@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import LUMINANCE_WEIGHTS
 from datagen.formats.capture import Capture
+from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.multiview.statistics import StatisticsView
 from datagen.multiview.visibility import vectors_from_rows
 from model.reconstruction.check_views import CLIPPED_LEVEL

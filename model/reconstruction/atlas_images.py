@@ -18,9 +18,9 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from datagen.color import srgb_from_linear
 from datagen.formats.base import write_bytes_atomically
-from datagen.images import encode_png
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.images import encode_png
 from model.reconstruction.compiled import num_threads
 from model.reconstruction.merge import MAP_CHANNELS, Atlas, let_go
 

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from datagen.cameras import Camera
-from datagen.color import luminance, srgb_from_linear
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import luminance, srgb_from_linear
 from model.reconstruction.geometry import ViewGeometry
 
 CREASE_RAD = np.radians(25.0)

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import luminance, srgb_from_linear
 from datagen.formats.base import write_bytes_atomically
-from datagen.images import encode_png
+from datagen.foundation.color import luminance, srgb_from_linear
+from datagen.foundation.images import encode_png
 
 if TYPE_CHECKING:
     from model.reconstruction.check_views import CheckReport, ViewCheck

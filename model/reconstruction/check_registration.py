@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
+from datagen.foundation.cameras import Camera
 
 _OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0  # less is nothing to speak of; so many deviations are sure
 _MIN_VIEWS, _MIN_VIEWS_FOR_SCALE = 4, 8

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.color import luminance
 from datagen.formats.capture import ColorImage
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import luminance
 from model.reconstruction.check_edges import (
     EdgeMatch,
     WarpMatch,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.meshes import Mesh, welded
+from datagen.foundation.meshes.mesh import Mesh, welded
 
 CREASE_RAD = np.radians(40.0)  # of meshes without normals
 _MAX_AROUND = 128  # triangles at a vertex that are looked at

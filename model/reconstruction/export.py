@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
 from datagen.formats.asset import (
     AssetCamera,
     Box,
@@ -26,12 +25,13 @@ from datagen.formats.asset import (
     SlotMaterial,
     Texture,
 )
-from datagen.formats.base import quantized, write_bytes_atomically
+from datagen.formats.base import matrix4, quantized, write_bytes_atomically
 from datagen.formats.capture import Capture
 from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import FileSource, Package, write_package
-from datagen.importers.packaging import matrix4
-from datagen.meshes import Mesh, encode_ply
+from datagen.foundation.cameras import Camera
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.crease_normals import with_normals
 from model.reconstruction.merge import MAP_CHANNELS, Atlas
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.meshes import Mesh
+from datagen.foundation.cameras import Camera
+from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.compiled import compiled, num_threads
 from model.reconstruction.geometry import ViewGeometry
 from model.reconstruction.merge import NUM_CHANNELS, Atlas

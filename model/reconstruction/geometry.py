@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
 from datagen.formats.capture import CaptureGeometry
-from datagen.meshes import Mesh, welded
+from datagen.foundation.cameras import Camera
+from datagen.foundation.meshes.mesh import Mesh, welded
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.crease_normals import with_normals

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import linear_from_srgb, srgb_from_linear
 from datagen.formats.base import write_bytes_atomically
-from datagen.images import encode_png
-from datagen.importers.common import Z_UP_FROM_Y_UP
+from datagen.foundation.axes import Z_UP_FROM_Y_UP
+from datagen.foundation.color import linear_from_srgb, srgb_from_linear
+from datagen.foundation.images import encode_png
 from model.reconstruction.atlas_images import quantized_bytes
 from model.reconstruction.export import Reconstruction, split_by_emission
 

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage
+from datagen.foundation.errors import input_error
 from datagen.multiview.statistics import StatisticsView
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant

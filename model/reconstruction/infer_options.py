@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
 from datagen.formats.capture import Capture
+from datagen.foundation.errors import input_error
 from datagen.multiview.statistics import StatisticsView
 from model.reconstruction.merge import Weights
 

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
 from model.reconstruction.compiled import num_threads
 from model.reconstruction.lane_sort import networks

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Photographs as a capture's images: decoded, turned upright, linearised, resized and undistorted.
 
-Pixel coordinates have their centres at +0.5 (``datagen.cameras``); OpenCV's are at whole numbers, so its
+Pixel coordinates have their centres at +0.5 (``foundation.cameras``); OpenCV's are at whole numbers, so its
 principal point is ours less 0.5. Linearisation comes before any resampling.
 """
 
@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.color import linear_from_srgb
-from datagen.errors import input_error
 from datagen.formats.capture import ColorImage, Distortion, Encoding
-from datagen.images import normalized, read_image, read_ldr
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.errors import input_error
+from datagen.foundation.images import normalized, read_image, read_ldr
 
 PAPER_GAMMA = 2.2
 _EXIF_FORMATS = ("PNG", "JPEG", "TIFF")
@@ -50,7 +50,7 @@ class PhotographSource:
 
 
 def read_photograph(path: Path) -> NDArray:
-    """Pixels (H, W, C) as stored, orientation not applied. PNG, JPEG, EXR by ``datagen.images``, TIFF
+    """Pixels (H, W, C) as stored, orientation not applied. PNG, JPEG, EXR by ``foundation.images``, TIFF
     besides."""
     return read_ldr(path, ("TIFF",)) if path.suffix.lower() in (".tif", ".tiff") else read_image(path)
 

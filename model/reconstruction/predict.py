@@ -16,9 +16,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datagen.cameras import Camera
-from datagen.color import exposure_for
-from datagen.errors import input_error
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import exposure_for
+from datagen.foundation.errors import input_error
 from datagen.multiview.statistics import StatisticsView
 from model.checkpoint import Checkpoint
 from model.confidence import FILTERED_MAPS, filter_maps

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from datagen.cameras import Camera
+from datagen.foundation.cameras import Camera
 from model.reconstruction.geometry import ViewGeometry
 
 Floats = NDArray[np.float64]

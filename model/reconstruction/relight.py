@@ -17,20 +17,20 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.color import exposure_for, luminance, srgb_from_linear
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Part, Provenance, SlotMaterial
-from datagen.formats.base import write_bytes_atomically
+from datagen.formats.base import matrix4, write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.lights import EnvironmentLight, Light, PointLight
 from datagen.formats.package import Package, open_package, write_package
 from datagen.formats.recipe import RenderRecipe
-from datagen.images import encode_png, read_image
-from datagen.importers.packaging import matrix4
-from datagen.inspection.render_package import configuration_of
+from datagen.formats.standalone import configuration_of
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import exposure_for, luminance, srgb_from_linear
+from datagen.foundation.errors import input_error
+from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
 from datagen.library import Library
-from datagen.meshes import Mesh, encode_ply
 
 SKY_ID = "relight-sky"
 _DARK = 1e-3  # of the sky's radiance: a view that gets less on average is not lit by it

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.meshes import Mesh
+from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.compiled import compiled
 
 BIN = 256

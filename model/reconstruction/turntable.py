@@ -16,11 +16,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
-from datagen.color import exposure_for
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import exposure_for
+from datagen.foundation.errors import input_error
 from model.reconstruction.relight import (
     RelightOptions,
     is_unlit,

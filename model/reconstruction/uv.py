@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.meshes import Mesh, compacted, welded
+from datagen.foundation.meshes.mesh import Mesh, compacted, welded
 from model.reconstruction.fill import chart_of_faces
 from model.reconstruction.geometry import face_normals, smooth_regions
 from model.reconstruction.texels import TexelSurface

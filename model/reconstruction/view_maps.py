@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
-from datagen.formats.exr import decode_view, encode_view
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from model.checkpoint import load_checkpoint

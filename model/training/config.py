@@ -13,8 +13,8 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field, model_validator
 
-from datagen.errors import input_error
 from datagen.formats.base import StrictModel, parse_model
+from datagen.foundation.errors import input_error
 from model.bilateral_solver import SolverConfig
 from model.networks import NetworkConfig, TrackName
 from model.training.losses import LossConfig

@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.base import parse_model
-from datagen.formats.exr import decode_view
 from datagen.formats.shard import CONFIGURATION_MEMBER
 from datagen.formats.view import ViewRecord
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.exr import decode_view
 from model.networks import COLOR_STATISTICS, NetworkConfig
 from model.training.conditions import generator_for
 from model.training.config import DataConfig

@@ -16,8 +16,8 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from datagen.errors import input_error
 from datagen.formats.base import StrictModel, canonical_json, parse_model, write_bytes_atomically
+from datagen.foundation.errors import input_error
 from model.checkpoint import DataRecord
 from model.training.config import TrainingConfig
 

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.base import parse_model, sha256_file
 from datagen.formats.configuration import Split
 from datagen.formats.shard import INDEX_FILE
 from datagen.formats.shard import Dataset as DatasetFolder
 from datagen.formats.view import ViewRecord
+from datagen.foundation.errors import InputError, Problem, input_error
 from model.checkpoint import DataRecord
 from model.networks import NetworkConfig
 from model.training.dataset import ViewPlace, buffer_names, index_shard, read_member

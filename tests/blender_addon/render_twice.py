@@ -17,7 +17,7 @@ from tests.blender_addon.living_room import MITSUBA_DEPTH
 def main(package_path: Path, out: Path, samples: int) -> None:
     from datagen.formats.package import open_package
     from datagen.formats.recipe import RenderRecipe
-    from datagen.inspection.render_package import configuration_of
+    from datagen.formats.standalone import configuration_of
     from datagen.library import Library
     from datagen.rendering.renderer import SceneRenderer
 

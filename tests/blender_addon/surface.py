@@ -7,8 +7,9 @@ import numpy as np
 
 from datagen.formats.asset import SlotMaterial, Texture
 from datagen.formats.package import Package
-from datagen.images import read_image, texture_values
-from datagen.meshes import Mesh
+from datagen.formats.textures import texture_values
+from datagen.foundation.images import read_image
+from datagen.foundation.meshes.mesh import Mesh
 from tests.blender_addon.graphs import lookup
 
 SCALARS = ("roughness", "opacity")

@@ -16,7 +16,7 @@ from blender_addon.bake.pyramid import fill, smallest_level
 from blender_addon.problems import ProblemList
 from blender_addon.settings import ExportSettings
 from blender_addon.write import PackageWriter, exr_bytes, json_bytes, ply_bytes, png_bytes, rounded
-from datagen.meshes import decode_ply
+from datagen.foundation.meshes.ply import decode_ply
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])

@@ -11,8 +11,8 @@ import pytest
 from datagen.asset_check import check_package
 from datagen.formats.asset import ObjectAsset, Texture
 from datagen.formats.package import Package, open_package
-from datagen.images import read_image
-from datagen.meshes import decode_ply
+from datagen.foundation.images import read_image
+from datagen.foundation.meshes.ply import decode_ply
 from tests.blender_addon.graphs import CASES, Case
 from tests.blender_addon.surface import channel_at, surface_samples
 

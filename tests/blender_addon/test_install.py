@@ -13,7 +13,7 @@ import pytest
 from blender_addon.command import REFUSED
 from datagen.formats.asset import ObjectAsset
 from datagen.formats.package import Package, open_package
-from datagen.meshes import decode_ply
+from datagen.foundation.meshes.ply import decode_ply
 from tests.blender_addon.install import MODULE, ROUND_TRIP
 from tests.blender_addon.surface import channel_at, surface_samples
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from datagen.asset_check import check_package
-from datagen.cameras import Camera
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
+from datagen.foundation.cameras import Camera
 from tests.blender_addon.lights_and_cameras import CAMERAS, CLIP, LIGHTS
 
 pytestmark = pytest.mark.bpy

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from datagen.assembly.materials import MeanMaterials, assign_materials, slots_by_material
-from datagen.assembly.random import Draws
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import MaterialAssignment
 from datagen.formats.package import Package, open_package
 from datagen.formats.recipe import MaterialRecipe
+from datagen.foundation.random import Draws
 from datagen.library import Library
 from tests.blender_addon.one_material import ROOM
 from tests.datagen.small_library import write_small_library

@@ -13,7 +13,7 @@ import pytest
 
 from datagen.formats.asset import ObjectAsset, Texture
 from datagen.formats.package import open_package
-from datagen.images import read_image
+from datagen.foundation.images import read_image
 from tests.blender_addon.policies import REFUSED, normal_image
 
 pytestmark = pytest.mark.bpy

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.color import linear_from_srgb, srgb_from_linear
-from datagen.errors import InputError
 from datagen.formats.asset import AssetCamera, EnvironmentAsset, Part, Provenance, SlotMaterial, Texture
 from datagen.formats.package import write_package
-from datagen.images import encode_png
-from datagen.meshes import Mesh, encode_ply
+from datagen.foundation.color import linear_from_srgb, srgb_from_linear
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.atlas_page.writing import PAGE_FILES, write_view
 from tests.browser.driver import SOFTWARE_GL, WAIT_S, Page, find_browser, open_browser
 from tests.conftest import REPOSITORY

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.color import srgb_from_linear
-from datagen.formats.exr import decode_view, encode_view
 from datagen.formats.shard import Dataset, ShardReader, View
-from datagen.inspection.color_maps import cividis
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.color_maps import cividis
+from datagen.foundation.exr import decode_view, encode_view
 from datagen.inspection.report.gather import SHOWN_BUFFERS
 from datagen.inspection.report.predictions import MAPS, parse_methods
 from datagen.inspection.report.tiles import write_tile

@@ -18,21 +18,21 @@ from typing import Any
 import numpy as np
 
 from datagen.asset_check import check_package
-from datagen.errors import InputError
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, FailureRecord, FolderRecord, Plan, UnitManifest
 from datagen.farm.status import last_lines, read_status
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, parse_model, read_json, read_yaml, sha256_hex
 from datagen.formats.configuration import Configuration
-from datagen.formats.exr import decode_view, encode_view
 from datagen.formats.package import open_package
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import CONFIGURATION_MEMBER, Dataset, DatasetIndex, ShardReader
 from datagen.formats.view import ViewRecord
-from datagen.images import encode_png
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view, encode_view
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.ply import encode_ply
 from datagen.inspection.verify import verify_dataset
-from datagen.meshes import encode_ply
 from tests.conftest import REPOSITORY
 from tests.datagen.small_dataset import make_buffers, make_configuration, make_view_files
 from tests.datagen.small_library import box, with_uv

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
+from datagen.foundation.cameras import Camera, look_at
 from datagen.multiview.statistics import StatisticsView
 
 BOXES = np.array(  # (box, low/high corner, xyz)

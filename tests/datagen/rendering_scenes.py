@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from datagen.cameras import Camera, look_at
 from datagen.formats.asset import (
     EnvironmentAsset,
     MaterialAsset,
@@ -22,8 +21,10 @@ from datagen.formats.asset import (
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.package import write_package
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.meshes.mesh import Mesh, flat_shaded
+from datagen.foundation.meshes.ply import encode_ply
 from datagen.library import Library
-from datagen.meshes import Mesh, encode_ply, flat_shaded
 from datagen.rendering.renderer import SceneRenderer
 
 CC0 = Provenance(license="CC0-1.0", author="tests")

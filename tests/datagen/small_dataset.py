@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.buffers import BUFFERS, VIEW_BUFFERS
-from datagen.cameras import Camera, look_at
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
-from datagen.formats.exr import encode_view
 from datagen.formats.view import RenderRecord, StatisticsRecord, ViewRecord
+from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.exr import encode_view
 
 
 def make_buffers(height: int, width: int, seed: int) -> dict[str, np.ndarray]:

@@ -28,8 +28,9 @@ from datagen.formats.asset import (
     Texture,
 )
 from datagen.formats.package import write_package
-from datagen.images import encode_png
-from datagen.meshes import Mesh, encode_ply, flat_shaded, vertex_normals
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import Mesh, flat_shaded, vertex_normals
+from datagen.foundation.meshes.ply import encode_ply
 
 CC0 = Provenance(license="CC0-1.0", author="tests")
 WALL_M = 0.1

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.cameras import Camera, look_at
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.planning import start_folder, write_plan
 from datagen.formats.asset import EnvironmentAsset
@@ -15,6 +14,7 @@ from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.lights import PointLight
 from datagen.formats.recipe import Recipe, RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
 from datagen.library import Library
 from tests.datagen.small_library import write_small_library
 

@@ -10,8 +10,8 @@ import pytest
 
 from datagen.farm.collect import collect
 from datagen.farm.local import LocalOptions, run_local
-from datagen.formats.exr import encode_view
 from datagen.formats.shard import Dataset
+from datagen.foundation.exr import encode_view
 from tests.datagen.small_plan import plan_small
 
 _MADE: list[Path] = []

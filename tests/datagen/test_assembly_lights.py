@@ -22,16 +22,14 @@ from datagen.assembly.daylight import (
 )
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import WorldScene, load_geometry
-from datagen.assembly.light_changes import moved_light, scaled
 from datagen.assembly.light_levels import Lighting
 from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe
 from datagen.assembly.lights import RoomToLight, color_of_temperature, is_blocked
-from datagen.assembly.random import Draws
 from datagen.assembly.things import pose
-from datagen.errors import InputError
 from datagen.formats.asset import Box, LightSlot, SlotMaterial
 from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration
+from datagen.formats.light_changes import moved_light, scaled
 from datagen.formats.lights import (
     AreaLight,
     DirectionalLight,
@@ -43,6 +41,8 @@ from datagen.formats.lights import (
     SpotLight,
 )
 from datagen.formats.recipe import Recipe
+from datagen.foundation.errors import InputError
+from datagen.foundation.random import Draws
 from datagen.library import Library
 from tests.datagen.small_library import (
     box,

@@ -21,7 +21,6 @@ from datagen.assembly.materials import (
     suits,
     worn_materials,
 )
-from datagen.assembly.random import Draws
 from datagen.formats.asset import (
     MATERIAL_CLASSES,
     EnvironmentAsset,
@@ -33,6 +32,7 @@ from datagen.formats.asset import (
 )
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
 from datagen.formats.recipe import MaterialRecipe
+from datagen.foundation.random import Draws
 from datagen.library import Library
 from datagen.rendering.textures import adjusted_constant
 from tests.datagen.small_library import CC0, box, write_material, write_object, write_small_library

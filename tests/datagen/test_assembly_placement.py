@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 
 from datagen.assembly.geometry import load_geometry
 from datagen.assembly.placement import Placer, is_enclosed, place_things
-from datagen.assembly.random import Draws
 from datagen.assembly.things import PlacedThing, Room, Thing, convex_hull_2d, margin_inside
-from datagen.errors import InputError
 from datagen.formats.asset import ObjectAsset, SupportSurface
 from datagen.formats.recipe import ObjectRecipe
+from datagen.foundation.errors import InputError
+from datagen.foundation.random import Draws
 from datagen.library import Library
 from tests.datagen.small_library import box, write_object, write_room, write_small_library
 

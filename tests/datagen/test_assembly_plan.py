@@ -15,11 +15,11 @@ import pytest
 from datagen.assembly import plan
 from datagen.assembly.plan import assemble, assemble_all
 from datagen.assembly.shortfall import shortfall
-from datagen.errors import InputError
 from datagen.formats.base import canonical_json, parse_model, sha256_hex
 from datagen.formats.configuration import Configuration
 from datagen.formats.package import write_package
 from datagen.formats.recipe import Recipe
+from datagen.foundation.errors import InputError
 from datagen.library import Library
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import write_small_library

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from datagen.assembly.random import Draws, digest
+from datagen.foundation.random import Draws, digest
 
 
 def test_a_key_gives_its_own_stream() -> None:

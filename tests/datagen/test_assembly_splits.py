@@ -12,11 +12,11 @@ import pytest
 
 from datagen.assembly.plan import assemble, check_recipe
 from datagen.assembly.splits import SPLITS, pools_of_split, split_counts, split_of
-from datagen.errors import InputError
 from datagen.formats.asset import Provenance, Texture
 from datagen.formats.package import open_package, write_package
 from datagen.formats.recipe import Recipe
-from datagen.images import encode_png
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png
 from datagen.library import Library
 from tests.datagen.small_library import box, write_material, write_object, write_room, write_small_library
 

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from datagen.assembly import plan
 from datagen.assembly.geometry import RayScene, WorldScene
-from datagen.assembly.random import Draws
 from datagen.assembly.views import Candidate, Subject, ViewFinder, choose_views, overlap_matrix, preview_of
-from datagen.cameras import Camera, look_at
-from datagen.errors import InputError
 from datagen.formats.asset import AssetCamera, Box
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import Recipe
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.errors import InputError
+from datagen.foundation.random import Draws
 from datagen.library import Library
 from tests.datagen.small_library import write_objects, write_room, write_small_library
 

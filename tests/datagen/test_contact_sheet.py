@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.color import srgb_from_linear
-from datagen.errors import InputError
 from datagen.formats.base import canonical_json
 from datagen.formats.shard import write_shard
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.errors import InputError
 from datagen.inspection.contact_sheet import (
     COLUMNS,
     Scales,

@@ -21,8 +21,8 @@ from benchmarks.data_extremes import (
     spread_of_alike_views,
     stored_as_half,
 )
-from datagen.cameras import Camera, look_at
-from datagen.color import exposure_for, linear_from_log, log_from_linear, srgb_from_linear
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import exposure_for, linear_from_log, log_from_linear, srgb_from_linear
 from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
 from datagen.rendering.error import relative_mse

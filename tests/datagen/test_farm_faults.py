@@ -22,11 +22,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from datagen.errors import InputError
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.status import read_status
+from datagen.foundation.errors import InputError
 from tests.datagen.small_plan import plan_small
 from tests.small_disk import small_disk
 

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datagen.buffers import BUFFERS, VIEW_BUFFERS, get_buffer
-from datagen.errors import InputError
 from datagen.formats.asset import Box, SlotMaterial, Texture
 from datagen.formats.base import canonical_json, parse_model, read_json, read_yaml, write_bytes_atomically
-from datagen.formats.exr import decode_view, encode_view, to_storage
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import ShardReader, write_shard
+from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS, get_buffer
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view, encode_view, to_storage
 from tests.conftest import REPOSITORY
 from tests.datagen.small_dataset import make_buffers, make_configuration, make_view_files
 

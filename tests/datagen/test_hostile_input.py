@@ -21,15 +21,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.errors import InputError
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import inside, read_json, read_yaml
-from datagen.formats.exr import decode_view, encode_view
 from datagen.formats.package import open_package
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import Dataset, ShardReader
-from datagen.images import encode_png, read_image
-from datagen.meshes import read_ply
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view, encode_view
+from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.meshes.ply import read_ply
 from tests.datagen.hostile_cases import CASES, DOCUMENTS, valid_documents
 from tests.datagen.small_dataset import make_buffers
 from tests.hostile import attack, set_traps

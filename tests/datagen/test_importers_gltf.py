@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datagen.errors import InputError
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.lights import PointLight
 from datagen.formats.package import open_package
-from datagen.images import encode_png, read_image, texture_values
+from datagen.formats.textures import texture_values
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.meshes.gltf import GltfFile
+from datagen.foundation.meshes.ply import decode_ply
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import find_sources, import_asset
 from datagen.importers.gltf import import_gltf
-from datagen.importers.gltf_file import GltfFile
-from datagen.meshes import decode_ply
 
 LICENSED = ImportOptions(license="CC0-1.0", overwrite=True)
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]], np.float32)  # in x-y, facing +z, 2 m tall

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.errors import InputError
 from datagen.formats.asset import MaterialAsset, Texture
 from datagen.formats.package import open_package
-from datagen.images import encode_png, read_image, texture_values
+from datagen.formats.textures import texture_values
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png, read_image
 from datagen.importers.classes import guess_category, guess_class
 from datagen.importers.common import ImportOptions
 from datagen.importers.material_folder import import_material_folder, role_of

@@ -9,24 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.errors import InputError
 from datagen.formats.asset import EnvironmentAsset, Texture
 from datagen.formats.lights import AreaLight, EnvironmentLight
+from datagen.formats.mitsuba.scene import SceneNode, parse_scene, snake_case
 from datagen.formats.package import open_package
-from datagen.images import encode_png, read_image
+from datagen.foundation.errors import InputError
+from datagen.foundation.findings import Findings
+from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.obj import read_obj
+from datagen.foundation.meshes.ply import encode_ply
 from datagen.importers import fresnel
 from datagen.importers.annotate import find_places
 from datagen.importers.channels import BakedSource, ImageCache, ImageSource
-from datagen.importers.common import Findings, ImportedAsset, ImportOptions, detect_origin
+from datagen.importers.common import ImportedAsset, ImportOptions, detect_origin
 from datagen.importers.mitsuba_lights import emitter_shape_light
 from datagen.importers.mitsuba_materials import Draft, MaterialConverter, checkerboard, normal_from_height
-from datagen.importers.mitsuba_scene import SceneNode, parse_scene, snake_case
 from datagen.importers.mitsuba_shapes import shape_mesh, transformed_uv
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
-from datagen.importers.obj import read_obj
 from datagen.importers.reference import agreement, native_configuration
 from datagen.importers.room_grid import largest_rectangle
-from datagen.meshes import Mesh, encode_ply
 
 LICENSED = ImportOptions(license="CC0-1.0")
 SENSOR = """

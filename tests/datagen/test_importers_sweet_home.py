@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.errors import InputError
 from datagen.formats.asset import ObjectAsset, Texture
 from datagen.formats.package import Package, open_package
-from datagen.images import encode_png
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import decode_ply
 from datagen.importers.classes import guess_category, guess_supports
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import find_sources, import_asset
@@ -31,7 +33,6 @@ from datagen.importers.sweet_home_materials import phong_channels, phong_roughne
 from datagen.importers.sweet_home_model import read_obj_model, triangulate
 from datagen.importers.sweet_home_mtl import PhongMaterial, read_mtl
 from datagen.library import check_library
-from datagen.meshes import Mesh, decode_ply
 from tests.conftest import REPOSITORY
 from tests.hostile import damage
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from datagen.errors import InputError
 from datagen.formats.asset import Material, MaterialAsset, Provenance
 from datagen.formats.package import write_package
+from datagen.foundation.errors import InputError
 from datagen.library import Library, check_library, describe_library
 from tests.datagen.test_package import cube_asset, cube_files
 

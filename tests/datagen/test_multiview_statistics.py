@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datagen.buffers import STATISTICS_BUFFERS
-from datagen.cameras import Camera
-from datagen.errors import InputError
+from datagen.foundation.buffers import STATISTICS_BUFFERS
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError
 from datagen.multiview.statistics import (
     StatisticsOptions,
     StatisticsView,
@@ -183,7 +183,7 @@ def test_equal_costs_keep_the_first_view():
 
 def test_ranking_prefers_views_along_the_normal():
     """A floor seen from straight above and from grazing cameras: with the wrong sign the latter would win."""
-    from datagen.cameras import look_at
+    from datagen.foundation.cameras import look_at
 
     views = []
     angles = np.deg2rad([5, 10, 15, 20, 60, 65, 70, 75])

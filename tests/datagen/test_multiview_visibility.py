@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datagen.cameras import Camera, look_at
-from datagen.errors import InputError
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.errors import InputError
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
 from tests.datagen.multiview_scenes import is_occluded, make_views, mitsuba_scene
 

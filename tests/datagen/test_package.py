@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from datagen.asset_check import check_package
-from datagen.errors import InputError
 from datagen.formats.asset import (
     EnvironmentAsset,
     Material,
@@ -27,17 +26,17 @@ from datagen.formats.asset import (
 )
 from datagen.formats.lights import AreaLight
 from datagen.formats.package import Package, is_package, open_package, write_package
-from datagen.images import encode_png
-from datagen.meshes import (
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import (
     Mesh,
-    decode_ply,
-    encode_ply,
     flat_shaded,
     inspect_mesh,
     lying_normals,
     vertex_normals,
     with_sound_normals,
 )
+from datagen.foundation.meshes.ply import decode_ply, encode_ply
 
 CC0 = Provenance(license="CC0-1.0")
 

@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from datagen.cameras import Camera, look_at
-from datagen.color import exposure_for, luminance
-from datagen.errors import InputError
 from datagen.formats.base import parse_model, read_yaml
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.recipe import QUALITIES, Recipe, RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import exposure_for, luminance
+from datagen.foundation.errors import InputError
 from datagen.library import Library
 from datagen.rendering.error import relative_mse
 from datagen.rendering.path_tracer import PathTracer

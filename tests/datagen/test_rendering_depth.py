@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.cameras import Camera, look_at
 from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
 from datagen.rendering.path_depth import MAX_DEPTH, MIN_DEPTH, depth_for, energy_left, reflectance_met
 from datagen.rendering.path_tracer import PathTracer
 from tests.datagen.rendering_scenes import GREY, SmallScene, quad, renderer

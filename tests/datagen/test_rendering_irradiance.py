@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
-from datagen.errors import InputError
 from datagen.formats.asset import SlotMaterial
 from datagen.formats.base import parse_model
 from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.errors import InputError
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.rendering_scenes import GREY, SmallScene, down_camera, quad, renderer
 from tests.datagen.test_rendering_depth import closed_room

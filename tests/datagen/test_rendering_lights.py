@@ -15,8 +15,6 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from datagen.cameras import Camera, look_at
-from datagen.errors import InputError
 from datagen.formats.asset import SlotMaterial
 from datagen.formats.lights import (
     AreaLight,
@@ -28,6 +26,8 @@ from datagen.formats.lights import (
     SpotLight,
 )
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.errors import InputError
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.rendering_scenes import GREY, SmallScene, configure, down_camera, quad, renderer

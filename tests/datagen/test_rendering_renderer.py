@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datagen.buffers import BUFFERS, RENDERED_BUFFERS
-from datagen.cameras import Camera, look_at
-from datagen.errors import InputError
 from datagen.formats.asset import SlotMaterial
 from datagen.formats.configuration import PlacedAsset
-from datagen.formats.exr import to_storage
 from datagen.formats.lights import AreaLight, EnvironmentLight, PointLight
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.buffers import BUFFERS, RENDERED_BUFFERS
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import to_storage
 from datagen.rendering.denoiser import OidnDenoiser, auxiliary_albedo
 from datagen.rendering.renderer import RenderedView, SceneRenderer, view_seed
 from tests.conftest import REPOSITORY

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datagen.cameras import Camera, look_at
-from datagen.color import linear_from_srgb
-from datagen.errors import InputError
 from datagen.formats.asset import Material, SlotMaterial, Texture
 from datagen.formats.configuration import ColorAdjustment, MaterialAssignment, PlacedAsset
 from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
-from datagen.images import encode_png
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import Mesh
 from datagen.library import Library
-from datagen.meshes import Mesh
 from datagen.rendering.renderer import RenderedView, RenderError, SceneRenderer
 from datagen.rendering.scene_builder import build_scene
 from tests.datagen.rendering_scenes import (

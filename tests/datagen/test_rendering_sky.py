@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
 from datagen.formats.asset import SlotMaterial
 from datagen.formats.lights import AreaLight, EnvironmentLight, SkyLight
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
 from datagen.rendering.renderer import SceneRenderer
 from tests.datagen.rendering_scenes import GREY, SmallScene, quad, renderer
 

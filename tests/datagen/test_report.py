@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.errors import InputError
-from datagen.formats.exr import decode_view, encode_view
 from datagen.formats.lights import AreaLight, PointLight, SkyLight
 from datagen.formats.shard import Dataset, DatasetIndex, ShardReader
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view, encode_view
 from datagen.inspection.findings import Fault, Report
 from datagen.inspection.report import summary
 from datagen.inspection.report.command import parse_pixels, report_command

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from benchmarks.bench_qualities import excesses
 from datagen.cli import app
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from datagen.rendering.textures import box_filtered
 from datagen.tradeoff.selection import (
     Point,

@@ -10,9 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.buffers import BUFFERS, VIEW_BUFFERS
-from datagen.color import exposure_for
-from datagen.errors import InputError
 from datagen.formats.base import canonical_json, sha256_file, sha256_hex
 from datagen.formats.configuration import (
     ColorAdjustment,
@@ -21,10 +18,13 @@ from datagen.formats.configuration import (
     PlacedAsset,
     ViewCamera,
 )
-from datagen.formats.exr import encode_view, to_storage
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord, DatasetIndex, ShardRecord, write_shard
 from datagen.formats.view import RenderRecord, StatisticsRecord, ViewRecord
+from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS
+from datagen.foundation.color import exposure_for
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import encode_view, to_storage
 from datagen.inspection.checks import firefly_mask
 from datagen.inspection.findings import CHECKS
 from datagen.inspection.verify import expected_roughness, verify_command, verify_dataset
@@ -488,7 +488,7 @@ def rough_library(tmp_path_factory):
     """A library with a room of constant materials and a wood with a roughness texture, and their packages."""
     from datagen.formats.asset import Material, MaterialAsset, Texture
     from datagen.formats.package import write_package
-    from datagen.images import encode_png
+    from datagen.foundation.images import encode_png
     from datagen.library import Library
     from tests.datagen import small_library
 

@@ -93,8 +93,8 @@ def _photographs(out: Path) -> None:
     """The rendered room as COLMAP leaves a photographed one: images, cameras and a mesh."""
     from PIL import Image
 
-    from datagen.color import exposure_for, srgb_from_linear
-    from datagen.meshes import encode_ply
+    from datagen.foundation.color import exposure_for, srgb_from_linear
+    from datagen.foundation.meshes.ply import encode_ply
     from model.reconstruction.captures import read_capture
     from tests.model.test_reconstruction_captures import quaternion_of
 

@@ -16,7 +16,7 @@ import trimesh
 import typer
 
 from datagen.cli import app as datagen
-from datagen.command_line import run_command
+from datagen.foundation.command_line import run_command
 from model.cli import app as materials
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import write_small_library

@@ -383,7 +383,7 @@ def test_out_of_range_values_set_later_are_clamped() -> None:
 
 
 def test_bad_textures_are_refused_with_their_file(tmp_path: Path) -> None:
-    from datagen.errors import InputError
+    from datagen.foundation.errors import InputError
     from mitsuba_plugins import load_dict
 
     texels = np.full((4, 4, 3), 0.5, np.float32)
@@ -428,7 +428,7 @@ def _bitmap(values: np.ndarray) -> dict[str, Any]:
     ],
 )
 def test_bad_parameters_are_refused_by_name(channel: str, value: Any, message: str) -> None:
-    from datagen.errors import InputError
+    from datagen.foundation.errors import InputError
     from mitsuba_plugins import load_dict
 
     if isinstance(value, str):

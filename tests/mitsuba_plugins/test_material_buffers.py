@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datagen.buffers import BUFFERS
-from datagen.errors import InputError
+from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.errors import InputError
 from tests.mitsuba_plugins.bsdf_probe import array, dr, mi
 
 from mitsuba_plugins.material_buffers import CHANNELS, render_material_buffers  # isort: skip

@@ -14,15 +14,15 @@ import numpy as np
 import torch
 from PIL import Image
 
-from datagen.cameras import Camera, look_at
 from datagen.formats.asset import AssetCamera, EnvironmentAsset, Part, Provenance, SlotMaterial
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.capture import CaptureFile, MeshRecord, PhotographRecord
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
-from datagen.formats.exr import encode_view
 from datagen.formats.package import write_package
-from datagen.images import encode_png
-from datagen.meshes import encode_ply
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.exr import encode_view
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.ply import encode_ply
 from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
-from datagen.meshes import Mesh
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.geometry import TracedGeometry
 from model.reconstruction.radiance_cache import RadianceView
 

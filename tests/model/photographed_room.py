@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from datagen.cameras import Camera
 from datagen.formats.capture import Capture, CaptureView, ColorImage
-from datagen.meshes import Mesh
+from datagen.foundation.cameras import Camera
+from datagen.foundation.meshes.mesh import Mesh
 from tests.model.textured_room import geometry_of, materials_at, room_cameras, room_mesh, uv_of_pixels
 
 SIZE = (320, 220)

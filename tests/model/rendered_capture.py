@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.cameras import Camera, look_at
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.planning import start_folder, write_plan
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset, ViewCamera
 from datagen.formats.lights import EnvironmentLight, PointLight
 from datagen.formats.recipe import Recipe, RenderRecipe
+from datagen.foundation.cameras import Camera, look_at
 from datagen.library import Library
 from tests.datagen.small_library import write_small_library
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from model.checkpoint import (
     CheckpointCard,
     bundled_checkpoint,

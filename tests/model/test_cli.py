@@ -9,7 +9,7 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from model.cli import app
 from tests.conftest import REPOSITORY
 from tests.model.training_data import make_dataset

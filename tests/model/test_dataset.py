@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from datagen.errors import InputError
 from datagen.formats.base import read_json
 from datagen.formats.shard import DatasetIndex, ShardReader
+from datagen.foundation.errors import InputError
 from model.networks import NetworkConfig
 from model.training.config import DataConfig
 from model.training.dataset import (

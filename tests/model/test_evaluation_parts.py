@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
-from datagen.errors import InputError
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
-from datagen.formats.exr import encode_view
 from datagen.formats.lights import AreaLight
-from datagen.meshes import Mesh, joined
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import encode_view
+from datagen.foundation.meshes.mesh import Mesh, joined
 from model.evaluation.baselines import maps_files
 from model.evaluation.mesh_errors import with_errors
 from model.evaluation.metrics import Lpips, MapSums, common_exposure, image_figures, psnr_db, shown, ssim

@@ -13,10 +13,10 @@ import pytest
 
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import GeometryCache, WorldScene
-from datagen.errors import InputError
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
 from datagen.formats.recipe import CameraRecipe
+from datagen.foundation.errors import InputError
 from datagen.importers.common import ImportOptions
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.library import Library

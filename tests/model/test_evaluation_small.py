@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from model.evaluation.evaluate import Evaluation, evaluate
 from model.evaluation.results import MethodResult
 from model.evaluation.suite import MapsMethod, Suite, read_suite
@@ -109,7 +109,7 @@ def test_stopped_suite_continues(small: tuple[Suite, Evaluation], cache: Path) -
 
 
 def test_inserted_object_is_in_every_picture(small: tuple[Suite, Evaluation]) -> None:
-    from datagen.formats.exr import decode_view
+    from datagen.foundation.exr import decode_view
 
     scene = small[1].result.scenes[0]
     name = scene.figure_views["input"]

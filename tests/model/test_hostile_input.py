@@ -21,10 +21,10 @@ import pytest
 import torch
 from PIL import Image
 
-from datagen.errors import InputError
-from datagen.formats.exr import encode_view
-from datagen.images import encode_png
-from datagen.meshes import encode_ply
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import encode_view
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.ply import encode_ply
 from model.checkpoint import load_checkpoint
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.mesh_file import load_mesh

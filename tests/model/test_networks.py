@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from datagen import color
+from datagen.foundation import color
 from model import networks
 from model.networks import MaterialNetwork, NetworkConfig, Track
 

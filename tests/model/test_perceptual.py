@@ -8,7 +8,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from model.training import perceptual, weights
 from model.training.conditions import generator_for
 

@@ -14,12 +14,12 @@ import OpenEXR
 import pytest
 from PIL import Image, ImageOps
 
-from datagen.cameras import Camera, look_at
-from datagen.color import linear_from_srgb, srgb_from_linear
-from datagen.errors import InputError
 from datagen.formats.capture import Distortion
-from datagen.images import encode_png
-from datagen.meshes import encode_ply
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import linear_from_srgb, srgb_from_linear
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
 from model.reconstruction.captures.colmap import MODELS, read_colmap
 from model.reconstruction.photographs import (

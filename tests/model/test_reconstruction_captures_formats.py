@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from datagen.errors import InputError
 from datagen.formats.asset import AssetCamera, EnvironmentAsset, Part, Provenance, SlotMaterial
 from datagen.formats.capture import CaptureView
 from datagen.formats.package import write_package
-from datagen.images import encode_png
-from datagen.meshes import Mesh, encode_ply
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.frames import AXES, judged_unit, judged_up, z_up_from
 from model.reconstruction.photographs import PhotographSource, lens_pixels
@@ -383,7 +384,7 @@ def test_faults_of_realitycapture_are_collected(tmp_path: Path) -> None:
 
 
 def test_up_is_judged_by_the_cameras() -> None:
-    from datagen.cameras import Camera
+    from datagen.foundation.cameras import Camera
 
     for up in AXES:
         assert np.linalg.det(z_up_from(up)) == pytest.approx(1)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from datagen.cameras import Camera, look_at
-from datagen.color import srgb_from_linear
-from datagen.errors import InputError
-from datagen.images import encode_png, read_image
-from datagen.meshes import encode_ply
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import encode_png, read_image
+from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.check import check_capture
 from model.reconstruction.check_edges import edge_field, match_edges, mesh_edges, photograph_field
 from model.reconstruction.check_registration import SeenShift, common_mistake

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.cameras import Camera, look_at
-from datagen.color import srgb_from_linear
-from datagen.images import read_image
-from datagen.meshes import Mesh
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.images import read_image
+from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.atlas_images import map_bytes, write_atlas_images
 from model.reconstruction.fill import atlas_size, chart_of_faces, fill_unseen, nearest_labels
 from model.reconstruction.geometry import TracedGeometry, face_normals

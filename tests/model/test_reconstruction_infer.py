@@ -15,14 +15,15 @@ import pytest
 import torch
 
 from datagen.asset_check import check_package
-from datagen.color import exposure_for, linear_from_srgb, srgb_from_linear
-from datagen.errors import InputError
 from datagen.formats.asset import EnvironmentAsset, Texture
 from datagen.formats.capture import Capture
 from datagen.formats.configuration import Configuration
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
-from datagen.images import read_image, texture_values
+from datagen.formats.textures import texture_values
+from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
+from datagen.foundation.errors import InputError
+from datagen.foundation.images import read_image
 from datagen.importers.common import ImportOptions
 from datagen.importers.gltf import import_gltf
 from datagen.library import Library
@@ -172,7 +173,7 @@ def test_glb_comes_back_as_the_same_materials(truth: tuple[Path, InferReport], t
         with open_package(out / "asset") as original:
             kept = original.asset
             assert isinstance(kept, EnvironmentAsset)
-            from datagen.meshes import decode_ply
+            from datagen.foundation.meshes.ply import decode_ply
 
             a = decode_ply(original.read_bytes("surface.ply"), "a")
             b = decode_ply(package.read_bytes(asset.parts[0].mesh), "b")
@@ -187,7 +188,7 @@ def test_normals_break_at_creases_only() -> None:
     """A welded mesh without normals: a cube gets flat sides, a sphere stays smooth; UVs, faces are kept."""
     import trimesh
 
-    from datagen.meshes import Mesh
+    from datagen.foundation.meshes.mesh import Mesh
     from model.reconstruction.crease_normals import with_normals
 
     for shape, num in ((trimesh.creation.box(), 24), (trimesh.creation.icosphere(3), 642)):

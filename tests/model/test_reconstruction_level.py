@@ -13,8 +13,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from datagen.color import linear_from_srgb
-from datagen.images import read_image
+from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.images import read_image
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.albedo_level import MAX_CLIPPED, AlbedoLevel, clipped_share, find_level

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datagen.errors import InputError
-from datagen.meshes import Mesh
+from datagen.foundation.errors import InputError
+from datagen.foundation.meshes.mesh import Mesh
 from datagen.multiview.visibility import VisibilityOptions
 from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides, smooth_regions
 from model.reconstruction.lane_sort import LANES, STEP, networks, sort_lanes, sort_weighted_lanes

@@ -20,8 +20,9 @@ import pytest
 import torch
 
 from datagen.formats.capture import Capture
-from datagen.images import read_image
-from datagen.meshes import Mesh, encode_ply
+from datagen.foundation.images import read_image
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig

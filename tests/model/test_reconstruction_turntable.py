@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from typer.testing import CliRunner
 
-from datagen.cameras import Camera, look_at
-from datagen.color import exposure_for
-from datagen.errors import InputError
 from datagen.formats.lights import PointLight
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.color import exposure_for
+from datagen.foundation.errors import InputError
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
 from model.reconstruction.turntable import TurntableOptions, way_cameras, write_turntable

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from datagen.meshes import Mesh
+from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction import uv as uv_module
 from model.reconstruction.geometry import face_normals
 from model.reconstruction.texels import TexelSurface

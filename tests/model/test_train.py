@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from model.checkpoint import load_checkpoint
 from model.training.config import parse_overrides, resolve_config
 from model.training.dataset import buffer_names

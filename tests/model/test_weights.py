@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from datagen.errors import InputError
+from datagen.foundation.errors import InputError
 from model.training import weights
 
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera, look_at
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
-from datagen.meshes import Mesh
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.meshes.mesh import Mesh
 
 ROOM = ((0.0, 0.0, 0.0), (4.0, 3.0, 2.5))
 BLOCK = ((1.4, 1.1, 0.0), (2.3, 1.8, 0.8))

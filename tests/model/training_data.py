@@ -11,14 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from datagen.buffers import VIEW_BUFFERS
-from datagen.cameras import Camera, look_at
 from datagen.formats.base import canonical_json, sha256_file, sha256_hex
 from datagen.formats.configuration import Configuration, PlacedAsset, Split, ViewCamera
-from datagen.formats.exr import encode_view
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import DatasetIndex, ShardRecord, write_shard
 from datagen.formats.view import RenderRecord, StatisticsRecord, ViewRecord
+from datagen.foundation.buffers import VIEW_BUFFERS
+from datagen.foundation.cameras import Camera, look_at
+from datagen.foundation.exr import encode_view
 
 Change = Callable[[dict[str, np.ndarray], dict[str, Any]], None]
 """Spoils a view's buffers and its record (as a dictionary) in place."""

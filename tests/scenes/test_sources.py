@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from datagen.formats.asset import MaterialAsset
-from datagen.images import read_image
+from datagen.foundation.images import read_image
 from datagen.library import Library, bundled_library
 from tests.conftest import REPOSITORY
 

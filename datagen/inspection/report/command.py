@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from datagen.errors import input_error
 from datagen.formats.shard import Dataset
+from datagen.foundation.errors import input_error
 from datagen.inspection.report.writing import (
     ReportOptions,
     choose_configurations,

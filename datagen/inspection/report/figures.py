@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import luminance
+from datagen.foundation.buffers import surface_pixels
+from datagen.foundation.color import luminance
 
-MIN_COVERAGE = 0.5
 _MIN_CHROMA = 0.02  # the hue of a grey is noise
 NUM_COVERAGE_BINS = 32
 
@@ -61,17 +61,6 @@ PIXEL_AXES: dict[str, Axis] = {
     "observation_count": Axis.whole("Views behind a pixel's statistics", "views", 0, 24),
 }
 """Histograms over surface pixels."""
-
-
-def surface_pixels(view: Mapping[str, NDArray]) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that are counted."""
-    shape = next(iter(view.values())).shape[:2]
-    mask = np.ones(shape, dtype=bool)
-    if "depth_z_m" in view:
-        mask &= view["depth_z_m"][..., 0] > 0
-    if "surface_mask" in view:
-        mask &= view["surface_mask"][..., 0] >= MIN_COVERAGE
-    return mask
 
 
 def hue_deg(colors: NDArray) -> NDArray:

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import luminance, srgb_from_linear
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset
 from datagen.formats.lights import Light
 from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.formats.view import ViewRecord
-from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_view, surface_pixels
+from datagen.foundation.buffers import surface_pixels
+from datagen.foundation.color import luminance, srgb_from_linear
+from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_view
 from datagen.inspection.report.tiles import write_tile
 
 REVISION = 2

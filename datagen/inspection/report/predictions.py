@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
-from datagen.formats.exr import decode_view
 from datagen.formats.shard import ShardReader, ShardRecord, View
-from datagen.inspection.report.figures import surface_pixels
+from datagen.foundation.buffers import surface_pixels
+from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.exr import decode_view
 from datagen.inspection.report.tiles import write_tile
 
 MAPS = ("diffuse_albedo", "specular_albedo", "roughness")

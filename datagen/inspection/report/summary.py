@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from datagen.errors import InputError
 from datagen.farm.folder import DatasetFolder, UnitManifest
 from datagen.formats.asset import MATERIAL_CLASSES, EnvironmentAsset, ObjectAsset
 from datagen.formats.shard import DatasetIndex
+from datagen.foundation.errors import InputError
 from datagen.inspection.findings import CHECKS, Report
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, nice_axis
 from datagen.library import Library, asset_classes

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
 from datagen.formats.base import write_bytes_atomically
+from datagen.foundation.errors import input_error
 
 _WORDS = {"float16": "half", "float32": "float", "uint32": "uint", "uint16": "ushort"}
 _TYPES = {word: name for name, word in _WORDS.items()}

@@ -25,12 +25,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from datagen.buffers import BUFFERS
-from datagen.errors import InputError, input_error
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import Dataset, DatasetIndex
-from datagen.inspection.color_maps import cividis
+from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.color_maps import cividis
+from datagen.foundation.errors import InputError, input_error
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
 from datagen.inspection.report.predictions import (
@@ -261,8 +261,8 @@ def _walk(
 
 def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
     """Counts, the registry's buffers, and the numbers that the viewer must share with the kernels."""
-    from datagen.color import LUMINANCE_WEIGHTS
-    from datagen.multiview.statistics import MIN_COVERAGE
+    from datagen.foundation.buffers import MIN_COVERAGE
+    from datagen.foundation.color import LUMINANCE_WEIGHTS
     from datagen.multiview.visibility import VisibilityOptions
 
     visibility = VisibilityOptions()

@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import srgb_from_linear
-from datagen.errors import input_error
 from datagen.formats.asset import Material, Texture
 from datagen.formats.package import Package
-from datagen.images import encode_png, read_image, texture_values
+from datagen.formats.textures import texture_values
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.errors import input_error
+from datagen.foundation.images import encode_png, read_image
 from model.reconstruction.atlas_images import SEEN, quantized_bytes
 
 KINDS = ("diffuse", "specular", "rough")

@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.package import Package, is_package, open_package
-from datagen.inspection.color_maps import cividis
-from datagen.meshes import Mesh, joined, read_ply, vertex_normals
+from datagen.foundation.color_maps import cividis
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import Mesh, joined, vertex_normals
+from datagen.foundation.meshes.ply import read_ply
 from model.reconstruction.atlas_page.textures import material_images, read_mask
 
 MAX_SIDE = 4096

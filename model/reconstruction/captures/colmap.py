@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.posed import Calibration, PosedImage
 
 MODELS = (

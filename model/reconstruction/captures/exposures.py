@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem
 from model.reconstruction.photographs import relative_exposure
 
 

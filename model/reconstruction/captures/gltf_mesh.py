@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from datagen.errors import InputError, input_error
-from datagen.importers.gltf import triangles_of
-from datagen.importers.gltf_file import GltfFile, PlacedNode
-from datagen.meshes import Mesh, joined
+from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.meshes.gltf import GltfFile, PlacedNode, triangles_of
+from datagen.foundation.meshes.mesh import Mesh, joined
 
 _TRIANGLE_MODES = (4, 5, 6)  # list, strip, fan
 # A file may place its meshes many times, but not without end; a primitive costs as much time as 200 corners.

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
 from datagen.formats.base import inside
-from datagen.meshes import SINGULAR, Mesh, inspect_mesh, read_ply, welded, without_degenerate
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
+from datagen.foundation.meshes.ply import read_ply
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
 
@@ -61,7 +62,7 @@ def load_mesh(path: Path) -> Mesh:
     if suffix == ".ply":
         return read_ply(path)
     if suffix == ".obj":
-        from datagen.importers.obj import read_obj
+        from datagen.foundation.meshes.obj import read_obj
 
         return read_obj(path)
     from model.reconstruction.captures.gltf_mesh import read_gltf

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.capture import Distortion
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     Calibration,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.errors import input_error
+from datagen.foundation.errors import input_error
 from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
 
 
@@ -18,9 +18,9 @@ def find(path: Path) -> Path | None:
 
 def read(path: Path, images: Path | None) -> Calibration:
     """Every sensor. Raises :class:`InputError` where there is none, or with the scene's faults."""
-    from datagen.importers.common import Findings
-    from datagen.importers.mitsuba_lights import camera_of
-    from datagen.importers.mitsuba_scene import parse_scene
+    from datagen.formats.mitsuba.scene import parse_scene
+    from datagen.formats.mitsuba.sensors import camera_of
+    from datagen.foundation.findings import Findings
 
     posed = []
     for number, node in enumerate(parse_scene(path).all_of("sensor")):

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.capture import Distortion
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     Calibration,

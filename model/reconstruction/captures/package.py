@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.asset import ASSET_FILE, EnvironmentAsset
 from datagen.formats.base import IDENTITY4
 from datagen.formats.capture import Capture, CaptureView, Encoding
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import open_package
-from datagen.importers.common import slug, unique
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.naming import slug, unique
 from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.posed import ImageFinder
 from model.reconstruction.captures.rendered import package_geometry

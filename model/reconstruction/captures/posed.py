@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, input_error
 from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, input_error
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
 EXPORT_AGAIN = "export it again"

@@ -19,8 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.base import canonical_json, problems_of, read_json, write_bytes_atomically
 from datagen.formats.capture import (
     CAPTURE_FILE,
@@ -34,8 +32,10 @@ from datagen.formats.capture import (
     PhotographRecord,
 )
 from datagen.formats.configuration import ViewCamera
-from datagen.importers.common import slug, unique
-from datagen.meshes import Mesh
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.naming import slug, unique
 from model.reconstruction.captures import (
     bundler,
     colmap,

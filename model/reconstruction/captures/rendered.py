@@ -11,17 +11,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, input_error
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
 from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
-from datagen.formats.exr import decode_view
 from datagen.formats.package import Package
 from datagen.formats.shard import ShardReader
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.exr import decode_view
+from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, joined, without_degenerate
+from datagen.foundation.meshes.ply import decode_ply
 from datagen.library import Library, bundled_library
-from datagen.meshes import SINGULAR, Mesh, decode_ply, inspect_mesh, joined, without_degenerate
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from datagen.cameras import Camera
-from datagen.errors import InputError, Problem, input_error
 from datagen.formats.capture import Distortion
-from datagen.images import image_size
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.images import image_size
 from model.reconstruction.captures.posed import (
     Calibration,
     ImageFinder,

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import input_error
-from datagen.meshes import Mesh
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import Mesh
 
 
 def read_obj(path: Path) -> Mesh:

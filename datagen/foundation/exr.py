@@ -15,8 +15,8 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from datagen.buffers import BUFFERS, Buffer, get_buffer
-from datagen.errors import InputError, Problem
+from datagen.foundation.buffers import BUFFERS, Buffer, get_buffer
+from datagen.foundation.errors import InputError, Problem
 
 MAX_SIDE_PX = 16384  # refuses headers that claim absurd sizes before any pixel is allocated
 _MAX_COMPRESSION = 500  # of anything that is not a bomb; halves count as floats here

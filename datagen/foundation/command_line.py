@@ -23,7 +23,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT}
 def run_command(app: Callable[[], object]) -> None:
     """Run a command. Bad input ends with its message and code 2, a full disk with code 1, a broken pipe in
     silence; files and folders that the system refuses count as bad input."""
-    from datagen.errors import InputError, Problem
+    from datagen.foundation.errors import InputError, Problem
 
     try:
         app()

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error
 
 PLUGIN_TAGS = (
     "bsdf", "emitter", "shape", "texture", "sensor", "film", "sampler", "rfilter", "integrator", "medium",
@@ -266,7 +266,7 @@ class _Parser:
             if len(digits) != 6 or re.fullmatch(r"[0-9a-fA-F]{6}", digits) is None:
                 self.problem(f"{node.where}: {name}", repr(text), "a colour such as #ff8000")
                 return (0.0, 0.0, 0.0)
-            from datagen.color import linear_from_srgb
+            from datagen.foundation.color import linear_from_srgb
 
             encoded = np.array([int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)])
             return tuple(float(x) for x in linear_from_srgb(encoded))

@@ -14,15 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.color import linear_from_srgb
-from datagen.errors import input_error
-from datagen.formats.asset import Texture
+from datagen.foundation.errors import input_error
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 MAX_IMAGE_SIDE_PX = 16384
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _REPLACE = "replace the file"
-_LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 
 
 def read_image(path: Path) -> NDArray:
@@ -60,35 +57,6 @@ def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -
         raise input_error(path, got=str(error)[:200], expected=expected, remedy=_REPLACE) from None
 
 
-def texture_values(texture: Texture, pixels: NDArray, is_scalar: bool) -> NDArray[np.float32]:
-    """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
-
-    ``pixels`` as :func:`read_image` returns them. Gives (H, W) where ``is_scalar``, else (H, W, 3). A scalar
-    channel that names ``rgb`` takes the luminance, as Mitsuba does.
-    """
-    values = normalized(pixels)
-    num_channels = values.shape[2]
-    if texture.channel == "rgb":
-        color = values[..., :3] if num_channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
-    else:
-        index = "rgba".index(texture.channel)
-        if num_channels < 3 and index < 3:
-            index = 0  # grey images hold their value once
-        elif num_channels == 2 and index == 3:
-            index = 1
-        if index >= num_channels:
-            raise input_error(
-                texture.texture, "channel", texture.channel, f"one of the image's {num_channels} channels"
-            )
-        color = np.repeat(values[..., index : index + 1], 3, axis=2)
-    if texture.encoding == "srgb" and texture.channel != "a":
-        color = linear_from_srgb(color)
-    color = np.clip(color * texture.scale + texture.offset, 0.0, 1.0).astype(np.float32)
-    if not is_scalar:
-        return color
-    return color[..., 0] if texture.channel != "rgb" else color @ _LUMINANCE
-
-
 def normalized(pixels: NDArray) -> NDArray[np.float32]:
     """Integer pixels as [0, 1] floats; float pixels unchanged."""
     if pixels.dtype.kind == "u":
@@ -115,7 +83,7 @@ def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray:
     """
     import cv2
 
-    from datagen.formats.exr import check_claim
+    from datagen.foundation.exr import check_claim
 
     width, height = image_size(path, formats)
     if max(width, height) > MAX_IMAGE_SIDE_PX:
@@ -150,7 +118,7 @@ def _has_whole_chunks(png: bytes) -> bool:
 
 
 def _read_exr(path: Path) -> NDArray[np.float32]:
-    from datagen.formats.exr import decode_channels
+    from datagen.foundation.exr import decode_channels
 
     channels = decode_channels(path.read_bytes(), path)
     names = [name for name in ("R", "G", "B", "A") if name in channels] or sorted(channels)[:1]

@@ -7,10 +7,12 @@ of channels, row 0 at the top of the image.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 PixelType = Literal["half", "float", "uint"]
 ColorSpace = Literal["linear_rec709", "data"]
@@ -181,6 +183,8 @@ RENDERED_BUFFERS = tuple(b.name for b in _ALL[:10] if b.name != "beauty_noisy")
 STATISTICS_BUFFERS = ("color_min", "color_median", "color_max", "observation_count")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 """What a complete view holds; ``beauty_noisy`` is optional."""
+MIN_COVERAGE = 0.5
+"""Least ``surface_mask`` of a pixel that counts as surface; below, its colour is mostly something else's."""
 
 
 def get_buffer(name: str) -> Buffer:
@@ -189,3 +193,14 @@ def get_buffer(name: str) -> Buffer:
         return BUFFERS[name]
     except KeyError:
         raise KeyError(f"unknown buffer {name!r}; known: {', '.join(BUFFERS)}") from None
+
+
+def surface_pixels(view: Mapping[str, NDArray]) -> NDArray[np.bool_]:
+    """Mask (H, W) of the pixels that are counted."""
+    shape = next(iter(view.values())).shape[:2]
+    mask = np.ones(shape, dtype=bool)
+    if "depth_z_m" in view:
+        mask &= view["depth_z_m"][..., 0] > 0
+    if "surface_mask" in view:
+        mask &= view["surface_mask"][..., 0] >= MIN_COVERAGE
+    return mask

@@ -21,7 +21,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, input_error
+from datagen.foundation.errors import InputError, input_error
 
 KNOWN_EXTENSIONS = frozenset(
     {
@@ -307,3 +307,14 @@ def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
     matrix[:3, :3] = rotation * np.asarray(node.get("scale", (1.0, 1.0, 1.0)))
     matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return matrix
+
+
+def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
+    """Triangle list (M, 3) of a list (4), strip (5) or fan (6)."""
+    if mode == 4 or len(indices) < 3:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
+    k = np.arange(max(0, len(indices) - 2))
+    if mode == 6:
+        return np.stack([indices[0] + 0 * k, indices[k + 1], indices[k + 2]], axis=1).astype(np.int32)
+    odd = k % 2
+    return np.stack([indices[k + odd], indices[k + 1 - odd], indices[k + 2]], axis=1).astype(np.int32)

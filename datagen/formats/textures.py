@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: MIT
+"""Textures of a package as material values."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.asset import Texture
+from datagen.foundation.color import LUMINANCE_WEIGHTS, linear_from_srgb
+from datagen.foundation.errors import input_error
+from datagen.foundation.images import normalized
+
+
+def texture_values(texture: Texture, pixels: NDArray, is_scalar: bool) -> NDArray[np.float32]:
+    """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
+
+    ``pixels`` as :func:`read_image` returns them. Gives (H, W) where ``is_scalar``, else (H, W, 3). A scalar
+    channel that names ``rgb`` takes the luminance, as Mitsuba does.
+    """
+    values = normalized(pixels)
+    num_channels = values.shape[2]
+    if texture.channel == "rgb":
+        color = values[..., :3] if num_channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
+    else:
+        index = "rgba".index(texture.channel)
+        if num_channels < 3 and index < 3:
+            index = 0  # grey images hold their value once
+        elif num_channels == 2 and index == 3:
+            index = 1
+        if index >= num_channels:
+            raise input_error(
+                texture.texture, "channel", texture.channel, f"one of the image's {num_channels} channels"
+            )
+        color = np.repeat(values[..., index : index + 1], 3, axis=2)
+    if texture.encoding == "srgb" and texture.channel != "a":
+        color = linear_from_srgb(color)
+    color = np.clip(color * texture.scale + texture.offset, 0.0, 1.0).astype(np.float32)
+    if not is_scalar:
+        return color
+    return color[..., 0] if texture.channel != "rgb" else color @ LUMINANCE_WEIGHTS.astype(np.float32)

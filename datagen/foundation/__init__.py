@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""The ground floor: what every package may import, and which imports nothing of the project itself."""

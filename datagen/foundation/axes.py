@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: MIT
+"""Axes and units of other people's files: their frames in metres with Z up."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.errors import input_error
+
+Z_UP_FROM_Y_UP = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""Rotation that turns +Y up into +Z up: (x, y, z) becomes (x, -z, y)."""
+
+
+def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
+    """(4, 4) transform from the file's frame to metres with Z up."""
+    if not (np.isfinite(unit_scale) and unit_scale > 0):
+        raise input_error("unit scale", got=unit_scale, expected="a positive number of metres in a unit")
+    scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
+    return scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))
+
+
+def unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vector / max(float(np.linalg.norm(vector)), 1e-30)

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: MIT
+"""What a reader of other people's files notices on the way."""
+
+from __future__ import annotations
+
+
+class Findings:
+    """Collects approximations and notes during an import; each sentence once, in order."""
+
+    def __init__(self) -> None:
+        self._approximations: dict[str, None] = {}
+        self._notes: dict[str, None] = {}
+
+    def approximate(self, sentence: str) -> str:
+        self._approximations[sentence] = None
+        return sentence
+
+    def note(self, sentence: str) -> None:
+        self._notes[sentence] = None
+
+    @property
+    def approximations(self) -> tuple[str, ...]:
+        return tuple(self._approximations)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return tuple(self._notes)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Triangle meshes, and the file formats that hold them: PLY, OBJ and glTF."""

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: MIT
+"""PLY files: the triangle meshes of asset packages, read and written.
+
+Letters: N vertices, M triangles. Packages hold binary little-endian PLY; v of a texture coordinate runs
+upwards (see ``datagen.formats.asset``).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import Mesh
+
+MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before a byte is read
+_MAX_HEADER_BYTES = 64 * 1024
+_PLY_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_UV_NAMES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
+_PLY_REMEDY = "export the mesh as binary little-endian PLY with triangles"
+
+
+def encode_ply(mesh: Mesh) -> bytes:
+    """Binary little-endian PLY: x y z [nx ny nz] [u v] as float, faces as uchar + int; deterministic."""
+    names = ["x", "y", "z"]
+    columns = [mesh.positions]
+    if mesh.normals is not None:
+        names += ["nx", "ny", "nz"]
+        columns.append(mesh.normals)
+    if mesh.uv is not None:
+        names += ["u", "v"]
+        columns.append(mesh.uv)
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.positions)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("i", "<i4", 3)])
+    faces["n"] = 3
+    faces["i"] = mesh.faces
+    vertices = np.concatenate([np.asarray(c, dtype="<f4") for c in columns], axis=1)
+    return "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+
+def read_ply(path: Path) -> Mesh:
+    """Read a PLY file; see :func:`decode_ply`."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise input_error(path, got=error.strerror or error, expected="a readable PLY file") from None
+    return decode_ply(data, path)
+
+
+def decode_ply(data: bytes, where: str | Path) -> Mesh:
+    """A :class:`Mesh` from PLY bytes (little-endian binary or ASCII; polygons are split into fans).
+
+    Raises :class:`InputError` where the file is cut short, of another format or has no positions. Indices
+    and finiteness are for :func:`inspect_mesh`.
+    """
+    end = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
+    newline = data.find(b"\n", end)
+    if not data.startswith(b"ply") or end < 0 or newline < 0:
+        raise input_error(where, got="no PLY header", expected="a PLY file", remedy=_PLY_REMEDY)
+    form, elements = _parse_header(data[:end].decode("ascii", "replace"), where)
+    body = memoryview(data)[newline + 1 :]
+    if form == "binary_little_endian":
+        tables = _read_binary(body, elements, where)
+    elif form == "ascii":
+        tables = _read_ascii(bytes(body), elements, where)
+    else:
+        raise input_error(where, "format", form, "binary_little_endian", _PLY_REMEDY)
+    vertex = tables.get("vertex", {})
+    if not all(name in vertex for name in "xyz"):
+        raise input_error(where, "element vertex", sorted(vertex), "properties x, y and z", _PLY_REMEDY)
+    faces = tables.get("face", {}).get("vertex_indices", np.zeros((0, 3), np.int32))
+    normals = None
+    if all(name in vertex for name in ("nx", "ny", "nz")):
+        normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=1).astype(np.float32)
+    uv = None
+    for names in _UV_NAMES:
+        if all(name in vertex for name in names):
+            uv = np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
+            break
+    positions = np.stack([vertex[name] for name in "xyz"], axis=1).astype(np.float32)
+    return Mesh(positions, faces.astype(np.int32).reshape(-1, 3), normals, uv)
+
+
+_Element = tuple[
+    str, int, list[tuple[str, str, str]]
+]  # name, count, [(property, type, list count type or "")]
+
+
+def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
+    form = ""
+    elements: list[_Element] = []
+    for line in header.splitlines()[1:]:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        try:
+            if words[0] == "format":
+                form = words[1]
+            elif words[0] == "element":
+                count = int(words[2])
+                if not 0 <= count <= MAX_VERTICES:
+                    raise input_error(where, f"element {words[1]}", count, f"0 to {MAX_VERTICES}")
+                elements.append((words[1], count, []))
+            elif words[0] == "property" and words[1] == "list":
+                elements[-1][2].append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
+            elif words[0] == "property":
+                elements[-1][2].append((words[2], _PLY_TYPES[words[1]], ""))
+        except (IndexError, KeyError) as error:
+            raise input_error(
+                where, "header", line.strip()[:80], f"a PLY header line ({error})", _PLY_REMEDY
+            ) from None
+        except ValueError as error:
+            if hasattr(error, "problems"):
+                raise
+            raise input_error(where, "header", line.strip()[:80], "a number", _PLY_REMEDY) from None
+    return form, elements
+
+
+def _read_binary(
+    body: memoryview, elements: list[_Element], where: str | Path
+) -> dict[str, dict[str, NDArray]]:
+    tables: dict[str, dict[str, NDArray]] = {}
+    offset = 0
+    for name, count, properties in elements:
+        lists = [p for p in properties if p[2]]
+        if lists and (name != "face" or len(lists) != 1):
+            raise input_error(where, f"element {name}", "lists", "lists in 'face' alone", _PLY_REMEDY)
+        dtype = [
+            (p, f"<{kind}") if not size else (p, [("n", f"<{size}"), ("i", f"<{kind}", (3,))])
+            for p, kind, size in properties
+        ]
+        names = [p for p, _, _ in properties]
+        if not names or len(set(names)) != len(names):
+            raise input_error(where, f"element {name}", names, "properties that differ", _PLY_REMEDY)
+        record = np.dtype(dtype)
+        if offset + count * record.itemsize <= len(body):
+            table = np.frombuffer(body, record, count, offset)
+            if not lists or bool((table[lists[0][0]]["n"] == 3).all()):
+                tables[name] = {
+                    "vertex_indices" if s else p: table[p]["i"] if s else table[p] for p, _, s in properties
+                }
+                offset += count * record.itemsize
+                continue
+        elif not lists:
+            raise input_error(
+                where, f"element {name}", "the file ends early", f"{count} entries", "export it again"
+            )
+        tables[name], offset = _read_polygons(body, offset, count, properties, where)
+    return tables
+
+
+def _read_polygons(
+    body: memoryview, offset: int, count: int, properties: list[tuple[str, str, str]], where: str | Path
+) -> tuple[dict[str, NDArray], int]:
+    """Faces of mixed size, as fans of triangles. Slow path."""
+    triangles: list[tuple[int, int, int]] = []
+    try:
+        for _ in range(count):
+            for _, kind, size in properties:
+                if not size:
+                    offset += np.dtype(kind).itemsize
+                    continue
+                num = int(np.frombuffer(body, f"<{size}", 1, offset)[0])
+                if num < 0:  # numpy would take -1 for all there is
+                    raise ValueError
+                offset += np.dtype(size).itemsize
+                corners = np.frombuffer(body, f"<{kind}", num, offset).tolist()
+                offset += np.dtype(kind).itemsize * num
+                triangles += [(corners[0], corners[k], corners[k + 1]) for k in range(1, num - 1)]
+    except ValueError:
+        raise input_error(
+            where, "element face", "the file ends early", f"{count} faces", "export it again"
+        ) from None
+    return {"vertex_indices": np.array(triangles, np.int64).reshape(-1, 3)}, offset
+
+
+def _read_ascii(body: bytes, elements: list[_Element], where: str | Path) -> dict[str, dict[str, NDArray]]:
+    lines = iter(body.decode("ascii", "replace").splitlines())
+    tables: dict[str, dict[str, NDArray]] = {}
+    try:
+        for name, count, properties in elements:
+            rows = [next(lines).split() for _ in range(count)]
+            if any(size for _, _, size in properties):
+                triangles = [(int(r[1]), int(r[k]), int(r[k + 1])) for r in rows for k in range(2, int(r[0]))]
+                tables[name] = {"vertex_indices": np.array(triangles, np.int64).reshape(-1, 3)}
+            else:
+                table = np.array(rows, np.float64).reshape(count, len(properties))
+                tables[name] = {p: table[:, k] for k, (p, _, _) in enumerate(properties)}
+    except (StopIteration, ValueError, IndexError):
+        raise input_error(
+            where, "body", "numbers missing or unreadable", "the entries of the header"
+        ) from None
+    return tables

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: MIT
+"""Names of assets, views and files, made from other people's."""
+
+from __future__ import annotations
+
+import re
+
+
+def slug(text: str) -> str:
+    """A name that is safe as an id and as a file: lower-case letters, digits, '_' and '-'."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", text)
+    cleaned = re.sub(r"[^a-z0-9_-]+", "-", words.lower()).strip("-_")
+    return cleaned or "unnamed"
+
+
+def unique(name: str, taken: set[str] | dict[str, object]) -> str:
+    """``name``, or ``name_2``, ``name_3``, ... if it is taken."""
+    candidate, number = name, 1
+    while candidate in taken:
+        number += 1
+        candidate = f"{name}_{number}"
+    return candidate
