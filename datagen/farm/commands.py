@@ -3,30 +3,14 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
 FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
 
-# As sbatch takes them: minutes, or hours and days with colons and a dash; megabytes, or with a unit.
-_TIME = re.compile(r"\d+|\d+:\d\d(:\d\d)?|\d+-\d+(:\d\d){0,2}")
-_MEMORY = re.compile(r"\d+[KMGT]?")
-
-
-def _like(pattern: re.Pattern[str], example: str) -> Callable[[str], str]:
-    """Checks an option against a pattern before a queue refuses the script for it."""
-
-    def check(value: str) -> str:
-        if not pattern.fullmatch(value):
-            raise typer.BadParameter(f"{value!r}; expected something like {example}")
-        return value
-
-    return check
-
+_RepeatedOption = Optional[list[str]]  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
 
 farm = typer.Typer(
     help="One plan on a cluster: submit, watch, retry, cancel, collect.",
@@ -39,13 +23,8 @@ farm = typer.Typer(
 def submit(
     folder: FolderArgument,
     engine: Annotated[str, typer.Option(help="slurm, or shell: only a list of commands.")] = "slurm",
-    time_limit: Annotated[
-        str,
-        typer.Option("--time", help="Time limit of a unit.", callback=_like(_TIME, "04:00:00 or 1-12")),
-    ] = "04:00:00",
-    memory: Annotated[
-        str, typer.Option(help="Memory of a unit.", callback=_like(_MEMORY, "8G or 8000M"))
-    ] = "8G",
+    time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00",
+    memory: Annotated[str, typer.Option(help="Memory of a unit.")] = "8G",
     cpus: Annotated[int, typer.Option(min=1, help="Processors of a unit.")] = 4,
     gpus: Annotated[int, typer.Option(min=0, help="GPUs of a unit.")] = 0,
     throttle: Annotated[int, typer.Option(min=0, help="Units at a time; 0 = no limit.")] = 0,
@@ -55,13 +34,28 @@ def submit(
     partition: Annotated[str, typer.Option(help="Slurm partition.")] = "",
     account: Annotated[str, typer.Option(help="Slurm account.")] = "",
     max_array: Annotated[int, typer.Option(min=2, help="The cluster's MaxArraySize.")] = 1001,
+    qos: Annotated[str, typer.Option(help="Slurm quality of service.")] = "",
+    constraint: Annotated[str, typer.Option(help="Features that the units' nodes have.")] = "",
+    exclude: Annotated[str, typer.Option(help="Nodes to leave out.")] = "",
+    mail_user: Annotated[str, typer.Option(help="Address that Slurm writes to.")] = "",
+    mail_type: Annotated[str, typer.Option(help="What Slurm writes about, as END,FAIL.")] = "",
+    sbatch_option: Annotated[
+        _RepeatedOption, typer.Option(help="NAME or NAME=VALUE for sbatch, for the units; repeatable.")
+    ] = None,
+    collect_time: Annotated[str, typer.Option(help="Time limit of the job that collects.")] = "04:00:00",
+    collect_memory: Annotated[str, typer.Option(help="Memory of the job that collects.")] = "4G",
+    collect_cpus: Annotated[int, typer.Option(min=1, help="Processors of the job that collects.")] = 1,
+    collect_partition: Annotated[str, typer.Option(help="Its partition; else that of the units.")] = "",
+    collect_option: Annotated[
+        _RepeatedOption, typer.Option(help="As --sbatch-option, for the job that collects.")
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only write the job scripts.")] = False,
 ) -> None:
     """Write readable job scripts for the units that are not done, and submit them.
 
     Example: datagen farm submit paper --engine slurm --cpus 8 --setup "source .venv/bin/activate"
     """
-    from datagen.farm.slurm import SlurmOptions
+    from datagen.farm.job_options import SlurmOptions
     from datagen.farm.slurm import submit as submit_jobs
 
     options = SlurmOptions(
@@ -76,6 +70,17 @@ def submit(
         partition=partition,
         account=account,
         max_array=max_array,
+        qos=qos,
+        constraint=constraint,
+        exclude=exclude,
+        mail_user=mail_user,
+        mail_type=mail_type,
+        sbatch_options=tuple(sbatch_option or ()),
+        collect_time=collect_time,
+        collect_memory=collect_memory,
+        collect_cpus=collect_cpus,
+        collect_partition=collect_partition,
+        collect_options=tuple(collect_option or ()),
     )
     submission = submit_jobs(folder, options, engine, dry_run)
     for script in submission.scripts:

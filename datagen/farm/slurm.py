@@ -8,6 +8,7 @@ them.
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -15,32 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.farm.folder import DatasetFolder
+from datagen.farm.job_options import SlurmOptions, can_be_directive, check_folder, split_option
 from datagen.farm.local import EXIT_INTERRUPTED, check_writable
 from datagen.farm.status import array_spec
 from datagen.formats.base import sha256_hex, write_bytes_atomically
 from datagen.foundation.errors import input_error
-
-
-@dataclass(frozen=True)
-class SlurmOptions:
-    """What the job scripts ask for. ``time_limit`` and ``memory`` as Slurm has them; ``throttle`` 0 = none.
-
-    ``notice_s`` before the time limit the unit is told to finish its view and is requeued.
-    ``setup`` is shell code that makes ``datagen`` callable on a node (``source .venv/bin/activate``).
-    ``max_array`` is the cluster's MaxArraySize: longer plans become several array jobs.
-    """
-
-    time_limit: str = "04:00:00"
-    memory: str = "8G"
-    cpus: int = 4
-    gpus: int = 0
-    throttle: int = 0
-    notice_s: int = 120
-    attempts: int = 3
-    setup: str = ""
-    partition: str = ""
-    account: str = ""
-    max_array: int = 1001
 
 
 def job_name(root: Path) -> str:
@@ -48,44 +28,61 @@ def job_name(root: Path) -> str:
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 
-def _directives(root: Path, options: SlurmOptions, **extra: str) -> str:
-    lines = {
+def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> str:
+    """``#SBATCH`` lines; None is an option without a value. Values between double quotes are read as they are
+    (without them, a ``#`` would begin a comment)."""
+    lines = []
+    for name, value in [*directives.items(), *map(split_option, options)]:
+        if value == "":
+            continue
+        if value is not None and not can_be_directive(value):
+            raise input_error("farm submit", name, ascii(value), "one line without quotes", "correct it")
+        is_plain = value is None or re.fullmatch(r"[\w.,:@%/+=-]+", value)
+        lines.append(
+            f"#SBATCH --{name}" + ("" if value is None else f"={value}" if is_plain else f'="{value}"')
+        )
+    return "\n".join(lines)
+
+
+def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | None]:
+    """What both kinds of job ask for."""
+    return {
         "job-name": job_name(root),
-        "time": options.time_limit,
-        "mem": options.memory,
-        "cpus-per-task": str(options.cpus),
-        **({"gres": f"gpu:{options.gpus}"} if options.gpus else {}),
-        **({"partition": options.partition} if options.partition else {}),
-        **({"account": options.account} if options.account else {}),
-        **extra,
+        "account": options.account,
+        "qos": options.qos,
+        "exclude": options.exclude,
+        "mail-user": options.mail_user,
+        "mail-type": options.mail_type,
+        "open-mode": "append",
     }
-    # Slurm reads directives without a shell: a value with spaces needs double quotes.
-    return "\n".join(
-        f'#SBATCH --{key}="{value}"' if " " in value else f"#SBATCH --{key}={value}"
-        for key, value in lines.items()
-    )
+
+
+def _with_setup(options: SlurmOptions, root: Path) -> str:
+    setup = f"{options.setup.rstrip()}\n" if options.setup.strip() else ""
+    return f"set -u\n{setup}folder={shlex.quote(str(root.resolve()))}"
 
 
 def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[int]) -> str:
     """The array job's script. Task i works on unit ``offset + i``, since arrays have a largest index."""
+    check_folder(root, "slurm")
     throttle = f"%{options.throttle}" if options.throttle else ""
-    array = array_spec([index - offset for index in indices]) + throttle
-    log = f"{_escaped(root.resolve())}/logs/slurm-unit-%a.log"
-    directives = _directives(
-        root,
-        options,
-        array=array,
-        requeue="",
-        output=log,
-        signal=f"B:USR1@{options.notice_s}",
-        **{"open-mode": "append"},
-    ).replace("--requeue=", "--requeue")
+    directives: dict[str, str | None] = {
+        **_shared_directives(root, options),
+        "time": options.time_limit,
+        "mem": options.memory,
+        "cpus-per-task": str(options.cpus),
+        "gres": f"gpu:{options.gpus}" if options.gpus else "",
+        "partition": options.partition,
+        "constraint": options.constraint,
+        "array": array_spec([index - offset for index in indices]) + throttle,
+        "requeue": None,
+        "output": f"{_escaped(root.resolve())}/logs/slurm-unit-%a.log",
+        "signal": f"B:USR1@{options.notice_s}",
+    }
     return f"""#!/bin/bash
-# Units of {root.name}: one array task a unit. Written by `datagen farm submit`; safe to submit again.
-{directives}
-set -u
-{options.setup}
-folder={shlex.quote(str(root.resolve()))}
+# Units of {root.resolve().name}: a task a unit. Written by `datagen farm submit`; safe to submit again.
+{_directives(directives, options.sbatch_options)}
+{_with_setup(options, root)}
 unit=$(({offset} + SLURM_ARRAY_TASK_ID))
 task="${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}"
 
@@ -109,22 +106,33 @@ exit "$code"
 
 
 def collect_script(root: Path, options: SlurmOptions) -> str:
-    """The dependent job's script: index, verification, report of what is missing."""
-    log = f"{_escaped(root.resolve())}/logs/slurm-collect.log"
+    """The dependent job's script: status, index, verification, report. It asks for no GPU, and ends with the
+    code of the last step that found something wrong."""
+    check_folder(root, "slurm")
+    directives: dict[str, str | None] = {
+        **_shared_directives(root, options),
+        "time": options.collect_time,
+        "mem": options.collect_memory,
+        "cpus-per-task": str(options.collect_cpus),
+        "partition": options.collect_partition or options.partition,
+        "output": f"{_escaped(root.resolve())}/logs/slurm-collect.log",
+    }
     return f"""#!/bin/bash
-# Collects {root.name} after its units. Written by `datagen farm submit`.
-{_directives(root, options, output=log, **{"open-mode": "append"})}
-set -u
-{options.setup}
-folder={shlex.quote(str(root.resolve()))}
-datagen farm status "$folder"
-datagen farm collect "$folder" --deep
-datagen verify "$folder"
+# Collects {root.resolve().name} after its units. Written by `datagen farm submit`.
+{_directives(directives, options.collect_options)}
+{_with_setup(options, root)}
+code=0
+datagen farm status "$folder" || code=$?
+datagen farm collect "$folder" --deep || code=$?
+datagen verify "$folder" --workers {options.collect_cpus} || code=$?
+datagen report "$folder" --workers {options.collect_cpus} || code=$?
+exit "$code"
 """
 
 
 def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
     """One command a line, for any other queue (GNU parallel, xargs, SGE, HTCondor, ...)."""
+    check_folder(root, "shell")
     folder = shlex.quote(str(root.resolve()))
     lines = [f"datagen unit {folder} {index} --attempts {options.attempts}" for index in indices]
     return "\n".join(lines) + "\n"
@@ -155,6 +163,7 @@ def submit(root: Path, options: SlurmOptions, engine: str = "slurm", dry_run: bo
     """
     folder = DatasetFolder(root)
     indices = _undone(folder)
+    check_folder(root, engine)
     check_writable(root)
     jobs = root / "jobs"
     jobs.mkdir(exist_ok=True)
@@ -196,7 +205,10 @@ def _end(indices: list[int]) -> int:
 
 def _sbatch(script: Path, *arguments: str) -> str:
     result = subprocess.run(
-        ["sbatch", "--parsable", *arguments, str(script)], capture_output=True, text=True, check=False
+        ["sbatch", "--parsable", *arguments, str(script.resolve())],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if result.returncode != 0:
         what = " ".join(result.stderr.split()) or f"exit code {result.returncode}"

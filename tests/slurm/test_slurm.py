@@ -14,8 +14,9 @@ import pytest
 
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder
+from datagen.farm.job_options import SlurmOptions
 from datagen.farm.local import LocalOptions, run_local
-from datagen.farm.slurm import SlurmOptions, array_script, cancel, job_name, shell_script, submit
+from datagen.farm.slurm import array_script, cancel, job_name, shell_script, submit
 from datagen.farm.status import forget_failures, read_status
 from tests.datagen.small_plan import plan_small
 from tests.slurm.cluster import Cluster, missing_programs
@@ -71,11 +72,19 @@ def test_array_runs_the_plan_and_the_dependent_job_collects(
     library_root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    folder = plan_small(tmp_path / "a set with spaces and ä", library_root, num_units=4)
-    submission = _submit(cluster, folder, monkeypatch, throttle=3)
+    name = "a set with spaces, ä, it's $(touch pwned); `touch pwned` & #1 %a %%j 'x"
+    folder = plan_small(tmp_path / name, library_root, num_units=4)
+    options = ("nice=5", "comment=two words # not a comment")
+    submission = _submit(cluster, folder, monkeypatch, throttle=3, sbatch_options=options)
     assert len(submission.job_ids) == 2 and submission.num_units == 4
+    unit, collecting = (cluster.run("scontrol", "show", "job", job) for job in submission.job_ids)
+    assert "Comment=two words # not a comment" in unit and "Nice=5" in unit
+    assert "Comment" not in collecting and "Nice=0" in collecting
     cluster.wait_until_idle()
-    assert folder.index_path.exists(), (folder.logs_path / "slurm-collect.log").read_text()
+    log = (folder.logs_path / "slurm-collect.log").read_text()
+    assert folder.index_path.exists(), log
+    assert (folder.root / "report" / "index.html").exists(), log
+    assert (folder.logs_path / "slurm-unit-3.log").exists(), "the directive names the folder as it is"
     assert _hashes(folder) == expected
     again = _submit(cluster, folder, monkeypatch)
     assert again.num_units == 0 and again.job_ids == ()

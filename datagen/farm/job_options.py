@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: MIT
+"""What job scripts ask a queue for, checked before a script is written.
+
+A script is read twice: by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. Whatever comes
+from outside is therefore either of a known form, or free of what ends a line, a quotation or a comment.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import unicodedata
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from datagen.foundation.errors import InputError, Problem
+
+_WHERE = "farm submit"
+_UNSPEAKABLE = {"Cc", "Cs", "Zl", "Zp"}  # control characters, halves of surrogates, line and paragraph ends
+_NAMES = re.compile(r"[\w.@+][\w.@+-]*(,[\w.@+][\w.@+-]*)*")
+_MAIL_TYPES = re.compile(r"[A-Za-z_0-9]+(,[A-Za-z_0-9]+)*")
+
+# As sbatch takes them: minutes, or hours and days with colons and a dash; megabytes, or with a unit.
+_FORMS: dict[str, tuple[re.Pattern[str], str]] = {
+    "time_limit": (re.compile(r"\d+|\d+:\d\d(:\d\d)?|\d+-\d+(:\d\d){0,2}", re.ASCII), "04:00:00 or 1-12"),
+    "memory": (re.compile(r"\d+[KMGT]?", re.ASCII), "8G or 8000M"),
+    "partition": (_NAMES, "a name, or names with commas"),
+    "account": (_NAMES, "a name"),
+    "qos": (_NAMES, "a name"),
+    "constraint": (re.compile(r"[\w.&|*()\[\],:!+ -]+"), "features, as in 'a100&ib'"),
+    "exclude": (re.compile(r"[\w.,\[\]-]+"), "nodes, as in node[1-3],node7"),
+    "mail_user": (re.compile(r"[\w.@+-]+(,[\w.@+-]+)*"), "an address"),
+    "mail_type": (_MAIL_TYPES, "END, FAIL, ..."),
+}
+_FORM_OF = {"collect_time": "time_limit", "collect_memory": "memory", "collect_partition": "partition"}
+_OPTION_NAMES = {
+    "time_limit": "--time",
+    "sbatch_options": "--sbatch-option",
+    "collect_options": "--collect-option",
+}
+_LEAST = {
+    "cpus": 1, "gpus": 0, "throttle": 0, "notice_s": 1, "attempts": 1, "max_array": 2, "collect_cpus": 1
+}  # fmt: skip
+_OURS = {
+    "job-name", "array", "output", "error", "input", "requeue", "no-requeue", "signal", "open-mode",
+    "dependency", "chdir", "wrap", "parsable", "test-only", "wait", "hold", "ignore-pbs", "help", "version",
+    "time", "mem", "cpus-per-task", "gres", "partition", "account", "qos", "constraint", "exclude",
+    "mail-user", "mail-type",
+}  # fmt: skip
+"""Options of sbatch that the scripts rest on, or that have an option of their own here."""
+
+
+@dataclass(frozen=True)
+class SlurmOptions:
+    """What the job scripts ask for. ``time_limit`` and ``memory`` as Slurm has them; ``throttle`` 0 = none.
+
+    ``notice_s`` before the time limit the unit is told to finish its view and is requeued.
+    ``setup`` is shell code that makes ``datagen`` callable on a node (``source .venv/bin/activate``).
+    ``max_array`` is the cluster's MaxArraySize: longer plans become several array jobs.
+    ``sbatch_options`` and ``collect_options`` are further options of sbatch, NAME or NAME=VALUE: of the
+    units, and of the job that collects, which has a size of its own and takes account, qos, exclude and mail
+    from the units, the partition too unless it has one. Raises :class:`InputError` with all that is wrong.
+    """
+
+    time_limit: str = "04:00:00"
+    memory: str = "8G"
+    cpus: int = 4
+    gpus: int = 0
+    throttle: int = 0
+    notice_s: int = 120
+    attempts: int = 3
+    setup: str = ""
+    partition: str = ""
+    account: str = ""
+    max_array: int = 1001
+    qos: str = ""
+    constraint: str = ""
+    exclude: str = ""
+    mail_user: str = ""
+    mail_type: str = ""
+    sbatch_options: tuple[str, ...] = ()
+    collect_time: str = "04:00:00"
+    collect_memory: str = "4G"
+    collect_cpus: int = 1
+    collect_partition: str = ""
+    collect_options: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        problems = [*self._wrong_forms(), *self._wrong_numbers(), *_wrong_setup(self.setup)]
+        for name in ("sbatch_options", "collect_options"):
+            problems += [p for text in getattr(self, name) for p in _wrong_option(_option(name), text)]
+        if problems:
+            raise InputError(*problems)
+
+    def _wrong_forms(self) -> list[Problem]:
+        problems = []
+        for field in fields(self):
+            form = _FORMS.get(_FORM_OF.get(field.name, field.name))
+            value = getattr(self, field.name)
+            if form is None or (value == "" and field.default == ""):
+                continue
+            if not form[0].fullmatch(value):
+                problems.append(
+                    Problem(
+                        _WHERE, _option(field.name), repr(value), f"something like {form[1]}", "correct it"
+                    )
+                )
+        return problems
+
+    def _wrong_numbers(self) -> list[Problem]:
+        return [
+            Problem(
+                _WHERE, _option(name), repr(getattr(self, name)), f"a whole number from {least}", "correct it"
+            )
+            for name, least in _LEAST.items()
+            if type(getattr(self, name)) is not int or getattr(self, name) < least
+        ]
+
+
+def _option(field: str) -> str:
+    return _OPTION_NAMES.get(field, "--" + field.removesuffix("_s").replace("_", "-"))
+
+
+def _wrong_setup(setup: str) -> list[Problem]:
+    """Code that bash does not take as whole commands would swallow the lines after it."""
+    if not setup.strip():
+        return []
+    remedy = "give whole commands of bash, as in: source .venv/bin/activate"
+    bad = next((c for c in setup if c not in "\n\t" and unicodedata.category(c) in _UNSPEAKABLE), None)
+    if bad is not None:
+        return [Problem(_WHERE, "--setup", f"{bad!r} in {setup!r}", "lines of text", remedy)]
+    checked = subprocess.run(["bash", "-n"], input=setup, text=True, capture_output=True)
+    what = " ".join(checked.stderr.split())  # also where it only warns: of a here-document without an end
+    if (len(setup) - len(setup.rstrip("\\"))) % 2:
+        what = "a backslash at its end, which joins it with what follows"
+    if checked.returncode != 0 or what:
+        return [Problem(_WHERE, "--setup", what or repr(setup), "whole commands", remedy)]
+    return []
+
+
+def split_option(text: str) -> tuple[str, str | None]:
+    """Name and value of ``NAME``, ``NAME=VALUE`` or the same with dashes before it."""
+    name, separator, value = text.removeprefix("--").partition("=")
+    return name, value if separator else None
+
+
+def _wrong_option(option: str, text: str) -> list[Problem]:
+    name, value = split_option(text)
+    expected = "NAME or NAME=VALUE as sbatch's long options"
+    if not re.fullmatch(r"[a-z][a-z0-9-]*", name):
+        return [Problem(_WHERE, option, repr(text), expected, "write it so")]
+    if name in _OURS:
+        return [Problem(_WHERE, option, repr(text), "an option that the scripts do not set", "leave it out")]
+    if value is not None and not can_be_directive(value):
+        return [Problem(_WHERE, option, repr(text), f"{expected}, without quotes or \\", "correct it")]
+    return []
+
+
+def is_one_line(text: str) -> bool:
+    """Whether a text is one line that a file can hold, for a comment or one command a line."""
+    return not any(unicodedata.category(character) in _UNSPEAKABLE for character in text)
+
+
+def can_be_directive(text: str) -> bool:
+    """Whether a text, between double quotes, comes out of Slurm's reader of directives as it is.
+
+    A backslash escapes there, and in file names it ends the replacement of ``%a``.
+    """
+    return is_one_line(text) and '"' not in text and "\\" not in text
+
+
+def check_folder(root: Path, engine: str) -> None:
+    """Raise :class:`InputError` for a folder whose path a script of this engine cannot name."""
+    path = str(root.resolve())
+    remedy = "rename the folder, or reach it by another path"
+    if not is_one_line(path):
+        expected = "a path without line ends and control characters, in UTF-8"
+        raise InputError(Problem(_WHERE, "folder", ascii(path), expected, remedy))
+    if engine == "slurm" and not can_be_directive(path):
+        expected = "a path without double quotes and backslashes, which Slurm's directives do not hold"
+        raise InputError(Problem(_WHERE, "folder", path, expected, remedy))
