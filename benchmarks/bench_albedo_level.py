@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import model.reconstruction.albedo_level as albedo_level
+import model.reconstruction.level.albedo_level as albedo_level
 from datagen.formats.capture import Capture
 from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from mitsuba_plugins.variant import select_variant
@@ -27,10 +27,10 @@ from model.checkpoint import load_checkpoint
 from model.evaluation.room import TestScene, prepare_scene
 from model.evaluation.suite import NetworkMethod, read_suite
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.geometry import TracedGeometry, smooth_regions
+from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
 from model.reconstruction.infer import Seen, look
-from model.reconstruction.predict import PredictOptions, Predictor, capture_exposure, view_tensors
-from model.reconstruction.radiance_cache import RadianceView
+from model.reconstruction.level.radiance_cache import RadianceView
+from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 
 COLUMNS = (
     "room | network | views | known | used | spread | impossible | room gain | best gain | before | after"

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from datagen.formats.capture import Capture, CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, without_degenerate
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.check import CheckReport, check_capture
+from model.reconstruction.check.capture_check import CheckReport, check_capture
 
 
 def changed(

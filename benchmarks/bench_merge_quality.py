@@ -30,9 +30,10 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
+from model.reconstruction.atlas.atlas import MAP_NAMES, Atlas, empty_atlas
+from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.fill import atlas_size, fill_unseen
-from model.reconstruction.geometry import (
+from model.reconstruction.geometry.traced import (
     TracedGeometry,
     ViewGeometry,
     face_normals,
@@ -41,18 +42,10 @@ from model.reconstruction.geometry import (
 )
 from model.reconstruction.infer import TRUTH, Seen, look
 from model.reconstruction.infer_options import InferOptions, InferReport
-from model.reconstruction.merge import (
-    MAP_NAMES,
-    Atlas,
-    MapMerger,
-    MapView,
-    MergeOptions,
-    Weights,
-    empty_atlas,
-)
-from model.reconstruction.texels import TexelSurface
-from model.reconstruction.uv import unwrapped
-from model.reconstruction.view_maps import predicted_maps
+from model.reconstruction.merge.fill import atlas_size, fill_unseen
+from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, Weights
+from model.reconstruction.predict.view_maps import predicted_maps
+from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
 Maps = list[dict[str, NDArray]]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import json
 import subprocess
 import sys
@@ -14,24 +15,84 @@ import pytest
 from tests.conftest import REPOSITORY
 
 PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
-FOUNDATION = "datagen.foundation"
-BELOW_ALL = (FOUNDATION, "datagen.formats")
-BELOW_ALL_MAY = {
-    "numpy",
-    "OpenEXR",
-    "pydantic",
-    "yaml",
-    "PIL",
-    "cv2",
-    "matplotlib",
-    "rich",
-    "datagen",
-    "typing_extensions",
+SOURCES = (*PACKAGES, "benchmarks", "tests", "scenes/sources")
+
+_GROUND = "datagen.foundation datagen.formats"
+_LIBRARY = f"{_GROUND} datagen.library"
+_RENDER = f"{_LIBRARY} datagen.multiview datagen.rendering mitsuba_plugins"
+_NETWORKS = "model.networks model.confidence model.bilateral_solver"
+_ATLAS = "model.reconstruction.atlas model.reconstruction.geometry"
+
+# Package -> what it may import of the project, besides itself. A name is a module or all of a package.
+MATRIX = {
+    package: frozenset(allowed.split())
+    for package, allowed in {
+        "datagen.foundation": "",
+        "datagen.formats": "datagen.foundation",
+        "datagen.asset_check": _GROUND,
+        "datagen.library": f"{_GROUND} datagen.asset_check",
+        "datagen.multiview": "datagen.foundation mitsuba_plugins",
+        "datagen.assembly": f"{_LIBRARY} mitsuba_plugins",
+        "datagen.rendering": f"{_LIBRARY} mitsuba_plugins",
+        "datagen.importers": f"{_LIBRARY} datagen.asset_check datagen.rendering mitsuba_plugins",
+        "datagen.farm": f"{_RENDER} datagen.assembly",
+        "datagen.inspection": f"{_RENDER} datagen.farm",
+        "datagen.tradeoff": f"{_RENDER} datagen.farm",
+        "datagen.cli": f"{_LIBRARY} datagen.farm datagen.importers datagen.inspection datagen.tradeoff",
+        "datagen.__main__": "datagen.cli",
+        "mitsuba_plugins": "datagen.foundation",
+        "blender_addon": "",
+        "model.devices": "datagen.foundation",
+        "model.shading": "",
+        "model.networks": _GROUND,
+        "model.bilateral_solver": _GROUND,
+        "model.confidence": "model.bilateral_solver",
+        "model.checkpoint": f"{_GROUND} {_NETWORKS}",
+        "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.shading",
+        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder",
+        "model.reconstruction.atlas": "datagen.foundation",
+        "model.reconstruction.geometry": f"{_GROUND} datagen.multiview mitsuba_plugins",
+        "model.reconstruction.check": f"{_GROUND} mitsuba_plugins model.reconstruction.captures "
+        "model.reconstruction.geometry",
+        "model.reconstruction.predict": f"{_GROUND} datagen.multiview {_NETWORKS} model.checkpoint {_ATLAS} "
+        "model.reconstruction.infer_options",
+        "model.reconstruction.level": f"{_GROUND} datagen.multiview model.reconstruction.captures "
+        "model.reconstruction.geometry",
+        "model.reconstruction.light": f"{_RENDER} {_NETWORKS} model.checkpoint model.reconstruction.captures "
+        f"{_ATLAS} model.reconstruction.level",
+        "model.reconstruction.unwrap": f"{_GROUND} {_ATLAS}",
+        "model.reconstruction.merge": f"{_GROUND} datagen.multiview {_ATLAS} model.reconstruction.unwrap",
+        "model.reconstruction.export": f"{_GROUND} {_ATLAS}",
+        "model.reconstruction.atlas_page": f"{_GROUND} model.reconstruction.export",
+        "model.reconstruction.render": f"{_LIBRARY} datagen.rendering model.reconstruction.atlas_page",
+        "model.reconstruction.infer_options": f"{_GROUND} datagen.multiview model.reconstruction.merge",
+        "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins model.checkpoint "
+        f"model.devices {_ATLAS} model.reconstruction.captures model.reconstruction.check "
+        "model.reconstruction.predict model.reconstruction.level model.reconstruction.light "
+        "model.reconstruction.unwrap model.reconstruction.merge model.reconstruction.export "
+        "model.reconstruction.infer_options",
+        "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.reconstruction",
+        "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "
+        "model.checkpoint model.training model.reconstruction",
+        "model.cli": f"{_GROUND} model",
+        "benchmarks": "datagen mitsuba_plugins model blender_addon scenes tests",
+        "scenes": "blender_addon",
+        "tests": "datagen mitsuba_plugins model blender_addon scenes benchmarks",
+    }.items()
 }
+FORBIDDEN = {
+    "datagen": ("torch", "bpy"),
+    "mitsuba_plugins": ("torch", "bpy"),
+    "model.training": ("mitsuba", "drjit", "bpy"),
+    "blender_addon": ("torch", "mitsuba", "pydantic"),
+}
+"""Other people's packages that ours must do without."""
+GROUND_MAY = {"numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer"}
+"""What ``datagen.foundation`` and ``datagen.formats`` may import besides Python's own."""
 
 
 def _sources() -> list[Path]:
-    return [path for package in PACKAGES for path in sorted((REPOSITORY / package).rglob("*.py"))]
+    return [path for folder in SOURCES for path in sorted((REPOSITORY / folder).rglob("*.py"))]
 
 
 def _module(path: Path) -> str:
@@ -39,9 +100,36 @@ def _module(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def _imports(path: Path) -> set[str]:
+@functools.cache
+def _modules() -> frozenset[str]:
+    return frozenset(_module(path) for path in _sources())
+
+
+@functools.cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def _names_of(module: str) -> frozenset[str]:
+    """Everything that a module of ours binds at its top level or below."""
+    path = REPOSITORY.joinpath(*module.split("."))
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    found: set[str] = set()
+    for node in ast.walk(_tree(file)) if file.is_file() else ():
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found.update((alias.asname or alias.name).split(".")[0] for alias in node.names)
+    return frozenset(found)
+
+
+@functools.cache
+def _imports(path: Path) -> frozenset[str]:
     """Absolute names of every module that a file imports, anywhere in it, but for type checking."""
-    tree = ast.parse(path.read_text())
+    tree = _tree(path)
     found: set[str] = set()
     skipped = {
         child
@@ -55,66 +143,121 @@ def _imports(path: Path) -> set[str]:
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            found.add(node.module)
-            found.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return found
-
-
-def _violations(rule) -> list[str]:
-    return [
-        f"{_module(path)} imports {name}"
-        for path in _sources()
-        for name in sorted(_imports(path))
-        if rule(_module(path), name)
-    ]
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found.update(names & _modules() or {node.module})
+    return frozenset(found)
 
 
 def _is_in(name: str, *packages: str) -> bool:
     return any(name == p or name.startswith(p + ".") for p in packages)
 
 
-def test_foundation_imports_nothing_above_it() -> None:
-    standard = sys.stdlib_module_names
+def _row(module: str, matrix: dict[str, frozenset[str]]) -> str | None:
+    """The package of the matrix that a module belongs to: the most specific one."""
+    return max((package for package in matrix if _is_in(module, package)), key=len, default=None)
 
-    def breaks(module: str, name: str) -> bool:
-        if not _is_in(module, *BELOW_ALL):
-            return False
-        top = name.split(".")[0]
-        if top == "datagen":
-            floor = (FOUNDATION,) if _is_in(module, FOUNDATION) else BELOW_ALL
-            return name != "datagen" and not _is_in(name, *floor)
-        return top not in standard and top not in BELOW_ALL_MAY
 
-    assert _violations(breaks) == []
+def _outside(matrix: dict[str, frozenset[str]]) -> list[str]:
+    """Imports of the project's own modules that a matrix does not allow, and modules without a row."""
+    found = []
+    for path in _sources():
+        module, names = _module(path), _imports(path)
+        if module in ("datagen", "model", "model.reconstruction", "scenes"):
+            continue  # a docstring and nothing else
+        package = _row(module, matrix)
+        if package is None:
+            found.append(f"{module} has no row in the matrix")
+            continue
+        found += [
+            f"{module} imports {name}"
+            for name in sorted(names & _modules())
+            if not _is_in(name, package, *matrix[package])
+        ]
+    return found
+
+
+def _rows_of(allowed: frozenset[str]) -> set[str]:
+    return {package for package in MATRIX if any(_is_in(package, a) or _is_in(a, package) for a in allowed)}
+
+
+def test_every_import_is_in_the_matrix() -> None:
+    assert _outside(MATRIX) == []
 
 
 @pytest.mark.parametrize(
-    ("packages", "forbidden"),
+    ("package", "withdrawn"),
     [
-        (("mitsuba_plugins",), ("torch", "datagen.rendering", "datagen.assembly", "model", "bpy")),
-        (("model.training",), ("mitsuba", "drjit", "bpy", "mitsuba_plugins")),
-        (("datagen",), ("model", "torch", "bpy", "blender_addon")),
-        (("blender_addon",), ("datagen", "model", "mitsuba_plugins", "torch", "mitsuba", "pydantic")),
-        (("datagen.formats", "datagen.multiview", "datagen.assembly"), ("datagen.cli", "datagen.farm")),
+        ("datagen.formats", "datagen.foundation"),
+        ("mitsuba_plugins", "datagen.foundation"),
+        ("model.reconstruction.merge", "model.reconstruction.unwrap"),
+        ("model.evaluation", "datagen.importers"),
+        ("benchmarks", "model"),
     ],
 )
-def test_imports_run_one_way(packages: tuple[str, ...], forbidden: tuple[str, ...]) -> None:
-    assert _violations(lambda module, name: _is_in(module, *packages) and _is_in(name, *forbidden)) == []
+def test_the_matrix_can_fail(package: str, withdrawn: str) -> None:
+    """The twin: without a permission that is used, imports are found, and those alone."""
+    found = _outside({**MATRIX, package: MATRIX[package] - {withdrawn}})
+    assert found
+    for line in found:
+        importer, imported = line.split(" imports ")
+        assert _is_in(importer, package) and _is_in(imported, withdrawn), line
 
 
-def test_plugins_stand_on_the_foundation() -> None:
-    def breaks(module: str, name: str) -> bool:
-        return _is_in(module, "mitsuba_plugins") and _is_in(name, "datagen") and not _is_in(name, FOUNDATION)
-
-    assert [x for x in _violations(breaks) if not x.endswith(" imports datagen")] == []
+def test_a_package_without_a_row_is_found() -> None:
+    found = _outside({package: allowed for package, allowed in MATRIX.items() if package != "datagen.farm"})
+    assert "datagen.farm.folder has no row in the matrix" in found
 
 
-def test_the_import_rule_can_fail() -> None:
-    """The twin of the rules above: an import that exists is found."""
-    found = _violations(
-        lambda module, name: module == "datagen.foundation.exr" and name == "datagen.foundation.errors"
-    )
-    assert found == ["datagen.foundation.exr imports datagen.foundation.errors"]
+def test_the_matrix_has_no_circle() -> None:
+    """Packages can be put in an order in which each imports only what comes before it; but for ``model`` and
+    ``tests``, whose rows name whole packages, an import back would be a circle."""
+    left = {package: _rows_of(allowed) - {package} for package, allowed in MATRIX.items()}
+    for command in ("model.cli", "model.reconstruction.commands"):
+        left.pop(command)  # above all, and named by nobody
+    left["benchmarks"] = left["tests"] = left["model.evaluation"] = set()
+    while left:
+        ready = {package for package, above in left.items() if not above & left.keys()}
+        assert ready, f"a circle among {sorted(left)}"
+        for package in ready:
+            del left[package]
+
+
+def test_every_imported_name_exists() -> None:
+    """Also in functions, where an import that nobody runs would stay broken."""
+    missing = []
+    for path in _sources():
+        for node in ast.walk(_tree(path)):
+            if not isinstance(node, ast.ImportFrom) or node.level or not node.module:
+                continue
+            if not _is_in(node.module, "datagen", "model", "mitsuba_plugins", "benchmarks", "tests"):
+                continue
+            for alias in node.names:
+                if f"{node.module}.{alias.name}" in _modules() or alias.name in _names_of(node.module):
+                    continue
+                missing.append(f"{_module(path)}:{node.lineno}: {node.module}.{alias.name}")
+    assert missing == []
+
+
+def test_the_ground_floor_needs_little() -> None:
+    found = [
+        f"{_module(path)} imports {name}"
+        for path in _sources()
+        for name in sorted(_imports(path))
+        if _is_in(_module(path), "datagen.foundation", "datagen.formats")
+        and name.split(".")[0] not in sys.stdlib_module_names | GROUND_MAY | {"datagen", "typing_extensions"}
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize("package", FORBIDDEN)
+def test_packages_do_without(package: str) -> None:
+    found = [
+        f"{_module(path)} imports {name}"
+        for path in _sources()
+        for name in sorted(_imports(path))
+        if _is_in(_module(path), package) and _is_in(name, *FORBIDDEN[package])
+    ]
+    assert found == []
 
 
 @pytest.mark.parametrize("command", ["datagen.cli", "model.cli"])

@@ -39,3 +39,12 @@ def run_command(app: Callable[[], object]) -> None:
         remedy = _REMEDIES.get(error.errno, "make room; what is finished is kept")
         print(Problem(error.filename, "", (error.strerror or "").lower(), "", remedy), file=sys.stderr)
         raise SystemExit(1 if error.errno in _FULL else 2) from None
+
+
+def check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:
+    """Option -> (its value, what is allowed). Raises ``BadParameter`` for another value."""
+    from typer import BadParameter
+
+    for option, (value, allowed) in choices.items():
+        if value not in allowed:
+            raise BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)

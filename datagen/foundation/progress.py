@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The progress bar of the commands, on standard error."""
+"""The progress bars of the commands, on standard error."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -44,3 +46,30 @@ class ProgressBar:
     def say(self, text: str) -> None:
         """Print a line above the bar."""
         self.progress.console.print(text, highlight=False)
+
+
+class Bars:
+    """A progress bar with the time left for each stage, on a terminal's standard error."""
+
+    def __init__(self) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description:<8}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> Bars:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def tell(self, stage: str, done: int, total: int) -> None:
+        """Show where a stage is."""
+        if stage not in self._tasks:
+            self._tasks[stage] = self._progress.add_task(stage, total=total)
+        self._progress.update(self._tasks[stage], completed=done)

@@ -15,10 +15,10 @@ from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsView
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
+from model.reconstruction.atlas.atlas import MAP_NAMES
 from model.reconstruction.infer import TRUTH
 from model.reconstruction.infer_options import GivenMaps
-from model.reconstruction.merge import MAP_NAMES
-from model.reconstruction.predict import capture_exposure
+from model.reconstruction.predict.predictor import capture_exposure
 
 Maps = dict[str, NDArray]
 Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod

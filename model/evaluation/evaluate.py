@@ -30,9 +30,9 @@ from model.evaluation.room import PreparedScene, assert_not_trained_on, prepare_
 from model.evaluation.scenery import recovered_scenery
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
+from model.reconstruction.atlas.atlas import MAP_NAMES
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions
-from model.reconstruction.merge import MAP_NAMES
 
 _MEASURES = 1
 """Revision of the figures: those of another are measured anew."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for, luminance, srgb_from_linear
 from datagen.foundation.errors import InputError
 from model.evaluation.rendering import JudgedView
-from model.reconstruction.merge import MAP_NAMES
+from model.reconstruction.atlas.atlas import MAP_NAMES
 
 MAX_PSNR_DB = 99.0  # of equal images, where the formula gives infinity
 _SSIM_SIGMA = 1.5

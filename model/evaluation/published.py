@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from model.reconstruction.merge import MAP_NAMES
+from model.reconstruction.atlas.atlas import MAP_NAMES
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.library import Library
 from model.evaluation.scenery import Scenery
-from model.reconstruction.merge import MAP_NAMES
+from model.reconstruction.atlas.atlas import MAP_NAMES
 
 BUFFERS = ("beauty", *MAP_NAMES, "surface_mask", "depth_z_m", "normal_world")
 

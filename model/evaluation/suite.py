@@ -18,7 +18,7 @@ from datagen.foundation.errors import InputError, Problem
 from datagen.library import bundled_library
 from model.checkpoint import bundled_checkpoint
 from model.evaluation.room import TestScene
-from model.reconstruction.merge import Weights
+from model.reconstruction.merge.merger import Weights
 
 BUNDLED = "bundled"
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from model.evaluation.published import PUBLISHED
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
-from model.reconstruction.merge import MAP_NAMES
+from model.reconstruction.atlas.atlas import MAP_NAMES
 
 Cell = str | float | None
 LETTERS = dict(zip(MAP_NAMES, "DSR", strict=True))

@@ -16,7 +16,7 @@ from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, vertex_normals
 from model.evaluation.mesh_errors import with_errors
 from model.evaluation.suite import GeometryError
-from model.reconstruction.uv import unwrapped
+from model.reconstruction.unwrap.uv import unwrapped
 
 _REVISION = 1
 

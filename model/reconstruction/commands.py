@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+
+from datagen.foundation.command_line import check_choices
 
 if TYPE_CHECKING:
     from model.reconstruction.captures import CaptureOptions
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 def register_verbs(app: typer.Typer) -> None:
     """Add the verbs of a reconstruction to the command."""
-    from model.reconstruction.render_commands import render, turntable, view
+    from model.reconstruction.render.commands import render, turntable, view
 
     for verb in (check, infer, render, turntable, view):
         app.command()(verb)
@@ -78,6 +79,7 @@ def infer(
 
     Example: materials infer photos --mesh room.glb --out room
     """
+    from datagen.foundation.progress import Bars
     from model.checkpoint import bundled_checkpoint
     from model.reconstruction.captures import read_capture
     from model.reconstruction.infer import InferOptions
@@ -169,8 +171,9 @@ def check(
 
     Example: materials check photos --mesh room.glb --out check
     """
+    from datagen.foundation.progress import Bars
     from model.reconstruction.captures import read_capture
-    from model.reconstruction.check import check_capture
+    from model.reconstruction.check.capture_check import check_capture
 
     opened = read_capture(
         capture, _reading(mesh, images, library, up, mesh_up, unit, encoding, exposure, max_width)
@@ -194,13 +197,6 @@ def check(
         typer.echo(str(out / "sheet-01.png"))
     if warnings:
         raise typer.Exit(1)
-
-
-def check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:
-    """Option -> (its value, what is allowed). Raises ``BadParameter`` for another value."""
-    for option, (value, allowed) in choices.items():
-        if value not in allowed:
-            raise typer.BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)
 
 
 def _reading(
@@ -239,33 +235,3 @@ def _reading(
         library=resolve_library_paths([str(name) for name in library or ()], Path()),
         **chosen,
     )
-
-
-class Bars:
-    """A progress bar with the time left for each stage, on a terminal's standard error."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        self._progress = Progress(
-            TextColumn("{task.description:<8}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=Console(file=sys.stderr),
-        )
-        self._tasks: dict[str, Any] = {}
-
-    def __enter__(self) -> Bars:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def tell(self, stage: str, done: int, total: int) -> None:
-        """Show where a stage is."""
-        if stage not in self._tasks:
-            self._tasks[stage] = self._progress.add_task(stage, total=total)
-        self._progress.update(self._tasks[stage], completed=done)

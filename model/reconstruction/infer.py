@@ -30,10 +30,10 @@ from datagen.foundation.errors import input_error
 from datagen.multiview.statistics import StatisticsView
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
-from model.reconstruction.albedo_level import clipped_share, find_level
-from model.reconstruction.check import Look, check_looks, view_warnings
-from model.reconstruction.fill import atlas_size, fill_unseen
-from model.reconstruction.geometry import (
+from model.reconstruction.atlas.atlas import MAP_NAMES, Atlas, empty_atlas
+from model.reconstruction.atlas.texels import TexelSurface
+from model.reconstruction.check.capture_check import Look, check_looks, view_warnings
+from model.reconstruction.geometry.traced import (
     TracedGeometry,
     ViewGeometry,
     face_normals,
@@ -41,17 +41,11 @@ from model.reconstruction.geometry import (
     smooth_regions,
 )
 from model.reconstruction.infer_options import GivenMaps, InferOptions, InferReport, Progress
-from model.reconstruction.merge import (
-    MAP_NAMES,
-    Atlas,
-    MapMerger,
-    MapView,
-    MergeOptions,
-    empty_atlas,
-)
-from model.reconstruction.radiance_cache import RadianceView
-from model.reconstruction.texels import TexelSurface
-from model.reconstruction.uv import UvReport, unwrapped
+from model.reconstruction.level.albedo_level import clipped_share, find_level
+from model.reconstruction.level.radiance_cache import RadianceView
+from model.reconstruction.merge.fill import atlas_size, fill_unseen
+from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions
+from model.reconstruction.unwrap.uv import UvReport, unwrapped
 
 __all__ = ["MAP_NAMES", "GivenMaps", "InferOptions", "InferReport", "infer"]
 MEMORY_ATLAS = 4096
@@ -120,7 +114,8 @@ def _infer(
         with report.stage("read maps"):
             maps = maps_from.read(capture, seen.statistics)
     else:
-        from model.reconstruction.view_maps import predicted_maps  # torch is not needed for given maps
+        # torch is not needed for given maps
+        from model.reconstruction.predict.view_maps import predicted_maps
 
         maps = predicted_maps(capture, seen.statistics, traced, out, maps_from, options, report, tell)
         if options.is_leveled:
@@ -318,9 +313,9 @@ def _seen_share(atlas: Atlas) -> float:
 
 
 def _export(capture: Capture, atlas: Atlas, out: Path, options: InferOptions, report: InferReport) -> None:
-    from model.reconstruction.atlas_images import write_atlas_images
-    from model.reconstruction.export import Reconstruction, write_asset, write_mitsuba_scene
-    from model.reconstruction.gltf_export import write_glb
+    from model.reconstruction.export.asset import Reconstruction, write_asset, write_mitsuba_scene
+    from model.reconstruction.export.atlas_images import write_atlas_images
+    from model.reconstruction.export.gltf import write_glb
 
     reconstruction = Reconstruction(capture, capture.geometry.mesh, atlas, out / "atlas")
     write_atlas_images(out / "atlas", atlas, has_exr=options.has_exr)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Capture
 from datagen.foundation.errors import input_error
 from datagen.multiview.statistics import StatisticsView
-from model.reconstruction.merge import Weights
+from model.reconstruction.merge.merger import Weights
 
 Progress = Callable[[str, int, int], None]
 
@@ -24,7 +24,7 @@ class InferOptions:
     """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``use_truth`` merges
     the capture's own ground truth instead of predictions: what the rest of the way loses. ``is_checked``:
     whether the mesh is compared with the photographs first. ``weights`` of the medians over views, see
-    :class:`~model.reconstruction.merge.MergeOptions`; confidence takes the checkpoint's. ``is_leveled``:
+    :class:`MergeOptions`; confidence takes the checkpoint's. ``is_leveled``:
     whether predicted diffuse albedo takes its level from the light between the surfaces
     (``albedo_level``)."""
 
@@ -58,7 +58,7 @@ class GivenMaps:
 @dataclass
 class InferReport:
     """What was done. ``seconds`` by stage; ``warnings`` name views where they concern one;
-    ``albedo_level`` is a :class:`~model.reconstruction.albedo_level.LevelReport`, empty where none was
+    ``albedo_level`` is a :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was
     sought."""
 
     name: str = ""

@@ -27,7 +27,7 @@ from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.mesh_file import load_mesh, sound_mesh
-from model.reconstruction.photographs import PhotographSource, relative_exposure
+from model.reconstruction.captures.photographs import PhotographSource, relative_exposure
 from model.training.dataset import index_shard, load_view
 from model.training.run_state import RunProgress, load_state, save_state
 from tests.datagen.small_library import box, with_uv

@@ -28,7 +28,7 @@ from datagen.foundation.meshes.ply import encode_ply
 from model.checkpoint import load_checkpoint
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.mesh_file import load_mesh
-from model.reconstruction.photographs import PhotographSource
+from model.reconstruction.captures.photographs import PhotographSource
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import box, with_uv
 from tests.hostile import attack, set_traps

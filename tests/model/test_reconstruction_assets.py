@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.lights import PointLight
 from model.reconstruction.infer import InferOptions, infer
-from model.reconstruction.relight import RelightOptions, render_asset
+from model.reconstruction.render.relight import RelightOptions, render_asset
 from tests.conftest import REPOSITORY
 from tests.model.textured_room import room_capture
 

@@ -22,7 +22,7 @@ from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
 from model.reconstruction.captures.colmap import MODELS, read_colmap
-from model.reconstruction.photographs import (
+from model.reconstruction.captures.photographs import (
     fit_orientation,
     lens_pixels,
     linearized,

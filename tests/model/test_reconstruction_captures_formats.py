@@ -24,7 +24,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.frames import AXES, judged_unit, judged_up, z_up_from
-from model.reconstruction.photographs import PhotographSource, lens_pixels
+from model.reconstruction.captures.photographs import PhotographSource, lens_pixels
 from tests.datagen.small_library import box, with_uv
 
 SIZE = (600, 400)

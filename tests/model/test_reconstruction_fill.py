@@ -14,11 +14,12 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.atlas_images import map_bytes, write_atlas_images
-from model.reconstruction.fill import atlas_size, chart_of_faces, fill_unseen, nearest_labels
-from model.reconstruction.geometry import TracedGeometry, face_normals
-from model.reconstruction.merge import Atlas, empty_atlas
-from model.reconstruction.texels import TexelSurface
+from model.reconstruction.atlas.atlas import Atlas, empty_atlas
+from model.reconstruction.atlas.texels import TexelSurface
+from model.reconstruction.export.atlas_images import map_bytes, write_atlas_images
+from model.reconstruction.geometry.traced import TracedGeometry, face_normals
+from model.reconstruction.merge.fill import atlas_size, fill_unseen, nearest_labels
+from model.reconstruction.unwrap.charts import chart_of_faces
 from tests.model.textured_room import geometry_of, room_mesh
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

@@ -32,10 +32,10 @@ from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.geometry import TracedGeometry
-from model.reconstruction.gltf_export import as_read, metallic_channels
+from model.reconstruction.export.gltf import as_read, metallic_channels
+from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.infer import InferOptions, InferReport, infer
-from model.reconstruction.relight import Insertion, RelightOptions, render_asset, write_renders
+from model.reconstruction.render.relight import Insertion, RelightOptions, render_asset, write_renders
 from tests.model.rendered_capture import SIZE, make_shard
 from tests.model.textured_room import room_capture
 
@@ -189,7 +189,7 @@ def test_normals_break_at_creases_only() -> None:
     import trimesh
 
     from datagen.foundation.meshes.mesh import Mesh
-    from model.reconstruction.crease_normals import with_normals
+    from model.reconstruction.geometry.crease_normals import with_normals
 
     for shape, num in ((trimesh.creation.box(), 24), (trimesh.creation.icosphere(3), 642)):
         uv = np.random.default_rng(0).random((len(shape.vertices), 2)).astype(np.float32)
@@ -213,9 +213,9 @@ def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferRepo
     """The report says how large the textures are; what is averaged is counted as the conversion's error."""
     from PIL import Image
 
-    from model.reconstruction import gltf_export
-    from model.reconstruction.export import Reconstruction
-    from model.reconstruction.merge import empty_atlas
+    from model.reconstruction.atlas.atlas import empty_atlas
+    from model.reconstruction.export import gltf
+    from model.reconstruction.export.asset import Reconstruction
 
     report = truth[1]
     assert report.gltf_error["texture_px"] == report.atlas_size == 512
@@ -225,8 +225,8 @@ def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferRepo
     atlas.maps["diffuse_albedo"][:, ::2] = 0.8
     reconstruction = Reconstruction(capture, capture.geometry.mesh, atlas, tmp_path)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gltf_export, "MAX_SIZE", 32)
-        error = gltf_export.write_glb(tmp_path / "small.glb", reconstruction)
+        patch.setattr(gltf, "MAX_SIZE", 32)
+        error = gltf.write_glb(tmp_path / "small.glb", reconstruction)
     assert error.texture_px == 32 and error.diffuse_max < 0.01
     data = (tmp_path / "small.glb").read_bytes()
     length = int.from_bytes(data[12:16], "little")

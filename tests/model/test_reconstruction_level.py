@@ -17,10 +17,10 @@ from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.images import read_image
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
-from model.reconstruction.albedo_level import MAX_CLIPPED, AlbedoLevel, clipped_share, find_level
-from model.reconstruction.geometry import TracedGeometry, smooth_regions
+from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
 from model.reconstruction.infer import InferOptions, infer, look
-from model.reconstruction.radiance_cache import RadianceCache, RadianceView
+from model.reconstruction.level.albedo_level import MAX_CLIPPED, AlbedoLevel, clipped_share, find_level
+from model.reconstruction.level.radiance_cache import RadianceCache, RadianceView
 from tests.model.lit_box import ALBEDOS, SIDES, box_capture, box_geometry, photographed_box
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

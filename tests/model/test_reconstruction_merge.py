@@ -11,10 +11,11 @@ import pytest
 from datagen.foundation.errors import InputError
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.multiview.visibility import VisibilityOptions
-from model.reconstruction.geometry import TracedGeometry, face_normals, seen_sides, smooth_regions
-from model.reconstruction.lane_sort import LANES, STEP, networks, sort_lanes, sort_weighted_lanes
-from model.reconstruction.merge import MapMerger, MapView, MergeOptions, Weights, empty_atlas
-from model.reconstruction.texels import TexelSurface
+from model.reconstruction.atlas.atlas import empty_atlas
+from model.reconstruction.atlas.texels import TexelSurface
+from model.reconstruction.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
+from model.reconstruction.merge.lane_sort import LANES, STEP, networks, sort_lanes, sort_weighted_lanes
+from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, Weights
 from tests.model.textured_room import (
     geometry_of,
     materials_at,

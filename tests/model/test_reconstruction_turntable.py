@@ -18,8 +18,8 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for
 from datagen.foundation.errors import InputError
 from model.reconstruction.infer import InferOptions, infer
-from model.reconstruction.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
-from model.reconstruction.turntable import TurntableOptions, way_cameras, write_turntable
+from model.reconstruction.render.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
+from model.reconstruction.render.turntable import TurntableOptions, way_cameras, write_turntable
 from tests.model.textured_room import room_cameras, room_capture
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

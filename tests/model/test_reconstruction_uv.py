@@ -8,10 +8,10 @@ import pytest
 import trimesh
 
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction import uv as uv_module
-from model.reconstruction.geometry import face_normals
-from model.reconstruction.texels import TexelSurface
-from model.reconstruction.uv import own_uv_fault, shelf_packed, triangle_sheet, unwrapped
+from model.reconstruction.atlas.texels import TexelSurface
+from model.reconstruction.geometry.traced import face_normals
+from model.reconstruction.unwrap import uv as uv_module
+from model.reconstruction.unwrap.uv import own_uv_fault, shelf_packed, triangle_sheet, unwrapped
 from tests.datagen.small_library import room_shapes, with_uv
 from tests.model.textured_room import room_mesh
 

@@ -20,7 +20,7 @@ from datagen.formats.textures import texture_values
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png, read_image
-from model.reconstruction.atlas_images import SEEN, quantized_bytes
+from model.reconstruction.export.atlas_images import SEEN, quantized_bytes
 
 KINDS = ("diffuse", "specular", "rough")
 

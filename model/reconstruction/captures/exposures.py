@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.foundation.errors import InputError, Problem
-from model.reconstruction.photographs import relative_exposure
+from model.reconstruction.captures.photographs import relative_exposure
 
 
 def exposure_scales(images: Sequence[Path]) -> list[float]:

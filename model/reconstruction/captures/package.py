@@ -18,9 +18,9 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
 from model.reconstruction.captures.exposures import exposure_scales
+from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import ImageFinder
 from model.reconstruction.captures.rendered import package_geometry
-from model.reconstruction.photographs import PhotographSource
 
 _FOLDERS = ("photographs", "images")
 

@@ -56,8 +56,8 @@ from model.reconstruction.captures.frames import (
 )
 from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_mesh
 from model.reconstruction.captures.package import is_package, read_package
+from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import Calibration, ImageFinder
-from model.reconstruction.photographs import PhotographSource
 
 DEFAULT_MAX_WIDTH_PX = 640
 

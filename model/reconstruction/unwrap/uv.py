@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh, compacted, welded
-from model.reconstruction.fill import chart_of_faces
-from model.reconstruction.geometry import face_normals, smooth_regions
-from model.reconstruction.texels import TexelSurface
-from model.reconstruction.unwrap_process import PACK_RESOLUTION, PADDING
+from model.reconstruction.atlas.texels import TexelSurface
+from model.reconstruction.geometry.traced import face_normals, smooth_regions
+from model.reconstruction.unwrap.charts import chart_of_faces
+from model.reconstruction.unwrap.xatlas_process import PACK_RESOLUTION, PADDING
 
 PIECE_FACES = 40_000
 PIECE_TIMEOUT_S = 900.0
-XATLAS_PROCESS = "model.reconstruction.unwrap_process"
-BLENDER_PROCESS = "model.reconstruction.blender_unwrap_process"
+XATLAS_PROCESS = "model.reconstruction.unwrap.xatlas_process"
+BLENDER_PROCESS = "model.reconstruction.unwrap.blender_process"
 MIN_PADDING_TEXELS = 1
 _MOST_PADDING, _MAX_CHART_FACES = 8, 1_000_000
 _CHECK_SIZE = 1024
@@ -224,7 +224,7 @@ def _run(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]] | None:
     """Corners, size and which triangles were placed, by a process that may crash; None where it did."""
     command = [sys.executable, "-m", module, str(source), str(target)]
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     try:
         done = subprocess.run(command, timeout=PIECE_TIMEOUT_S, capture_output=True, cwd=root).returncode == 0
     except subprocess.TimeoutExpired:

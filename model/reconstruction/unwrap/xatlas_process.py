@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """xatlas in a process of its own: it may crash on large or broken meshes, and then takes nothing with it.
 
-``python -m model.reconstruction.unwrap_process IN.npz OUT.npz``: IN holds ``positions`` (N, 3) and ``faces``
-(M, 3); OUT gets ``corners`` (M, 3, 2), positions of every triangle's corners on the sheet in metres, and
-``size_m`` (2,).
+``python -m model.reconstruction.unwrap.xatlas_process IN.npz OUT.npz``: IN holds ``positions`` (N, 3) and
+``faces`` (M, 3); OUT gets ``corners`` (M, 3, 2), the triangles' corners on the sheet in metres,
+and ``size_m`` (2,).
 """
 
 from __future__ import annotations

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.compiled import compiled, num_threads
-from model.reconstruction.geometry import ViewGeometry
-from model.reconstruction.merge import NUM_CHANNELS, Atlas
+from model.reconstruction.atlas.atlas import Atlas
+from model.reconstruction.atlas.compiled import compiled, num_threads
+from model.reconstruction.geometry.traced import ViewGeometry
+from model.reconstruction.merge.medians import NUM_CHANNELS
+from model.reconstruction.unwrap.charts import chart_of_faces
 
 BAND = 1024
 """Rows that are worked on at a time."""
@@ -31,18 +33,6 @@ MAX_CHARTS = 20_000  # beyond, charts are so small that filling by triangle is a
 MIN_SIZE, MAX_SIZE = 256, 16384
 _LARGE_WINDOW = 2**22  # texels of a chart after which memory is let go of
 _GRAZING_COSINE = 0.1  # footprints grow without bound towards grazing views
-
-
-def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
-    """(M,) chart of each triangle: those that share a vertex, UVs and all, belong together."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    faces, num = mesh.faces.astype(np.int64), len(mesh.positions)
-    rows = np.concatenate([faces[:, 0], faces[:, 1]])
-    columns = np.concatenate([faces[:, 1], faces[:, 2]])
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(num, num))
-    return connected_components(graph, directed=False)[1][faces[:, 0]].astype(np.int32)
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:

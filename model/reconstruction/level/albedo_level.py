@@ -26,9 +26,9 @@ from datagen.formats.capture import Capture
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.multiview.statistics import StatisticsView
 from datagen.multiview.visibility import vectors_from_rows
-from model.reconstruction.check_views import CLIPPED_LEVEL
-from model.reconstruction.geometry import TracedGeometry
-from model.reconstruction.radiance_cache import Floats, RadianceCache, RadianceView
+from model.reconstruction.captures.photographs import CLIPPED_LEVEL
+from model.reconstruction.geometry.traced import TracedGeometry
+from model.reconstruction.level.radiance_cache import Floats, RadianceCache, RadianceView
 
 NUM_POINTS, NUM_RAYS = 4096, 400
 """Surface points, about evenly spread over what was seen; rays of each, a square number."""

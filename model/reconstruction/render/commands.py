@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from model.reconstruction.commands import Bars, check_choices
+from datagen.foundation.command_line import check_choices
 
 if TYPE_CHECKING:
-    from model.reconstruction.relight import RelightOptions
+    from model.reconstruction.render.relight import RelightOptions
 
 
 def render(
@@ -42,7 +42,7 @@ def render(
     """
     from dataclasses import replace
 
-    from model.reconstruction.relight import write_renders
+    from model.reconstruction.render.relight import write_renders
 
     options = replace(_relighting(sky, lamp, insert, samples, no_denoise), views=tuple(view or ()))
     for path in write_renders(asset, out, options, _warn):
@@ -72,7 +72,8 @@ def turntable(
 
     Example: materials turntable room/asset --out room.gif --lamp 0,0,2
     """
-    from model.reconstruction.turntable import TurntableOptions, write_turntable
+    from datagen.foundation.progress import Bars
+    from model.reconstruction.render.turntable import TurntableOptions, write_turntable
 
     check_choices({"--way": (way, ("orbit", "cameras"))})
     chosen: dict[str, Any] = {"way": way}
@@ -99,7 +100,7 @@ def _relighting(
     sky: str | None, lamp: list[str] | None, insert: list[str] | None, samples: int, no_denoise: bool
 ) -> RelightOptions:
     """Light, insertions and samples, from the command line's words."""
-    from model.reconstruction.relight import RelightOptions
+    from model.reconstruction.render.relight import RelightOptions
 
     return RelightOptions(
         sky=_sky(sky),
@@ -152,7 +153,7 @@ def _sky(text: str | None) -> Path | tuple[float, float, float] | None:
 
 
 def _lamp(text: str) -> Any:
-    from model.reconstruction.relight import Lamp
+    from model.reconstruction.render.relight import Lamp
 
     x, y, z, *strength = _numbers(text, (3, 4), "--lamp")
     if not strength:
@@ -165,7 +166,7 @@ def _lamp(text: str) -> Any:
 def _insertion(text: str) -> Any:
     from math import radians
 
-    from model.reconstruction.relight import Insertion
+    from model.reconstruction.render.relight import Insertion
 
     package, separator, place = text.rpartition("@")
     if not separator:

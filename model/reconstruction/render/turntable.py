@@ -21,7 +21,7 @@ from datagen.formats.package import open_package
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for
 from datagen.foundation.errors import input_error
-from model.reconstruction.relight import (
+from model.reconstruction.render.relight import (
     RelightOptions,
     is_unlit,
     render_asset,

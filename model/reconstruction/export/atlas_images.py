@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.images import encode_png
-from model.reconstruction.compiled import num_threads
-from model.reconstruction.merge import MAP_CHANNELS, Atlas, let_go
+from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
+from model.reconstruction.atlas.compiled import num_threads
 
 _BAND = 1024
 SEEN, FILLED, EMPTY = 255, 128, 0

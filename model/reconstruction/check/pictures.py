@@ -16,7 +16,7 @@ from datagen.foundation.color import luminance, srgb_from_linear
 from datagen.foundation.images import encode_png
 
 if TYPE_CHECKING:
-    from model.reconstruction.check_views import CheckReport, ViewCheck
+    from model.reconstruction.check.views import CheckReport, ViewCheck
 
 COLUMNS, ROWS = 4, 5
 _TILE_PX, _LABEL_PX, _GAP_PX = 400, 42, 6

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model.reconstruction.check_registration import Registration, SeenShift, common_mistake
-from model.reconstruction.check_views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
+from model.reconstruction.check.registration import Registration, SeenShift, common_mistake
+from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
 
 _LOST = 0.6  # of SURE: a view that fits worse, among views that fit, is of another place
 _SURE_GAIN = 1.2  # standard deviations: on right views roll and zoom gain less

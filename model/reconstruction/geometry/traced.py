@@ -20,7 +20,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh, welded
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
-from model.reconstruction.crease_normals import with_normals
+from model.reconstruction.geometry.crease_normals import with_normals
 
 if TYPE_CHECKING:
     import mitsuba as mi

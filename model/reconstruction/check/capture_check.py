@@ -22,10 +22,10 @@ from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.errors import input_error
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
-from model.reconstruction.check_edges import match_edges, mesh_edges
-from model.reconstruction.check_judgement import judge
-from model.reconstruction.check_views import CheckReport, Look, view_warnings
-from model.reconstruction.geometry import TracedGeometry, seen_sides
+from model.reconstruction.check.edges import match_edges, mesh_edges
+from model.reconstruction.check.judgement import judge
+from model.reconstruction.check.views import CheckReport, Look, view_warnings
+from model.reconstruction.geometry.traced import TracedGeometry, seen_sides
 
 __all__ = ["CheckReport", "Look", "check_capture", "check_looks", "view_warnings"]
 _MAX_TRIED_VIEWS = 4
@@ -63,7 +63,7 @@ def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None
     if report.fit * float(np.median([view.coverage for view in report.views])) < _MIN_FIT:
         _try_other_frames(report, capture, looks)
     if out is not None:
-        from model.reconstruction.check_pictures import write_contact_sheets
+        from model.reconstruction.check.pictures import write_contact_sheets
 
         out.mkdir(parents=True, exist_ok=True)
         edges = [look.edges for look in looks]

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from model.reconstruction.compiled import compiled
-from model.reconstruction.lane_sort import LANES, STEP, sort_lanes, sort_weighted_lanes, weighted_median
-from model.reconstruction.texels import surface_point
+from model.reconstruction.atlas.compiled import compiled
+from model.reconstruction.atlas.texels import surface_point
+from model.reconstruction.merge.lane_sort import LANES, STEP, sort_lanes, sort_weighted_lanes, weighted_median
 
 SIDE = 8
 """Of a square of texels; all of it are LANES."""
@@ -65,7 +65,7 @@ class Rules(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The mesh as :class:`~model.reconstruction.texels.TexelSurface` has it, and regions of triangles."""
+    """The mesh as :class:`TexelSurface` has it, and regions of triangles."""
 
     size: int
     uv: NDArray[np.float32]

@@ -20,6 +20,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import normalized, read_image, read_ldr
 
 PAPER_GAMMA = 2.2
+CLIPPED_LEVEL = 0.99  # of the sensor's limit; above, a pixel may have been any brighter
 _EXIF_FORMATS = ("PNG", "JPEG", "TIFF")
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827

@@ -21,8 +21,8 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.images import encode_png
-from model.reconstruction.atlas_images import quantized_bytes
-from model.reconstruction.export import Reconstruction, split_by_emission
+from model.reconstruction.export.asset import Reconstruction, split_by_emission
+from model.reconstruction.export.atlas_images import quantized_bytes
 
 DIELECTRIC_F0 = 0.04
 MAX_DIELECTRIC_F0 = 0.16

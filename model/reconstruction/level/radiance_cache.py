@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from datagen.foundation.cameras import Camera
-from model.reconstruction.geometry import ViewGeometry
+from model.reconstruction.geometry.traced import ViewGeometry
 
 Floats = NDArray[np.float64]
 

@@ -32,8 +32,8 @@ from datagen.formats.package import FileSource, Package, write_package
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
-from model.reconstruction.crease_normals import with_normals
-from model.reconstruction.merge import MAP_CHANNELS, Atlas
+from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
+from model.reconstruction.geometry.crease_normals import with_normals
 
 SURFACE = "surface"
 _REGION_MARGIN_M = 0.05  # a capture of one camera has a region of no size

@@ -17,10 +17,10 @@ from datagen.foundation.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from model.checkpoint import load_checkpoint
-from model.reconstruction.geometry import TracedGeometry
+from model.reconstruction.atlas.atlas import MAP_NAMES
+from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
-from model.reconstruction.merge import MAP_NAMES
-from model.reconstruction.predict import PredictOptions, Predictor, capture_exposure, view_tensors
+from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 
 USUAL_PIXELS = 640 * 384
 """Views of more pixels go in smaller batches, so that a batch's memory has a bound."""

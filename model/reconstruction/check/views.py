@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from datagen.formats.capture import ColorImage
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
-from model.reconstruction.check_edges import (
+from model.reconstruction.captures.photographs import CLIPPED_LEVEL
+from model.reconstruction.check.edges import (
     EdgeMatch,
     WarpMatch,
     match_edges,
@@ -20,10 +21,10 @@ from model.reconstruction.check_edges import (
     mesh_edges,
     photograph_field,
 )
-from model.reconstruction.geometry import ViewGeometry
+from model.reconstruction.geometry.traced import ViewGeometry
 
 MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room that the mesh is of
-CLIPPED_LEVEL, MAX_CLIPPED = 0.99, 0.5
+MAX_CLIPPED = 0.5
 _NEAR_M, _MAX_NEAR = 0.05, 0.5  # half a view nearer than this: the camera is in or at a wall
 SEARCH_RAD = np.radians(3.5)  # how far off a camera is looked for
 _MIN_RADIUS_PX = 24  # enough other shifts to tell a peak from accidents

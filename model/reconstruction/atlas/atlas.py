@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""An atlas: merged maps by texel, in memory or in files that are mapped into it."""
+
+from __future__ import annotations
+
+import mmap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAP_CHANNELS = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1}
+"""Maps that are merged and their channels, in the order of the packed storage."""
+MAP_NAMES = tuple(MAP_CHANNELS)
+ATLAS_DTYPE = np.float16
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """A merged atlas: ``maps`` by name (N, N, 3 or 1) in [0, 1], ``count`` (N, N) how many views each
+    texel's medians are over, ``face`` (N, N) its triangle or -1. Row 0 is at v = 1. Texels of count 0 hold 0
+    until they are filled."""
+
+    maps: dict[str, NDArray]
+    count: NDArray[np.uint16]
+    face: NDArray[np.int32]
+
+    @property
+    def size(self) -> int:
+        """Texels along a side."""
+        return int(self.count.shape[0])
+
+    @property
+    def unseen_mask(self) -> NDArray[np.bool_]:
+        """Texels with surface that no view sees."""
+        return np.asarray((self.face >= 0) & (self.count == 0))
+
+    def release(self) -> None:
+        """Let go of what lies in files; the next access reads it again. Else a large atlas that is walked
+        through from end to end would fill the memory with what is not needed any more."""
+        for array in (*self.maps.values(), self.count, self.face):
+            let_go(array)
+
+
+def let_go(array: NDArray) -> None:
+    """Let go of an array's pages in memory, if it lies in a file that they can be read from again."""
+    if isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        array.base.madvise(mmap.MADV_DONTNEED)
+
+
+def empty_atlas(size: int, folder: Path | None = None) -> Atlas:
+    """An atlas in memory or, given a ``folder``, in files there that are mapped into memory."""
+    shapes: dict[str, tuple[tuple[int, ...], Any]] = {
+        name: ((size, size, channels), ATLAS_DTYPE) for name, channels in MAP_CHANNELS.items()
+    }
+    shapes["count"], shapes["face"] = ((size, size), np.uint16), ((size, size), np.int32)
+    if folder is None:
+        arrays: dict[str, NDArray] = {name: np.zeros(*shape) for name, shape in shapes.items()}
+    else:
+        folder.mkdir(parents=True, exist_ok=True)
+        arrays = {
+            name: np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, shape)
+            for name, (shape, dtype) in shapes.items()
+        }
+    arrays["face"][...] = -1
+    return Atlas({name: arrays[name] for name in MAP_CHANNELS}, arrays["count"], arrays["face"])

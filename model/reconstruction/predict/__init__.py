@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Maps of views from a checkpoint."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""A reconstruction rendered again: from its cameras, under other light, in motion."""

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: MIT
+"""Charts of an unwrapped mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh
+
+
+def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
+    """(M,) chart of each triangle: those that share a vertex, UVs and all, belong together."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    faces, num = mesh.faces.astype(np.int64), len(mesh.positions)
+    rows = np.concatenate([faces[:, 0], faces[:, 1]])
+    columns = np.concatenate([faces[:, 1], faces[:, 2]])
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(num, num))
+    return connected_components(graph, directed=False)[1][faces[:, 0]].astype(np.int32)
