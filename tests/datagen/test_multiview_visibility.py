@@ -102,6 +102,47 @@ def test_slope_keeps_a_tilted_plane_visible(tilt_deg):
     assert tilt_deg < 60 or without.mean() < 0.9
 
 
+@pytest.mark.parametrize("cosine", [0.9, 0.3, 0.1, 0.055])
+def test_a_point_beneath_its_surface_is_seen_at_any_angle_and_an_occluder_before_it_hides_it(cosine):
+    """Reconstructed points lie off the mesh by their error. As far beneath it as a part of the tolerance
+    says, they are seen at grazing angles as from above; and what stands closely before them hides them."""
+    import mitsuba as mi
+
+    distance, tolerance = 4.0, 1e-3
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(20.0)}
+    eye = np.array([0.0, -distance * np.sqrt(1 - cosine**2), distance * cosine])
+    camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0, look_at(eye, (0, 0, 0), up=(1.0, 0.0, 0.0)))
+    packed = PackedViews([camera], None)
+    options = VisibilityOptions("trace", trace_tolerance=tolerance)
+    normal = np.array([[0.0, 0.0, 1.0]])
+
+    def is_seen(depth_m: float, scene: dict) -> bool:
+        room = mi.load_dict({"type": "scene", **scene})
+        return bool(observe_points(packed, -depth_m * normal, normal, options, room).visible_mask[0, 0])
+
+    assert is_seen(0.7 * tolerance * distance, {"floor": floor})
+    assert not is_seen(1.5 * tolerance * distance, {"floor": floor})
+    # a pane across the line of sight, 4 % before the point
+    pane = mi.ScalarTransform4f().look_at((0.04 * eye).tolist(), eye.tolist(), [1, 0, 0])
+    assert not is_seen(0.0, {"pane": {"type": "rectangle", "to_world": pane}})
+
+
+def test_an_occluder_is_not_overlooked_at_the_most_grazing_angles():
+    """The shadow ray ends before the point, but never by more than a few per cent of the way."""
+    import mitsuba as mi
+
+    eye = np.array([0.0, -4.0, 4.0 * 1e-3])
+    camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0, look_at(eye, (0, 0, 0), up=(1.0, 0.0, 0.0)))
+    pane = mi.ScalarTransform4f().look_at((0.04 * eye).tolist(), eye.tolist(), [1, 0, 0])
+    room = mi.load_dict({"type": "scene", "pane": {"type": "rectangle", "to_world": pane}})
+    options = VisibilityOptions("trace", trace_tolerance=1e-3)
+    origin, up = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
+    packed = PackedViews([camera], None)
+    assert not observe_points(packed, origin, up, options, room).visible_mask[0, 0]
+    empty = mi.load_dict({"type": "scene"})
+    assert observe_points(packed, origin, up, options, empty).visible_mask[0, 0]
+
+
 def test_points_behind_outside_and_facing_away_are_not_seen():
     camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
     packed = PackedViews([camera], [np.full((10, 10), 2.0)])

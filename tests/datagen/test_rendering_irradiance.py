@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.asset import SlotMaterial
 from datagen.formats.base import parse_model
-from datagen.formats.lights import PointLight
+from datagen.formats.lights import AreaLight, PointLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
@@ -212,6 +212,54 @@ def test_light_passes_what_is_half_transparent(tmp_path: Path) -> None:
         room = renderer(tmp_path / name, scene, CAMERAS, recipe, lights=(DAYLIGHT,))
         means.append(room._tracer.add_up(room._sensor(CAMERAS[0]), 512, 3).mean().mean())
     assert means[1] == pytest.approx(means[0], rel=0.05)
+
+
+def means_of_views(
+    tmp_path: Path, scene: SmallScene, cameras: list[Camera], light: Any
+) -> dict[str, NDArray]:
+    """Means of views (V,) by whole paths, and with a cache for which another view of the room was asked."""
+    found = {}
+    for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
+        room = renderer(tmp_path / name, scene, CAMERAS[:1], recipe, lights=(light,))
+        sums = [room._tracer.add_up(room._sensor(camera), 2048, 1) for camera in cameras]
+        found[name] = np.array([part.mean().mean() for part in sums])
+    return found
+
+
+def test_light_does_not_leak_under_what_is_smaller_than_a_cell(tmp_path: Path) -> None:
+    """A board on the wall, 6 cm above the floor: the cell that it divides knows the mean of the dark wall
+    below it and the bright one above. What lights the floor there is near, and is not asked of cells: it
+    would be twice as bright."""
+    scene = walled_room(window=False)
+    scene.parts |= {
+        "board_below": (quad([-1.2, 1.85, 0.06], [0, 0.15, 0], [2.4, 0, 0]), "grey"),
+        "board_above": (quad([-1.2, 1.85, 0.07], [2.4, 0, 0], [0, 0.15, 0]), "grey"),
+        "board_edge": (quad([-1.2, 1.85, 0.06], [2.4, 0, 0], [0, 0, 0.01]), "grey"),
+    }
+    bulb = PointLight(name="bulb", position_m=(0.0, 0.5, 1.6), intensity=(5.0, 5.0, 5.0))
+    below = Camera(16, 4, 60, 60, 8, 4, look_at([0.0, 1.5, 0.035], [0.0, 1.95, 0.0]))
+    means = means_of_views(tmp_path, scene, [below], bulb)
+    assert means["cached"] == pytest.approx(means["plain"], rel=0.25)
+
+
+def test_a_beam_goes_where_it_is_reflected_to(tmp_path: Path) -> None:
+    """A lamp shines on a glossy wall, which throws its light on one part of the floor. Beside the beam it
+    stays dark: what the wall receives is not what it sends to all sides."""
+    glossy = SlotMaterial(diffuse_albedo=(0, 0, 0), specular_albedo=(0.9, 0.9, 0.9), roughness=0.25)
+    scene = closed_room(None)
+    scene.parts["left"] = (quad([-2, -2, 0], [0, 2, 0], [0, 0, 2]), "glossy")
+    scene.parts["left_end"] = (quad([-2, 0, 0], [0, 2, 0], [0, 0, 2]), "wall")
+    scene.slots = {"wall": GREY.model_copy(update={"diffuse_albedo": (0.1, 0.1, 0.1)}), "glossy": glossy}
+    lamp = AreaLight(
+        name="lamp", origin_m=(0, -0.6, 1.4), edge_u_m=(0, 0.4, 0), edge_v_m=(0, 0, -0.4), radiance=(50,) * 3
+    )
+    down = [
+        Camera(8, 8, 16, 16, 4, 4, look_at([1.5, y, 1.0], [1.5, y, 0.0], up=(0.0, 1.0, 0.0)))
+        for y in (-0.4, 1.6)
+    ]
+    means = means_of_views(tmp_path, scene, down, lamp)
+    assert means["plain"][0] > 3 * means["plain"][1]
+    assert means["cached"][1] == pytest.approx(means["plain"][1], rel=0.35)
 
 
 def test_nothing_to_see_or_no_light_means_no_cache(tmp_path: Path) -> None:
