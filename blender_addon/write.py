@@ -7,6 +7,7 @@ place and renamed.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
@@ -170,6 +171,20 @@ def json_bytes(data: dict[str, Any]) -> bytes:
     return (text + "\n").encode()
 
 
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk: a power cut leaves all or nothing."""
+    if os.name != "posix":  # elsewhere neither can be opened for it
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network file systems cannot
+            raise
+    finally:
+        os.close(descriptor)
+
+
 class PackageWriter:
     """Collects a package's files in a folder beside ``folder`` and moves it there on success.
 
@@ -196,7 +211,10 @@ class PackageWriter:
         previous = self.folder.with_name(f".{self.folder.name}.{os.getpid()}.previous")
         if self.folder.exists():
             self.folder.rename(previous)
+        for path in (*self._partial.rglob("*"), self._partial):
+            _sync(path)
         self._partial.rename(self.folder)
+        _sync(self.folder.parent)
         shutil.rmtree(previous, ignore_errors=True)
 
     def add(self, group: str, stem: str, suffix: str, content: bytes) -> str:

@@ -8,7 +8,6 @@ Stages talk through files only: ``render`` leaves finished views, ``stats`` leav
 
 from __future__ import annotations
 
-import os
 import resource
 import shutil
 import socket
@@ -37,6 +36,7 @@ from datagen.formats.shard import write_shard
 from datagen.formats.view import StatisticsRecord, ViewRecord
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.color import exposure_for
+from datagen.foundation.durable import make_folder, publish, publish_first
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.foundation.versions import pixel_versions
@@ -260,17 +260,15 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         for suffix in ("exr", "json")
     ]
     for folder in (run.folder.shards_path, run.folder.units_path):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     partial = run.folder.shards_path / f".{configuration.id}.{run.attempt}.partial"
     try:
         with partial.open("wb") as file:
             write_shard(file, canonical_json(configuration), members)
-            file.flush()
-            os.fsync(file.fileno())
         digest = sha256_file(partial)
         shard = run.folder.shards_path / f"{configuration.id}-{digest[:16]}.tar"
         num_bytes = partial.stat().st_size
-        partial.replace(shard)
+        publish(partial, shard)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
@@ -304,7 +302,7 @@ def _commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
     partial = path.with_name(f".{path.name}.{run.attempt}.partial")
     write_bytes_atomically(partial, canonical_json(manifest))
     try:
-        os.link(partial, path)
+        publish_first(partial, path)
     except FileExistsError:
         try:
             winner = run.folder.read_manifest(run.unit)
@@ -312,7 +310,7 @@ def _commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
             winner = None
         lies = winner is not None and winner.shard == manifest.shard and winner.sha256 != manifest.sha256
         if winner is None or lies or not run.folder.is_done(run.unit):  # damaged, or its shard was lost
-            partial.replace(path)
+            publish(partial, path)
         elif winner.shard != manifest.shard:
             (run.folder.root / manifest.shard).unlink(missing_ok=True)
     finally:

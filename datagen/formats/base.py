@@ -17,6 +17,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem
 
 MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file is not one of ours
@@ -229,14 +230,11 @@ def _sha(file: Any) -> str:  # Python 3.10 has no hashlib.file_digest
 
 
 def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it appears whole or not at all: beside, flush, rename."""
+    """Write a file so that it appears whole or not at all, also after a power cut: beside, flush, rename."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        temporary.write_bytes(data)
+        publish(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

@@ -32,6 +32,7 @@ from datagen.formats.asset import (
 )
 from datagen.formats.base import MAX_TEXT_BYTES, canonical_json, parse_model, sha256_file, sha256_hex
 from datagen.formats.lights import EnvironmentLight
+from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem, input_error
 
 AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset
@@ -444,8 +445,6 @@ def _write_folder(folder: Path, content: Mapping[str, FileSource]) -> None:
             else:
                 with source.open("rb") as file:
                     shutil.copyfileobj(file, sink, 1 << 20)
-            sink.flush()
-            os.fsync(sink.fileno())
 
 
 def _write_zip(target: Path, content: Mapping[str, FileSource]) -> None:
@@ -478,10 +477,10 @@ def _replace(partial: Path, path: Path) -> None:
         _remove(old)
         path.rename(old)
         try:
-            partial.rename(path)
+            publish(partial, path)
         except BaseException:
             old.rename(path)
             raise
         _remove(old)
     else:
-        partial.replace(path)
+        publish(partial, path)

@@ -23,6 +23,7 @@ from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.color import exposure_for
+from datagen.foundation.durable import publish
 from datagen.foundation.versions import pixel_versions
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
     """Write an ``npz`` that appears whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     np.savez(partial, **arrays)
-    partial.replace(path)
+    publish(partial, path)
 
 
 def make_reference(

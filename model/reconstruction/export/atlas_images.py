@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.durable import publish
 from datagen.foundation.images import encode_png
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 from model.reconstruction.atlas.compiled import num_threads
@@ -92,4 +93,4 @@ def _write_exr(path: Path, half: NDArray) -> None:
         codes = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         code = next((code for code in codes if os.strerror(code) in str(error)), errno.EIO)
         raise OSError(code, os.strerror(code), str(path)) from None
-    temporary.replace(path)
+    publish(temporary, path)

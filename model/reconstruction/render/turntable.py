@@ -20,6 +20,7 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for
+from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from model.reconstruction.render.relight import (
     RelightOptions,
@@ -93,7 +94,7 @@ def write_turntable(
     try:
         write = _write_gif if out.suffix.lower() == ".gif" else _write_video
         write(partial, frames, options.frames_per_second)
-        partial.replace(out)
+        publish(partial, out)
     finally:
         partial.unlink(missing_ok=True)
     return made

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""Files that are whole or absent, also after a power cut: first the content, then the name, then the folder.
+
+A rename alone survives a crash of the process, not of the machine: a file system may keep the new name and
+lose the content, or forget the name although a later file that rests on it is there.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+_CANNOT_SYNC_FOLDERS = {errno.EINVAL, errno.ENOTSUP}  # some network and FUSE file systems
+
+
+def sync_file(path: Path) -> None:
+    """Wait until a file's content is on the disk, whoever wrote it."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until a folder's names are on the disk, where the file system can."""
+    try:
+        sync_file(folder)
+    except OSError as error:
+        if error.errno not in _CANNOT_SYNC_FOLDERS:
+            raise
+
+
+def sync_tree(root: Path) -> None:
+    """Wait for everything below a folder, and for the folder itself."""
+    for folder, _, names in os.walk(root):
+        for name in names:
+            sync_file(Path(folder, name))
+        sync_folder(Path(folder))
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it where they are not there; the new names are on the disk after."""
+    if folder.is_dir():
+        return
+    make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    sync_folder(folder.parent)
+
+
+def publish(partial: Path, target: Path) -> None:
+    """Give a finished file or folder its name, in place of a file that has it; both are on the disk after."""
+    if partial.is_dir():
+        sync_tree(partial)
+    else:
+        sync_file(partial)
+    partial.replace(target)
+    sync_folder(target.parent)
+
+
+def publish_first(partial: Path, target: Path) -> None:
+    """Give a finished file a second name; raises ``FileExistsError`` where something has that name."""
+    sync_file(partial)
+    os.link(partial, target)
+    sync_folder(target.parent)
