@@ -33,6 +33,9 @@ LibraryOption = Annotated[
 RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), see scenes/recipes/.")]
 FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
 WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes to use.")]
+DryRunOption = Annotated[
+    bool, typer.Option("--dry-run", help="Check recipe, library and LLVM, print the resolved recipe, stop.")
+]
 OutOption = Annotated[Path, typer.Option("--out", help="Dataset folder to write.")]
 
 
@@ -224,7 +227,7 @@ def plan(
     seed: Annotated[Optional[int], typer.Option(help="Seed, instead of the recipe's.")] = None,  # noqa: UP045
     configurations: Annotated[Optional[int], typer.Option(help="How many configurations.")] = None,  # noqa: UP045
     views: Annotated[Optional[int], typer.Option(help="Views a configuration.")] = None,  # noqa: UP045
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the resolved recipe and stop.")] = False,
+    dry_run: DryRunOption = False,
 ) -> None:
     """Assemble a recipe's configurations into a dataset folder, without rendering.
 
@@ -234,9 +237,18 @@ def plan(
         recipe_path, library, {"seed": seed, "configurations": configurations, "views": views}
     )
     if dry_run:
+        _check_recipe(recipe, recipe_path.parent)
         _print_recipe(recipe)
         return
     _plan(recipe, recipe_path.parent, out, workers)
+
+
+def _check_recipe(recipe: Recipe, base: Path) -> None:
+    """Everything that a run would refuse before it begins."""
+    from datagen.farm.planning import check_start
+
+    with _open_library(recipe, base) as opened:
+        check_start(recipe, opened)
 
 
 def _print_recipe(recipe: Recipe) -> None:
@@ -266,7 +278,7 @@ def run(
     views: Annotated[Optional[int], typer.Option(help="Views a configuration.")] = None,  # noqa: UP045
     attempts: Annotated[int, typer.Option(min=1, help="Tries a unit before it is set aside.")] = 3,
     sheets: Annotated[bool, typer.Option(help="Write a contact sheet a configuration.")] = True,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the resolved recipe and stop.")] = False,
+    dry_run: DryRunOption = False,
 ) -> None:
     """Plan, render, gather statistics and pack; interrupt at any moment, continue by the same command.
 
@@ -276,6 +288,7 @@ def run(
         recipe_path, library, {"seed": seed, "configurations": configurations, "views": views}
     )
     if dry_run:
+        _check_recipe(recipe, recipe_path.parent)
         _print_recipe(recipe)
         return
     _plan(recipe, recipe_path.parent, out, workers)

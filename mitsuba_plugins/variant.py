@@ -16,6 +16,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.foundation.errors import input_error
+
 MIN_LLVM_MAJOR = 19
 CPU_VARIANT = "llvm_ad_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
@@ -73,24 +75,23 @@ def _llvm_major(path: Path) -> int | None:
 def choose_llvm() -> LlvmLibrary:
     """The LLVM library to compile with: ``DRJIT_LIBLLVM_PATH`` if set, else the newest one found.
 
-    Raises ``RuntimeError`` with the remedy where there is none that is new enough.
+    Raises :class:`InputError` with the remedy where there is none that is new enough.
     """
     override = os.environ.get("DRJIT_LIBLLVM_PATH")
     if override:
         path = Path(override)
         major = _llvm_major(path)
         if major is None or major < MIN_LLVM_MAJOR:
-            what = "is not a loadable LLVM of 16 or later" if major is None else f"is LLVM {major}"
-            raise RuntimeError(
-                f"DRJIT_LIBLLVM_PATH = {override} {what}; expected LLVM {MIN_LLVM_MAJOR} or later; {REMEDY}"
-            )
+            what = "no loadable LLVM of 16 or later" if major is None else f"LLVM {major}"
+            expected = f"LLVM {MIN_LLVM_MAJOR} or later"
+            raise input_error("LLVM", "DRJIT_LIBLLVM_PATH", f"{override}, {what}", expected, REMEDY)
         return LlvmLibrary(path, major)
     libraries = find_llvm_libraries()
     for library in libraries:
         if library.major >= MIN_LLVM_MAJOR:
             return library
     have = ", ".join(f"{lib.major} ({lib.path})" for lib in libraries) or "none"
-    raise RuntimeError(f"no usable LLVM: found {have}; expected {MIN_LLVM_MAJOR} or later; {REMEDY}")
+    raise input_error("LLVM", "", f"found {have}", f"{MIN_LLVM_MAJOR} or later", REMEDY)
 
 
 def has_cuda() -> bool:
@@ -108,20 +109,29 @@ def has_cuda() -> bool:
 def resolve_variant(name: str | None = None) -> str:
     """Name of the variant that :func:`select_variant` would choose, without importing mitsuba.
 
-    Raises ``RuntimeError`` on a name that is not supported.
+    None and ``auto`` leave the choice to it. Raises :class:`InputError` on a name that is not supported.
     """
+    name = None if name == "auto" else name
     name = name or os.environ.get("SCENE_MATERIALS_VARIANT") or (CUDA_VARIANT if has_cuda() else CPU_VARIANT)
     if name not in VARIANTS:
-        raise RuntimeError(f"variant {name!r} is not supported; expected one of {', '.join(VARIANTS)}")
+        remedy = "unset SCENE_MATERIALS_VARIANT, or correct the name"
+        raise input_error("variant", "", repr(name), f"one of {', '.join(VARIANTS)}", remedy)
     return name
+
+
+def check_variant(name: str | None = None) -> None:
+    """Raise :class:`InputError` where :func:`select_variant` would, without importing mitsuba: commands that
+    start processes ask before they do."""
+    if resolve_variant(name) == CPU_VARIANT:
+        choose_llvm()
 
 
 def select_variant(name: str | None = None) -> str:
     """Set the Mitsuba variant of this process and return its name. Repeated calls are cheap.
 
     ``name`` is one of :data:`VARIANTS`; None takes ``SCENE_MATERIALS_VARIANT`` from the environment, else
-    CUDA where a GPU answers, else LLVM. Raises ``RuntimeError`` if another variant is already active, or if
-    the LLVM on the machine is too old.
+    CUDA where a GPU answers, else LLVM. Raises ``RuntimeError`` if another variant is already active, and
+    :class:`InputError` if the LLVM on the machine is too old.
     """
     if "mitsuba" in sys.modules:
         import mitsuba as mi

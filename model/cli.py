@@ -76,9 +76,13 @@ def train(
         typer.echo(describe_run(resolved, data, chosen))
         return
     from model.training.run_state import NonFiniteError
+    from model.training.sources import validation_note
     from model.training.train import Trainer
 
     trainer = Trainer(resolved, data, out, device=chosen, show_progress=not quiet)
+    note = validation_note(trainer.data, resolved.validation.num_views)
+    if note and trainer.ranks.is_first:
+        typer.echo(note, err=True)
     try:
         final = trainer.run()
     except KeyboardInterrupt:

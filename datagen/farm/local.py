@@ -28,6 +28,7 @@ import psutil
 from datagen.farm.folder import DatasetFolder, FailureRecord, Plan, PlannedUnit
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.foundation.errors import InputError, input_error
+from mitsuba_plugins.variant import check_variant, select_variant
 
 EXIT_INTERRUPTED = 75
 """Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""
@@ -175,8 +176,6 @@ class _WorkerContext:
         """Select the variant and the number of threads before the first unit."""
         if self.is_ready:
             return
-        from mitsuba_plugins.variant import select_variant
-
         select_variant(self.plan.variant)
         if self.threads is not None:
             import drjit as dr
@@ -242,14 +241,13 @@ def run_unit_here(
     unit = _planned(context.plan, root, index)
     if not context.folder.is_done(unit):
         check_writable(root)
+        check_variant(context.plan.variant)
 
     class _Reporter:
         def send(self, message: tuple) -> None:
             report(*message[1:])
 
-    outcome, reason = _run_one(context, index, stages, _Reporter(), lambda: stop["asked"])  # type: ignore[arg-type]
-    if outcome == "failed":
-        print(reason, file=sys.stderr)
+    outcome, _ = _run_one(context, index, stages, _Reporter(), lambda: stop["asked"])  # type: ignore[arg-type]
     return {"done": 0, "already": 0, "interrupted": EXIT_INTERRUPTED}.get(outcome, 1)
 
 
@@ -315,6 +313,7 @@ def run_local(
     if not todo:
         return summary
     check_writable(root)
+    check_variant(plan.variant)
     attempts: dict[str, int] = {}
     stop = {"asked": False}
     previous = {number: signal.signal(number, lambda *_: stop.update(asked=True)) for number in _STOP_SIGNALS}

@@ -19,7 +19,13 @@ from datagen.formats.shard import AssetRecord
 from datagen.foundation.errors import InputError
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
-from mitsuba_plugins.variant import resolve_variant
+from mitsuba_plugins.variant import check_variant, resolve_variant
+
+
+def check_start(recipe: Recipe, library: Library) -> None:
+    """Raise :class:`InputError` for what would make every process fail: recipe, library, LLVM."""
+    check_recipe(recipe, library)
+    check_variant(recipe.render.variant)
 
 
 def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
@@ -67,7 +73,7 @@ def create_plan(
     ``report(done, total)`` is called as configurations are finished. Raises :class:`InputError`.
     """
     if not DatasetFolder(root).plan_path.exists():
-        check_recipe(recipe, library)  # before anything is written
+        check_start(recipe, library)  # before anything is written
     folder = start_folder(recipe, library, root)
     if folder.plan_path.exists():
         return folder.read_plan()
@@ -103,7 +109,7 @@ def _is_assembled(folder: DatasetFolder, recipe: Recipe, index: int) -> bool:
 def write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
     """Write the plan over the configurations that are on disk; nothing is planned before this."""
     versions = pixel_versions()
-    variant = resolve_variant(None if recipe.render.variant == "auto" else recipe.render.variant)
+    variant = resolve_variant(recipe.render.variant)
     units = []
     used: set[str] = set()
     for index in range(recipe.configurations):

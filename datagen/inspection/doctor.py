@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from datagen.foundation.errors import InputError
 from mitsuba_plugins.variant import CPU_VARIANT, choose_llvm, has_cuda, resolve_variant
 
 _REQUIRED = ("mitsuba", "drjit", "numpy", "OpenEXR", "trimesh", "pydantic", "webdataset", "pyoidn")
@@ -22,6 +23,7 @@ _OPTIONAL = {
 }
 MIN_FREE_GB = 2.0
 _RENDER_PROBE = """
+from datagen.foundation.errors import InputError
 from mitsuba_plugins.variant import select_variant
 select_variant()
 import mitsuba as mi
@@ -72,14 +74,15 @@ def examine(folder: Path | None = None) -> list[Finding]:
     try:
         variant = resolve_variant()
         findings.append(Finding("variant", variant, True, True))
-    except RuntimeError as error:
+    except InputError as error:
         variant = ""
-        findings.append(Finding("variant", str(error), False, True, "unset SCENE_MATERIALS_VARIANT"))
+        findings.append(Finding("variant", *_found(error)))
     try:
         llvm = choose_llvm()
         findings.append(Finding("LLVM", f"{llvm.major} ({llvm.path})", True, variant == CPU_VARIANT))
-    except RuntimeError as error:
-        findings.append(Finding("LLVM", str(error), False, variant == CPU_VARIANT))
+    except InputError as error:
+        found, is_fine, _, remedy = _found(error)
+        findings.append(Finding("LLVM", found, is_fine, variant == CPU_VARIANT, remedy))
     findings.append(_gpu())
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
     if all(f.is_fine for f in findings if f.is_required):
@@ -92,6 +95,12 @@ def examine(folder: Path | None = None) -> list[Finding]:
         )
     )
     return findings
+
+
+def _found(error: InputError) -> tuple[str, bool, bool, str]:
+    """What stands there and what was expected, not fine, required, the remedy."""
+    (problem,) = error.problems
+    return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
 
 
 def _package(name: str, is_required: bool, remedy: str) -> Finding:

@@ -149,7 +149,7 @@ class SceneRenderer:
         from mitsuba_plugins.variant import select_variant
 
         start = time.perf_counter()
-        self.variant = select_variant(None if recipe.variant == "auto" else recipe.variant)
+        self.variant = select_variant(recipe.variant)
         release_memory()
         self.configuration, self.recipe = configuration, recipe
         self.built: BuiltScene = build_scene(configuration, library, caches)

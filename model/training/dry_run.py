@@ -20,7 +20,7 @@ from model.training.dataset import TRUTH_BUFFERS
 from model.training.losses import MaterialLoss
 from model.training.perceptual import make_perceptual
 from model.training.phases import Models, Phase, Ranks, Workshop
-from model.training.sources import TrainingData, open_data
+from model.training.sources import TrainingData, open_data, validation_note
 from model.training.stopwatch import Stopwatch
 from model.training.train import default_device
 
@@ -122,6 +122,8 @@ def describe_run(config: TrainingConfig, folders: list[Path], device: torch.devi
     lines.append(
         f"data: {len(data.train)} training and {len(data.validation)} validation views, {width} x {height}"
     )
+    if note := validation_note(data, config.validation.num_views):
+        lines.append(note)
     for name, track in shop.models.network.tracks.items():
         lines.append(f"{name} track: {num_parameters(track):,} parameters")
     lines.append(f"confidence: {num_parameters(shop.models.confidence):,} parameters")

@@ -29,6 +29,17 @@ class TrainingData:
     records: tuple[DataRecord, ...]
 
 
+def validation_note(data: TrainingData, num_views: int) -> str:
+    """What to tell who asked for ``num_views`` views of validation and has no such data; "" otherwise."""
+    if data.validation or not num_views:
+        return ""
+    return (
+        "no validation: the data has no views of the split `validation`, so nothing shows when learning ends "
+        "and best-*.safetensors are each phase's last; give the recipe splits: {train: 0.9, validation: 0.1} "
+        "or set validation.num_views=0"
+    )
+
+
 def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> TrainingData:
     """The views of dataset folders, by the splits in their indices.
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -36,9 +37,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def _datagen(*arguments: object) -> subprocess.CompletedProcess[str]:
+def _datagen(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "datagen", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY)
+    env = {**os.environ, **environment}
+    return subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, env=env)
 
 
 def test_from_a_recipe_to_verified_shards(inputs: Path) -> None:
@@ -84,3 +86,48 @@ def test_doctor_says_what_will_be_used() -> None:
     result = _datagen("doctor")
     assert result.returncode == 0, result.stdout
     assert "rendering" in result.stdout and "works" in result.stdout
+
+
+NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nothing/libLLVM.so", "SCENE_MATERIALS_VARIANT": "llvm_ad_rgb"}
+
+
+@pytest.mark.parametrize("verb", ["plan", "run", "dry run", "estimate"])
+def test_without_llvm_one_sentence_says_so_before_work_starts(
+    inputs: Path, tmp_path: Path, verb: str
+) -> None:
+    out = tmp_path / "out"
+    words = {"dry run": ["run", "--out", out, "--dry-run"], "estimate": ["estimate"]}
+    verb, *options = words.get(verb, [verb, "--out", out])
+    result = _datagen(verb, inputs / "small.yaml", "--library", inputs / "library", *options, **NO_LLVM)
+    assert result.returncode == 2 and not result.stdout
+    (sentence,) = [line for line in result.stderr.splitlines() if line and "timing samples" not in line]
+    assert sentence.startswith("LLVM: DRJIT_LIBLLVM_PATH = /nothing/libLLVM.so, no loadable LLVM")
+    assert sentence.endswith("its libLLVM shared library") and not out.exists()
+    doctor = " ".join(_datagen("doctor", COLUMNS="400", **NO_LLVM).stdout.split())
+    assert "/nothing/libLLVM.so, no loadable LLVM of 16 or later; expected LLVM 19 or later" in doctor
+    assert "apt-get install libllvm19" in doctor
+
+
+def test_without_llvm_a_planned_folder_is_left_alone(inputs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    recipe = ("--library", inputs / "library", "--configurations", 1, "--out", out)
+    assert _datagen("plan", inputs / "small.yaml", *recipe).returncode == 0
+    before = sorted(out.rglob("*"))
+    for verb in (["render", out], ["unit", out, 0], ["unit", out, 0, "--attempts", 3]):
+        result = _datagen(*verb, **NO_LLVM)
+        assert result.returncode in (1, 2) and "Traceback" not in result.stderr
+        assert result.stderr.count("apt-get install libllvm19") == 1, result.stderr
+        assert [p for p in sorted(out.rglob("*")) if p.parts[-2:] != ("out", "work")] == before
+
+
+@pytest.mark.parametrize("verb", ["plan", "run"])
+def test_a_dry_run_looks_into_the_libraries(inputs: Path, tmp_path: Path, verb: str) -> None:
+    options = ("--out", tmp_path / "out", "--dry-run")
+    result = _datagen(verb, inputs / "small.yaml", "--library", inputs / "library", *options)
+    assert result.returncode == 0 and "configurations: 2" in result.stdout, result.stderr
+    result = _datagen(verb, inputs / "small.yaml", "--library", tmp_path / "nope", *options)
+    assert result.returncode == 2 and "nope: no such folder" in result.stderr
+    (tmp_path / "wrong.yaml").write_text(RECIPE.replace("count: [2, 3]", "count: [2, 3], categories: [ship]"))
+    result = _datagen(verb, tmp_path / "wrong.yaml", "--library", inputs / "library", *options)
+    assert result.returncode == 2 and "ship" in result.stderr
+    assert not (tmp_path / "out").exists()

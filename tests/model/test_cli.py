@@ -64,3 +64,23 @@ def test_train_and_bad_input(dataset, tmp_path):
         app, ["train", str(tmp_path), "--out", str(tmp_path / "b"), "--preset", "smoke"]
     )
     assert isinstance(result.exception, InputError) and "index.json" in str(result.exception)
+
+
+def test_training_without_validation_views_says_so(tmp_path):
+    """Where they were asked for; neither with such views nor where they are turned off."""
+    data = make_dataset(tmp_path / "set", {"room-0": ("train", 4)})
+    arguments = ["train", str(data), "--out", str(tmp_path / "run"), "--preset", "smoke", "--quiet"]
+    arguments += ["--device", "cpu", "--set", "phases=[{name: diffuse, steps: 1}]"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert result.output.count("no validation: the data has no views of the split `validation`") == 1
+    assert "splits: {train: 0.9, validation: 0.1}" in result.output
+    assert "no validation:" in CliRunner().invoke(app, [*arguments, "--dry-run"]).output
+    off = CliRunner().invoke(app, [*arguments, "--set", "validation.num_views=0", "--dry-run"])
+    assert off.exit_code == 0 and "no validation:" not in off.output
+
+
+def test_training_with_validation_views_says_nothing_of_it(dataset, tmp_path):
+    arguments = ["train", str(dataset), "--out", str(tmp_path / "run"), "--preset", "smoke", "--dry-run"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0 and "no validation:" not in result.output
