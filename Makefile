@@ -7,10 +7,10 @@ WORKERS ?= 2
 export VENV
 
 BIN := $(VENV)/bin
-PIP := $(BIN)/pip install --quiet --disable-pip-version-check
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-slow lint format docs docs-serve library extension clean
+.PHONY: help setup setup-dev demo test test-slow lint format docs docs-serve library extension packages three clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -18,17 +18,15 @@ help: ## List the targets
 $(BIN)/pip:
 	@.ci/ensure_venv.sh $(PYTHON) $(VENV)
 
-$(VENV)/.base: pyproject.toml | $(BIN)/pip
+$(VENV)/.base: pyproject.toml setup.py constraints.txt | $(BIN)/pip
 	@echo "installing the project into $(VENV)"
 	@$(PIP) -e .
 	@.ci/ensure_system.sh llvm
 	@touch $@
 
-$(VENV)/.dev: pyproject.toml $(VENV)/.base
+$(VENV)/.dev: pyproject.toml setup.py constraints.txt $(VENV)/.base
 	@echo "installing what the tests need into $(VENV)"
 	@$(PIP) -e '.[train,blender,dev,docs]'
-	@# Only the weights inside lpips are used; its torchvision would bring another torch.
-	@$(PIP) --no-deps 'lpips>=0.1.4,<0.2'
 	@.ci/ensure_system.sh blender
 	@.ci/ensure_system.sh tests
 	@touch $@
@@ -68,6 +66,9 @@ library: setup-dev ## Rebuild the bundled library from its sources
 
 extension: setup-dev ## Build and validate the Blender extension into dist/
 	@$(BIN)/python .ci/build_extension.py dist
+
+packages: setup-dev ## Build the sdist and the wheel into dist/, and try each in a new environment
+	@$(BIN)/python .ci/try_packages.py constraints.txt
 
 three: ## Rebuild the 3D page's three.js from npm, at the version that .ci/three pins
 	@cd .ci/three && npm ci --silent --ignore-scripts --no-audit --no-fund && npm run --silent build && rm -rf node_modules

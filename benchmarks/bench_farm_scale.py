@@ -35,8 +35,9 @@ from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.recipe import Recipe, RenderRecipe
 from datagen.formats.view import RenderRecord, ViewRecord
+from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera, look_at
-from datagen.library import Library, bundled_library
+from datagen.library import Library
 
 
 def plan_folder(root: Path, num_units: int, library: Library) -> tuple[DatasetFolder, Recipe]:

@@ -141,7 +141,8 @@ class EndToEnd:
     def photograph(self) -> None:
         """Export, render with Cycles, develop; and the coarse mesh."""
         from benchmarks.peer_scene import export
-        from datagen.library import Library, bundled_library
+        from datagen.foundation.bundled import bundled_library
+        from datagen.library import Library
 
         configuration = self.configuration()
         blend, log = self.out / "room.blend", self.out / "cycles.log"
@@ -258,7 +259,8 @@ class EndToEnd:
 
     def compare(self) -> dict[str, Any]:
         """Errors of the atlas in the true views, where its texels were seen."""
-        from datagen.library import Library, bundled_library
+        from datagen.foundation.bundled import bundled_library
+        from datagen.library import Library
 
         configuration = self.configuration()
         cameras = configuration.cameras[::COMPARED_EVERY]

@@ -30,7 +30,7 @@ LibraryOption = Annotated[
     Optional[list[str]],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
     typer.Option("--library", help='Library folder, repeatable; "bundled" is the project\'s own.'),
 ]
-RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), see scenes/recipes/.")]
+RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), or the name of a bundled one.")]
 FolderArgument = Annotated[Path, typer.Argument(help="Dataset folder.")]
 WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes to use.")]
 DryRunOption = Annotated[
@@ -39,18 +39,20 @@ DryRunOption = Annotated[
 OutOption = Annotated[Path, typer.Option("--out", help="Dataset folder to write.")]
 
 
-def _load_recipe(path: Path, library: list[str] | None, overrides: dict[str, object]) -> Recipe:
-    """Recipe with flags over file over defaults."""
+def _load_recipe(path: Path, library: list[str] | None, overrides: dict[str, object]) -> tuple[Path, Recipe]:
+    """The recipe's file, which may be a bundled one, and the recipe with flags over file over defaults."""
     from datagen.formats.base import parse_model, read_yaml
     from datagen.formats.recipe import Recipe
+    from datagen.foundation.bundled import resolve_bundled
 
+    path = resolve_bundled(path, "recipes")
     recipe = read_yaml(Recipe, path)
     changes = {key: value for key, value in overrides.items() if value is not None}
     if library:
         changes["library"] = tuple(library)
     if changes:
         recipe = parse_model(Recipe, {**recipe.model_dump(), **changes}, f"{path} with the given options")
-    return recipe
+    return path, recipe
 
 
 def _open_library(recipe: Recipe, base: Path) -> Library:
@@ -231,9 +233,9 @@ def plan(
 ) -> None:
     """Assemble a recipe's configurations into a dataset folder, without rendering.
 
-    Example: datagen plan scenes/recipes/smoke.yaml --out smoke
+    Example: datagen plan smoke --out smoke
     """
-    recipe = _load_recipe(
+    recipe_path, recipe = _load_recipe(
         recipe_path, library, {"seed": seed, "configurations": configurations, "views": views}
     )
     if dry_run:
@@ -282,9 +284,9 @@ def run(
 ) -> None:
     """Plan, render, gather statistics and pack; interrupt at any moment, continue by the same command.
 
-    Example: datagen run scenes/recipes/smoke.yaml --out smoke --workers 2
+    Example: datagen run smoke --out smoke --workers 2
     """
-    recipe = _load_recipe(
+    recipe_path, recipe = _load_recipe(
         recipe_path, library, {"seed": seed, "configurations": configurations, "views": views}
     )
     if dry_run:
@@ -371,7 +373,7 @@ def estimate(
 ) -> None:
     """Predict time, disk and memory of a recipe from two timed samples; exit code 1 if the disk is too small.
 
-    Example: datagen estimate scenes/recipes/paper.yaml --workers 2
+    Example: datagen estimate paper --workers 2
     """
     import shutil
 
@@ -379,7 +381,7 @@ def estimate(
     from datagen.inspection.estimate import estimate as run_estimate
     from datagen.inspection.estimate import print_estimate
 
-    recipe = _load_recipe(recipe_path, library, {})
+    recipe_path, recipe = _load_recipe(recipe_path, library, {})
     opened = _open_library(recipe, recipe_path.parent)
     with ProgressBar("timing samples", 2, "samples") as progress:
         result = run_estimate(recipe, opened, lambda done, total: progress.set(done))

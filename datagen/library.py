@@ -17,16 +17,12 @@ from datagen.asset_check import check_package
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.package import AnyAsset, Package, is_package, open_package
+from datagen.foundation.bundled import bundled_library
 from datagen.foundation.errors import InputError, Problem
 
 AssetKind = Literal["environment", "object", "material"]
 KIND_FOLDERS: dict[str, str] = {"environment": "environments", "object": "objects", "material": "materials"}
 _MAX_DEPTH = 4  # folders below a library's root that are searched
-
-
-def bundled_library() -> Path:
-    """The library that comes with the project, ``scenes/library`` beside the packages."""
-    return Path(__file__).resolve().parents[1] / "scenes" / "library"
 
 
 def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:

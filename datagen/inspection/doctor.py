@@ -11,19 +11,25 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from datagen.foundation.bundled import bundled_library, bundled_names
 from datagen.foundation.errors import InputError
+from datagen.library import find_packages
 from mitsuba_plugins.variant import CPU_VARIANT, choose_llvm, has_cuda, resolve_variant
 
-_REQUIRED = ("mitsuba", "drjit", "numpy", "OpenEXR", "trimesh", "pydantic", "webdataset", "pyoidn")
-_OPTIONAL = {
-    "torch": "training and inference (extra: train)",
-    "bpy": "Blender's module: exporter and library builder (extra: blender)",
-    "opencv-contrib-python-headless": "image filters",
-    "xatlas": "unwrapping of meshes without UVs",
+REQUIRED = (
+    "mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "pyoidn", "embreex", "python-fcl", "pydantic", "typer",
+    "rich", "PyYAML", "Pillow", "opencv-contrib-python-headless", "matplotlib", "xatlas", "numba", "psutil",
+)  # fmt: skip
+"""What the project cannot do without: Dr.Jit, which comes with Mitsuba, and the dependencies of all."""
+OPTIONAL = {
+    "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
+    "heic": ("photographs in HEIC", ("pillow-heif",)),
+    "blender": ("the exporter, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
 }
+"""Extras: what for, and the packages that tell whether they are there."""
+_AGAIN = "install the project again: pip install --force-reinstall scene-materials, or -e . in a checkout"
 MIN_FREE_GB = 2.0
 _RENDER_PROBE = """
-from datagen.foundation.errors import InputError
 from mitsuba_plugins.variant import select_variant
 select_variant()
 import mitsuba as mi
@@ -67,10 +73,11 @@ def examine(folder: Path | None = None) -> list[Finding]:
     findings = [
         Finding("Python", sys.version.split()[0], sys.version_info >= (3, 10), True, "install Python 3.11")
     ]
-    for name in _REQUIRED:
-        findings.append(_package(name, True, "install the project again: pip install -e ."))
-    for name, purpose in _OPTIONAL.items():
-        findings.append(_package(name, False, f"needed for {purpose}"))
+    findings.append(_bundled())
+    findings += [_package(name, True, _AGAIN) for name in REQUIRED]
+    for extra, (purpose, names) in OPTIONAL.items():
+        remedy = f"for {purpose}: pip install 'scene-materials[{extra}]'"
+        findings += [_package(name, False, remedy) for name in names]
     try:
         variant = resolve_variant()
         findings.append(Finding("variant", variant, True, True))
@@ -87,7 +94,7 @@ def examine(folder: Path | None = None) -> list[Finding]:
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
     if all(f.is_fine for f in findings if f.is_required):
         findings.append(_probe("rendering", _RENDER_PROBE, "see the message; check LLVM or the GPU driver"))
-        findings.append(_probe("denoiser", _DENOISER_PROBE, "install the project again: pip install -e ."))
+        findings.append(_probe("denoiser", _DENOISER_PROBE, _AGAIN))
     free_gb = shutil.disk_usage(folder or Path.cwd()).free / 1e9
     findings.append(
         Finding(
@@ -101,6 +108,18 @@ def _found(error: InputError) -> tuple[str, bool, bool, str]:
     """What stands there and what was expected, not fine, required, the remedy."""
     (problem,) = error.problems
     return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
+
+
+def _bundled() -> Finding:
+    """Whether the bundled library, recipes and suites were installed, too."""
+    try:
+        num = len(find_packages(bundled_library()))
+        names = bundled_names("recipes")
+        value = f"{num} assets, {len(names)} recipes, {len(bundled_names('suites'))} suites"
+        return Finding("bundled library", value, num > 0 and bool(names), True, _AGAIN)
+    except InputError as error:
+        problem = error.problems[0]
+        return Finding("bundled library", f"{problem.where}: {problem.got}", False, True, _AGAIN)
 
 
 def _package(name: str, is_required: bool, remedy: str) -> Finding:

@@ -17,7 +17,7 @@ def register_verbs(app: typer.Typer) -> None:
 
 
 def evaluate(
-    suite: Annotated[Path, typer.Argument(help="A suite, e.g. scenes/suites/small.yaml.")],
+    suite: Annotated[Path, typer.Argument(help="A suite (YAML), or the name of a bundled one: small.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the tables and the page.")],
     cache: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
@@ -36,7 +36,7 @@ def evaluate(
 
     Interrupt it with Ctrl-C and start it again with the same arguments: it continues.
 
-    Example: materials evaluate scenes/suites/small.yaml --out evaluation
+    Example: materials evaluate small --out evaluation
     """
     from model.evaluation.suite import describe_suite, read_suite
 

@@ -94,12 +94,11 @@ class Lpips:
     """LPIPS-VGG where its weights are at hand; ``absence`` says why not."""
 
     def __init__(self) -> None:
-        from model.training.weights import find_vgg, load_lpips_heads
+        from model.training.weights import find_vgg
 
         self.absence = ""
         try:
             self._layers = find_vgg()
-            load_lpips_heads()
         except InputError as error:
             self.absence = str(error)
 

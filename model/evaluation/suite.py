@@ -14,8 +14,8 @@ from pydantic import Field, model_validator
 from datagen.formats.base import NonNegative, Positive, Slug, StrictModel, Unit, Vector3, read_yaml
 from datagen.formats.lights import Light
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.bundled import object_package, resolve_bundled
 from datagen.foundation.errors import InputError, Problem
-from datagen.library import bundled_library
 from model.checkpoint import bundled_checkpoint
 from model.evaluation.room import TestScene
 from model.reconstruction.merge.merger import Weights
@@ -129,8 +129,7 @@ class InsertedObject(StrictModel):
 
     def path(self, folder: Path) -> Path:
         """Where the package lies; relative names are relative to ``folder``."""
-        kind, _, rest = self.package.partition(":")
-        return bundled_library() / "objects" / rest if kind == BUNDLED else folder / self.package
+        return object_package(self.package, folder)
 
 
 class Suite(StrictModel):
@@ -169,10 +168,12 @@ class Suite(StrictModel):
 
 
 def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
-    """The suite of a file, its paths absolute. ``checkpoint`` takes the place of the bundled one.
+    """The suite of a file, or a bundled one by its name, its paths absolute. ``checkpoint`` takes the place
+    of the bundled checkpoint.
 
     Raises :class:`InputError` with every fault: of the file, and of what it names and is not there.
     """
+    path = resolve_bundled(path, "suites")
     suite = read_yaml(Suite, path)
     folder = path.parent.resolve()
     problems: list[Problem] = []

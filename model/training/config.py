@@ -54,7 +54,7 @@ class PerceptualConfig(StrictModel):
     vgg: Path | None = None
     """File of VGG16's weights; None looks in the weights folder and in torch hub's cache."""
     heads: Path | None = None
-    """File of E-LPIPS' 14 heads; None looks in the weights folder, then takes the lpips package's five."""
+    """File of E-LPIPS' 14 heads; None looks in the weights folder, then takes LPIPS' five."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of VGG16's activations."""
 

@@ -41,6 +41,8 @@ HUB_FILE, HUB_SHA256_PREFIX = "vgg16-397923af.pth", "397923af"
 name."""
 VGG_FILE = "vgg16_imagenet.safetensors"
 HEADS_FILE = "elpips_vgg_linear_weights.npz"
+LPIPS_HEADS_FILE = "lpips_vgg_heads.safetensors"
+"""The linear layers of LPIPS-VGG 0.1 as the package ``lpips`` 0.1.4 has them (BSD-2-Clause)."""
 FETCH_REMEDY = "run `materials fetch-weights`, or train with perceptual: gradient_ssim"
 
 VGG_CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
@@ -287,23 +289,21 @@ def load_elpips_heads(path: Path) -> Heads:
 
 
 def load_lpips_heads() -> Heads:
-    """The five heads of LPIPS-VGG that the ``lpips`` package ships."""
-    import importlib.util
+    """The five heads of LPIPS-VGG 0.1, which come with the project."""
+    from safetensors.torch import load_file
 
-    spec = importlib.util.find_spec("lpips")
-    path = Path(spec.origin).parent / "weights" / "v0.1" / "vgg.pth" if spec and spec.origin else None
-    if path is None or not path.is_file():
-        raise input_error(
-            "lpips", "", "not installed", "the package's linear heads", "pip install --no-deps lpips"
-        )
-    state = torch.load(path, map_location="cpu", weights_only=True)
-    vectors = [state[f"lin{k}.model.1.weight"].flatten().float() for k in range(5)]
-    return Heads("lpips5", tuple(vectors))
+    path = Path(__file__).with_name(LPIPS_HEADS_FILE)
+    try:
+        tensors = load_file(path)
+    except Exception as error:
+        remedy = "install the project again"
+        raise input_error(path, "", f"unreadable: {error}", "LPIPS' linear heads", remedy) from error
+    return Heads("lpips5", tuple(tensors[f"lin{k}"] for k in range(5)))
 
 
 def find_heads(path: Path | None = None) -> Heads:
-    """E-LPIPS' 14 heads from ``path`` or the weights folder (or ``SCENE_DATA/weights``), else the lpips
-    package's."""
+    """E-LPIPS' 14 heads from ``path`` or the weights folder (or ``SCENE_DATA/weights``), else LPIPS'
+    five."""
     candidates = [path] if path is not None else [weights_folder() / HEADS_FILE]
     if path is None and os.environ.get("SCENE_DATA"):
         candidates.append(Path(os.environ["SCENE_DATA"]) / "weights" / HEADS_FILE)

@@ -15,7 +15,8 @@ from datagen.assembly.things import convex_hull_2d, margin_inside
 from datagen.asset_check import check_package
 from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset, SupportSurface
 from datagen.formats.package import open_package
-from datagen.library import Library, bundled_library
+from datagen.foundation.bundled import bundled_library
+from datagen.library import Library
 
 ROOT = bundled_library()
 MAX_BYTES = 40_000_000

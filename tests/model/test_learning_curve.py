@@ -15,7 +15,8 @@ from datagen.formats.base import read_yaml
 from datagen.formats.configuration import Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import Dataset
-from datagen.library import Library, bundled_library
+from datagen.foundation.bundled import bundled_library
+from datagen.library import Library
 from tests.conftest import REPOSITORY
 from tests.model.training_data import make_dataset
 

@@ -15,12 +15,13 @@ import pytest
 
 from benchmarks.colmap_end_to_end import EndToEnd, developed, jpeg, walk
 from datagen.formats.recipe import RenderRecipe
+from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import exposure_for, srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
-from datagen.library import Library, bundled_library
+from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
 from model.checkpoint import bundled_checkpoint
 from model.reconstruction.captures import CaptureOptions, read_capture

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from datagen.formats.asset import MaterialAsset
+from datagen.foundation.bundled import bundled_library
 from datagen.foundation.images import read_image
-from datagen.library import Library, bundled_library
+from datagen.library import Library
 from tests.conftest import REPOSITORY
 
 needs_bpy = pytest.mark.skipif(

@@ -17,12 +17,13 @@ from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, Color
 from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
 from datagen.formats.package import Package
 from datagen.formats.shard import ShardReader
+from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.exr import decode_view
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, joined, without_degenerate
 from datagen.foundation.meshes.ply import decode_ply
-from datagen.library import Library, bundled_library
+from datagen.library import Library
 
 
 @dataclass(frozen=True)

@@ -31,14 +31,17 @@ def render(
     ] = None,
     insert: Annotated[
         Optional[list[str]],  # noqa: UP045
-        typer.Option("--insert", help="PACKAGE@X,Y,Z or PACKAGE@X,Y,Z,DEGREES, repeatable."),
+        typer.Option(
+            "--insert",
+            help="PACKAGE@X,Y,Z[,DEGREES], repeatable; bundled:ID is a package too.",
+        ),
     ] = None,
     samples: Annotated[int, typer.Option("--samples", min=1, help="Light paths a pixel.")] = 16,
     no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False,
 ) -> None:
     """Render an asset from its cameras, under its own or other light, with objects put in.
 
-    Example: materials render room/asset --out renders --sky 1,1,1 --insert scenes/library/objects/mug@1,2,0.8
+    Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
     """
     from dataclasses import replace
 
@@ -166,10 +169,11 @@ def _lamp(text: str) -> Any:
 def _insertion(text: str) -> Any:
     from math import radians
 
+    from datagen.foundation.bundled import object_package
     from model.reconstruction.render.relight import Insertion
 
     package, separator, place = text.rpartition("@")
     if not separator:
         raise typer.BadParameter(f"{text!r}; expected PACKAGE@X,Y,Z", param_hint="--insert")
     x, y, z, *yaw = _numbers(place, (3, 4), "--insert")
-    return Insertion(Path(package), (x, y, z), radians(yaw[0]) if yaw else 0.0)
+    return Insertion(object_package(package, Path()), (x, y, z), radians(yaw[0]) if yaw else 0.0)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""What comes with the project: library, recipes and a small suite, in a checkout and where it was installed.
+
+They are ``scenes/`` of the repository, which installs as ``datagen/scenes`` (setup.py).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from datagen.foundation.errors import input_error
+
+BundledKind = Literal["recipes", "suites"]
+
+
+def bundled_folder() -> Path:
+    """The folder of what is bundled. Raises :class:`InputError` where the installation left it out."""
+    package = Path(__file__).resolve().parents[1]
+    installed, checkout = package / "scenes", package.parent / "scenes"
+    if (installed / "library").is_dir():
+        return installed
+    if (checkout / "library").is_dir() and (package.parent / "pyproject.toml").is_file():
+        return checkout
+    remedy = "install the project again: pip install --force-reinstall --no-deps scene-materials"
+    raise input_error(installed, "", "no such folder", "the bundled library, recipes and suites", remedy)
+
+
+def bundled_library() -> Path:
+    """The library that comes with the project."""
+    return bundled_folder() / "library"
+
+
+def bundled_names(kind: BundledKind) -> list[str]:
+    """Names of the bundled recipes or suites, sorted."""
+    return sorted(path.stem for path in (bundled_folder() / kind).glob("*.yaml"))
+
+
+def resolve_bundled(path: Path, kind: BundledKind) -> Path:
+    """A file as a command names it: ``path`` itself, or the bundled one whose name alone it is.
+
+    Raises :class:`InputError` that lists the bundled ones where it is neither.
+    """
+    if path.exists():
+        return path
+    names = bundled_names(kind)
+    if str(path) in names:
+        return bundled_folder() / kind / f"{path}.yaml"
+    remedy = f"did you mean the bundled `{path.stem}`?" if path.stem in names else "check the path"
+    expected = f"a file, or the name of a bundled one: {', '.join(names)}"
+    raise input_error(path, "", "no such file", expected, remedy)
+
+
+def object_package(name: str, folder: Path) -> Path:
+    """The object package that ``name`` means: ``bundled:ID``, or a path relative to ``folder``."""
+    kind, _, asset_id = name.partition(":")
+    return bundled_library() / "objects" / asset_id if kind == "bundled" else folder / name

@@ -1,0 +1,11 @@
+# SPDX-License-Identifier: MIT
+"""The packages; everything else is in pyproject.toml.
+
+The bundled library, recipes and small suite lie in ``scenes/`` of the repository and are installed inside
+of the package ``datagen``, as ``datagen/scenes``: pyproject.toml cannot say that of found packages.
+"""
+
+from setuptools import find_packages, setup
+
+FOUND = find_packages(include=["datagen*", "mitsuba_plugins*", "model*", "blender_addon*"])
+setup(packages=[*FOUND, "datagen.scenes"], package_dir={"datagen.scenes": "scenes"})

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""What is installed: the dependencies are those that the packages import, and nothing they read is left out.
+
+``.ci/try_packages.py`` tries the built packages themselves; here is what can be told without building.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from datagen.foundation.bundled import bundled_folder, bundled_names, object_package, resolve_bundled
+from datagen.foundation.errors import InputError
+from datagen.inspection.doctor import OPTIONAL, REQUIRED
+from tests.conftest import REPOSITORY
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:  # pytest brings it there
+    import tomli as tomllib
+
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
+MODULES = {
+    "opencv-contrib-python-headless": "cv2", "Pillow": "PIL", "PyYAML": "yaml", "python-fcl": "fcl",
+    "scikit-image": "skimage", "fast-simplification": "fast_simplification", "pillow-heif": "pillow_heif",
+}  # fmt: skip
+"""Import names that differ from the names of their distributions."""
+BROUGHT_ALONG = {"drjit": "mitsuba", "mathutils": "bpy", "bpy_extras": "bpy"}
+"""Modules that come with another distribution, whose version fixes theirs."""
+PROVIDED = {"tensorboard": "torch.utils.tensorboard"}
+"""What is needed by way of another module."""
+
+
+def _names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[<>=!~;\[ ]", text)[0] for text in requirements}
+
+
+def _imported() -> dict[str, str]:
+    """Modules from outside that the packages import, anywhere, and one file that does; full names too."""
+    found: dict[str, str] = {}
+    for package in PACKAGES:
+        for path in sorted((REPOSITORY / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                names: list[str] = []
+                if isinstance(node, ast.Import):
+                    names = [alias.name for alias in node.names]
+                elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                    names = [node.module]
+                for name in names:
+                    found.setdefault(name, str(path))
+                    found.setdefault(name.split(".")[0], str(path))
+    own = {*PACKAGES, *sys.stdlib_module_names}
+    return {name: path for name, path in found.items() if name.split(".")[0] not in own}
+
+
+def _module_of(distribution: str) -> str:
+    return PROVIDED.get(distribution, MODULES.get(distribution, distribution))
+
+
+def test_the_packages_import_every_dependency() -> None:
+    """What only tests, benchmarks or the documentation import is in their extras."""
+    imported = _imported()
+    user_extras = [PROJECT["optional-dependencies"][extra] for extra in ("train", "heic", "blender")]
+    for distribution in _names([*PROJECT["dependencies"], *(r for extra in user_extras for r in extra)]):
+        assert _module_of(distribution) in imported, f"nothing imports {distribution}"
+
+
+def test_every_import_is_a_dependency() -> None:
+    extras = PROJECT["optional-dependencies"]
+    declared = _names(
+        [*PROJECT["dependencies"], *(r for e in ("train", "heic", "blender") for r in extras[e])]
+    )
+    modules = {_module_of(distribution).split(".")[0] for distribution in declared}
+    for name, path in _imported().items():
+        top = name.split(".")[0]
+        assert BROUGHT_ALONG.get(top, top) in modules, f"{path} imports {name}, which no dependency brings"
+
+
+def test_the_doctor_looks_for_what_is_required() -> None:
+    assert set(REQUIRED) == _names(PROJECT["dependencies"]) | {"drjit"}
+    for extra, (_, names) in OPTIONAL.items():
+        assert set(names) <= _names(PROJECT["optional-dependencies"][extra])
+
+
+def test_users_extras_pin_nothing() -> None:
+    """A pin conflicts with environments that have another version; constraints.txt pins for the tests."""
+    for extra in ("train", "heic", "blender"):
+        for requirement in PROJECT["optional-dependencies"][extra]:
+            assert "==" not in requirement.split(";")[0], requirement
+    assert not any("==" in requirement for requirement in PROJECT["dependencies"])
+    pins = (REPOSITORY / "constraints.txt").read_text()
+    assert re.search(r"^torch==[\d.]+$", pins, re.M)
+    for script in ("Makefile", *(p.relative_to(REPOSITORY) for p in (REPOSITORY / ".ci").glob("*"))):
+        path = REPOSITORY / script
+        for line in path.read_text().splitlines() if path.is_file() else ():
+            brings = re.search(r"(pip|\$\(PIP\)) .*(install|-e)", line) and "import" not in line
+            assert not brings or "$(PIP)" in line or "--constraint" in line or "--no-deps" in line, line
+    assert (
+        "PIP := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt"
+        in (REPOSITORY / "Makefile").read_text()
+    )
+
+
+def test_bundled_files_are_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert resolve_bundled(Path("smoke"), "recipes") == bundled_folder() / "recipes" / "smoke.yaml"
+    assert resolve_bundled(Path("small"), "suites") == bundled_folder() / "suites" / "small.yaml"
+    assert object_package("bundled:mug", tmp_path).is_dir()
+    assert object_package("mug", tmp_path) == tmp_path / "mug"
+    own = tmp_path / "smoke"
+    own.touch()
+    assert resolve_bundled(Path("smoke"), "recipes") == Path("smoke"), "a file of the user goes first"
+    with pytest.raises(
+        InputError, match=r"a file, or the name of a bundled one: .*demo.*smoke.*check the path"
+    ):
+        resolve_bundled(Path("smok"), "recipes")
+    with pytest.raises(InputError, match="did you mean the bundled `smoke`"):
+        resolve_bundled(Path("scenes/recipes/smoke.yaml"), "recipes")
+
+
+def test_what_is_installed_without_its_data_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The doctor, too: a package without the library had passed."""
+    from datagen.foundation import bundled
+    from datagen.inspection import doctor
+
+    folder = tmp_path / "site-packages"
+    (folder / "scenes" / "library").mkdir(parents=True)  # another project's
+    monkeypatch.setattr(bundled, "__file__", str(folder / "datagen" / "foundation" / "bundled.py"))
+    with pytest.raises(InputError, match="install the project again"):
+        bundled_folder()
+    finding = doctor._bundled()
+    assert finding.is_required and not finding.is_fine and "no such folder" in finding.value
+    (folder / "datagen" / "scenes" / "library").mkdir(parents=True)
+    assert bundled_folder() == folder / "datagen" / "scenes"
+    assert not doctor._bundled().is_fine, "an empty library is none"
+    assert bundled_names("recipes") == []
