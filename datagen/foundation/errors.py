@@ -47,6 +47,7 @@ class InputError(ValueError):
     def __init__(self, *problems: Problem):
         if not problems:
             raise TypeError("InputError needs at least one Problem")
+        problems = tuple(dict.fromkeys(problems))  # what many things have in common is said once
         self.problems = problems
         lines = [str(problem) for problem in problems[:_MAX_LISTED]]
         if len(problems) > _MAX_LISTED:

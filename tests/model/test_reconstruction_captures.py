@@ -139,6 +139,39 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
         read_capture(tmp_path / "empty")
 
 
+@pytest.mark.parametrize("form", ["text", "binary"])
+def test_a_lens_that_is_not_supported_is_told_once(tmp_path: Path, form: str) -> None:
+    """It had been blamed on ``images``, once a photograph."""
+    write_colmap(tmp_path / "m", make_cameras(5), form, "FOV", [50, 50, 32, 20, 0.5])
+    with pytest.raises(InputError) as caught:
+        read_colmap(tmp_path / "m")
+    cameras = tmp_path / "m" / ("cameras.txt" if form == "text" else "cameras.bin")
+    assert len(caught.value.problems) == 1
+    assert str(caught.value).startswith(f"{cameras}: camera 7 model = FOV; expected one of PINHOLE")
+    assert "colmap image_undistorter" in str(caught.value)
+
+
+def test_a_lens_that_nobody_knows_is_told_as_such(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "m", make_cameras(3), "text", "RAD_TAN_THIN_PRISM_FISHEYE", [50.0] * 16)
+    with pytest.raises(InputError, match=r"cameras\.txt: camera 7 model = RAD_TAN\w+; .*PINHOLE"):
+        read_colmap(tmp_path / "m")
+    write_colmap(tmp_path / "n", make_cameras(3), "text", "PINHOLE", [50, -50, 32, 20])
+    with pytest.raises(InputError) as caught:
+        read_colmap(tmp_path / "n")
+    assert len(caught.value.problems) == 1 and "cameras.txt: camera 7 parameters" in str(caught.value)
+
+
+def test_one_fault_of_all_frames_is_told_once(tmp_path: Path) -> None:
+    write_images(tmp_path / "images", 3)
+    frames = [{"file_path": f"images/img{k}.png", "transform_matrix": np.eye(4).tolist()} for k in range(3)]
+    data = {"fl_x": 55.0, "w": SIZE[0], "h": SIZE[1], "camera_model": "EQUIRECTANGULAR", "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(data))
+    write_mesh(tmp_path)
+    with pytest.raises(InputError) as caught:
+        read_capture(tmp_path)
+    assert len(caught.value.problems) == 1 and "camera_model = EQUIRECTANGULAR" in str(caught.value)
+
+
 def test_colmap_capture_is_opened_and_round_trips(tmp_path: Path) -> None:
     write_colmap(tmp_path / "sparse" / "0", make_cameras(), "binary", "PINHOLE", [55, 57, 31, 21.5])
     write_images(tmp_path / "images", 3)
@@ -198,7 +231,7 @@ def test_transforms_json(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         read_capture(path)
     text = str(caught.value)
-    assert "frames[1].transform_matrix" in text and "frames[2].file_path = nowhere" in text
+    assert "frames[1].transform_matrix" in text and "nowhere = not found" in text
 
 
 def test_mitsuba_sensors_project_as_mitsuba_does(tmp_path: Path) -> None:

@@ -310,6 +310,15 @@ def test_openmvg(tmp_path: Path, lens: str) -> None:
     capture = read_capture(tmp_path, OPTIONS)
     check(capture.views, oracles)
     assert any("1 views have no pose" in note for note in capture.notes)
+    intrinsics[0]["value"]["ptr_wrapper"]["data"] = {
+        **data,
+        "value0": {**data.get("value0", data), "width": 0},
+    }
+    (tmp_path / "sfm_data.json").write_text(json.dumps(content))
+    with pytest.raises(InputError) as caught:
+        read_capture(tmp_path, OPTIONS)
+    assert len(caught.value.problems) == 1, "the lens of three views is at fault once"
+    assert "intrinsics 3" in str(caught.value)
 
 
 def test_bundler(tmp_path: Path) -> None:

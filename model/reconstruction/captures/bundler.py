@@ -14,9 +14,10 @@ import numpy as np
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
-from datagen.foundation.images import image_size
+from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
+    UNSIZED,
     Calibration,
     ImageFinder,
     PosedImage,
@@ -56,25 +57,26 @@ def read(path: Path, images: Path | None) -> Calibration:
     finder = ImageFinder(folder)
     found: list[PosedImage] = []
     problems: list[Problem] = []
+    missing: list[str] = []
     for name, (lens, *rows_of_rotation, translation) in zip(names, table, strict=True):
         if lens[0] == 0:
             continue
         image = finder.find(name)
         if image is None:
-            remedy = "name its folder with --images: the file does not say how large it is"
-            problems.append(Problem(path, name, "not found", f"this image in {folder}", remedy))
+            missing.append(name)
             continue
         try:
             rotation = rotation_part(np.array(rows_of_rotation), path, name)
         except InputError as error:
             problems.extend(error.problems)
             continue
-        width, height = image_size(image)
+        width, height = photograph_size(image)
         pose = pose_of(rotation.T @ np.diag([1.0, -1.0, -1.0]), -rotation.T @ translation)
         focal = float(lens[0])
         camera = Camera(width, height, focal, focal, 0.5 * width, 0.5 * height, pose)
         distortion = polynomial((float(lens[1]), float(lens[2]), 0.0, 0.0), (0.0, 0.0))
         found.append(PosedImage(name, camera, distortion))
+    problems += finder.absent(path, missing, UNSIZED)
     if not found and not problems:
         problems.append(Problem(path, "cameras", "none was placed", "at least one", EXPORT_AGAIN))
     if problems:

@@ -27,7 +27,9 @@ MODELS = (
     ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
 )  # fmt: skip
 """Name and number of parameters by COLMAP's model id."""
+_SUPPORTED = {name for name, _ in MODELS} - {"FOV", "THIN_PRISM_FISHEYE"}
 _REMEDY = "export the model again (colmap model_converter)"
+_UNDISTORT = "undistort the images (colmap image_undistorter), or calibrate with one of these"
 _UNSUPPORTED = "one of PINHOLE, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV and their simple forms"
 
 
@@ -37,6 +39,9 @@ class _Lens:
     width: int
     height: int
     parameters: tuple[float, ...]
+
+
+_Intrinsics = tuple[tuple[float, float, float, float], Distortion | None]
 
 
 def find(path: Path) -> Path | None:
@@ -61,20 +66,35 @@ def read_colmap(folder: Path) -> list[PosedImage]:
             _read_binary_cameras(folder / "cameras.bin"),
             _read_binary_images(folder / "images.bin"),
         )
-        where = folder / "images.bin"
+        where, cameras = folder / "images.bin", folder / "cameras.bin"
     else:
         lenses, poses = _read_text_cameras(folder / "cameras.txt"), _read_text_images(folder / "images.txt")
-        where = folder / "images.txt"
-    problems = []
+        where, cameras = folder / "images.txt", folder / "cameras.txt"
+    problems: list[Problem] = []
     found = []
+    usable: dict[int, _Intrinsics | None] = {}
+    for lens_id in sorted({lens_id for lens_id, _, _ in poses.values()} & set(lenses)):
+        try:
+            lens = lenses[lens_id]
+            usable[lens_id] = lens_intrinsics(lens.model, lens.parameters, cameras, f"camera {lens_id}")
+        except InputError as error:
+            usable[lens_id] = None
+            problems.extend(error.problems)
     for name, (lens_id, quaternion, translation) in sorted(poses.items()):
         if lens_id not in lenses:
             problems.append(Problem(where, name, f"camera {lens_id}", "a camera of the model", _REMEDY))
             continue
         try:
-            found.append(_posed(name, lenses[lens_id], quaternion, translation, where))
+            intrinsics = usable[lens_id]
+            pose = _pose(name, quaternion, translation, where)
         except InputError as error:
             problems.extend(error.problems)
+            continue
+        if intrinsics is not None:
+            (fx, fy, cx, cy), distortion = intrinsics
+            lens = lenses[lens_id]
+            camera = Camera(lens.width, lens.height, fx, fy, cx, cy, pose)
+            found.append(PosedImage(name, camera, distortion))
     if not poses:
         problems.append(Problem(where, "", "no images", "at least one registered image", _REMEDY))
     if problems:
@@ -82,7 +102,8 @@ def read_colmap(folder: Path) -> list[PosedImage]:
     return found
 
 
-def _posed(name: str, lens: _Lens, quaternion: NDArray, translation: NDArray, where: Path) -> PosedImage:
+def _pose(name: str, quaternion: NDArray, translation: NDArray, where: Path) -> NDArray[np.float64]:
+    """world_from_camera (4, 4). Raises :class:`InputError`."""
     length = float(np.linalg.norm(quaternion))
     if not (np.isfinite(length) and length > 1e-6 and np.isfinite(translation).all()):
         raise input_error(where, name, f"quaternion {quaternion.tolist()}", "a rotation", _REMEDY)
@@ -90,8 +111,7 @@ def _posed(name: str, lens: _Lens, quaternion: NDArray, translation: NDArray, wh
     matrix = np.eye(4)
     matrix[:3, :3] = rotation.T
     matrix[:3, 3] = -rotation.T @ translation
-    (fx, fy, cx, cy), distortion = lens_intrinsics(lens.model, lens.parameters, where)
-    return PosedImage(name, Camera(lens.width, lens.height, fx, fy, cx, cy, matrix), distortion)
+    return matrix
 
 
 def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
@@ -106,21 +126,19 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
     )
 
 
-def lens_intrinsics(
-    model: str, p: tuple[float, ...], where: Path
-) -> tuple[tuple[float, float, float, float], Distortion | None]:
+def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
     """(fx, fy, cx, cy) and the distortion of one of COLMAP's models. Raises for models without OpenCV's
-    form."""
+    form, naming ``field`` of the file."""
+    if model not in _SUPPORTED:
+        raise input_error(where, f"{field} model", model, _UNSUPPORTED, _UNDISTORT)
     num_focal = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
     focal = (p[0], p[0]) if num_focal == 1 else (p[0], p[1])
     center, k = p[num_focal : num_focal + 2], p[num_focal + 2 :]
-    if model in ("FOV", "THIN_PRISM_FISHEYE"):
-        raise input_error(where, "camera model", model, _UNSUPPORTED, "calibrate with one of these")
     if model in ("SIMPLE_RADIAL", "RADIAL"):
         k = (k[0], k[1] if len(k) > 1 else 0.0, 0.0, 0.0)
     kind = "fisheye" if "FISHEYE" in model else "brown"
     if not (min(focal) > 0 and np.isfinite([*focal, *center, *k]).all()):
-        raise input_error(where, "camera parameters", p, "finite values, focal lengths above 0", _REMEDY)
+        raise input_error(where, f"{field} parameters", p, "finite values, focal lengths above 0", _REMEDY)
     distortion = Distortion(model=kind, coefficients=k) if any(k) else None  # type: ignore[arg-type]
     return (focal[0], focal[1], center[0], center[1]), distortion
 
@@ -146,8 +164,8 @@ def _read_text_cameras(path: Path) -> dict[int, _Lens]:
             lens_id = int(words[0])
         except (ValueError, IndexError):
             raise input_error(path, "line", line[:80], "ID MODEL WIDTH HEIGHT PARAMETERS", _REMEDY) from None
-        if counts.get(lens.model) != len(parameters) or min(lens.width, lens.height) <= 0:
-            expected = "a known model with its parameters and a size"
+        if counts.get(lens.model, len(parameters)) != len(parameters) or min(lens.width, lens.height) <= 0:
+            expected = "the parameters of its model and a size"
             raise input_error(path, f"camera {words[0]}", line[:80], expected, _REMEDY)
         lenses[lens_id] = lens
     return lenses
@@ -216,7 +234,7 @@ def _read_binary_cameras(path: Path) -> dict[int, _Lens]:
     for _ in range(cursor.take("Q")[0]):
         lens_id, model, width, height = cursor.take("iiQQ")
         if not 0 <= model < len(MODELS):
-            raise input_error(path, f"camera {lens_id}", f"model {model}", _UNSUPPORTED, _REMEDY)
+            raise input_error(path, f"camera {lens_id} model", model, _UNSUPPORTED, _UNDISTORT)
         name, count = MODELS[model]
         lenses[lens_id] = _Lens(name, width, height, cursor.take(f"{count}d"))
     return lenses

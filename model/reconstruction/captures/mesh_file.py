@@ -14,6 +14,10 @@ from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded,
 from datagen.foundation.meshes.ply import read_ply
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
+_OTHER_SUFFIXES = (
+    ".3ds", ".abc", ".blend", ".dae", ".fbx", ".off", ".stl", ".usd", ".usda", ".usdc", ".usdz", ".x3d",
+)  # fmt: skip
+_CONVERT = f"convert it to {', '.join(MESH_SUFFIXES[:3])}, as Blender and MeshLab do"
 
 
 def find_mesh(path: Path) -> Path:
@@ -25,6 +29,10 @@ def find_mesh(path: Path) -> Path:
     )
     if len(found) != 1:
         got = ", ".join(f.name for f in found) or "no mesh beside the cameras"
+        others = [f for f in sorted(folder.glob("*")) if f.suffix.lower() in _OTHER_SUFFIXES]
+        if others and not found:
+            got = f"{others[0].name}, of a form that is not read"
+            raise input_error(path, "mesh", got, f"a mesh ({', '.join(MESH_SUFFIXES)})", _CONVERT)
         raise input_error(path, "mesh", got, "one mesh in the cameras' frame", "name it with --mesh")
     return inside(folder, found[0]).resolve()
 
@@ -57,8 +65,9 @@ def load_mesh(path: Path) -> Mesh:
     """A mesh file in its own frame. Raises :class:`InputError`."""
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES or not path.is_file():
-        got = suffix if path.is_file() else "no such file"
-        raise input_error(path, "", got, f"a mesh ({', '.join(MESH_SUFFIXES)})", "name it with --mesh")
+        got = (suffix or "no suffix") if path.is_file() else "no such file"
+        remedy = _CONVERT if path.is_file() else "name it with --mesh"
+        raise input_error(path, "", got, f"a mesh ({', '.join(MESH_SUFFIXES)})", remedy)
     if suffix == ".ply":
         return read_ply(path)
     if suffix == ".obj":

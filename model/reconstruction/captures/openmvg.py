@@ -9,10 +9,12 @@ A pose is camera_from_world ``rotation`` (rows) and ``center``; cameras look alo
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
 from datagen.foundation.cameras import Camera
@@ -50,14 +52,22 @@ def read(path: Path, images: Path | None) -> Calibration:
     found: list[PosedImage] = []
     problems: list[Problem] = []
     unposed = 0
+    lenses: dict[Any, _Lens | None] = {}
     for view in views:
         name = str(Path(str(view.get("local_path", ""))) / str(view.get("filename", "")))
         try:
-            if view.get("id_pose") not in poses or view.get("id_intrinsic") not in intrinsics:
+            key = view.get("id_intrinsic")
+            if view.get("id_pose") not in poses or key not in intrinsics:
                 unposed += 1
                 continue
-            lens = intrinsics[view["id_intrinsic"]]
-            found.append(_posed(name, lens, poses[view["id_pose"]], path))
+            pose = _pose(name, poses[view["id_pose"]], path)
+            if key not in lenses:  # a fault of it is told once, not once a view
+                lenses[key] = None
+                lenses[key] = _lens(intrinsics[key], path, f"intrinsics {key}")
+            lens = lenses[key]
+            if lens is not None:
+                camera = replace(lens.camera, world_from_camera=pose)
+                found.append(PosedImage(name, camera, lens.distortion))
         except InputError as error:
             problems.extend(error.problems)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
@@ -84,28 +94,40 @@ def _payload(entry: dict[str, Any]) -> dict[str, Any]:
     return payload
 
 
-def _posed(name: str, lens: dict[str, Any], pose: dict[str, Any], path: Path) -> PosedImage:
+@dataclass(frozen=True)
+class _Lens:
+    """An intrinsic: a camera at the origin, and its distortion."""
+
+    camera: Camera
+    distortion: Distortion | None
+
+
+def _lens(lens: dict[str, Any], path: Path, field: str) -> _Lens:
     base = lens.get("value0", lens)  # some classes keep the pinhole's part in an object of its own
     width, height, focal = int(base["width"]), int(base["height"]), float(base["focal_length"])
     cx, cy = (float(v) for v in base["principal_point"])
     if not (focal > 0 and min(width, height) > 0 and np.isfinite([focal, cx, cy]).all()):
-        raise input_error(path, f"{name} lens", (width, height, focal), "positive values", EXPORT_AGAIN)
+        raise input_error(path, field, (width, height, focal), "positive values", EXPORT_AGAIN)
+    return _Lens(Camera(width, height, focal, focal, cx, cy, np.eye(4)), _distortion(lens, path, field))
+
+
+def _pose(name: str, pose: dict[str, Any], path: Path) -> NDArray[np.float64]:
+    """world_from_camera (4, 4). Raises :class:`InputError`."""
     camera_from_world = rotation_part(pose["rotation"], path, f"{name}.rotation")
     center = np.array([float(v) for v in pose["center"]])
     if center.shape != (3,) or not np.isfinite(center).all():
         raise input_error(path, f"{name}.center", center, "three numbers", EXPORT_AGAIN)
-    camera = Camera(width, height, focal, focal, cx, cy, pose_of(camera_from_world.T, center))
-    return PosedImage(name, camera, _distortion(lens, path, name))
+    return pose_of(camera_from_world.T, center)
 
 
-def _distortion(lens: dict[str, Any], path: Path, name: str) -> Distortion | None:
+def _distortion(lens: dict[str, Any], path: Path, field: str) -> Distortion | None:
     known = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
     for key, count in known.items():
         if key not in lens:
             continue
         k = tuple(float(v) for v in lens[key])
         if len(k) != count or not np.isfinite(k).all():
-            raise input_error(path, f"{name} {key}", lens[key], f"{count} numbers", EXPORT_AGAIN)
+            raise input_error(path, f"{field} {key}", lens[key], f"{count} numbers", EXPORT_AGAIN)
         if key == "fisheye":
             return Distortion(model="fisheye", coefficients=k)
         k1, k2, k3, t1, t2 = (*k, 0.0, 0.0, 0.0, 0.0)[:5]

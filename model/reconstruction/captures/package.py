@@ -18,6 +18,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
 from model.reconstruction.captures.exposures import exposure_scales
+from model.reconstruction.captures.photograph_files import unread_problems
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import ImageFinder
 from model.reconstruction.captures.rendered import package_geometry
@@ -60,6 +61,9 @@ def read_package(path: Path, images: Path | None, encoding: Encoding, has_exposu
         name = unique(slug(item.name), names)
         names.add(name)
         found.append((name, item.camera(), image))
+    others = finder.unread(missing)
+    if others:
+        raise InputError(*unread_problems(path, list(others.values())))
     if not found:
         expected = f"images in {folder} named after the cameras, such as {asset.cameras[0].name}.jpg"
         raise InputError(Problem(path, "photographs", "none", expected, "name their folder with --images"))

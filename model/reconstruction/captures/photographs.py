@@ -17,11 +17,11 @@ from datagen.formats.capture import ColorImage, Distortion, Encoding
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.errors import input_error
-from datagen.foundation.images import normalized, read_image, read_ldr
+from datagen.foundation.images import normalized
+from model.reconstruction.captures.photograph_files import pillow_formats, read_photograph
 
 PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.99  # of the sensor's limit; above, a pixel may have been any brighter
-_EXIF_FORMATS = ("PNG", "JPEG", "TIFF")
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
@@ -50,12 +50,6 @@ class PhotographSource:
         return {}
 
 
-def read_photograph(path: Path) -> NDArray:
-    """Pixels (H, W, C) as stored, orientation not applied. PNG, JPEG, EXR by ``foundation.images``, TIFF
-    besides."""
-    return read_ldr(path, ("TIFF",)) if path.suffix.lower() in (".tif", ".tiff") else read_image(path)
-
-
 def exif_orientation(path: Path) -> int:
     """EXIF orientation 1 ... 8; 1 where the file has none."""
     if path.suffix.lower() == ".exr":
@@ -63,7 +57,7 @@ def exif_orientation(path: Path) -> int:
     from PIL import Image
 
     try:
-        with Image.open(path, formats=_EXIF_FORMATS) as image:
+        with Image.open(path, formats=pillow_formats(path)) as image:
             value = int(image.getexif().get(_EXIF_ORIENTATION, 1))
     except Exception as error:  # Pillow raises whatever its parsers meet
         raise input_error(path, "EXIF", str(error)[:200], "a readable image", "export it again") from None
@@ -75,7 +69,7 @@ def relative_exposure(path: Path) -> float | None:
     from PIL import Image
 
     try:
-        with Image.open(path, formats=_EXIF_FORMATS) as image:
+        with Image.open(path, formats=pillow_formats(path)) as image:
             tags = image.getexif().get_ifd(_EXIF_IFD)
             values = [tags.get(tag) for tag in (_EXPOSURE_TIME, _F_NUMBER, _ISO)]
             values = [value[0] if isinstance(value, tuple) else value for value in values]

@@ -8,6 +8,7 @@ forward; pixel centres at +0.5; OpenCV's order of the coefficients.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.errors import InputError, Problem, input_error
+from model.reconstruction.captures.photograph_files import (
+    KNOWN_SUFFIXES,
+    PHOTOGRAPH_SUFFIXES,
+    can_read,
+    unread_problems,
+)
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
 EXPORT_AGAIN = "export it again"
+UNSIZED = "name its folder with --images: the file does not say how large it is"
 _RIGID_TOLERANCE = 1e-3  # files round their numbers
 _MAX_SKEW_PX = 0.25  # at the image's border; more would have to be undone, and no lens has it
 
@@ -43,6 +50,11 @@ class Calibration:
     notes: tuple[str, ...] = ()
 
 
+class ImageMissing(Exception):
+    """A calibration's image that is not found: its reader goes on, and tells of all of them by
+    :meth:`ImageFinder.absent`."""
+
+
 class ImageFinder:
     """Finds images by the names that calibrations give them, which may be absolute paths of another computer,
     lack their suffix or differ in case. What lies outside the folder, or is a link that leads there, is not
@@ -59,13 +71,37 @@ class ImageFinder:
         if not name.isprintable():  # a zero byte is no part of a path
             return None
         direct = self.folder / name  # an absolute name stays itself
-        suffixes = ("", *IMAGE_SUFFIXES) if direct.suffix.lower() in IMAGE_SUFFIXES else IMAGE_SUFFIXES
+        suffixes: tuple[str, ...] = PHOTOGRAPH_SUFFIXES
+        if direct.suffix.lower() in suffixes:
+            suffixes = ("", *suffixes)
         for suffix in suffixes:
             image = self._admitted(Path(f"{direct}{suffix}"))
-            if image is not None:
+            if image is not None and can_read(image):
                 return image
-        found = self._index().get(Path(name).name.lower(), [])
+        found = [image for image in self._named(name) if can_read(image)]
         return found[0] if len(found) == 1 else None
+
+    def require(self, name: str) -> Path:
+        """The image's path. Raises :class:`ImageMissing` with its name."""
+        image = self.find(name)
+        if image is None:
+            raise ImageMissing(name)
+        return image
+
+    def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
+        """What to say of images that were not found: those that are there in a form that is not read, once a
+        form; the others, each."""
+        others = self.unread(names)
+        expected = f"this image, once, in {self.folder}"
+        return unread_problems(where, list(others.values())) + [
+            Problem(where, name, "not found", expected, remedy) for name in names if name not in others
+        ]
+
+    def unread(self, names: Sequence[str]) -> dict[str, Path]:
+        """Those of the images that are there in a form that is not read."""
+        named = {name: self._named(name.replace("\\", "/")) for name in names}
+        others = {name: [f for f in files if not can_read(f)] for name, files in named.items()}
+        return {name: files[0] for name, files in others.items() if files}
 
     def _admitted(self, path: Path) -> Path | None:
         """The file behind ``path`` if it is one, and in the folder."""
@@ -75,13 +111,17 @@ class ImageFinder:
         except (OSError, RuntimeError):
             return None  # a name that is too long, or links in a circle
 
+    def _named(self, name: str) -> list[Path]:
+        """Images of that name below the folder, of any form that is known."""
+        return self._index().get(Path(name).name.lower(), []) if name.isprintable() else []
+
     def _index(self) -> dict[str, list[Path]]:
         """Images below the folder by name, with and without suffix, in lower case."""
         if self._by_name is None:
             self._by_name = {}
             paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
             for path in paths:
-                image = self._admitted(path) if path.suffix.lower() in IMAGE_SUFFIXES else None
+                image = self._admitted(path) if path.suffix.lower() in KNOWN_SUFFIXES else None
                 if image is not None:
                     for key in {path.name.lower(), path.stem.lower()}:
                         self._by_name.setdefault(key, []).append(image)

@@ -199,11 +199,11 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
     finder = ImageFinder(calibration.folder)
     names: set[str] = set()
     photographs, problems = [], []
+    missing: list[str] = []
     for image in calibration.images:
         file = finder.find(image.file)
         if file is None:
-            expected = f"this image, once, in {calibration.folder}"
-            problems.append(Problem(path, image.file, "not found", expected, "name its folder with --images"))
+            missing.append(image.file)
             continue
         root = calibration.folder.resolve()
         below = file.relative_to(root) if file.is_relative_to(root) else Path(file.name)
@@ -215,6 +215,7 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
             problems += problems_of(f"{found}: {image.file}", error)
             continue
         photographs.append(PhotographRecord(camera=camera, image=str(file), distortion=image.distortion))
+    problems += finder.absent(path, missing, "name its folder with --images")
     if problems:
         raise InputError(*problems)
     matrix = world_from_source(up if options.mesh_up == "same" else options.mesh_up, unit_m)

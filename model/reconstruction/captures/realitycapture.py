@@ -24,11 +24,13 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Distortion
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
-from datagen.foundation.images import image_size
+from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
+    UNSIZED,
     Calibration,
     ImageFinder,
+    ImageMissing,
     PosedImage,
     check_skew,
     head_of,
@@ -81,14 +83,18 @@ def read_csv(path: Path, images: Path | None) -> Calibration:
     finder = ImageFinder(folder)
     found: list[PosedImage] = []
     problems: list[Problem] = []
+    missing: list[str] = []
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     for number, row in enumerate(csv.reader(lines), start=1):
         if [word.strip().lower() for word in row] == names:
             continue
         try:
             found.append(_from_row(dict(zip(names, row, strict=False)), path, f"row {number}", finder))
+        except ImageMissing as error:
+            missing.append(str(error))
         except InputError as error:
             problems.extend(error.problems)
+    problems += finder.absent(path, missing, UNSIZED)
     if not found and not problems:
         problems.append(Problem(path, "", "no cameras", "a row a camera", EXPORT_AGAIN))
     if problems:
@@ -104,7 +110,7 @@ def _from_row(row: Mapping[str, str], path: Path, field: str, finder: ImageFinde
             values[key] = float(numbers(row.get(key), 1, path, f"{field} ({name}) {key}")[0])
     x, y, z = values["x"], values["y"], values["alt"]
     rotation = rotation_of_angles(values["heading"], values["pitch"], values["roll"])
-    size = _size_of(name, finder, path)
+    size = photograph_size(finder.require(name))
     k = tuple(values.get(n, 0.0) for n in ("k1", "k2", "k3", "k4"))
     distortion = _brown(k, (values.get("t1", 0.0), values.get("t2", 0.0)))
     principal = (values.get("px", 0.0), values.get("py", 0.0))
@@ -123,14 +129,6 @@ def rotation_of_angles(heading: float, pitch: float, roll: float) -> NDArray[np.
 
 def _brown(k: tuple[float, ...], t: tuple[float, float]) -> Distortion | None:
     return polynomial((k[0], k[1], k[2], k[3]), (t[1], t[0]))
-
-
-def _size_of(name: str, finder: ImageFinder, where: Path) -> tuple[int, int]:
-    image = finder.find(name)
-    if image is None:
-        remedy = "name its folder with --images: the file does not say how large it is"
-        raise input_error(where, name, "not found", f"this image in {finder.folder}", remedy)
-    return image_size(image)
 
 
 def _camera(
@@ -156,16 +154,21 @@ def read_xmp(folder: Path, images: Path | None) -> Calibration:
     finder = ImageFinder(images)
     found: list[PosedImage] = []
     problems: list[Problem] = []
+    missing: list[str] = []
     unposed = 0
     for path in sorted(folder.glob("*.xmp")):
         try:
             posed = _from_sidecar(path, finder)
+        except ImageMissing as error:
+            missing.append(str(error))
+            continue
         except InputError as error:
             problems.extend(error.problems)
             continue
         unposed += posed is None
         if posed is not None:
             found.append(posed)
+    problems += finder.absent(folder, missing, UNSIZED)
     if not found and not problems:
         expected = "XMP files with Rotation and Position"
         problems.append(Problem(folder, "", "no poses", expected, "export them after the alignment"))
@@ -191,7 +194,7 @@ def _from_sidecar(path: Path, finder: ImageFinder) -> PosedImage | None:
     def scalar(name: str, default: str | None = None) -> float:
         return float(numbers(values.get(name, default), 1, path, name)[0])
 
-    size = _size_of(path.stem, finder, path)
+    size = photograph_size(finder.require(path.stem))
     principal = (scalar("PrincipalPointU", "0"), scalar("PrincipalPointV", "0"))
     focal_mm, aspect = scalar("FocalLength35mm"), scalar("AspectRatio", "1")
     camera = _camera(size, focal_mm, aspect, principal, pose, path, path.stem)

@@ -18,10 +18,11 @@ import numpy as np
 from datagen.formats.capture import Distortion
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
-from datagen.foundation.images import image_size
+from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     Calibration,
     ImageFinder,
+    ImageMissing,
     PosedImage,
     pose_of,
     read_text,
@@ -62,13 +63,18 @@ def read_transforms(path: Path, folder: Path | None = None) -> list[PosedImage]:
         raise input_error(path, "frames", frames, "a list of at least one frame", "export it again")
     found: list[PosedImage] = []
     problems: list[Problem] = []
+    missing: list[str] = []
     for index, frame in enumerate(frames):
         try:
             found.append(_posed({**data, **frame}, path, f"frames[{index}]", finders))
+        except ImageMissing as error:
+            missing.append(str(error))
         except InputError as error:
             problems.extend(error.problems)
         except (TypeError, ValueError, OverflowError) as error:
             problems.append(Problem(path, f"frames[{index}]", str(error), "numbers", "export it again"))
+    remedy = "put the images beside the file, or name their folder with --images"
+    problems += finders[-1].absent(path, missing, remedy)
     if problems:
         raise InputError(*problems)
     return found
@@ -93,15 +99,14 @@ def _image_path(values: dict[str, Any], path: Path, field: str, finders: Sequenc
         image = finder.find(name)
         if image is not None:
             return image
-    remedy = "put the images beside the file, or name their folder with --images"
-    raise input_error(path, f"{field}.file_path", name[:200], "an image in the capture's folder", remedy)
+    raise ImageMissing(name[:200])
 
 
 def _camera(values: dict[str, Any], image: Path, path: Path, field: str, pose: np.ndarray) -> Camera:
     if "w" in values and "h" in values:
         width, height = int(values["w"]), int(values["h"])
     else:
-        width, height = image_size(image)
+        width, height = photograph_size(image)
     if "fl_x" in values or "fl_y" in values:
         fx = float(values["fl_x" if "fl_x" in values else "fl_y"])
         fy = float(values.get("fl_y", fx))

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: MIT
+"""Photographs as files: which forms are read, with what, and what to say of the others.
+
+PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size was checked, EXR by OpenEXR, HEIC by libheif
+(``pillow-heif``, the extra ``heic``). libheif turns a photograph as its properties say; EXIF, which repeats
+them, is not applied again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.exr import check_claim
+from datagen.foundation.images import MAX_IMAGE_SIDE_PX, image_size, read_image, read_ldr
+
+HEIC_SUFFIXES = (".heic", ".heif", ".hif")
+PHOTOGRAPH_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
+_RAW_SUFFIXES = (
+    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf",
+    ".raw", ".rw2", ".sr2", ".srw", ".x3f",
+)  # fmt: skip
+KNOWN_SUFFIXES = (
+    *PHOTOGRAPH_SUFFIXES, *_RAW_SUFFIXES, ".avif", ".bmp", ".gif", ".jp2", ".jpe", ".jfif", ".jxl", ".ppm",
+    ".psd", ".tga",
+)  # fmt: skip
+"""Of files that are taken for photographs, whether they can be read or not."""
+_READ = "PNG, JPEG, TIFF, WEBP, HEIC or EXR"
+_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP")
+_OPENCV_FORMATS = {".tif": ("TIFF",), ".tiff": ("TIFF",), ".webp": ("WEBP",)}
+
+
+def can_read(path: Path) -> bool:
+    """Whether photographs of that suffix are read here; of HEIC, whether its reader is installed."""
+    suffix = path.suffix.lower()
+    return suffix in PHOTOGRAPH_SUFFIXES and (
+        suffix not in HEIC_SUFFIXES or find_spec("pillow_heif") is not None
+    )
+
+
+def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
+    """What to say of photographs that cannot be read: a problem for each form, however many they are."""
+    problems = []
+    for suffix in sorted({file.suffix.lower() for file in files}):
+        names = [file.name for file in files if file.suffix.lower() == suffix]
+        field = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        kind = suffix.removeprefix(".").upper() or "no suffix"
+        if suffix in HEIC_SUFFIXES:
+            expected = "the package pillow-heif, which reads HEIC"
+            remedy = "pip install 'scene-materials[heic]', or convert them to PNG or JPEG"
+        elif suffix in _RAW_SUFFIXES:
+            kind, expected = f"{kind}, a raw photograph", _READ
+            remedy = "develop all of them alike, without curves, to TIFF or PNG"
+        else:
+            expected, remedy = _READ, "convert them to PNG"
+        problems.append(Problem(where, field, kind, expected, remedy))
+    return problems
+
+
+def read_photograph(path: Path) -> NDArray:
+    """Pixels (H, W, C) as stored, in the file's orientation except for HEIC. Raises :class:`InputError`."""
+    _check(path)
+    suffix = path.suffix.lower()
+    if suffix in HEIC_SUFFIXES:
+        return _read_heic(path)
+    return read_ldr(path, _OPENCV_FORMATS[suffix]) if suffix in _OPENCV_FORMATS else read_image(path)
+
+
+def photograph_size(path: Path) -> tuple[int, int]:
+    """(width, height) as stored, HEIC upright. Raises :class:`InputError`."""
+    _check(path)
+    return image_size(path, pillow_formats(path))
+
+
+def pillow_formats(path: Path) -> tuple[str, ...]:
+    """The formats that Pillow may find in a photograph of that name; registers HEIC's reader."""
+    if path.suffix.lower() not in HEIC_SUFFIXES or not can_read(path):
+        return _FORMATS
+    from pillow_heif import register_heif_opener
+
+    register_heif_opener()
+    return ("HEIF",)
+
+
+def _check(path: Path) -> None:
+    if not can_read(path) and path.exists():
+        raise InputError(*unread_problems(path.parent, [path]))
+
+
+def _read_heic(path: Path) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8, upright."""
+    from PIL import Image
+
+    width, height = photograph_size(path)
+    if max(width, height) > MAX_IMAGE_SIDE_PX:
+        got, expected = f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} a side"
+        raise input_error(path, "size", got, expected, "shrink it")
+    check_claim((width, height), 4, path.stat().st_size, path)
+    try:
+        with Image.open(path, formats=pillow_formats(path)) as image:
+            return np.asarray(image.convert("RGB"))
+    except Exception as error:  # libheif raises whatever it meets
+        got = f"corrupt data ({str(error)[:200]})"
+        raise input_error(path, "", got, "a readable HEIC", "replace the file") from None

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: MIT
+"""Photographs of every form: read, or refused by what they are and with what to do, once a form."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from datagen.foundation.errors import InputError
+from model.reconstruction.captures import photograph_files, read_capture
+from model.reconstruction.captures.photograph_files import photograph_size, read_photograph
+from model.reconstruction.captures.photographs import PhotographSource, exif_orientation, relative_exposure
+from model.reconstruction.captures.posed import ImageFinder
+from tests.model.test_reconstruction_captures import make_cameras, write_colmap, write_mesh
+
+SIZE = (64, 40)
+HAS_HEIC = importlib.util.find_spec("pillow_heif") is not None
+
+
+def picture() -> Image.Image:
+    """Smooth colours, which lossy forms keep, brighter to the right and greener downwards."""
+    x, y = np.meshgrid(np.linspace(40, 220, SIZE[0]), np.linspace(30, 200, SIZE[1]))
+    return Image.fromarray(np.stack([x, y, 0.5 * x], axis=-1).astype(np.uint8))
+
+
+def write_heic(path: Path, orientation: int = 1) -> Path:
+    from pillow_heif import register_heif_opener
+
+    register_heif_opener()
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    ifd = exif.get_ifd(0x8769)
+    ifd.update({0x829A: 0.01, 0x829D: 2.0, 0x8827: 100})
+    picture().save(path, format="HEIF", quality=95, exif=exif)
+    return path
+
+
+@pytest.fixture
+def without_heic(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = photograph_files.find_spec
+    monkeypatch.setattr(
+        photograph_files, "find_spec", lambda name: None if name == "pillow_heif" else found(name)
+    )
+
+
+def colmap_of(folder: Path, suffix: str, num: int = 3) -> Path:
+    """A model of ``num`` photographs whose names end in ``suffix``; the photographs are for the caller."""
+    write_colmap(folder / "sparse", make_cameras(num), "text", "PINHOLE", [55, 57, 32, 20])
+    images = folder / "sparse" / "images.txt"
+    images.write_text(images.read_text().replace(".png", suffix))
+    (folder / "images").mkdir()
+    write_mesh(folder)
+    return folder
+
+
+@pytest.mark.skipif(not HAS_HEIC, reason="needs pillow-heif")
+def test_heic_is_read(tmp_path: Path) -> None:
+    expected = np.asarray(picture()).astype(float)
+    pixels = read_photograph(write_heic(tmp_path / "a.HEIC"))
+    assert pixels.dtype == np.uint8 and photograph_size(tmp_path / "a.HEIC") == SIZE
+    assert np.abs(pixels - expected).mean() < 4
+    assert exif_orientation(tmp_path / "a.HEIC") == 1
+    assert relative_exposure(tmp_path / "a.HEIC") == pytest.approx(0.01 * 100 / 4)
+    turned = write_heic(tmp_path / "b.heic", orientation=6)
+    assert exif_orientation(turned) == 1, "HEIC is turned by its own property, which EXIF only repeats"
+    assert photograph_size(turned) == read_photograph(turned).shape[1::-1] == SIZE
+    damaged = tmp_path / "c.heic"
+    damaged.write_bytes(turned.read_bytes()[:400])
+    with pytest.raises(InputError, match=r"c\.heic"):
+        read_photograph(damaged)
+
+
+@pytest.mark.skipif(not HAS_HEIC, reason="needs pillow-heif")
+def test_a_capture_of_heic_photographs(tmp_path: Path) -> None:
+    folder = colmap_of(tmp_path / "room", ".HEIC")
+    for k in range(3):
+        write_heic(folder / "images" / f"img{k}.HEIC")
+    capture = read_capture(folder)
+    assert [view.name for view in capture.views] == ["img0", "img1", "img2"]
+    assert capture.views[0].read().color.shape == (*SIZE[::-1], 3)
+
+
+def test_webp_is_read(tmp_path: Path) -> None:
+    picture().save(tmp_path / "a.webp", lossless=True)
+    np.testing.assert_array_equal(read_photograph(tmp_path / "a.webp"), np.asarray(picture()))
+    assert photograph_size(tmp_path / "a.webp") == SIZE
+    assert ImageFinder(tmp_path).find("a") == (tmp_path / "a.webp").resolve()
+    camera = make_cameras(1)[0]
+    assert PhotographSource(tmp_path / "a.webp", camera, None, "auto").read(camera).color.shape[2] == 3
+
+
+def test_heic_without_its_reader_names_what_to_install(tmp_path: Path, without_heic: None) -> None:
+    """It had been "not found", once a photograph."""
+    folder = colmap_of(tmp_path / "room", ".HEIC")
+    for k in range(3):
+        (folder / "images" / f"img{k}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
+    with pytest.raises(InputError) as caught:
+        read_capture(folder)
+    assert len(caught.value.problems) == 1
+    text = str(caught.value)
+    assert "img0.HEIC and 2 more = HEIC" in text and "pip install 'scene-materials[heic]'" in text
+    with pytest.raises(InputError, match="pip install 'scene-materials"):
+        read_photograph(folder / "images" / "img0.HEIC")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "expected"), [(".CR2", "CR2, a raw photograph.*develop"), (".bmp", "BMP.*convert them to PNG")]
+)
+def test_photographs_of_other_forms_are_there_but_not_read(
+    tmp_path: Path, suffix: str, expected: str
+) -> None:
+    folder = colmap_of(tmp_path / "room", suffix)
+    for k in range(2):
+        (folder / "images" / f"img{k}{suffix}").write_bytes(b"anything")
+    with pytest.raises(InputError) as caught:
+        read_capture(folder)
+    unread, missing = caught.value.problems
+    assert unread.field == f"img0{suffix} and 1 more"
+    assert missing.field == f"img2{suffix}" and missing.got == "not found"
+    with pytest.raises(InputError, match=expected):
+        read_photograph(folder / "images" / f"img0{suffix}")
+
+
+def test_every_reader_tells_of_forms_that_are_not_read(tmp_path: Path, without_heic: None) -> None:
+    """transforms.json and Bundler here; RealityCapture takes the same way."""
+    (tmp_path / "a.heic").write_bytes(b"anything")
+    write_mesh(tmp_path)
+    frames = [{"file_path": "a.heic", "transform_matrix": np.eye(4).tolist()}]
+    transforms = tmp_path / "transforms.json"
+    transforms.write_text(json.dumps({"fl_x": 50, "frames": frames}))
+    with pytest.raises(InputError, match=r"transforms\.json: a\.heic = HEIC; .*pillow-heif"):
+        read_capture(tmp_path)
+    transforms.unlink()
+    (tmp_path / "bundle.out").write_text("# Bundle file v0.3\n1 0\n50 0 0\n1 0 0\n0 1 0\n0 0 1\n0 0 0\n")
+    (tmp_path / "list.txt").write_text("a.heic\n")
+    with pytest.raises(InputError, match=r"bundle\.out: a\.heic = HEIC; .*pillow-heif"):
+        read_capture(tmp_path)
+    (tmp_path / "bundle.out").unlink()
+    header = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"
+    (tmp_path / "cameras.csv").write_text(f"{header}\na.heic{',1' * 15}\n")
+    with pytest.raises(InputError, match=r"cameras\.csv: a\.heic = HEIC; .*pillow-heif"):
+        read_capture(tmp_path)
+
+
+def test_a_raw_beside_its_jpeg_is_no_second_photograph(tmp_path: Path) -> None:
+    picture().save(tmp_path / "a.jpg")
+    (tmp_path / "a.cr2").write_bytes(b"anything")
+    assert ImageFinder(tmp_path).find("somewhere/a") == (tmp_path / "a.jpg").resolve()
+
+
+def test_a_mesh_of_another_form_is_named(tmp_path: Path) -> None:
+    """It had been "no mesh beside the cameras"."""
+    folder = colmap_of(tmp_path / "room", ".webp", 1)
+    picture().save(folder / "images" / "img0.webp", lossless=True)
+    (folder / "room.ply").rename(folder / "room.fbx")
+    with pytest.raises(InputError, match=r"room\.fbx, of a form that is not read; .*\.obj.*convert it"):
+        read_capture(folder)
