@@ -16,7 +16,7 @@ from .bake.textures import UNIT_WINDOW, BakedMaterial, MaterialBaker, Window, pa
 from .bake.unwrap import bake_layout
 from .gather.instances import Instance
 from .gather.mesh import MeshArrays, Submesh, submesh
-from .gather.tags import material_classes, replaceable_by, slug
+from .gather.tags import material_classes, replaceable_by, slug, surfaces
 from .package import box_uv, material_entry, mesh_file, uv_density
 from .reading import Contents, Reader
 from .write import PackageWriter, exr_bytes
@@ -248,6 +248,8 @@ class _Assembly:
         origin = material.get("sm_baked_from") or (name if slot_name != name else None)
         if origin is not None:
             entry["baked_from"] = str(origin)
+        for surface in surfaces(material, "sm_surface", job.problems)[:1]:
+            entry["surface"] = surface
         if material.get("sm_tile_size_m") is not None and baked.uv is None and baked.window == UNIT_WINDOW:
             entry["tile_size_m"] = float(material["sm_tile_size_m"])
         self.materials[slot_name] = entry

@@ -36,7 +36,7 @@ def make_material(name: str, entry: dict[str, Any], folder: Path, pack: bool) ->
     for key, tag in (("classes", "sm_class"), ("replaceable_by", "sm_replaceable_by")):
         if entry.get(key):
             material[tag] = ", ".join(entry[key])
-    for key in ("tile_size_m", "baked_from"):
+    for key in ("tile_size_m", "baked_from", "surface"):
         if entry.get(key):
             material[f"sm_{key}"] = entry[key]
     build = _Nodes(material.node_tree, folder, pack)

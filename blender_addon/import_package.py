@@ -112,6 +112,8 @@ def _tag(block: bpy.types.ID, data: dict[str, Any]) -> None:
     for key in ("license", "author", "source", "usage"):
         if data["provenance"].get(key):
             block[f"sm_{key}"] = data["provenance"][key]
+    if data.get("surfaces"):
+        block["sm_surfaces"] = ", ".join(data["surfaces"])
     if data["kind"] != "object":
         return
     block["sm_category"] = data["category"]

@@ -26,6 +26,7 @@ from .gather.tags import (
     replaceable_by,
     role_of,
     slug,
+    surfaces,
     words,
 )
 from .gather.world import gather_world
@@ -103,6 +104,9 @@ class Reader:
         contents.extra["provenance"] = provenance(target.tagged, fallback, self.problems)
         if target.kind == "material":
             self.plan(target.tagged.name)
+            found = surfaces(bpy.data.materials[target.tagged.name], "sm_surfaces", self.problems)
+            if found:
+                contents.extra["surfaces"] = list(found)
             return contents
 
         def keep(key: int, mesh: bpy.types.Mesh, materials: tuple[str | None, ...]) -> None:

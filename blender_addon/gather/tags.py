@@ -18,6 +18,11 @@ MATERIAL_CLASSES = (
     "wood", "metal", "plastic", "rubber", "leather", "fabric", "ceramic", "stone", "paper", "glazed",
     "painted", "plaster", "glass", "organic", "other",
 )  # fmt: skip
+SURFACES = (
+    "ceiling", "wall", "tiles", "floor", "rug", "joinery", "radiator", "furniture", "tabletop", "worktop",
+    "legs", "upholstery", "curtain", "towel", "shade", "appliance", "sanitary", "fitting", "frame", "cover",
+    "vessel", "utensil", "gadget", "small",
+)  # fmt: skip
 SUPPORT_KINDS = ("floor", "table", "shelf", "seat", "bed", "sill", "counter")
 USAGES = ("any", "evaluation_only")
 
@@ -77,6 +82,11 @@ def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple
         problems,
         material=material.name,
     )
+
+
+def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> tuple[str, ...]:
+    """``sm_surface`` or ``sm_surfaces`` of a material: what wears it in a room."""
+    return check_words(words(material.get(tag)), SURFACES, tag, problems, material=material.name)
 
 
 def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemList) -> dict[str, str]:

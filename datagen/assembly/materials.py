@@ -169,10 +169,11 @@ def _held(moved: float, start: float, low: float, high: float) -> float:
 def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
     """Whether a material may go on a slot: right class, opaque, not luminous, tileable where textured."""
     is_right = material.material.classes[0] in asset.materials[slot].replaceable_by
-    return is_right and _can_be_worn(material, slot, asset)
+    return is_right and can_be_worn(material, slot, asset)
 
 
-def _can_be_worn(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
+def can_be_worn(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
+    """Whether a slot's geometry can show a material: opaque, not luminous, tileable if textured."""
     own = material.material
     if own.emission is not None or own.opacity is not None:
         return False
@@ -228,7 +229,7 @@ def assign_materials(
         if any(material.emission is not None for material in own):
             continue
         is_foreign = any((package.id, slot) in foreign_slots for slot in slots)
-        fits = _can_be_worn if takes_any and all(m.replaceable_by for m in own) else suits
+        fits = can_be_worn if takes_any and all(m.replaceable_by for m in own) else suits
         fitting = [
             p
             for p in palette
@@ -243,7 +244,7 @@ def assign_materials(
         if varies:
             if chosen is None:
                 main_class = own[0].classes[0]
-                mean = _mean_of([means.mean(package, material) for material in own])
+                mean = mean_of([means.mean(package, material) for material in own])
             else:
                 assert isinstance(chosen.asset, MaterialAsset)
                 main_class = chosen.asset.material.classes[0]
@@ -257,7 +258,7 @@ def assign_materials(
     return assignments
 
 
-def _mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
+def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
     """The mean over the bakes of one material."""
     if len(bakes) == 1:
         return bakes[0]

@@ -18,13 +18,16 @@ from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import AssetGeometry, GeometryCache, WorldScene
 from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
+from datagen.assembly.likely import LikelyDresser
+from datagen.assembly.looks import RoomStyle
 from datagen.assembly.materials import MeanMaterials, assign_materials, worn_materials
 from datagen.assembly.placement import place_things
 from datagen.assembly.shortfall import Shortfall
 from datagen.assembly.splits import Pools, pools_of_split, recipe_problems, split_of
+from datagen.assembly.surfaces import surfaces_of
 from datagen.assembly.things import PlacedThing, Room, Thing
 from datagen.assembly.views import ViewFinder
-from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Surface
 from datagen.formats.configuration import Configuration, PlacedAsset, Split, ViewCamera
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import Package
@@ -47,6 +50,7 @@ class _ProcessCaches:
     rooms: dict[str, Room]
     things: dict[str, Thing]
     means: MeanMaterials
+    surfaces: dict[str, dict[str, Surface]]
 
     def room(self, package: Package) -> Room:
         """The room of an environment package; only the last few are kept."""
@@ -65,6 +69,12 @@ class _ProcessCaches:
             self.things[package.sha256] = Thing(package.asset, self.geometry.get(package))
         return self.things[package.sha256]
 
+    def surfaces_of(self, package: Package) -> dict[str, Surface]:
+        """What every slot of a package is in a room."""
+        if package.sha256 not in self.surfaces:
+            self.surfaces[package.sha256] = surfaces_of(self.geometry.get(package))
+        return self.surfaces[package.sha256]
+
 
 _caches: _ProcessCaches | None = None
 
@@ -72,7 +82,7 @@ _caches: _ProcessCaches | None = None
 def _process_caches() -> _ProcessCaches:
     global _caches
     if _caches is None:
-        _caches = _ProcessCaches(GeometryCache(), {}, {}, MeanMaterials())
+        _caches = _ProcessCaches(GeometryCache(), {}, {}, MeanMaterials(), {})
     return _caches
 
 
@@ -183,16 +193,16 @@ def _dress(
 ) -> tuple[list[PlacedAsset], list[Package]]:
     """Room and things as placed assets with materials, room first, and their packages."""
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
+    likely = _likely_dresser(recipe, key, pools, caches)
     placed = []
     for item, package in enumerate(packages):
-        materials = assign_materials(
-            package,
-            pools.materials,
-            recipe.materials,
-            caches.means,
-            Draws(*key, "materials", item),
-            pools.foreign_slots,
-        )
+        draws, foreign = Draws(*key, "materials", item), pools.foreign_slots
+        if likely is not None:
+            materials = likely.assign(package, caches.surfaces_of(package), draws, foreign)
+        else:
+            materials = assign_materials(
+                package, pools.materials, recipe.materials, caches.means, draws, foreign
+            )
         if item == 0:
             placed.append(PlacedAsset(name="room", asset=package.id, materials=materials))
             continue
@@ -208,6 +218,17 @@ def _dress(
             )
         )
     return placed, packages
+
+
+def _likely_dresser(
+    recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
+) -> LikelyDresser | None:
+    """The dresser of a configuration that is to look likely; None for a wild one."""
+    weights = recipe.materials.variation
+    draws = Draws(*key[:2], "style")
+    if not draws.chance(weights.likely / (weights.likely + weights.wild)):
+        return None
+    return LikelyDresser(RoomStyle.draw(draws), pools.materials, recipe.materials, caches.means)
 
 
 def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldScene:

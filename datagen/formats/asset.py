@@ -9,7 +9,7 @@ at v = 1). Textures are PNG, JPEG or EXR files.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -38,6 +38,13 @@ MaterialClass = Literal[
     "wood", "metal", "plastic", "rubber", "leather", "fabric", "ceramic", "stone", "paper", "glazed",
     "painted", "plaster", "glass", "organic", "other",
 ]  # fmt: skip
+Surface = Literal[
+    "ceiling", "wall", "tiles", "floor", "rug", "joinery", "radiator", "furniture", "tabletop", "worktop",
+    "legs", "upholstery", "curtain", "towel", "shade", "appliance", "sanitary", "fitting", "frame", "cover",
+    "vessel", "utensil", "gadget", "small",
+]  # fmt: skip
+"""What a surface is in a room: which materials are likely on it (``datagen.assembly.looks``)."""
+SURFACES: tuple[str, ...] = get_args(Surface)
 SupportKind = Literal["floor", "table", "shelf", "seat", "bed", "sill", "counter"]
 
 
@@ -92,10 +99,12 @@ class SlotMaterial(Material):
     ``replaceable_by``: classes of material that suit the geometry and may take its place; empty = fixed.
     ``baked_from``: the material of which this slot holds a bake for one mesh; slots of one origin are one
     material and are varied and replaced together. None where the slot is the whole material.
+    ``surface``: what the slot is in a room; None leaves it to names and shape.
     """
 
     replaceable_by: tuple[MaterialClass, ...] = ()
     baked_from: Annotated[str, Field(min_length=1)] | None = None
+    surface: Surface | None = None
 
 
 class Part(StrictModel):
@@ -193,9 +202,13 @@ class _AssetBase(StrictModel):
 
 
 class MaterialAsset(_AssetBase):
-    """A material that can be put on any slot of a suitable class."""
+    """A material that can be put on any slot of a suitable class.
+
+    ``surfaces``: where it is usually found; empty where its class alone decides.
+    """
 
     kind: Literal["material"] = "material"
+    surfaces: tuple[Surface, ...] = ()
     material: Material
 
 

@@ -43,13 +43,33 @@ class ObjectRecipe(AssetFilter):
     max_attempts: Annotated[int, Field(ge=1, le=10000)] = 60
 
 
+class Variation(StrictModel):
+    """Weights of two ways to dress a room, one of which is drawn for each configuration.
+
+    ``likely``: materials and colours that such surfaces have in real rooms, in harmony with each other.
+    ``wild``: any material of a class that suits the slot, in any colour that the class may have.
+    """
+
+    likely: NonNegative = 0.0
+    wild: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _has_weight(self) -> Variation:
+        if self.likely + self.wild <= 0:
+            raise ValueError("expected a positive weight of likely or wild")
+        return self
+
+
 class MaterialRecipe(AssetFilter):
     """How slots are dressed: with which probability an asset's own material is replaced or varied.
 
+    ``variation``: likely or wild; a recipe that does not say so is wild, as all were before there was a
+    choice. ``any_class_probability`` and ``class_weights`` are for wild configurations.
     ``any_class_probability`` of the replacements take no notice of the classes that suit a slot: a floor of
     steel, a sofa of marble. ``class_weights`` default to 1 a class; 0 leaves a class out.
     """
 
+    variation: Variation = Variation(wild=1.0)
     replace_probability: Unit = 0.8
     any_class_probability: Unit = 0.0
     class_weights: dict[MaterialClass, NonNegative] = {}

@@ -12,6 +12,7 @@ import numpy as np
 
 from scenes.sources.materials.catalogue import MATERIALS
 from scenes.sources.materials.graph import Color, Graph
+from scenes.sources.materials.surfaces import SURFACES
 from scenes.sources.shapes import Point, Shape
 
 SMOOTH_DEGREES = 42.0  # edges that turn more stay sharp: a two-step bevel (30 degrees a step) is smooth
@@ -213,3 +214,5 @@ def tag_material(material: bpy.types.Material, identity: str) -> None:
     )  # fmt: skip
     for key, value in tags:
         material[key] = value
+    if identity in SURFACES:
+        material["sm_surfaces"] = ", ".join(SURFACES[identity].split())

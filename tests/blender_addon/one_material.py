@@ -65,10 +65,15 @@ def main(out: Path) -> None:
     paint = bpy.data.materials.new("paint")
     paint.use_nodes = True
     paint["sm_class"], paint["sm_replaceable_by"] = "painted", "painted"
+    paint["sm_surface"] = "furniture"
+    lacquer = bpy.data.materials.new("lacquer")
+    lacquer.use_nodes = True
+    lacquer["sm_role"], lacquer["sm_class"], lacquer["sm_surfaces"] = "material", "painted", "legs, frame"
     _box(bpy, room, "shelf", (0, 2, 1), (0.3, 3, 1.05), paint)
     _export(bpy, out / "first")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     import_package(out / "first" / ROOM)
+    import_package(out / "first" / "lacquer")
     _export(bpy, out / "again")
 
 

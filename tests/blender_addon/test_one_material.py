@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from datagen.assembly.materials import MeanMaterials, assign_materials, slots_by_material
-from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.asset import EnvironmentAsset, MaterialAsset
 from datagen.formats.configuration import MaterialAssignment
 from datagen.formats.package import Package, open_package
 from datagen.formats.recipe import MaterialRecipe
@@ -48,6 +48,16 @@ def test_bakes_carry_their_origin(folder: Path, stage: str) -> None:
     assert origins["paint"] is None
     textures = {str(m.diffuse_albedo) for m in room.materials.values() if m.baked_from}
     assert len(textures) == 5, "each mesh has its own bake"
+
+
+@pytest.mark.parametrize("stage", ["first", "again"])
+def test_surfaces_are_said(folder: Path, stage: str) -> None:
+    assert {s: m.surface for s, m in room_of(folder, stage)[1].materials.items() if m.surface} == {
+        "paint": "furniture"
+    }
+    lacquer = open_package(folder / stage / "lacquer").asset
+    assert isinstance(lacquer, MaterialAsset)
+    assert lacquer.surfaces == ("legs", "frame")
 
 
 def test_bakes_of_one_material_are_varied_and_replaced_together(folder: Path, palette: list[Package]) -> None:

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: MIT
+"""Dresses a room as its owner might have: by what each surface is, in one style.
+
+For every slot the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are narrowed to those that the
+room's style allows, that the slot's geometry suits and for which the palette holds a material that can be
+brought into the look's ranges by a variation of its class. A look is drawn by weight, then a material, then
+where in the ranges it lies. What keeps its own material is varied a little, within its look where it has one.
+"""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.assembly.looks import KEPT, LOOKS, Interval, Look, RoomStyle
+from datagen.assembly.materials import (
+    CLASS_RANGES,
+    MeanMaterial,
+    MeanMaterials,
+    can_be_worn,
+    is_plain,
+    mean_of,
+    slots_by_material,
+)
+from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Surface
+from datagen.formats.base import quantized
+from datagen.formats.configuration import ColorAdjustment, MaterialAssignment
+from datagen.formats.package import Package
+from datagen.formats.recipe import MaterialRecipe
+from datagen.foundation.random import Draws, weighted_item
+
+_DYED_HUE_TURNS = 0.2  # classes whose hue a dye decides may take any
+_MAX_FACTOR = 4.0  # of saturation and value, the most that a configuration holds
+_GREY = 0.02  # saturation below which a colour has no hue
+_OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
+"""How far what keeps its own material is varied: nobody repaints a thing that is kept."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Where a material can be brought within a look: hue shift, saturation, value and roughness ranges."""
+
+    hue_shift: Interval
+    saturation_scale: Interval
+    value_scale: Interval
+    roughness_offset: Interval
+
+    def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
+        """The adjustment at ``where`` in [0, 1]^4; ``strength`` 0 moves no further than into the range."""
+
+        def pick(interval: Interval, at: float, still: float) -> float:
+            low, high = interval
+            nearest = min(max(still, low), high)
+            return quantized(nearest + strength * (low + at * (high - low) - nearest), 4)
+
+        hue, saturation, value, rough = where.tolist()
+        return ColorAdjustment(
+            hue_shift=pick(self.hue_shift, hue, 0.0),
+            saturation_scale=pick(self.saturation_scale, saturation, 1.0),
+            value_scale=pick(self.value_scale, value, 1.0),
+            roughness_offset=pick(self.roughness_offset, rough, 0.0),
+        )
+
+
+def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
+    """How a material can be brought into a look's ranges; None where it cannot.
+
+    A material without textures is a tint and takes any colour that its class may have.
+    """
+    limits = CLASS_RANGES[material.classes[0]]
+    is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS
+    hue, saturation, value = colorsys.rgb_to_hsv(*mean.diffuse_albedo)
+    _, tint, specular = colorsys.rgb_to_hsv(*mean.specular_albedo)
+    if not _holds(look.specular, specular) or not _holds(look.tint, tint):
+        return None
+    values = _scales(look.value, value, _MAX_FACTOR if is_tint else limits.value)
+    saturations = _scales(look.saturation, saturation, _MAX_FACTOR if is_tint else limits.saturation)
+    step = 2 * limits.roughness_step if is_tint else limits.roughness_step
+    offsets = _meet((look.roughness[0] - mean.roughness, look.roughness[1] - mean.roughness), (-step, step))
+    turns = (0.0, 0.0)
+    if saturation > _GREY and look.hue is not None:
+        wanted = 0.5 * (look.hue[0] + look.hue[1])
+        shift = (wanted - hue + 0.5) % 1.0 - 0.5
+        half = 0.5 * (look.hue[1] - look.hue[0])
+        most = 0.5 if limits.hue_turns >= _DYED_HUE_TURNS else limits.hue_turns
+        turns = _meet((shift - half, shift + half), (-most, most))  # type: ignore[assignment]
+    if values is None or saturations is None or offsets is None or turns is None:
+        return None
+    return Reach(turns, saturations, values, offsets)
+
+
+def _holds(interval: Interval, value: float) -> bool:
+    return interval[0] <= value <= interval[1]
+
+
+def _meet(one: Interval, other: Interval) -> Interval | None:
+    low, high = max(one[0], other[0]), min(one[1], other[1])
+    return (low, high) if low <= high else None
+
+
+def _scales(wanted: Interval, own: float, most: float) -> Interval | None:
+    """Factors on ``own`` that bring it into ``wanted``, none beyond ``most`` or its inverse."""
+    if own <= _GREY and _holds(wanted, own):
+        return (1.0, 1.0)  # of black and of grey nothing can be scaled
+    return _meet((wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1.0 / most, most))
+
+
+@dataclass(frozen=True)
+class _Choice:
+    look: Look
+    packages: tuple[Package, ...]
+
+
+class LikelyDresser:
+    """Dresses the assets of one configuration in one style."""
+
+    def __init__(
+        self, style: RoomStyle, palette: list[Package], recipe: MaterialRecipe, means: MeanMaterials
+    ):
+        self.style = style
+        self.recipe = recipe
+        self.means = means
+        self.palette = [p for p in palette if isinstance(p.asset, MaterialAsset)]
+
+    def assign(
+        self,
+        package: Package,
+        surfaces: dict[str, Surface],
+        draws: Draws,
+        foreign_slots: frozenset[tuple[str, str]] = frozenset(),
+    ) -> dict[str, MaterialAssignment]:
+        """Assignments for the slots of one placed asset; slots that keep their material unchanged are absent.
+
+        ``surfaces`` says what each slot is. A slot among ``foreign_slots`` never keeps its own material.
+        Every slot takes the same number of draws, whatever the palette holds.
+        """
+        asset = package.asset
+        assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+        found: dict[str, MaterialAssignment] = {}
+        for slots in slots_by_material(asset):
+            units = draws.units(8)
+            if any(asset.materials[slot].emission is not None for slot in slots):
+                continue
+            is_foreign = any((package.id, slot) in foreign_slots for slot in slots)
+            assignment = self._dressed(package, asset, slots, surfaces[slots[0]], is_foreign, units)
+            if assignment != MaterialAssignment():
+                found.update(dict.fromkeys(slots, assignment))
+        return found
+
+    def _dressed(
+        self,
+        package: Package,
+        asset: ObjectAsset | EnvironmentAsset,
+        slots: tuple[str, ...],
+        surface: Surface,
+        is_foreign: bool,
+        units: NDArray[np.float64],
+    ) -> MaterialAssignment:
+        strength = self.recipe.variation_strength if units[1] < self.recipe.vary_probability else 0.0
+        replaces = self.recipe.replace_probability * (1 - KEPT.get(surface, 0.0))
+        if units[0] < replaces or is_foreign:
+            choices = self._choices(asset, slots, surface)
+            if choices:
+                choice = weighted_item(choices, [c.look.weight for c in choices], units[2])
+                chosen = choice.packages[int(units[3] * len(choice.packages))]
+                return MaterialAssignment(
+                    asset=chosen.id, adjustment=self._adjusted(choice.look, chosen, units[4:], strength)
+                )
+        if is_foreign:
+            plain = [p for p in self.palette if is_plain(p)]
+            if plain:
+                return MaterialAssignment(asset=plain[int(units[3] * len(plain))].id)
+        own = [asset.materials[slot] for slot in slots]
+        mean = mean_of([self.means.mean(package, material) for material in own])
+        return MaterialAssignment(adjustment=_kept(surface, self.style, own[0], mean, units[4:], strength))
+
+    def _choices(
+        self, asset: ObjectAsset | EnvironmentAsset, slots: tuple[str, ...], surface: Surface
+    ) -> list[_Choice]:
+        classes = set.intersection(*(set(asset.materials[slot].replaceable_by) for slot in slots))
+        looks = LOOKS.get(surface) or tuple(Look(1.0, c) for c in sorted(classes))
+        choices = []
+        for look in (styled for each in looks if (styled := each.in_style(self.style)) is not None):
+            if look.material_class not in classes:
+                continue
+            packages = tuple(p for p in self.palette if self._suits(p, look, surface, slots, asset))
+            if packages:
+                choices.append(_Choice(look, packages))
+        return choices
+
+    def _suits(
+        self,
+        package: Package,
+        look: Look,
+        surface: Surface,
+        slots: tuple[str, ...],
+        asset: ObjectAsset | EnvironmentAsset,
+    ) -> bool:
+        material = package.asset
+        assert isinstance(material, MaterialAsset)
+        if material.material.classes[0] != look.material_class:
+            return False
+        if material.surfaces and surface not in material.surfaces:
+            return False
+        if not all(can_be_worn(material, slot, asset) for slot in slots):
+            return False
+        return reach(look, material.material, self.means.mean(package, material.material)) is not None
+
+    def _adjusted(
+        self, look: Look, package: Package, where: NDArray[np.float64], strength: float
+    ) -> ColorAdjustment:
+        assert isinstance(package.asset, MaterialAsset)
+        material = package.asset.material
+        found = reach(look, material, self.means.mean(package, material))
+        assert found is not None
+        return found.at(where, strength)
+
+
+def _kept(
+    surface: Surface,
+    style: RoomStyle,
+    material: Material,
+    mean: MeanMaterial,
+    where: NDArray[np.float64],
+    strength: float,
+) -> ColorAdjustment:
+    """A small variation of an own material, within the first look of its class that it lies in."""
+    if strength == 0:
+        return ColorAdjustment()
+    calm = Reach(
+        (0.0, 0.0),
+        (1 / _OWN_SATURATION, _OWN_SATURATION),
+        (1 / _OWN_VALUE, _OWN_VALUE),
+        (-_OWN_ROUGHNESS, _OWN_ROUGHNESS),
+    )
+    for look in LOOKS.get(surface, ()):
+        styled = replace(look, hue=None, only=None).in_style(style)
+        if styled is None or look.material_class != material.classes[0]:
+            continue
+        within = reach(replace(styled, hue=None), material, mean)
+        if within is None:
+            continue
+        met = Reach(
+            (0.0, 0.0),
+            _meet(calm.saturation_scale, within.saturation_scale) or (1.0, 1.0),
+            _meet(calm.value_scale, within.value_scale) or (1.0, 1.0),
+            _meet(calm.roughness_offset, within.roughness_offset) or (0.0, 0.0),
+        )
+        return met.at(where, strength)
+    return calm.at(where, strength)

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: MIT
+"""What surfaces look like in rooms: the measurement behind :data:`datagen.assembly.looks.LOOKS`.
+
+    python -m datagen.assembly.surface_statistics LIBRARY [LIBRARY ...]
+
+prints, for what each slot of the environments is (wall, floor, fitting ...), how many slots there are and the
+least, the median by area and the largest value, saturation and hue of their mean D, the brightest channel of
+mean S, and mean R. Hues of greys are left out; emitters and cut-outs are too.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import sys
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.assembly.geometry import load_geometry
+from datagen.assembly.materials import MeanMaterials
+from datagen.assembly.surfaces import surfaces_of
+from datagen.formats.asset import SURFACES, EnvironmentAsset
+from datagen.foundation.errors import InputError
+from datagen.library import Library
+
+_MIN_SATURATION = 0.05  # the hue of a grey is noise
+
+
+@dataclass(frozen=True)
+class SurfaceSample:
+    """One slot: its area in m^2 and its means; ``hue`` is NaN for a grey."""
+
+    area_m2: float
+    value: float
+    saturation: float
+    hue: float
+    specular: float
+    roughness: float
+
+
+def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
+    """Samples of all slots of the library's environments, by what they are."""
+    means = MeanMaterials()
+    found: dict[str, list[SurfaceSample]] = defaultdict(list)
+    for package in library:
+        asset = package.asset
+        if not isinstance(asset, EnvironmentAsset):
+            continue
+        geometry = load_geometry(package)
+        areas = np.bincount(geometry.part_of_face, geometry.rays.areas, len(asset.parts))
+        surfaces = surfaces_of(geometry)
+        for slot, material in asset.materials.items():
+            if material.emission is not None or material.opacity is not None:
+                continue
+            mean = means.mean(package, material)
+            hue, saturation, value = colorsys.rgb_to_hsv(*mean.diffuse_albedo)
+            area = sum(float(areas[k]) for k, part in enumerate(asset.parts) if part.material == slot)
+            shown = hue if saturation > _MIN_SATURATION else float("nan")
+            sample = SurfaceSample(area, value, saturation, shown, max(mean.specular_albedo), mean.roughness)
+            found[surfaces[slot]].append(sample)
+    return found
+
+
+def weighted_median(values: list[float], weights: list[float]) -> float:
+    """The value at which half of the weight is reached; NaN where nothing is left without NaN."""
+    pairs = sorted((v, w) for v, w in zip(values, weights, strict=True) if np.isfinite(v) and w > 0)
+    if not pairs:
+        return float("nan")
+    half = 0.5 * sum(w for _, w in pairs)
+    total = 0.0
+    for value, weight in pairs:
+        total += weight
+        if total >= half:
+            return value
+    return pairs[-1][0]
+
+
+def _range(samples: list[SurfaceSample], field: str) -> str:
+    values = [float(getattr(sample, field)) for sample in samples]
+    finite = [v for v in values if np.isfinite(v)]
+    if not finite:
+        return "-"
+    middle = weighted_median(values, [sample.area_m2 for sample in samples])
+    return f"{min(finite):.2f} {middle:.2f} {max(finite):.2f}"
+
+
+def main(paths: list[str]) -> int:
+    """Print the table; returns the exit code."""
+    try:
+        with Library([Path(p) for p in paths]) as library:
+            found = sample_surfaces(library)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(
+        "| surface | slots | m2 | value of D | saturation | hue | S | R |\n|---|---|---|---|---|---|---|---|"
+    )
+    for name in SURFACES:
+        samples = found.get(name, [])
+        if samples:
+            area = sum(sample.area_m2 for sample in samples)
+            cells = (_range(samples, f) for f in ("value", "saturation", "hue", "specular", "roughness"))
+            print(f"| {name} | {len(samples)} | {area:.0f} | {' | '.join(cells)} |")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""What a slot is in a room: a wall, a worktop, a curtain. By its own word, its names, its shape, its class.
+
+A slot that says nothing (``surface``) is told by the words in its name, in the name of the material that it
+holds a bake of and in the names of its parts; in a room then by where its triangles lie (low and level is a
+floor); in a thing by its category; at last by its main class.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from datagen.assembly.geometry import AssetGeometry
+from datagen.formats.asset import EnvironmentAsset, MaterialClass, SlotMaterial, Surface
+
+_WORDS: tuple[tuple[Surface, str], ...] = (
+    ("legs", "legs leg castors base"),
+    ("ceiling", "ceiling soffit"),
+    ("floor", "floor floorboards floortiles parquet laminate"),
+    ("rug", "rug carpet mat doormat"),
+    ("tiles", "tile tiles walltiles splashback backsplash"),
+    ("shade", "shade lampshade"),
+    ("radiator", "radiator heater"),
+    ("joinery", "trim trims skirting baseboard door doors sill sills window windows windowframe architrave"),
+    ("joinery", "panelling paneling moulding molding stair stairs"),
+    ("wall", "wall walls wallpaper"),
+    ("worktop", "worktop countertop counter"),
+    ("appliance", "appliance appliances fridge refrigerator freezer oven dishwasher microwave washer dryer"),
+    ("appliance", "cooker stove hob"),
+    ("sanitary", "enamel basin washbasin bath bathtub bathtube toilet sink"),
+    ("upholstery", "sofa couch armchair cushion cushions upholstery seats chairseat mattress pillow pillows"),
+    ("upholstery", "shell pouf"),
+    ("curtain", "curtain curtains blind blinds drape drapes"),
+    ("towel", "towel towels laundry linen bedding duvet blanket bedspread"),
+    ("tabletop", "table tabletop desk top"),
+    ("frame", "frame frames woodframe"),
+    ("cover", "book books cover note magazine magazines"),
+    ("vessel", "pot pots vase vases bowl cup plate crockery"),
+    ("fitting", "hardware handle handles tap taps rail rails hinge hinges knob knobs"),
+    ("fitting", "chrome brass steel gold copper stainless stainlessrough stainlesssmooth"),
+    ("furniture", "furniture chair chairs stool bench bed board seat shelf shelves bookcase bookshelf"),
+    ("furniture", "sideboard dresser drawers unit units cupboard cabinet vanity wardrobe nightstand console"),
+)
+"""Words that tell a surface; of several that a name holds, the first line's wins."""
+_SURFACE_OF_WORD: dict[str, Surface] = {word: surface for surface, words in _WORDS for word in words.split()}
+_RANK: dict[Surface, int] = {surface: rank for rank, (surface, _) in reversed(list(enumerate(_WORDS)))}
+_OF_CATEGORY: dict[str, Surface] = {
+    "crockery": "vessel", "vase": "vessel", "bottle": "vessel", "candle": "vessel", "fruit": "vessel",
+    "plant": "vessel", "kitchenware": "utensil", "tool": "utensil", "electronics": "gadget",
+    "clock": "gadget", "book": "cover", "cushion": "upholstery", "frame": "frame", "lamp": "legs",
+}  # fmt: skip
+_OF_CLASS: dict[MaterialClass, Surface] = {
+    "wood": "furniture", "metal": "fitting", "fabric": "upholstery", "leather": "upholstery",
+    "stone": "worktop", "glazed": "vessel", "ceramic": "vessel", "paper": "cover", "plastic": "gadget",
+    "painted": "furniture", "plaster": "wall",
+}  # fmt: skip
+_MIN_SHELL_SHARE = 0.04  # of a room's surface: less is a thing in it, not its floor or a wall
+_LEVEL = 0.7  # |z| of a normal that counts as level
+
+
+def surface_of_words(text: str) -> Surface | None:
+    """The surface that the words of a name tell, None where none does; of several the first in the table.
+
+    Words end at anything but letters and where a capital follows a small letter.
+    """
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    words = [word.lower() for word in re.split(r"[^A-Za-z]+", spaced) if word]
+    words.append("".join(words))
+    known = [_SURFACE_OF_WORD[word] for word in words if word in _SURFACE_OF_WORD]
+    return min(known, key=lambda surface: _RANK[surface], default=None)
+
+
+def _of_names(names: Iterable[str]) -> Surface | None:
+    return next((found for name in names if (found := surface_of_words(name)) is not None), None)
+
+
+def surfaces_of(geometry: AssetGeometry) -> dict[str, Surface]:
+    """What every slot of an asset is."""
+    asset = geometry.asset
+    parts: dict[str, list[str]] = {slot: [] for slot in asset.materials}
+    for part in asset.parts:
+        parts[part.material].append(part.name)
+    is_room = isinstance(asset, EnvironmentAsset)
+    shell = _shell(geometry) if is_room else {}
+    found: dict[str, Surface] = {}
+    for slot, material in asset.materials.items():
+        own = (slot, *([material.baked_from] if material.baked_from else []))
+        if material.surface is not None:
+            found[slot] = material.surface
+        elif is_room:
+            found[slot] = _of_names(own) or _of_names(parts[slot]) or shell.get(slot) or _of_class(material)
+        else:
+            category = getattr(asset, "category", "")
+            of_thing = _OF_CATEGORY.get(category) or surface_of_words(category)
+            word = surface_of_words(slot)
+            found[slot] = (word if word in ("shade", "vessel", "legs") else None) or of_thing or "small"
+    return found
+
+
+def _of_class(material: SlotMaterial) -> Surface:
+    return _OF_CLASS.get(material.classes[0], "small")
+
+
+def _shell(geometry: AssetGeometry) -> dict[str, Surface]:
+    """Floor, ceiling and walls by area and place: what is large and level and low, or high, or upright."""
+    rays = geometry.rays
+    total = float(rays.areas.sum())
+    if not total > 0:
+        return {}
+    slot_of_part = [part.material for part in geometry.asset.parts]
+    height = rays.corners[:, :, 2].mean(axis=1)
+    order = np.argsort(height)
+    along = np.cumsum(rays.areas[order])
+    low, high = (float(height[order[np.searchsorted(along, q * total)]]) for q in (0.02, 0.98))
+    found: dict[str, Surface] = {}
+    for slot in geometry.asset.materials:
+        parts = [k for k, name in enumerate(slot_of_part) if name == slot]
+        faces = np.flatnonzero(np.isin(geometry.part_of_face, parts))
+        area = rays.areas[faces]
+        if area.sum() < _MIN_SHELL_SHARE * total:
+            continue
+        level = np.abs(rays.normals[faces, 2]) > _LEVEL
+        share = float(area[level].sum() / area.sum())
+        middle = float((height[faces] * area).sum() / area.sum())
+        if share > 0.6 and middle < low + 0.25 * (high - low):
+            found[slot] = "floor"
+        elif share > 0.6 and middle > low + 0.75 * (high - low):
+            found[slot] = "ceiling"
+        elif share < 0.4:
+            found[slot] = "wall"
+    return found
