@@ -27,9 +27,8 @@ from model.checkpoint import load_checkpoint
 from model.evaluation.room import TestScene, prepare_scene
 from model.evaluation.suite import NetworkMethod, read_suite
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
-from model.reconstruction.infer import Seen, look
-from model.reconstruction.level.radiance_cache import RadianceView
+from model.reconstruction.geometry.traced import smooth_regions
+from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 
 COLUMNS = (
@@ -45,37 +44,31 @@ def captured(scene: TestScene, cache: Path) -> Capture:
     return replace(capture, views=tuple(v for v in capture.views if v.name in prepared.input_names))
 
 
-def predicted(capture: Capture, seen: Seen, checkpoint: Path) -> Iterator[dict[str, NDArray]]:
+def predicted(traced: TracedCapture, checkpoint: Path) -> Iterator[dict[str, NDArray]]:
     """Maps of the views, one after another."""
-    predictor = Predictor(
-        load_checkpoint(checkpoint, "cpu"), capture_exposure(seen.statistics), PredictOptions()
-    )
-    gathered = compute_statistics(seen.statistics, StatisticsOptions())
-    for view, statistics, buffers in zip(capture.views, gathered, seen.statistics, strict=True):
+    views = traced.statistics
+    predictor = Predictor(load_checkpoint(checkpoint, "cpu"), capture_exposure(views), PredictOptions())
+    gathered = compute_statistics(views, StatisticsOptions())
+    for view, statistics, buffers in zip(traced.views, gathered, views, strict=True):
         yield predictor.predict([view_tensors(view.camera, buffers, statistics)])[0]
 
 
 def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
     """One line of the table."""
-    traced = TracedGeometry(capture.geometry)
-    region_of_face = smooth_regions(traced.mesh)
-    seen = look(capture, traced, lambda *_: None)
+    traced = trace_capture(capture)
+    region_of_face = smooth_regions(traced.geometry.mesh)
     if clip:
-        limit = np.quantile(np.concatenate([s.color.max(axis=2).ravel() for s in seen.statistics]), 1 - clip)
-        seen.statistics = [replace(s, color=np.minimum(s.color, limit)) for s in seen.statistics]
-    maps = list(predicted(capture, seen, checkpoint))
-    views = [
-        RadianceView(view.camera, statistics.color, geometry, valid)
-        for view, statistics, geometry, valid in zip(
-            capture.views, seen.statistics, seen.geometry, seen.valid_masks, strict=True
-        )
-    ]
-    level = albedo_level.find_level(views, maps, traced, region_of_face)
+        limit = np.quantile(np.concatenate([v.color.max(axis=2).ravel() for v in traced.views]), 1 - clip)
+        clipped = tuple(replace(v, color=np.minimum(v.color, limit)) for v in traced.views)
+        traced = replace(traced, views=clipped)
+    maps = list(predicted(traced, checkpoint))
+    level = albedo_level.find_level(traced.views, maps, traced.geometry, region_of_face)
     sums = np.zeros(5)
-    for view, view_maps, geometry in zip(capture.views, maps, seen.geometry, strict=True):
+    for view, view_maps, seen in zip(capture.views, maps, traced.views, strict=True):
+        face = seen.geometry.face
         truth = view.source.read_maps(("diffuse_albedo", "surface_mask"))
         on_surface = truth["surface_mask"][..., 0] > 0.5
-        region = np.where(geometry.face >= 0, region_of_face[np.maximum(geometry.face, 0)], -1)
+        region = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
         before = view_maps["diffuse_albedo"]
         after = level.corrected(before, region)[on_surface].astype(np.float64)
         true, before = truth["diffuse_albedo"][on_surface].astype(np.float64), before[on_surface]
@@ -86,7 +79,7 @@ def row(capture: Capture, name: str, checkpoint: Path, clip: float) -> str:
     figures = [f"{value:.2f}" for value in (*found, sums[2] / sums[3])]
     figures += [f"{sums[k] / sums[4]:.4f}" for k in range(2)]
     remark = "" if report.is_applied else f" unchanged: {report.reason}"
-    return f"| {capture.name} | {name} | {len(views)} | {' | '.join(figures)} |{remark}"
+    return f"| {capture.name} | {name} | {len(traced.views)} | {' | '.join(figures)} |{remark}"
 
 
 def main() -> None:

@@ -42,6 +42,7 @@ from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.infer import InferOptions, InferReport, infer
+from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.textured_room import room_capture
 
 PAPER_MINUTES = {"statistics": 7.56, "prediction": 3.93, "texturing": 3 * 3.12}
@@ -96,10 +97,10 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
             near.cy_px * scale[1],
             pose,
         )
-        seen = room.traced.trace_view(camera)
+        seen = room.traced.geometry.trace_view(camera)
         if (seen.depth_z_m < 0.3).mean() > 0.1:
             continue  # inside something
-        uv = pixel_uv(room.traced.mesh, room.mesh, camera, seen)
+        uv = pixel_uv(room.traced.geometry.mesh, room.mesh, camera, seen)
         on_surface = ~np.isnan(uv[..., 0])
         cosine = -(seen.normal_world * camera.ray_directions()).sum(axis=-1, keepdims=True)
         color = np.full((size[1], size[0], 3), 0.5, np.float32)
@@ -134,7 +135,8 @@ def measure(
 ) -> InferReport:
     """One run into a folder that is thrown away."""
     with tempfile.TemporaryDirectory(prefix="bench-infer-", dir=scratch) as folder:
-        return infer(capture, Path(folder) / "out", checkpoint or random_checkpoint(Path(folder)), options)
+        source = CheckpointMaps(checkpoint or random_checkpoint(Path(folder)))
+        return infer(capture, Path(folder) / "out", source, options)
 
 
 def main() -> None:

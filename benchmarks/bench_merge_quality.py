@@ -33,18 +33,15 @@ from model.checkpoint import bundled_checkpoint
 from model.reconstruction.atlas.atlas import MAP_NAMES, Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.geometry.traced import (
-    TracedGeometry,
-    ViewGeometry,
-    face_normals,
-    seen_sides,
-    smooth_regions,
-)
-from model.reconstruction.infer import TRUTH, Seen, look
+from model.reconstruction.geometry.traced import ViewGeometry, face_normals, seen_sides, smooth_regions
+from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
-from model.reconstruction.merge.fill import atlas_size, fill_unseen
-from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, Weights
+from model.reconstruction.merge.fill import fill_unseen
+from model.reconstruction.merge.merger import MapMerger, MergeOptions, Weights, map_views
+from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.predict.view_maps import predicted_maps
+from model.reconstruction.stages import Run
 from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
@@ -59,8 +56,7 @@ class Room:
     surface; ``truth`` the views' true maps; ``auto`` the atlas's side by the views' density."""
 
     capture: Capture
-    traced: TracedGeometry
-    seen: Seen
+    traced: TracedCapture
     mesh: Mesh
     sides: NDArray
     uv: list[NDArray]
@@ -69,18 +65,9 @@ class Room:
 
     def merged(self, maps: Maps, size: int, folder: Path | None, weights: Weights = "none") -> Atlas:
         """The maps of all views as an atlas, filled."""
-        views = [
-            MapView(
-                view.camera,
-                found,
-                np.where(geometry.surface_mask > 0, geometry.depth_z_m, 0),
-                geometry.face,
-                view.name,
-                found.get("confidence"),
-            )
-            for view, found, geometry in zip(self.capture.views, maps, self.seen.geometry, strict=True)
-        ]
-        merger = MapMerger(views, MergeOptions(weights=weights), None, smooth_regions(self.traced.mesh))
+        regions = smooth_regions(self.traced.geometry.mesh)
+        views = map_views(self.traced.views, maps)
+        merger = MapMerger(views, MergeOptions(weights=weights), None, regions)
         atlas = empty_atlas(size, folder)
         merger.merge(TexelSurface(self.mesh, face_normals(self.mesh, self.sides), size), atlas)
         fill_unseen(atlas, self.mesh)
@@ -146,33 +133,21 @@ def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeo
 def open_room(shard: Path, library: Sequence[Path]) -> Room:
     """Read, trace and unwrap."""
     capture = read_capture(shard, CaptureOptions(library=tuple(library)))
-    traced = TracedGeometry(capture.geometry)
-    seen = look(capture, traced, lambda *_: None)
-    mesh, unwrap = unwrapped(traced.mesh)
-    uvs = [
-        pixel_uv(traced.mesh, mesh, view.camera, geometry)
-        for view, geometry in zip(capture.views, seen.geometry, strict=True)
-    ]
-    size = atlas_size(list(zip(capture.cameras, seen.geometry, strict=True)), unwrap.metres_per_side)
-    truth = TRUTH.read(capture, seen.statistics)
-    sides = seen_sides(seen.geometry, len(mesh.faces))
-    return Room(capture, traced, seen, mesh, sides, uvs, truth, min(size, MOST))
+    traced = trace_capture(capture)
+    mesh, unwrap = unwrapped(traced.geometry.mesh)
+    uvs = [pixel_uv(traced.geometry.mesh, mesh, view.camera, view.geometry) for view in traced.views]
+    footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
+    size = atlas_size(footprint_m, unwrap.metres_per_side)
+    sides = seen_sides([view.geometry for view in traced.views], len(mesh.faces))
+    return Room(capture, traced, mesh, sides, uvs, TRUTH.read(traced), min(size, MOST))
 
 
 def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
     """The checkpoint's maps of all views."""
     with tempfile.TemporaryDirectory(prefix="bench-merge-") as folder:
         (Path(folder) / "views").mkdir()
-        return predicted_maps(
-            room.capture,
-            room.seen.statistics,
-            room.traced,
-            Path(folder),
-            checkpoint,
-            options,
-            InferReport(),
-            lambda *_: None,
-        )
+        run = Run(Path(folder), options, InferReport(), lambda *_: None)
+        return predicted_maps(room.traced, checkpoint, run)
 
 
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:

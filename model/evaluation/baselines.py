@@ -13,14 +13,13 @@ from datagen.formats.base import sha256_file, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view, encode_view
-from datagen.multiview.statistics import StatisticsView
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
 from model.reconstruction.atlas.atlas import MAP_NAMES
-from model.reconstruction.infer import TRUTH
-from model.reconstruction.infer_options import GivenMaps
+from model.reconstruction.geometry.views import TracedCapture, TracedView
 from model.reconstruction.predict.predictor import capture_exposure
+from model.reconstruction.predict.sources import TRUTH, GivenMaps
+from model.reconstruction.stages import Maps
 
-Maps = dict[str, NDArray]
 Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod
 
 
@@ -32,10 +31,10 @@ def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: 
     """
     identity, read = _source(method, scene, capture)
 
-    def read_and_keep(whole: Capture, statistics: Sequence[StatisticsView]) -> list[Maps]:
-        maps = read(whole, statistics)
+    def read_and_keep(traced: TracedCapture) -> list[Maps]:
+        maps = read(traced)
         kept.mkdir(parents=True, exist_ok=True)
-        for view, view_maps in zip(whole.views, maps, strict=True):
+        for view, view_maps in zip(traced.views, maps, strict=True):
             if view.name in judged:
                 write_bytes_atomically(kept / f"{view.name}.exr", encode_view(view_maps))
         return maps
@@ -43,33 +42,31 @@ def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: 
     return GivenMaps(identity, read_and_keep)
 
 
-def _source(
-    method: Given, scene: str, capture: Capture
-) -> tuple[str, Callable[[Capture, Sequence[StatisticsView]], list[Maps]]]:
+def _source(method: Given, scene: str, capture: Capture) -> tuple[str, Callable[[TracedCapture], list[Maps]]]:
     if isinstance(method, TextureMethod):
         return "texture", _texture
     if isinstance(method, OracleMethod):
         return "oracle", TRUTH.read
     if isinstance(method, ConstantMethod):
         values = {name: np.ravel(getattr(method, name)) for name in MAP_NAMES}
-        return f"constant {values}", lambda whole, _: [_constant(view, values) for view in whole.views]
+        return f"constant {values}", lambda traced: [_constant(view, values) for view in traced.views]
     files = maps_files(method.folder / scene, capture)
     hashes = sha256_hex("".join(sha256_file(path) for path in files.values()).encode())
-    return f"maps {hashes}", lambda whole, _: [_read(files[view.name]) for view in whole.views]
+    return f"maps {hashes}", lambda traced: [_read(files[view.name]) for view in traced.views]
 
 
-def _texture(capture: Capture, statistics: Sequence[StatisticsView]) -> list[Maps]:
+def _texture(traced: TracedCapture) -> list[Maps]:
     """The photographs themselves, exposed as for the networks and clipped: merging takes their median."""
-    exposure = capture_exposure(statistics)
+    exposure = capture_exposure(traced.statistics)
     maps = []
-    for view in statistics:
+    for view in traced.views:
         color = np.clip(view.color * exposure, 0, 1).astype(np.float16)
         ones = np.ones((*color.shape[:2], 1), np.float16)
         maps.append({"diffuse_albedo": color, "specular_albedo": np.zeros_like(color), "roughness": ones})
     return maps
 
 
-def _constant(view: CaptureView, values: dict[str, NDArray]) -> Maps:
+def _constant(view: TracedView, values: dict[str, NDArray]) -> Maps:
     shape = (view.camera.height_px, view.camera.width_px)
     return {name: np.broadcast_to(v.astype(np.float16), (*shape, len(v))) for name, v in values.items()}
 

@@ -33,6 +33,8 @@ from model.evaluation.unwrapped_geometry import geometry_for
 from model.reconstruction.atlas.atlas import MAP_NAMES
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions
+from model.reconstruction.predict.sources import CheckpointMaps
+from model.reconstruction.stages import MapSource
 
 _MEASURES = 1
 """Revision of the figures: those of another are measured anew."""
@@ -194,9 +196,9 @@ def _reconstruct(
     geometry, seconds = geometry_for(scene.capture.geometry, method.geometry, scene.root, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
     options = InferOptions(atlas=suite.atlas, is_checked=False, has_exr=False)
-    given = checkpoint = None
+    source: MapSource
     if isinstance(method, NetworkMethod):
-        checkpoint = Path(method.checkpoint)
+        source = CheckpointMaps(Path(method.checkpoint))
         options = replace(
             options,
             is_filtered=method.is_filtered,
@@ -205,9 +207,9 @@ def _reconstruct(
         )
     else:
         assert not isinstance(method, TruthMethod)
-        given = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)
+        source = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)
     if not (folder / "report.json").is_file():
-        infer(capture, folder, checkpoint, options, tell, given)
+        infer(capture, folder, source, options, tell)
     report = json.loads((folder / "report.json").read_bytes())
     stages = {name: round(value, 2) for name, value in report["seconds"].items()}
     stages["unwrap"] = round(stages.get("unwrap", 0.0) + seconds, 2)

@@ -12,6 +12,7 @@ from datagen.foundation.command_line import check_choices
 
 if TYPE_CHECKING:
     from model.reconstruction.captures import CaptureOptions
+    from model.reconstruction.stages import MapSource
 
 
 def register_verbs(app: typer.Typer) -> None:
@@ -84,6 +85,7 @@ def infer(
     from model.reconstruction.captures import read_capture
     from model.reconstruction.infer import InferOptions
     from model.reconstruction.infer import infer as run
+    from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 
     choices: dict[str, tuple[str, tuple[str, ...]]] = {
         "--visibility": (visibility, ("depth", "trace")),
@@ -96,24 +98,22 @@ def infer(
     opened = read_capture(
         capture, _reading(mesh, images, library, up, mesh_up, unit, encoding, exposure, max_width)
     )
-    if checkpoint is None and not truth:
-        checkpoint = bundled_checkpoint()
+    source: MapSource = TRUTH if truth else CheckpointMaps(checkpoint or bundled_checkpoint())
     doing: dict[str, Any] = {"visibility": visibility, "precision": precision, "weights": weights}
     options = InferOptions(
         atlas="auto" if atlas == "auto" else int(atlas),
         is_filtered=not no_filter,
         is_leveled=not no_level,
         device=device,
-        use_truth=truth,
         is_checked=not no_check,
         **doing,
     )
     try:
         if quiet:
-            report = run(opened, out, checkpoint, options)
+            report = run(opened, out, source, options)
         else:
             with Bars() as bars:
-                report = run(opened, out, checkpoint, options, bars.tell)
+                report = run(opened, out, source, options, bars.tell)
     except KeyboardInterrupt:
         typer.echo("stopped; the same command continues", err=True)
         raise typer.Exit(130) from None

@@ -4,16 +4,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from numpy.typing import NDArray
-
-from datagen.formats.capture import Capture
 from datagen.foundation.errors import input_error
-from datagen.multiview.statistics import StatisticsView
 from model.reconstruction.merge.merger import Weights
 
 Progress = Callable[[str, int, int], None]
@@ -21,8 +17,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class InferOptions:
-    """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``use_truth`` merges
-    the capture's own ground truth instead of predictions: what the rest of the way loses. ``is_checked``:
+    """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``is_checked``:
     whether the mesh is compared with the photographs first. ``weights`` of the medians over views, see
     :class:`MergeOptions`; confidence takes the checkpoint's. ``is_leveled``:
     whether predicted diffuse albedo takes its level from the light between the surfaces
@@ -34,7 +29,6 @@ class InferOptions:
     batch: int = 4
     is_filtered: bool = True
     device: str = "cpu"
-    use_truth: bool = False
     has_exr: bool = True
     is_checked: bool = True
     jobs: int = 2
@@ -44,15 +38,6 @@ class InferOptions:
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
             raise input_error("infer", "atlas", self.atlas, "auto, or a side in [16, 16384]", "correct it")
-
-
-@dataclass(frozen=True)
-class GivenMaps:
-    """Maps of a capture's views from elsewhere than a checkpoint: ``read`` gives each view's by name, (H, W,
-    3 or 1) in [0, 1]; ``identity`` tells them from others."""
-
-    identity: str
-    read: Callable[[Capture, Sequence[StatisticsView]], list[dict[str, NDArray]]]
 
 
 @dataclass

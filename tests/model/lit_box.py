@@ -15,7 +15,7 @@ from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, Color
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.level.radiance_cache import RadianceView
+from model.reconstruction.geometry.views import TracedView
 
 SIDES = np.array([4.0, 3.0, 2.5])
 ALBEDOS = np.array(
@@ -61,7 +61,7 @@ def box_cameras(num: int = 12) -> list[Camera]:
 
 
 @lru_cache(maxsize=2)
-def photographed_box(has_sun: bool = False, samples: int = 64) -> tuple[RadianceView, ...]:
+def photographed_box(has_sun: bool = False, samples: int = 64) -> tuple[TracedView, ...]:
     """The views. ``has_sun`` adds a spot that no photograph shows, and that lights part of the floor several
     times brighter than the lamp does."""
     import mitsuba as mi
@@ -93,7 +93,7 @@ def photographed_box(has_sun: bool = False, samples: int = 64) -> tuple[Radiance
     for index, camera in enumerate(box_cameras()):
         color = _radiance(room, camera, samples, index)
         valid = np.ones(SIZE[::-1], dtype=bool)
-        views.append(RadianceView(camera, color, traced.trace_view(camera), valid))
+        views.append(TracedView(camera, color, traced.trace_view(camera), valid))
     return tuple(views)
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.lights import PointLight
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.render.relight import RelightOptions, render_asset
 from tests.conftest import REPOSITORY
 from tests.model.textured_room import room_capture
@@ -38,7 +39,7 @@ def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Pat
     out = tmp_path_factory.mktemp("asset") / "out"
     lamp = PointLight(name="lamp", position_m=(2.1, 1.4, 2.2), intensity=(5.0, 5.0, 4.0))
     capture = replace(room_capture(8, (96, 64), has_equal_views=True), lights=(lamp,))
-    infer(capture, out, None, InferOptions(atlas=256, use_truth=True))
+    infer(capture, out, TRUTH, InferOptions(atlas=256))
     return out
 
 

@@ -22,6 +22,7 @@ from model.reconstruction.check.edges import edge_field, match_edges, mesh_edges
 from model.reconstruction.check.registration import SeenShift, common_mistake
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.predict.sources import TRUTH
 from tests.model.photographed_room import (
     Photograph,
     photographed_room,
@@ -194,9 +195,9 @@ def test_another_axis_that_fits_is_found_and_inference_refuses(tmp_path: Path) -
     report = check_capture(wrong)
     assert report.better == "--mesh-up y"
     assert "with --mesh-up y they do" in report.warnings[-1]
-    options = InferOptions(atlas=32, use_truth=True)
+    options = InferOptions(atlas=32)
     with pytest.raises(InputError, match=r"--mesh-up y.*--no-check"):
-        infer(wrong, tmp_path, None, options)
+        infer(wrong, tmp_path, TRUTH, options)
     assert not (tmp_path / "report.json").exists()
 
 

@@ -26,6 +26,7 @@ from datagen.rendering.renderer import SceneRenderer
 from model.checkpoint import bundled_checkpoint
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.rendered_capture import make_shard
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -65,7 +66,7 @@ def test_photographs_with_their_cameras_become_a_plausible_atlas(tmp_path: Path)
     mesh = truth.geometry.mesh
     (folder / "room.ply").write_bytes(encode_ply(Mesh(mesh.positions, mesh.faces)))
     capture = read_capture(folder)
-    report = infer(capture, tmp_path / "out", bundled_checkpoint(), InferOptions(atlas=256))
+    report = infer(capture, tmp_path / "out", CheckpointMaps(bundled_checkpoint()), InferOptions(atlas=256))
     assert report.seen_share > 0.3
     ours, brightness = [], []
     for view, color in zip(truth.views, colors, strict=True):

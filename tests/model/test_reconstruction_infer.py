@@ -35,6 +35,7 @@ from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.export.gltf import as_read, metallic_channels
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.infer import InferOptions, InferReport, infer
+from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.render.relight import Insertion, RelightOptions, render_asset, write_renders
 from tests.model.rendered_capture import SIZE, make_shard
 from tests.model.textured_room import room_capture
@@ -73,7 +74,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> 
 def truth(rendered: Rendered) -> tuple[Path, InferReport]:
     """The room merged from its ground truth."""
     out = rendered.root / "truth"
-    report = infer(rendered.capture(), out, None, InferOptions(use_truth=True, atlas=512))
+    report = infer(rendered.capture(), out, TRUTH, InferOptions(atlas=512))
     return out, report
 
 
@@ -311,7 +312,7 @@ def test_relighting_and_insertion(
 def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed after three views it predicts only the rest, to the same bytes; other work is refused."""
     options = InferOptions(atlas=128, precision="float32", batch=2, has_exr=False)
-    whole = infer(rendered.capture(), rendered.root / "whole", rendered.checkpoint, options)
+    whole = infer(rendered.capture(), rendered.root / "whole", CheckpointMaps(rendered.checkpoint), options)
     assert whole.is_filtered and whole.precision == "float32" and whole.exposure > 0
     assert {"trace", "statistics", "predict", "unwrap", "merge", "fill", "export"} <= set(whole.seconds)
     assert "total" in whole.table()
@@ -322,12 +323,12 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        infer(rendered.capture(), part, rendered.checkpoint, options, stop)
+        infer(rendered.capture(), part, CheckpointMaps(rendered.checkpoint), options, stop)
     kept = sorted(path.name for path in (part / "views").iterdir())
     assert len(kept) == 4 and not (part / "report.json").exists()
     before = {name: (part / "views" / name).stat().st_mtime_ns for name in kept}
     (part / "views" / kept[0]).write_bytes(b"damaged")
-    infer(rendered.capture(), part, rendered.checkpoint, options)
+    infer(rendered.capture(), part, CheckpointMaps(rendered.checkpoint), options)
     for name in kept[1:]:
         assert (part / "views" / name).stat().st_mtime_ns == before[name]
     for folder in ("views", "atlas"):
@@ -335,7 +336,12 @@ def test_inference_runs_and_continues(rendered: Rendered, monkeypatch: pytest.Mo
             assert path.read_bytes() == (rendered.root / "whole" / folder / path.name).read_bytes(), path.name
     assert json.loads((part / "report.json").read_text())["num_views"] == 8
     with pytest.raises(InputError, match="other work"):
-        infer(rendered.capture(), part, rendered.checkpoint, InferOptions(atlas=128, precision="bfloat16"))
+        infer(
+            rendered.capture(),
+            part,
+            CheckpointMaps(rendered.checkpoint),
+            InferOptions(atlas=128, precision="bfloat16"),
+        )
 
 
 def test_weights_by_confidence_continue_too(rendered: Rendered) -> None:
@@ -343,7 +349,7 @@ def test_weights_by_confidence_continue_too(rendered: Rendered) -> None:
     maps; given maps have none."""
     out = rendered.root / "weighted"
     options = InferOptions(atlas=128, precision="float32", batch=2, weights="all", has_exr=False)
-    infer(rendered.capture(), out, rendered.checkpoint, options)
+    infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)
     first = {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())}
     atlas = (out / "atlas" / "roughness.png").read_bytes()
     confidence = np.load(out / "views" / "view-000.confidence.npy").astype(np.float32)
@@ -351,13 +357,13 @@ def test_weights_by_confidence_continue_too(rendered: Rendered) -> None:
     assert confidence[..., 1:].max() == 1 and confidence[..., 1:].std() > 1e-4
     (out / "views" / "view-000.confidence.npy").unlink()
     (out / "views" / "view-003.confidence.npy").write_bytes(b"damaged")
-    infer(rendered.capture(), out, rendered.checkpoint, options)
+    infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), options)
     assert {path.name: path.read_bytes() for path in sorted((out / "views").iterdir())} == first
     assert (out / "atlas" / "roughness.png").read_bytes() == atlas
-    infer(rendered.capture(), out, rendered.checkpoint, replace(options, weights="none"))
+    infer(rendered.capture(), out, CheckpointMaps(rendered.checkpoint), replace(options, weights="none"))
     assert (out / "atlas" / "roughness.png").read_bytes() != atlas
     with pytest.raises(InputError, match="a confidence of every view"):
-        infer(rendered.capture(), rendered.root / "none", None, replace(options, use_truth=True))
+        infer(rendered.capture(), rendered.root / "none", TRUTH, options)
 
 
 def test_a_mesh_elsewhere_is_refused(rendered: Rendered, tmp_path: Path) -> None:
@@ -370,5 +376,5 @@ def test_a_mesh_elsewhere_is_refused(rendered: Rendered, tmp_path: Path) -> None
     away = replace(mesh, positions=mesh.positions + np.float32(100))
     moved = replace(capture, geometry=CaptureGeometry(away, capture.geometry.parts))
     with pytest.raises(InputError, match="no view sees the mesh"):
-        infer(moved, tmp_path, rendered.checkpoint)
+        infer(moved, tmp_path, CheckpointMaps(rendered.checkpoint))
     assert read_capture(rendered.shard, CaptureOptions(max_width_px=48)).views[0].camera.width_px == 48

@@ -18,16 +18,18 @@ from datagen.foundation.images import read_image
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
-from model.reconstruction.infer import InferOptions, infer, look
+from model.reconstruction.geometry.views import TracedView, trace_capture
+from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.level.albedo_level import MAX_CLIPPED, AlbedoLevel, clipped_share, find_level
-from model.reconstruction.level.radiance_cache import RadianceCache, RadianceView
+from model.reconstruction.level.radiance_cache import RadianceCache
+from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.lit_box import ALBEDOS, SIDES, box_capture, box_geometry, photographed_box
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 PREDICTED = 0.35
 
 
-def predicted(views: Sequence[RadianceView], level: float = PREDICTED) -> list[dict[str, NDArray]]:
+def predicted(views: Sequence[TracedView], level: float = PREDICTED) -> list[dict[str, NDArray]]:
     """One grey everywhere, nothing specular: all of the level is wrong."""
     shape = views[0].color.shape
     maps = {
@@ -37,7 +39,7 @@ def predicted(views: Sequence[RadianceView], level: float = PREDICTED) -> list[d
     return [dict(maps) for _ in views]
 
 
-def level_of(views: Sequence[RadianceView], maps: list[dict[str, NDArray]] | None = None) -> AlbedoLevel:
+def level_of(views: Sequence[TracedView], maps: list[dict[str, NDArray]] | None = None) -> AlbedoLevel:
     traced = TracedGeometry(box_geometry())
     return find_level(views, predicted(views) if maps is None else maps, traced, smooth_regions(traced.mesh))
 
@@ -61,7 +63,7 @@ def test_albedo_of_a_closed_room_is_found(level: AlbedoLevel) -> None:
     assert level.report.is_applied and level.report.reason == ""
     np.testing.assert_allclose(found_albedos(level), ALBEDOS, rtol=0.04)
     assert level.report.coverage > 0.97 and level.report.spread < 0.1
-    brighter = [RadianceView(v.camera, 7 * v.color, v.geometry, v.valid_mask) for v in views]
+    brighter = [TracedView(v.camera, 7 * v.color, v.geometry, v.valid_mask) for v in views]
     paler = level_of(brighter, predicted(views, 0.7))
     np.testing.assert_allclose(found_albedos(paler, 0.7), found_albedos(level), rtol=1e-3)
 
@@ -160,7 +162,7 @@ def test_clipped_photographs_change_nothing() -> None:
 def test_background_is_found_by_place_and_direction() -> None:
     """A window that shows two colours: a ray meets the one that was photographed where it goes."""
     views = [
-        RadianceView(
+        TracedView(
             v.camera,
             np.where(v.camera.ray_directions()[..., 2:] > 0.2, [0.0, 0.0, 9.0], [0.0, 3.0, 0.0]).astype(
                 np.float32
@@ -198,7 +200,9 @@ def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> Non
         ("clipped", True, 0.6),
     ):
         options = InferOptions(atlas=128, is_leveled=is_leveled, is_checked=False, has_exr=False)
-        reports[name] = infer(box_capture(white), tmp_path / name, tmp_path / "random.safetensors", options)
+        reports[name] = infer(
+            box_capture(white), tmp_path / name, CheckpointMaps(tmp_path / "random.safetensors"), options
+        )
         atlas = read_image(tmp_path / name / "atlas" / "diffuse_albedo.png")[..., :3] / 255.0
         seen = read_image(tmp_path / name / "atlas" / "mask.png")[..., 0] == 255
         found[name] = float(np.median(linear_from_srgb(atlas[seen])))
@@ -214,10 +218,9 @@ def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> Non
 
 def test_share_of_clipped_pixels() -> None:
     """Of photographs with a limit; where values go beyond it, it is none."""
-    traced = TracedGeometry(box_geometry())
     for white, expected in ((np.inf, 0.0), (0.6, None)):
         capture = box_capture(white)
         colors = np.stack([view.read().color for view in capture.views])
-        share = clipped_share(capture, look(capture, traced, lambda *_: None).statistics)
+        share = clipped_share(trace_capture(capture))
         assert share == (np.mean(colors.max(axis=-1) >= 0.99 * white) if expected is None else expected)
         assert (share > MAX_CLIPPED) == (expected is None)

@@ -28,6 +28,7 @@ from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures.mesh_file import load_mesh, sound_mesh
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from tests.model.photographed_room import (
     Photograph,
     photographed_room,
@@ -40,7 +41,7 @@ from tests.model.textured_room import materials_at, room_capture, room_mesh
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 ATLAS = 96
-OPTIONS = InferOptions(atlas=ATLAS, use_truth=True, has_exr=True)
+OPTIONS = InferOptions(atlas=ATLAS, has_exr=True)
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -115,7 +116,7 @@ def test_faults_of_the_mesh(tmp_path: Path, fault: Callable[[Mesh], Mesh]) -> No
     path = tmp_path / "room.ply"
     path.write_bytes(encode_ply(fault(fine_room())))
     mesh, notes = sound_mesh(load_mesh(path), np.eye(4), path)
-    report = infer(with_mesh(room_capture(8), mesh), tmp_path / "out", None, OPTIONS)
+    report = infer(with_mesh(room_capture(8), mesh), tmp_path / "out", TRUTH, OPTIONS)
     assert report.unwrap["source"] == "mesh"
     found = errors(tmp_path / "out")
     assert np.median(found) < 0.01 and np.quantile(found, 0.95) < 0.06
@@ -136,7 +137,7 @@ def test_views_that_are_wrong_are_named_in_the_result(tmp_path: Path) -> None:
     other = np.kron(rng.uniform(0, 0.9, (22, 32, 3)), np.ones((10, 10, 1)))
     capture = with_color(capture, 4, other)
     capture = turned(capture, 6, 1.2, (0, 1.0, 0))
-    report = infer(capture, tmp_path, None, OPTIONS)
+    report = infer(capture, tmp_path, TRUTH, OPTIONS)
     assert {w.split(":")[0] for w in report.warnings} == {"view_00", "view_02", "view_04", "view_06"}
     assert json.loads((tmp_path / "report.json").read_text())["warnings"] == report.warnings
     assert (tmp_path / "check" / "sheet-01.png").is_file()
@@ -155,7 +156,9 @@ def test_photographs_that_are_all_black_or_all_white(tmp_path: Path, level: floa
     network = NetworkConfig(base_channels=4, global_channels=8)
     card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
     save_checkpoint(tmp_path / "random.safetensors", card, MaterialNetwork(network), ConfidenceNets())
-    report = infer(capture, tmp_path / "out", tmp_path / "random.safetensors", InferOptions(atlas=64))
+    report = infer(
+        capture, tmp_path / "out", CheckpointMaps(tmp_path / "random.safetensors"), InferOptions(atlas=64)
+    )
     for view in capture.views:
         assert any(w.startswith(f"{view.name}: ") and said in w for w in report.warnings), report.warnings
     assert np.isfinite(read_image(tmp_path / "out" / "atlas" / "diffuse_albedo.exr")).all()
@@ -165,14 +168,14 @@ def test_a_mesh_off_by_two_centimetres(tmp_path: Path) -> None:
     capture = photographed_room()
     mesh = capture.geometry.mesh
     moved = replace(mesh, positions=mesh.positions + np.array([0.012, -0.012, 0.0106], np.float32))
-    report = infer(with_mesh(capture, moved), tmp_path, None, OPTIONS)
+    report = infer(with_mesh(capture, moved), tmp_path, TRUTH, OPTIONS)
     assert any("the mesh seems to be moved by" in warning for warning in report.warnings)
     assert np.median(errors(tmp_path)) < 0.03
 
 
 @pytest.mark.parametrize("num", [1, pytest.param(300, marks=pytest.mark.slow)])
 def test_few_and_many_views(tmp_path: Path, num: int) -> None:
-    report = infer(room_capture(num, (48, 36)), tmp_path, None, OPTIONS)
+    report = infer(room_capture(num, (48, 36)), tmp_path, TRUTH, OPTIONS)
     assert report.num_views == num
     assert report.seen_share > (0.05 if num == 1 else 0.85)
     assert np.median(errors_of_seen(tmp_path)) < 0.05
@@ -213,15 +216,15 @@ def test_full_disk(tmp_path: Path) -> None:
     """The run stops with the system's word for it, leaves no half files, and the next one ends as if nothing
     had been."""
     capture = room_capture(4, (48, 36))
-    infer(capture, tmp_path / "whole", None, OPTIONS)
+    infer(capture, tmp_path / "whole", TRUTH, OPTIONS)
     out = tmp_path / "full"
     for limit in (6000, 16000):  # the PNGs do not fit; the EXRs do not
         with small_files(limit), pytest.raises(OSError, match="File too large") as caught:
-            infer(capture, out, None, replace(OPTIONS, is_checked=False))
+            infer(capture, out, TRUTH, replace(OPTIONS, is_checked=False))
         assert str(out) in str(caught.value.filename)
     assert not (out / "report.json").exists()
     assert not [path for path in out.rglob("*") if "partial" in path.name]
-    infer(capture, out, None, OPTIONS)
+    infer(capture, out, TRUTH, OPTIONS)
     assert files_of(out) == files_of(tmp_path / "whole")
 
 
@@ -233,13 +236,15 @@ torch.set_num_threads(1)
 from mitsuba_plugins.variant import select_variant
 select_variant("llvm_ad_rgb")
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.predict.sources import CheckpointMaps
 from tests.model.test_reconstruction_robustness import small_capture
 
 def tell(stage, done, total):
     if stage == "predict" and done >= 2:
         os.kill(os.getpid(), signal.SIGKILL)
 
-infer(small_capture(), Path(sys.argv[1]), Path(sys.argv[2]), InferOptions(atlas=64, batch=1), tell)
+source = CheckpointMaps(Path(sys.argv[2]))
+infer(small_capture(), Path(sys.argv[1]), source, InferOptions(atlas=64, batch=1), tell)
 """
 
 
@@ -262,9 +267,9 @@ def test_killed_process(tmp_path: Path) -> None:
     kept = {path.name: path.stat().st_mtime_ns for path in (out / "views").glob("*.exr")}
     assert len(kept) == 2 and not (out / "report.json").exists()
     options = InferOptions(atlas=64, batch=1)
-    infer(small_capture(), out, checkpoint, options)
+    infer(small_capture(), out, CheckpointMaps(checkpoint), options)
     assert all((out / "views" / name).stat().st_mtime_ns == time_ns for name, time_ns in kept.items())
-    infer(small_capture(), tmp_path / "whole", checkpoint, options)
+    infer(small_capture(), tmp_path / "whole", CheckpointMaps(checkpoint), options)
     assert files_of(out) == files_of(tmp_path / "whole")
 
 
@@ -276,14 +281,15 @@ import numpy as np
 from mitsuba_plugins.variant import select_variant
 select_variant("llvm_ad_rgb")
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.predict.sources import TRUTH
 from tests.model.photographed_room import with_mesh
 from tests.model.test_reconstruction_robustness import large_room
 from tests.model.textured_room import room_capture
 
 mesh = large_room(int(sys.argv[2]))
 start = time.process_time()
-report = infer(with_mesh(room_capture(4, (96, 72)), mesh), Path(sys.argv[1]), None,
-               InferOptions(atlas=512, use_truth=True))
+report = infer(with_mesh(room_capture(4, (96, 72)), mesh), Path(sys.argv[1]), TRUTH,
+               InferOptions(atlas=512))
 print(json.dumps({"triangles": len(mesh.faces), "cpu_s": time.process_time() - start,
                   "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
                   "seen": report.seen_share, "source": report.unwrap["source"], "seconds": report.seconds}))

@@ -18,6 +18,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for
 from datagen.foundation.errors import InputError
 from model.reconstruction.infer import InferOptions, infer
+from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.render.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
 from model.reconstruction.render.turntable import TurntableOptions, way_cameras, write_turntable
 from tests.model.textured_room import room_cameras, room_capture
@@ -32,7 +33,7 @@ def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Pat
     """A closed room with a lamp."""
     out = tmp_path_factory.mktemp("asset") / "out"
     capture = replace(room_capture(6, (48, 36)), lights=(LAMP,))
-    infer(capture, out, None, InferOptions(atlas=64, use_truth=True, has_exr=False, is_checked=False))
+    infer(capture, out, TRUTH, InferOptions(atlas=64, has_exr=False, is_checked=False))
     return out / "asset"
 
 

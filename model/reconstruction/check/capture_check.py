@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, write_bytes_atomically
-from datagen.formats.capture import Capture, CaptureGeometry
+from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
 from datagen.foundation.errors import input_error
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
@@ -26,8 +26,9 @@ from model.reconstruction.check.edges import match_edges, mesh_edges
 from model.reconstruction.check.judgement import judge
 from model.reconstruction.check.views import CheckReport, Look, view_warnings
 from model.reconstruction.geometry.traced import TracedGeometry, seen_sides
+from model.reconstruction.geometry.views import TracedCapture
 
-__all__ = ["CheckReport", "Look", "check_capture", "check_looks", "view_warnings"]
+__all__ = ["CheckReport", "Look", "check_capture", "check_looks", "check_traced", "view_warnings"]
 _MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
 _MIN_FIT = 4.0  # median score at zero, times coverage, of a capture whose mesh fits
@@ -51,6 +52,15 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
         looks.append(Look(view.name, view.camera, image, geometry))
         tell("check", number, len(capture.views))
     return check_looks(capture, looks, out)
+
+
+def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
+    """The same for a capture that has been read and traced."""
+    looks = [
+        Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
+        for view in traced.views
+    ]
+    return check_looks(traced.capture, looks, out)
 
 
 def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None) -> CheckReport:

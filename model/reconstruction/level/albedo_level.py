@@ -22,13 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.capture import Capture
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.multiview.statistics import StatisticsView
 from datagen.multiview.visibility import vectors_from_rows
 from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.level.radiance_cache import Floats, RadianceCache, RadianceView
+from model.reconstruction.geometry.views import TracedCapture, TracedView
+from model.reconstruction.level.radiance_cache import Floats, RadianceCache
 
 NUM_POINTS, NUM_RAYS = 4096, 400
 """Surface points, about evenly spread over what was seen; rays of each, a square number."""
@@ -85,7 +84,7 @@ class AlbedoLevel:
 
 
 def find_level(
-    views: Sequence[RadianceView],
+    views: Sequence[TracedView],
     maps: Sequence[dict[str, NDArray]],
     traced: TracedGeometry,
     region_of_face: NDArray[np.int32],
@@ -148,11 +147,11 @@ def _fit(
     return AlbedoLevel(gains, LevelReport(True, "", gain=gain, **found))
 
 
-def clipped_share(capture: Capture, views: Sequence[StatisticsView]) -> float:
+def clipped_share(traced: TracedCapture) -> float:
     """Share of the pixels of photographs that are at the sensor's limit in a channel. Images with values
     beyond the white of an 8-bit one have no limit that is known; rendered ones have none."""
     num_clipped = num_pixels = 0
-    for view, read in zip(capture.views, views, strict=True):
+    for view, read in zip(traced.capture.views, traced.views, strict=True):
         limit = getattr(view.source, "exposure_scale", None)
         num_pixels += read.color.shape[0] * read.color.shape[1]
         if limit is not None and float(read.color.max(initial=0)) <= 1.001 * limit:
@@ -177,7 +176,7 @@ class _Points:
 
 def _draw_points(
     cache: RadianceCache,
-    views: Sequence[RadianceView],
+    views: Sequence[TracedView],
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
 ) -> _Points:

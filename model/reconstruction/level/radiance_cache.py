@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from datagen.foundation.cameras import Camera
-from model.reconstruction.geometry.traced import ViewGeometry
+from model.reconstruction.geometry.views import TracedView
 
 Floats = NDArray[np.float64]
 
@@ -32,16 +31,6 @@ _MAX_BACKGROUND = 20_000
 _REACH_CUBES = 2.0  # from a place to the nearest cube that has a colour
 _PLACE_WEIGHT = 2.25  # of a move by the diagonal, against 1 rad of direction
 _BACKGROUND_REACH = 1.0
-
-
-@dataclass(frozen=True)
-class RadianceView:
-    """A view: ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False where the photograph has nothing."""
-
-    camera: Camera
-    color: NDArray[np.float32]
-    geometry: ViewGeometry
-    valid_mask: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -59,7 +48,7 @@ class SeenPixels:
 class RadianceCache:
     """Raises ValueError where the views see no extended surface."""
 
-    def __init__(self, views: Sequence[RadianceView]):
+    def __init__(self, views: Sequence[TracedView]):
         total = sum(view.valid_mask.size for view in views)
         step = max(1, int(np.ceil(np.sqrt(total / MAX_PIXELS))))
         parts = [_pixels_of(view, index, step) for index, view in enumerate(views)]
@@ -127,7 +116,7 @@ class RadianceCache:
             index[rest[found]], is_known[rest[found]] = nearest[found], True
         return np.where(is_known[:, None], self._radiance[index], 0.0), is_known
 
-    def _set_background(self, views: Sequence[RadianceView], step: int) -> None:
+    def _set_background(self, views: Sequence[TracedView], step: int) -> None:
         rays, colors = [], []
         for view in views:
             pixel = _grid(view, step)
@@ -159,14 +148,14 @@ class RadianceCache:
         return np.where(is_known[:, None], found, 0.0), is_known
 
 
-def _grid(view: RadianceView, step: int) -> NDArray[np.int64]:
+def _grid(view: TracedView, step: int) -> NDArray[np.int64]:
     """Flat indices of every ``step``-th pixel along both axes."""
     height, width = view.valid_mask.shape
     rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
     return (rows[:, None] * width + columns).ravel()
 
 
-def _pixels_of(view: RadianceView, index: int, step: int) -> tuple[NDArray, ...]:
+def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
     """View, flat index, position, normal and colour of the pixels that show the mesh."""
     depth = view.geometry.depth_z_m.ravel()
     pixel = _grid(view, step)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fills what no view has seen of an atlas, and chooses how large an atlas should be.
+"""Fills what no view has seen of an atlas.
 
 Inside a chart that is seen in part, unseen texels take the nearest seen texel of the same chart; the
 triangles of charts that are not seen at all take the mean of the nearest seen triangle in the room. Texels
@@ -10,18 +10,16 @@ no foreign colour. ``count`` keeps telling seen from filled.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.atlas.compiled import compiled, num_threads
-from model.reconstruction.geometry.traced import ViewGeometry
 from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces
 
@@ -30,9 +28,7 @@ BAND = 1024
 GUTTER = 128
 """Texels above and below a band that may fill it."""
 MAX_CHARTS = 20_000  # beyond, charts are so small that filling by triangle is as good
-MIN_SIZE, MAX_SIZE = 256, 16384
 _LARGE_WINDOW = 2**22  # texels of a chart after which memory is let go of
-_GRAZING_COSINE = 0.1  # footprints grow without bound towards grazing views
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
@@ -221,27 +217,3 @@ def _fill_gutters(atlas: Atlas) -> None:
             group = [slice(top, min(top + BAND, atlas.size)) for top in tops[first : first + num_threads()]]
             deque(pool.map(fill, group), maxlen=0)
             atlas.release()
-
-
-def atlas_size(
-    views: Sequence[tuple[Camera, ViewGeometry]], metres_per_side: float, quantile: float = 0.1
-) -> int:
-    """Side of an atlas whose texels are as fine as the views' pixels on the surface.
-
-    A pixel covers z / f / sqrt(cos) on a surface at depth z; the finest tenth of all pixels (``quantile``)
-    sets the texel. The result is a multiple of 256 in [256, 16384].
-    """
-    footprints = []
-    for camera, view in views:
-        step = max(1, view.face.size // 20_000)
-        z = view.depth_z_m.ravel()[::step].astype(np.float64)
-        normal = view.normal_world.reshape(-1, 3)[::step]
-        cosine = -(normal * camera.ray_directions().reshape(-1, 3)[::step]).sum(axis=1)
-        hit = z > 0
-        focal = np.sqrt(camera.fx_px * camera.fy_px)
-        footprints.append(z[hit] / focal / np.sqrt(np.maximum(cosine[hit], _GRAZING_COSINE)))
-    joined = np.concatenate(footprints) if footprints else np.zeros(0)
-    if joined.size == 0:
-        return MIN_SIZE
-    wanted = metres_per_side / float(np.quantile(joined, quantile))
-    return int(np.clip(np.ceil(wanted / 256) * 256, MIN_SIZE, MAX_SIZE))

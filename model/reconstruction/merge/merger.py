@@ -26,6 +26,7 @@ from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
 from model.reconstruction.atlas.compiled import num_threads
 from model.reconstruction.atlas.texels import TexelSurface
+from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.merge.lane_sort import networks
 from model.reconstruction.merge.medians import (
     CAMERA,
@@ -82,6 +83,21 @@ class MapView:
             got = f"shape {self.confidence.shape}"
             found.append(Problem(self.name, "confidence", got, f"{(*shape, 3)} like its camera"))
         return found
+
+
+def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -> list[MapView]:
+    """Views as traced with their maps; lamps and background are left out."""
+    return [
+        MapView(
+            view.camera,
+            view_maps,
+            np.where(view.geometry.surface_mask > 0, view.geometry.depth_z_m, 0),
+            view.geometry.face,
+            view.name,
+            view_maps.get("confidence"),
+        )
+        for view, view_maps in zip(views, maps, strict=True)
+    ]
 
 
 @dataclass(frozen=True)

@@ -8,35 +8,26 @@ import io
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
-from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from model.checkpoint import load_checkpoint
 from model.reconstruction.atlas.atlas import MAP_NAMES
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.infer_options import InferOptions, InferReport, Progress
+from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
+from model.reconstruction.stages import Maps, Run
 
 USUAL_PIXELS = 640 * 384
 """Views of more pixels go in smaller batches, so that a batch's memory has a bound."""
 
 
-def predicted_maps(
-    capture: Capture,
-    views: list[StatisticsView],
-    traced: TracedGeometry,
-    out: Path,
-    checkpoint_path: Path,
-    options: InferOptions,
-    report: InferReport,
-    tell: Progress,
-) -> list[dict[str, NDArray]]:
+def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> list[Maps]:
     """Maps of all views: those on disk, and the rest predicted and written there."""
+    capture, views, options, report = traced.capture, traced.statistics, run.options, run.report
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
         report.exposure = capture_exposure(views)
@@ -53,13 +44,13 @@ def predicted_maps(
     if options.is_filtered and not predictor.is_filtered:
         report.notes.append("the checkpoint has no confidence networks: maps are not filtered")
     wants_confidence = predictor.has_confidence
-    maps: list[dict[str, NDArray] | None] = [_stored(out, view, wants_confidence) for view in capture.views]
+    maps: list[Maps | None] = [_stored(run.out, view, wants_confidence) for view in capture.views]
     batches = _batches(capture, options.batch)
     pending = [batch for batch in batches if any(maps[index] is None for index in batch)]
     statistics = compute_statistics(
         views,
         StatisticsOptions(visibility=VisibilityOptions(mode=options.visibility)),
-        traced.scene if options.visibility == "trace" else None,
+        traced.geometry.scene if options.visibility == "trace" else None,
         only=[index for batch in pending for index in batch],
     )
     for batch in pending:
@@ -74,8 +65,8 @@ def predicted_maps(
             for index, view_maps in zip(batch, predicted, strict=True):
                 if maps[index] is None:
                     maps[index] = _halves(view_maps)
-                    _store(out, capture.views[index], view_maps)
-        tell("predict", sum(m is not None for m in maps), len(maps))
+                    _store(run.out, capture.views[index], view_maps)
+        run.tell("predict", sum(m is not None for m in maps), len(maps))
     return [view_maps for view_maps in maps if view_maps is not None]
 
 
@@ -96,7 +87,7 @@ def _batches(capture: Capture, size: int) -> list[list[int]]:
     return batches
 
 
-def _halves(maps: dict[str, NDArray]) -> dict[str, NDArray]:
+def _halves(maps: Maps) -> Maps:
     """As they are stored, so that a continued run equals an uninterrupted one."""
     return {name: values.astype(np.float16) for name, values in maps.items()}
 
@@ -109,7 +100,7 @@ def _confidence_path(out: Path, view: CaptureView) -> Path:
     return out / "views" / f"{view.name}.confidence.npy"
 
 
-def _store(out: Path, view: CaptureView, maps: dict[str, NDArray]) -> None:
+def _store(out: Path, view: CaptureView, maps: Maps) -> None:
     if "confidence" in maps:
         stream = io.BytesIO()
         np.save(stream, maps["confidence"].astype(np.float16))
@@ -117,7 +108,7 @@ def _store(out: Path, view: CaptureView, maps: dict[str, NDArray]) -> None:
     write_bytes_atomically(_map_path(out, view), encode_view({name: maps[name] for name in MAP_NAMES}))
 
 
-def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> dict[str, NDArray] | None:
+def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> Maps | None:
     path, confidence_path = _map_path(out, view), _confidence_path(out, view)
     if not path.is_file() or (wants_confidence and not confidence_path.is_file()):
         return None

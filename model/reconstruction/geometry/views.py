@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""A capture's views as read and traced: what every later stage of a reconstruction looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.capture import Capture
+from datagen.foundation.cameras import Camera
+from datagen.foundation.errors import input_error
+from datagen.multiview.statistics import StatisticsView
+from model.reconstruction.geometry.traced import TracedGeometry, ViewGeometry
+
+
+@dataclass(frozen=True)
+class TracedView:
+    """A view: ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False where the photograph has nothing."""
+
+    camera: Camera
+    color: NDArray[np.float32]
+    geometry: ViewGeometry
+    valid_mask: NDArray[np.bool_]
+    name: str = "view"
+
+    @property
+    def statistics(self) -> StatisticsView:
+        """The same as input of the statistics over views; arrays are shared."""
+        seen = self.geometry
+        return StatisticsView(
+            self.camera, self.color, seen.depth_z_m, seen.normal_world, seen.surface_mask, self.name
+        )
+
+
+@dataclass(frozen=True)
+class TracedCapture:
+    """A capture, its mesh ready for rays, and its views in the capture's order."""
+
+    capture: Capture
+    geometry: TracedGeometry
+    views: tuple[TracedView, ...]
+
+    @property
+    def statistics(self) -> list[StatisticsView]:
+        """Of every view."""
+        return [view.statistics for view in self.views]
+
+
+def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None = None) -> TracedCapture:
+    """Read and trace every view. The Mitsuba variant must have been selected.
+
+    Raises :class:`InputError` where no view sees reflecting surface.
+    """
+    geometry, views = TracedGeometry(capture.geometry), []
+    for number, view in enumerate(capture.views, start=1):
+        image = view.read()
+        seen = geometry.trace_view(view.camera, image.valid_mask)
+        views.append(TracedView(view.camera, image.color, seen, image.valid_mask, view.name))
+        if progress is not None:
+            progress(number, len(capture.views))
+    if not any(view.geometry.surface_mask.any() for view in views):
+        expected = "cameras that look at the mesh"
+        remedy = "check that mesh and cameras share their frame, axes and unit"
+        raise input_error(capture.name, "geometry", "no view sees the mesh", expected, remedy)
+    return TracedCapture(capture, geometry, tuple(views))

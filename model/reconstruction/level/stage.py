@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+"""The stage that corrects the level of predicted diffuse albedo before the maps are merged."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+
+from model.reconstruction.geometry.traced import smooth_regions
+from model.reconstruction.geometry.views import TracedCapture
+from model.reconstruction.level.albedo_level import clipped_share, find_level
+from model.reconstruction.stages import Maps, Run
+
+
+def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
+    """The maps with diffuse albedo at the level that the light between the surfaces tells; unchanged where
+    it tells too little. What lies on disk stays as it was predicted."""
+    with run.report.stage("level"):
+        region_of_face = smooth_regions(traced.geometry.mesh)
+        level = find_level(traced.views, maps, traced.geometry, region_of_face, clipped_share(traced))
+        run.report.albedo_level = asdict(level.report)
+        if not level.report.is_applied:
+            run.report.notes.append(f"the level of diffuse albedo is the networks': {level.report.reason}")
+            return maps
+        corrected = []
+        for view_maps, view in zip(maps, traced.views, strict=True):
+            face = view.geometry.face
+            region = np.where(face >= 0, region_of_face[np.maximum(face, 0)], -1)
+            albedo = level.corrected(view_maps["diffuse_albedo"], region)
+            corrected.append({**view_maps, "diffuse_albedo": albedo})
+        return corrected

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: MIT
+"""How large an atlas should be: its texels as fine as the views' pixels on the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from datagen.foundation.cameras import Camera
+from model.reconstruction.geometry.traced import ViewGeometry
+
+MIN_SIZE, MAX_SIZE = 256, 16384
+_GRAZING_COSINE = 0.1  # footprints grow without bound towards grazing views
+
+
+def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: float = 0.1) -> float | None:
+    """Side of what a fine pixel covers, None where no view sees the surface.
+
+    A pixel covers z / f / sqrt(cos) on a surface at depth z; the finest tenth of all pixels (``quantile``)
+    decides.
+    """
+    footprints = []
+    for camera, view in views:
+        step = max(1, view.face.size // 20_000)
+        z = view.depth_z_m.ravel()[::step].astype(np.float64)
+        normal = view.normal_world.reshape(-1, 3)[::step]
+        cosine = -(normal * camera.ray_directions().reshape(-1, 3)[::step]).sum(axis=1)
+        hit = z > 0
+        focal = np.sqrt(camera.fx_px * camera.fy_px)
+        footprints.append(z[hit] / focal / np.sqrt(np.maximum(cosine[hit], _GRAZING_COSINE)))
+    joined = np.concatenate(footprints) if footprints else np.zeros(0)
+    return float(np.quantile(joined, quantile)) if joined.size else None
+
+
+def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:
+    """Side of an atlas whose texels are of that size: a multiple of 256 in [256, 16384]."""
+    if footprint_m is None:
+        return MIN_SIZE
+    return int(np.clip(np.ceil(metres_per_side / footprint_m / 256) * 256, MIN_SIZE, MAX_SIZE))

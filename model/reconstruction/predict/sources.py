@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""Where maps of views come from: a checkpoint, the capture's own truth, or elsewhere."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.formats.capture import CaptureView
+from datagen.foundation.errors import input_error
+from model.reconstruction.atlas.atlas import MAP_NAMES
+from model.reconstruction.geometry.views import TracedCapture
+from model.reconstruction.infer_options import InferOptions
+from model.reconstruction.stages import Maps, Run
+
+
+@dataclass(frozen=True)
+class CheckpointMaps:
+    """Predictions of a checkpoint's networks."""
+
+    path: Path
+    is_predicted: bool = True
+
+    @property
+    def identity(self) -> str:
+        """The file's SHA-256. Raises :class:`InputError` where it cannot be read."""
+        try:
+            return hashlib.sha256(self.path.read_bytes()).hexdigest()
+        except OSError as error:
+            expected = "a checkpoint (.safetensors)"
+            raise input_error(self.path, "", str(error), expected, "check the path") from None
+
+    def prepare(self, options: InferOptions) -> None:
+        """Refuse a checkpoint that cannot be read and a device that is not there."""
+        from model.checkpoint import read_card
+        from model.devices import parse_device
+
+        read_card(self.path)
+        parse_device(options.device)
+
+    def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
+        """Those on disk, and the rest predicted."""
+        from model.reconstruction.predict.view_maps import predicted_maps  # torch, which others do without
+
+        return predicted_maps(traced, self.path, run)
+
+
+@dataclass(frozen=True)
+class GivenMaps:
+    """Maps that are there: ``read`` gives every view's."""
+
+    identity: str
+    read: Callable[[TracedCapture], list[Maps]]
+    is_predicted: bool = False
+
+    def prepare(self, options: InferOptions) -> None:
+        """Nothing to refuse."""
+
+    def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
+        """As they are."""
+        with run.report.stage("read maps"):
+            return self.read(traced)
+
+
+def _truth(view: CaptureView) -> Maps:
+    maps = view.source.read_maps(MAP_NAMES)
+    if set(maps) != set(MAP_NAMES):
+        expected = "a rendered capture"
+        raise input_error(view.name, "ground truth", "none", expected, "leave --truth out")
+    return {name: np.clip(values.astype(np.float32), 0, 1) for name, values in maps.items()}
+
+
+TRUTH = GivenMaps("truth", lambda traced: [_truth(view) for view in traced.capture.views])
+"""The ground truth of a rendered capture: what the rest of the way loses."""

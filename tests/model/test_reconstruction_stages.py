@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""Stages of ``materials infer``: what they hand on, what they leave alone, and when memory is freed."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.foundation.images import read_image
+from model.reconstruction import infer as infer_module
+from model.reconstruction.geometry.views import TracedCapture
+from model.reconstruction.infer import InferOptions, infer, map_stages
+from model.reconstruction.level.stage import leveled
+from model.reconstruction.predict.sources import TRUTH, CheckpointMaps, GivenMaps
+from model.reconstruction.stages import Maps, Run
+from tests.model.textured_room import room_capture
+
+OPTIONS = InferOptions(atlas=64, has_exr=False, is_checked=False)
+PREDICTED = replace(TRUTH, identity="as if predicted", is_predicted=True)
+
+
+def _diffuse(out: Path) -> NDArray:
+    return read_image(out / "atlas" / "diffuse_albedo.png")
+
+
+def test_only_predictions_are_corrected() -> None:
+    assert map_stages(CheckpointMaps(Path("weights.safetensors")), OPTIONS) == [leveled]
+    assert map_stages(CheckpointMaps(Path("weights.safetensors")), replace(OPTIONS, is_leveled=False)) == []
+    assert map_stages(TRUTH, OPTIONS) == []
+
+
+def test_a_stage_between_prediction_and_merge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is given the traced capture and the maps; what it returns is merged, and what it was given stays."""
+    capture = room_capture(2, (32, 24))
+    given: list[Maps] = []
+
+    def darker(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
+        assert [view.name for view in traced.views] == [view.name for view in capture.views]
+        assert run.report.name == capture.name and traced.geometry.scene is not None
+        given.extend(maps)
+        return [{**m, "diffuse_albedo": m["diffuse_albedo"] * np.float32(0)} for m in maps]
+
+    infer(capture, tmp_path / "plain", TRUTH, OPTIONS)
+    monkeypatch.setattr(infer_module, "map_stages", lambda source, options: [darker])
+    infer(capture, tmp_path / "darker", PREDICTED, OPTIONS)
+    assert _diffuse(tmp_path / "plain").max() > 100 and _diffuse(tmp_path / "darker").max() == 0
+    truth = [view.source.read_maps(("diffuse_albedo",))["diffuse_albedo"] for view in capture.views]
+    for maps, expected in zip(given, truth, strict=True):
+        np.testing.assert_array_equal(maps["diffuse_albedo"], np.clip(expected, 0, 1))
+
+
+def test_traced_views_and_maps_are_freed_before_the_merge(tmp_path: Path) -> None:
+    """Nobody empties another's lists: what a stage held goes when it returns."""
+    held: dict[str, list[weakref.ref]] = {"traced": [], "maps": []}
+    alive: list[str] = []
+
+    def read(traced: TracedCapture) -> list[Maps]:
+        maps = TRUTH.read(traced)
+        held["traced"] = [weakref.ref(view.geometry.normal_world) for view in traced.views]
+        held["maps"] = [weakref.ref(m["specular_albedo"]) for m in maps]
+        return maps
+
+    def tell(stage: str, done: int, total: int) -> None:
+        if stage == "merge":
+            alive.extend(name for name, refs in held.items() if any(ref() is not None for ref in refs))
+
+    infer(room_capture(2, (32, 24)), tmp_path, GivenMaps("kept", read), OPTIONS, tell)
+    assert len(held["traced"]) == len(held["maps"]) == 2 and alive == []
