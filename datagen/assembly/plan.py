@@ -39,7 +39,7 @@ from datagen.library import Library
 NUM_EYES = 384  # places where the light is probed
 NUM_TRIES = 3
 
-__all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of"]
+__all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of", "world_of"]
 
 
 @dataclass
@@ -238,6 +238,13 @@ def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldS
     ]
     assert isinstance(geometries[0].asset, EnvironmentAsset)
     return WorldScene(geometries[0], objects)
+
+
+def world_of(configuration: Configuration, library: Library) -> WorldScene:
+    """Room and things of a configuration as rays meet them."""
+    placed = [configuration.environment, *configuration.objects]
+    geometry = _process_caches().geometry
+    return _world([geometry.get(library.package(p.asset)) for p in placed], placed)
 
 
 def _hashes(placed: list[PlacedAsset], lights: tuple, library: Library) -> dict[str, str]:

@@ -27,6 +27,10 @@ def evaluate(
         Optional[Path],  # noqa: UP045
         typer.Option("--checkpoint", help="In place of the bundled weights (.safetensors)."),
     ] = None,
+    compare: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--compare", help="evaluation.json of another run, or its folder: print differences."),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print what would be done; render nothing.")
     ] = False,
@@ -41,6 +45,11 @@ def evaluate(
     from model.evaluation.suite import describe_suite, read_suite
 
     resolved = read_suite(suite, checkpoint)
+    other = None
+    if compare is not None:
+        from model.evaluation.compare import comparison, read_other
+
+        other = read_other(compare)
     if dry_run:
         typer.echo(describe_suite(resolved))
         return
@@ -60,13 +69,23 @@ def evaluate(
     if is_written(evaluation.result, out):
         typer.echo("nothing to do: the results are those of these scenes, methods and settings", err=True)
     else:
-        write_results(evaluation.result, evaluation.figure_views, out)
+        write_results(evaluation.result, evaluation.truth, out)
     typer.echo((out / "evaluation.md").read_text(encoding="utf-8"))
+    if other is not None:
+        typer.echo(comparison(evaluation.result, other).markdown())
     typer.echo(str(out / "index.html"))
+    for name, reason in evaluation.result.failures.items():
+        typer.echo(f"scene {name} has no figures:\n{reason}", err=True)
+    if evaluation.result.failures:
+        raise typer.Exit(1)
+
+
+_SILENCE_S = 30.0  # without a terminal, a stage that takes longer says where it is
 
 
 class _Stages:
-    """The stage that is worked on, on standard error: with a bar on a terminal, else a line a stage."""
+    """The stage that is worked on, on standard error: with a bar on a terminal, else a line a stage and one
+    every half a minute."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -82,7 +101,7 @@ class _Stages:
             console=console,
             transient=True,
         )
-        self._stage = ""
+        self._stage, self._said_at = "", 0.0
         self._task: Any = None
 
     def __enter__(self) -> _Stages:
@@ -95,9 +114,10 @@ class _Stages:
     def tell(self, stage: str, done: int, total: int) -> None:
         """Show where a stage is."""
         if not self._is_terminal:
-            if stage != self._stage:
-                self._stage = stage
-                typer.echo(f"{time.strftime('%H:%M:%S')} {stage} ({total})", err=True)
+            now = time.monotonic()
+            if stage != self._stage or now - self._said_at >= _SILENCE_S:
+                self._stage, self._said_at = stage, now
+                typer.echo(f"{time.strftime('%H:%M:%S')} {stage} ({done} of {total})", err=True)
             return
         if stage != self._stage:
             if self._task is not None:

@@ -12,22 +12,39 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from datagen.formats.base import sha256_file
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
 from model.checkpoint import read_card
 from model.evaluation.baselines import given_maps, maps_files
-from model.evaluation.metrics import Lpips, MapSums, image_figures
-from model.evaluation.opened_scene import INSERTED, OWN, OpenedScene, Tell, key_of, open_scene, told
+from model.evaluation.camera_faults import CameraFaults, as_taken
+from model.evaluation.lpips import Lpips
+from model.evaluation.map_measures import MapMeasures
+from model.evaluation.metrics import image_figures, means
+from model.evaluation.noise import seed_spread
+from model.evaluation.opened_scene import (
+    INSERTED,
+    OWN,
+    RENDER_SEED,
+    SECOND_SEED,
+    OpenedScene,
+    Tell,
+    key_of,
+    open_scene,
+    told,
+)
 from model.evaluation.peak_memory import forget_peak, peak_mb
 from model.evaluation.rendering import JudgedView, render_scenery
 from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
-from model.evaluation.room import PreparedScene, assert_not_trained_on, prepare_scene
-from model.evaluation.scenery import recovered_scenery
+from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
+from model.evaluation.scenery import Scenery, recovered_scenery
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
 from model.reconstruction.atlas.atlas import MAP_NAMES
@@ -36,44 +53,78 @@ from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import MapSource
 
-_MEASURES = 1
+_MEASURES = 2
 """Revision of the figures: those of another are measured anew."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """``figure_views``: by scene, the views of its pictures as its capture has them."""
+    """``truth``: by scene, its judged views under its own light."""
 
     result: SuiteResult
-    figure_views: dict[str, dict[str, JudgedView]]
+    truth: dict[str, dict[str, JudgedView]]
 
 
 def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: None) -> Evaluation:
-    """Measure every method on every scene. Raises :class:`InputError` for bad scenes, maps and packages, and
-    for a checkpoint that was trained on a scene."""
-    lpips = Lpips()
+    """Measure every method on every scene.
+
+    Scenes are imported and held against what checkpoints learnt from before any is rendered. A scene that
+    fails (a bad source, faulty maps, a checkpoint that was trained on it) is among the result's ``failures``
+    with the reason; the figures of the others are whole.
+    """
+    lpips = Lpips(cache / "features")
+    failures: dict[str, str] = {}
+    planned: dict[str, PlannedScene] = {}
+    for recipe in suite.scenes:
+        tell(f"{recipe.name}: plan", 0, 1)
+        try:
+            planned[recipe.name] = plan_scene(recipe, cache)
+            if not suite.may_be_known:
+                _assert_unknown(suite, planned[recipe.name])
+        except InputError as error:
+            failures[recipe.name] = str(error)
     scenes, shown = [], {}
     for recipe in suite.scenes:
-        prepared = prepare_scene(recipe, cache, lambda *progress: tell(*progress))
-        if not suite.may_be_known:
-            _assert_unknown(suite, prepared)
-        scene = open_scene(suite, recipe, prepared, tell)
-        _check_maps(suite, scene)
-        methods = tuple(_judge(suite, scene, method, lpips, tell) for method in suite.methods)
+        if recipe.name in failures:
+            continue
+        try:
+            scene = _opened(suite, planned[recipe.name], tell)
+            methods = tuple(
+                _judge(suite, scene, method, camera, lpips, tell)
+                for camera in (None, *suite.cameras)
+                for method in suite.methods
+                if camera is None or not isinstance(method, TruthMethod)
+            )
+        except InputError as error:
+            failures[recipe.name] = str(error)
+            continue
         scenes.append(scene.result(methods))
-        shown[recipe.name] = {name: scene.truth[OWN][name] for name in scene.figure_views.values()}
+        shown[recipe.name] = scene.truth[OWN]
     result = SuiteResult(
-        suite=suite.name, may_be_known=suite.may_be_known, lpips_absence=lpips.absence, scenes=tuple(scenes)
+        suite=suite.name,
+        may_be_known=suite.may_be_known,
+        lpips_absence=lpips.absence,
+        scenes=tuple(scenes),
+        failures=failures,
     )
     return Evaluation(result, shown)
 
 
-def _assert_unknown(suite: Suite, prepared: PreparedScene) -> None:
+def _opened(suite: Suite, planned: PlannedScene, tell: Tell) -> OpenedScene:
+    """A scene with its photographs and its truth, after faulty maps of other methods were refused."""
+    name = planned.recipe.name
+    prepared = photograph(planned, lambda stage, done, total: tell(f"{name}: {stage}", done, total))
+    scene = open_scene(suite, planned.recipe, prepared, tell)
+    _check_maps(suite, scene)
+    return scene
+
+
+def _assert_unknown(suite: Suite, planned: PlannedScene) -> None:
     problems: list[Problem] = []
     for method in suite.methods:
         if isinstance(method, NetworkMethod) and Path(method.checkpoint).is_file():
             try:
-                assert_not_trained_on(prepared, read_card(Path(method.checkpoint)))
+                assert_not_trained_on(planned, read_card(Path(method.checkpoint)))
             except InputError as error:
                 problems += error.problems
     if problems:
@@ -96,14 +147,17 @@ def _check_maps(suite: Suite, scene: OpenedScene) -> None:
 # ---- a method
 
 
-def _judge(suite: Suite, scene: OpenedScene, method: Method, lpips: Lpips, tell: Tell) -> MethodResult:
-    """The figures of a method on a scene."""
+def _judge(
+    suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, lpips: Lpips, tell: Tell
+) -> MethodResult:
+    """The figures of a method on a scene, from photographs as ``camera`` takes them."""
     name = scene.recipe.name
     base = MethodResult(
         scene=name,
         method=method.name,
         kind=method.kind,
         geometry=method.geometry.describe() if method.geometry else "true",
+        camera=camera.name if camera else "",
     )
     weights = ""
     if isinstance(method, NetworkMethod):
@@ -113,9 +167,12 @@ def _judge(suite: Suite, scene: OpenedScene, method: Method, lpips: Lpips, tell:
         base = base.model_copy(update={"checkpoint": f"{Path(method.checkpoint).stem} {weights[:12]}"})
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
-    folder = scene.root / f"{method.name}-{key_of(own, weights, suite.atlas, scene.inputs, maps)}"
+    faults = [camera.model_dump(mode="json")] if camera else []
+    key = key_of(own, weights, suite.atlas, scene.inputs, maps, *faults)
+    folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}
-    how = [_MEASURES, scene.novel, suite.render.model_dump(mode="json"), lights, not lpips.absence]
+    rendering = [None if r is None else r.model_dump(mode="json") for r in (suite.render, suite.truth)]
+    how = [_MEASURES, scene.novel, rendering, suite.seed_views, lights, not lpips.absence]
     path = folder / f"result-{key_of(how)}.json"
     done = read_result(path)
     if done is not None:
@@ -124,9 +181,9 @@ def _judge(suite: Suite, scene: OpenedScene, method: Method, lpips: Lpips, tell:
     forget_peak()
 
     def say(stage: str, number: int, total: int) -> None:
-        tell(f"{name}, {method.name}: {stage}", number, total)
+        tell(f"{name}, {base.label}: {stage}", number, total)
 
-    measured = _measure(suite, scene, method, folder, lpips, say)
+    measured = _measure(suite, scene, method, camera, folder, lpips, say)
     measured |= {"folder": str(folder), "peak_memory_mb": round(peak_mb(), 1)}
     result = base.model_copy(update=measured)
     write_result(path, result)
@@ -143,24 +200,31 @@ def _maps_identity(method: Method, scene: str) -> list[str]:
 
 
 def _measure(
-    suite: Suite, scene: OpenedScene, method: Method, folder: Path, lpips: Lpips, tell: Tell
+    suite: Suite,
+    scene: OpenedScene,
+    method: Method,
+    camera: CameraFaults | None,
+    folder: Path,
+    lpips: Lpips,
+    tell: Tell,
 ) -> dict[str, Any]:
     found: dict[str, Any] = {}
     seconds: dict[str, float] = {}
     if isinstance(method, TruthMethod):
         sceneries = scene.sceneries
     else:
-        asset, found = _reconstruct(suite, scene, method, folder, tell)
+        asset, found = _reconstruct(suite, scene, method, camera, folder, tell)
         seconds = found["seconds"]
-        found["maps_per_view"] = _per_view(scene, folder).mse()
+        found |= _map_results("per_view", _per_view(scene, folder))
         sceneries = {light: recovered_scenery(s, asset) for light, s in scene.sceneries.items()}
     start = time.perf_counter()
-    renders, images, merged = {}, {}, MapSums()
+    renders, images, merged = {}, {}, MapMeasures()
+    spread: dict[str, dict[str, float]] = {}
     for light, scenery in sceneries.items():
         views = scene.views_of(light)
-        other = scenery.with_seed(scenery.configuration.seed + 1)  # the truth's noise is not to be met again
-        target = scene.render_folder(other, views, suite.render)
-        rendered = render_scenery(other, views, target, suite.render, told(tell, f"render, {light}"))
+        rendered, target = _rendered(
+            suite, scene, scenery, views, RENDER_SEED, told(tell, f"render, {light}")
+        )
         renders[light] = str(target)
         if light == INSERTED:
             continue
@@ -168,33 +232,80 @@ def _measure(
             "input": _figures(scene, light, scene.inputs, rendered, lpips),
             "novel": _figures(scene, light, scene.novel, rendered, lpips),
         }
+        spread[light] = _seed_spread(suite, scene, light, scenery, images[light], lpips, tell)
         if light == OWN:
             for name in scene.inputs:
-                merged.add(rendered[name].maps, scene.truth[OWN][name], rendered[name].surface_mask)
+                view = rendered[name]
+                merged.add(name, view.maps, scene.truth[OWN][name], scene.surfaces(name), rendered=view)
     seconds["render and compare"] = round(time.perf_counter() - start, 2)
     return {
         **found,
-        "maps_merged": merged.mse(),
+        **_map_results("merged", merged, found),
         "covered_share": merged.covered_share,
-        "images": images,
+        "images": {light: {k: means(rows) for k, rows in sets.items()} for light, sets in images.items()},
+        "image_views": images,
+        "seed_spread": spread,
         "renders": renders,
         "seconds": seconds,
     }
 
 
+def _rendered(
+    suite: Suite,
+    scene: OpenedScene,
+    scenery: Scenery,
+    views: tuple[str, ...],
+    seed: int,
+    tell: Callable[[int, int], None],
+) -> tuple[dict[str, JudgedView], Path]:
+    """Views of a scenery, and their folder; ``seed`` is not that of the truth, whose noise is not to be met
+    again."""
+    other = scenery.with_seed(scenery.configuration.seed + seed)
+    target = scene.render_folder(other, views, suite.render)
+    return render_scenery(other, views, target, suite.render, tell), target
+
+
+def _seed_spread(
+    suite: Suite,
+    scene: OpenedScene,
+    light: str,
+    scenery: Scenery,
+    first: dict[str, dict[str, dict[str, float | None]]],
+    lpips: Lpips,
+    tell: Tell,
+) -> dict[str, float]:
+    """Standard deviation of a view's figures by the renderer's noise: some views are rendered once more."""
+    chosen = (*scene.inputs[: suite.seed_views], *scene.novel[: suite.seed_views])
+    if not chosen:
+        return {}
+    said = told(tell, f"render, {light}, second seed")
+    again, _ = _rendered(suite, scene, scenery, chosen, SECOND_SEED, said)
+    second = _figures(scene, light, chosen, again, lpips)
+    rows = {name: row for views in first.values() for name, row in views.items()}
+    return seed_spread([(rows[name], second[name]) for name in chosen])
+
+
 def _figures(
     scene: OpenedScene, light: str, views: tuple[str, ...], rendered: dict[str, JudgedView], lpips: Lpips
-) -> dict[str, float | None]:
+) -> dict[str, dict[str, float | None]]:
     truth = {name: scene.truth[light][name] for name in views}
     return image_figures(rendered, truth, scene.exposures[light], lpips)
 
 
 def _reconstruct(
-    suite: Suite, scene: OpenedScene, method: Method, folder: Path, tell: Tell
+    suite: Suite,
+    scene: OpenedScene,
+    method: Method,
+    camera: CameraFaults | None,
+    folder: Path,
+    tell: Tell,
 ) -> tuple[Path, dict[str, Any]]:
     """The asset of a method, and what ``materials infer`` says of it; made where it is not there."""
-    geometry, seconds = geometry_for(scene.capture.geometry, method.geometry, scene.root, tell)
+    error = method.geometry or (camera.geometry if camera else None)
+    geometry, seconds = geometry_for(scene.capture.geometry, error, scene.root, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
+    if camera is not None:
+        capture = as_taken(capture, camera)
     options = InferOptions(atlas=suite.atlas, is_checked=False, has_exr=False)
     source: MapSource
     if isinstance(method, NetworkMethod):
@@ -222,10 +333,24 @@ def _reconstruct(
     return folder / "asset", found
 
 
-def _per_view(scene: OpenedScene, folder: Path) -> MapSums:
+def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
     """Errors of the maps as they were predicted."""
-    sums = MapSums()
+    measures = MapMeasures()
     for name in scene.inputs:
         maps = decode_view(folder / "views" / f"{name}.exr", MAP_NAMES)
-        sums.add(maps, scene.truth[OWN][name])
-    return sums
+        sure = folder / "views" / f"{name}.confidence.npy"
+        confidence = np.load(sure) if sure.is_file() else None
+        measures.add(name, maps, scene.truth[OWN][name], scene.surfaces(name), confidence=confidence)
+    return measures
+
+
+def _map_results(stage: str, measures: MapMeasures, earlier: dict[str, Any] | None = None) -> dict[str, Any]:
+    """What a result holds of the maps of a stage, beside those of ``earlier`` ones."""
+    found = earlier or {}
+    return {
+        f"maps_{stage}": measures.mse(),
+        "map_figures": {**found.get("map_figures", {}), stage: measures.figures()},
+        "map_views": {**found.get("map_views", {}), stage: measures.views},
+        "by_kind": {**found.get("by_kind", {}), stage: measures.by_kind()},
+        "calibration": measures.calibration() or found.get("calibration", {}),
+    }

@@ -6,15 +6,42 @@ Parts keep their order; lamps stay as they are, since what they do to the light 
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from datagen.formats.base import NonNegative, Positive, StrictModel
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, joined, welded, without_degenerate
-from model.evaluation.suite import GeometryError
 
 _MIN_FACES = 4  # a part of fewer triangles is not reduced
 _HOLES_AT_MOST = 10_000
+
+
+class GeometryError(StrictModel):
+    """How the mesh differs from the room. In this order: edges are split to ``edge_m`` at most, vertices
+    moved by a normal distribution of ``noise_m`` along each axis, triangles reduced to ``keep_share`` of
+    them, and round holes of ``hole_radius_m`` cut until ``hole_share`` of the area is gone."""
+
+    noise_m: NonNegative = 0.0
+    keep_share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    hole_share: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    hole_radius_m: Positive = 0.15
+    edge_m: Positive | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    def describe(self) -> str:
+        """The errors in words."""
+        said = []
+        if self.noise_m:
+            said.append(f"noise {self.noise_m * 1000:g} mm")
+        if self.keep_share < 1:
+            said.append(f"{self.keep_share:.0%} of triangles")
+        if self.hole_share:
+            said.append(f"holes {self.hole_share:.0%}")
+        return ", ".join(said) or "true"
 
 
 def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeometry:

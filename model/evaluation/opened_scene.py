@@ -23,11 +23,13 @@ from model.evaluation.results import MethodResult, SceneResult
 from model.evaluation.room import PreparedScene, TestScene
 from model.evaluation.scenery import Scenery, added_lights, level_place, true_scenery
 from model.evaluation.suite import ModifiedLight, Suite
+from model.evaluation.surface_kinds import SurfaceFinder, ViewSurfaces
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.rendered import package_geometry
 
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
+RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's, which is that of the photographs
 _REVISION = 2
 """Of atlases and renderings: others are made anew."""
 
@@ -49,10 +51,20 @@ class OpenedScene:
     exposures: dict[str, float] = field(default_factory=dict)
     figure_views: dict[str, str] = field(default_factory=dict)
     renders: dict[str, str] = field(default_factory=dict)
+    _surfaces: dict[str, ViewSurfaces] = field(default_factory=dict)
+    _finder: SurfaceFinder | None = None
 
     def view(self, name: str) -> CaptureView:
         """A view of the capture."""
         return next(view for view in self.capture.views if view.name == name)
+
+    def surfaces(self, name: str) -> ViewSurfaces:
+        """The kinds of surface in a judged view, found once."""
+        if name not in self._surfaces:
+            if self._finder is None:
+                self._finder = SurfaceFinder(self.capture.geometry, self.capture.lights)
+            self._surfaces[name] = self._finder.find(self.view(name), self.truth[OWN][name])
+        return self._surfaces[name]
 
     def views_of(self, light: str) -> tuple[str, ...]:
         """The views that are rendered under a light."""
@@ -121,14 +133,19 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
             MODIFIED: truth.lit_by(modified, added_lights(modified, whole.geometry, cameras)),
         },
     )
-    scene.truth[OWN] = {name: stored_view(scene.view(name)) for name in (*inputs, *novel)}
+    if suite.truth is None:
+        scene.truth[OWN] = {name: stored_view(scene.view(name)) for name in (*inputs, *novel)}
     _choose_figures(suite, scene)
-    for light in (MODIFIED, *([INSERTED] if INSERTED in scene.sceneries else [])):
+    render = suite.truth or recipe.render
+    lights = (MODIFIED, *([INSERTED] if INSERTED in scene.sceneries else []))
+    for light in lights if suite.truth is None else (OWN, *lights):
         scenery, views = scene.sceneries[light], scene.views_of(light)
-        folder = scene.render_folder(scenery, views, recipe.render)
+        if light == OWN:  # the photographs' noise is not to be met again
+            scenery = scenery.with_seed(scenery.configuration.seed + TRUE_SEED)
+        folder = scene.render_folder(scenery, views, render)
         scene.renders[light] = str(folder)
         said = told(tell, f"{recipe.name}: truth, {light}")
-        scene.truth[light] = render_scenery(scenery, views, folder, recipe.render, said)
+        scene.truth[light] = render_scenery(scenery, views, folder, render, said)
     scene.exposures = {light: common_exposure(list(views.values())) for light, views in scene.truth.items()}
     if INSERTED in scene.exposures:
         scene.exposures[INSERTED] = scene.exposures[OWN]

@@ -71,6 +71,16 @@ def choose_cameras(
     return tuple(ViewCamera.from_camera(name, camera) for name, camera in named.items())
 
 
+def walk_between(
+    cameras: list[Camera], count: int, room: EnvironmentAsset, rays: RayScene, recipe: CameraRecipe
+) -> list[Camera]:
+    """A walk of ``count`` cameras between two of ``cameras`` in a furnished room, as for test scenes.
+
+    Raises :class:`InputError` where no two of them have a free way between them.
+    """
+    return _walk(cameras, count, FreeSpace(room, rays, recipe.height_m), recipe.min_distance_m)
+
+
 def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) -> list[Camera]:
     """``count`` cameras evenly spread between two of ``cameras``, ends excluded: of all pairs with a free way
     between them and no great turn, the one farthest apart."""

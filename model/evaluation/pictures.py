@@ -54,20 +54,20 @@ RELIGHTING = ("original light", "modified light", "inserted object", "novel view
 
 
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
-    """A row for the truth, one for each method. ``stored``: the scene's own views by name, as its capture has
-    them."""
+    """A row for the truth, one for each method. ``stored``: the scene's judged views under its own light."""
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
     truth["own"] = stored
     rows = [_row(TRUTH, scene, truth)]
     for method in scene.methods:
         if not method.skipped and method.kind != "truth":
             renders = {light: _views(Path(folder)) for light, folder in method.renders.items()}
-            rows.append(_row(_label(method), scene, renders))
+            rows.append(_row(method.label, scene, renders))
     return rows
 
 
-def _label(method: MethodResult) -> str:
-    return method.method
+def rendered_views(method: MethodResult, light: str) -> dict[str, JudgedView]:
+    """A method's rendered views under a light; none where it has none."""
+    return _views(Path(method.renders[light])) if light in method.renders else {}
 
 
 def _views(folder: Path) -> dict[str, JudgedView]:
@@ -92,7 +92,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
         found = by_light.get(light, {}).get(name)
         if found is not None:
             pixels = shown(found.color, scene.exposures[light])
-            pictures[title] = Picture(f"{label}: {title}", _small(pixels))
+            pictures[title] = Picture(f"{label}: {title}", small(pixels))
     return Row(label, pictures)
 
 
@@ -100,15 +100,15 @@ def _map_picture(letter: str, view: JudgedView, name: str) -> Picture:
     values = view.maps[name]
     encoded = srgb_from_linear(values) if letter != "R" else values
     pixels = np.where(view.surface_mask[..., None], encoded, 0.0)
-    return Picture(letter, _small(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
+    return Picture(letter, small(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
 
 
-def _small(pixels: NDArray) -> NDArray[np.uint8]:
-    """At most ``MAX_WIDTH_PX`` wide, in 8 bits."""
+def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8]:
+    """At most ``max_width_px`` wide, in 8 bits."""
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels, np.float32)
-    if width > MAX_WIDTH_PX:
-        size = (MAX_WIDTH_PX, round(height * MAX_WIDTH_PX / width))
+    if width > max_width_px:
+        size = (max_width_px, round(height * max_width_px / width))
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
     return (np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8)
 

@@ -26,17 +26,21 @@ BUFFERS = ("beauty", *MAP_NAMES, "surface_mask", "depth_z_m", "normal_world")
 @dataclass(frozen=True)
 class JudgedView:
     """A view with its maps. ``color`` (H, W, 3) linear; ``maps`` by name (H, W, 3 or 1); ``surface_mask``
-    (H, W): pixels that reflecting surface covers at least half."""
+    (H, W): pixels that reflecting surface covers at least half; ``emission_mask`` (H, W): pixels of surface
+    that shines and has no material."""
 
     color: NDArray[np.float32]
     maps: dict[str, NDArray[np.float32]]
     surface_mask: NDArray[np.bool_]
+    emission_mask: NDArray[np.bool_]
 
 
 def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
     """From stored buffers."""
     maps = {name: np.clip(buffers[name].astype(np.float32), 0, 1) for name in MAP_NAMES}
-    return JudgedView(buffers["beauty"].astype(np.float32), maps, surface_pixels(buffers))
+    color, surface = buffers["beauty"].astype(np.float32), surface_pixels(buffers)
+    shines = ~surface & (buffers["depth_z_m"][..., 0] > 0) & (color.max(axis=2) > 0)
+    return JudgedView(color, maps, surface, shines)
 
 
 def stored_view(view: CaptureView) -> JudgedView:

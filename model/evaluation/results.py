@@ -17,16 +17,22 @@ from datagen.foundation.errors import InputError
 
 ViewSet = str
 """``input`` or ``novel``."""
+Stage = str
+"""``per_view``, as predicted, or ``merged``, as the views see the atlas."""
 Figures = dict[str, float | None]
 
 
 class MethodResult(StrictModel):
-    """A method on a scene. ``skipped``: why there are no figures, '' if there are.
+    """A method on a scene. ``skipped``: why there are no figures, '' if there are. ``camera``: the faults of
+    its photographs, '' for none.
 
     ``maps_per_view`` and ``maps_merged``: mean squared error by map, of the maps as predicted and of the
-    atlas as the views see it. ``images``: by light (own, modified) and views (input, novel), see
-    ``metrics.image_figures``. ``seen_share``: share of the atlas that some view sees; ``covered_share``:
-    share of the true surface's pixels where the method has a surface. ``folder``: where maps and asset are;
+    atlas as the views see it; ``map_figures``, ``by_kind`` and ``calibration`` as ``map_measures`` has them,
+    ``map_views`` those errors view by view. ``images``: by light (own, modified) and views (input, novel),
+    see ``metrics.image_figures``; ``image_views`` view by view. ``seed_spread``: by light, standard deviation
+    of a view's figures between two seeds of the renderer. ``seen_share``: share of the atlas that some view
+    sees; ``covered_share``: share of the true surface's pixels where the method has a surface. ``folder``:
+    where maps and asset are;
     ``renders``: folders of rendered views by light, and ``inserted``.
     """
 
@@ -34,11 +40,18 @@ class MethodResult(StrictModel):
     method: Slug
     kind: str
     geometry: str = "true"
+    camera: str = ""
     checkpoint: str = ""
     skipped: str = ""
     maps_per_view: dict[str, float] = {}
     maps_merged: dict[str, float] = {}
+    map_figures: dict[Stage, dict[str, float]] = {}
+    map_views: dict[Stage, dict[str, dict[str, float]]] = {}
+    by_kind: dict[Stage, dict[str, dict[str, float]]] = {}
+    calibration: dict[str, list[float]] = {}
     images: dict[str, dict[ViewSet, Figures]] = {}
+    image_views: dict[str, dict[ViewSet, dict[str, Figures]]] = {}
+    seed_spread: dict[str, dict[str, float]] = {}
     seen_share: NonNegative | None = None
     covered_share: NonNegative | None = None
     atlas_size: int = 0
@@ -47,6 +60,13 @@ class MethodResult(StrictModel):
     notes: tuple[str, ...] = ()
     folder: str = ""
     renders: dict[str, str] = {}
+
+    @property
+    def label(self) -> str:
+        """Name, camera and geometry, as tables and pictures have them."""
+        said = [self.camera] if self.camera else []
+        said += [self.geometry] if self.geometry != "true" else []
+        return f"{self.method} ({', '.join(said)})" if said else self.method
 
 
 class SceneResult(StrictModel):
@@ -67,12 +87,13 @@ class SceneResult(StrictModel):
 
 
 class SuiteResult(StrictModel):
-    """Everything that ``evaluation.json`` holds."""
+    """Everything that ``evaluation.json`` holds. ``failures``: scenes without figures, and why."""
 
     suite: Slug
     may_be_known: bool
     lpips_absence: str
     scenes: tuple[SceneResult, ...]
+    failures: dict[str, str] = {}
 
 
 def read_result(path: Path) -> MethodResult | None:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Test scenes: a room as its author made it, photographed from believable places, with the truth.
 
-A scene comes from a Mitsuba file, or is an environment package already. It is converted to the project's
-BSDF, keeps its own lights and materials, and is rendered by the machinery of datasets as one configuration:
-``view-000`` ... are the photographs that a method may use, ``path-000`` ... lie on a walk between two of them
-and are for judging novel views only. Everything lies in a folder of the cache that is named by what decides
-its pixels; an interrupted rendering goes on where it stopped.
+A scene comes from a Mitsuba file, is an environment package already, or is a configuration that a recipe
+draws. It is converted to the project's BSDF, keeps its own lights and materials, and is rendered by the
+machinery of datasets as one configuration: ``view-000`` ... are the photographs that a method may use,
+``path-000`` ... lie on a walk between two of them and are for judging novel views only. Everything lies in a
+folder of the cache that is named by what decides its pixels; an interrupted rendering goes on where it
+stopped.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder, Plan
 from datagen.farm.local import Event, LocalOptions, run_local
 from datagen.farm.planning import start_folder, write_plan
-from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.asset import EnvironmentAsset, MaterialAsset
 from datagen.formats.base import (
     IDENTITY4,
     Positive,
@@ -42,6 +43,7 @@ from datagen.foundation.versions import RESULT_REVISION
 from datagen.importers.common import ImportOptions
 from datagen.library import Library
 from model.checkpoint import CheckpointCard
+from model.evaluation.drawn_room import RECIPE_SUFFIXES, draw_room, imported, recipe_library
 from model.evaluation.photographer import choose_cameras
 
 Progress = Callable[[str, int, int], None]
@@ -51,12 +53,15 @@ _SCENE_FILE = "scene.xml"
 
 
 class TestScene(StrictModel):
-    """A scene to judge methods by. ``source``: a Mitsuba file, its folder, or an environment package.
+    """A scene to judge methods by. ``source``: a Mitsuba file, its folder, an environment package, or a
+    recipe (.yaml), whose configuration number ``configuration`` is the scene; ``imports`` are files and
+    folders whose assets the recipe may draw from.
 
     ``views`` photographs and ``novel_views`` more on a walk, of ``resolution`` (width, height), by ``render``
     and ``cameras`` as in recipes. ``seed`` chooses cameras and samples. ``unit_m``: metres in a unit of a
     Mitsuba file, so that cameras are at a person's height; ``annotations`` mends what the importer finds out
-    about a room (docs/importing.md).
+    about a room (docs/importing.md). ``may_know_shapes``: checkpoints may have seen the rooms and things of a
+    recipe, but none of the materials that it dresses them in.
     """
 
     __test__: ClassVar[bool] = False  # no test case, although pytest would take its name for one
@@ -74,6 +79,14 @@ class TestScene(StrictModel):
     cameras: CameraRecipe = CameraRecipe()
     unit_m: Positive = 1.0
     annotations: Path | None = None
+    configuration: Annotated[int, Field(ge=0)] = 0
+    imports: tuple[Path, ...] = ()
+    may_know_shapes: bool = False
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether a recipe makes the scene."""
+        return self.source.suffix in RECIPE_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -82,7 +95,8 @@ class PreparedScene:
     read_capture`, with the true maps of every view; ``library`` the folders that it needs, ``package`` the
     room with its true materials and lights. ``input_names`` and ``novel_names`` divide the capture's views.
 
-    ``asset_sha256``: of the package by its id, of each of its files by ``<id>/<file>``.
+    ``asset_sha256``: of each package that a checkpoint must not know by its id, of each of its files by
+    ``<id>/<file>``.
     """
 
     name: str
@@ -94,47 +108,82 @@ class PreparedScene:
     asset_sha256: dict[str, str]
 
 
-def prepare_scene(
-    scene: TestScene, cache: Path, progress: Progress = lambda stage, done, total: None
-) -> PreparedScene:
-    """Import, photograph and render a test scene; what is in the cache already is not made again.
+@dataclass(frozen=True)
+class PlannedScene:
+    """A test scene whose assets and cameras are known and of which nothing need be rendered yet.
 
-    Raises :class:`InputError` where the source cannot be imported, where too few places for cameras are
-    found, and where rendering fails.
+    ``asset_sha256``: of each package that a checkpoint must not know by its id, of each of its files by
+    ``<id>/<file>``.
+    """
+
+    recipe: TestScene
+    folder: DatasetFolder
+    plan: Plan
+    library: tuple[Path, ...]
+    package: Path
+    asset_sha256: dict[str, str]
+
+
+def plan_scene(scene: TestScene, cache: Path) -> PlannedScene:
+    """Import a test scene and choose its cameras; what is in the cache already is not made again.
+
+    Raises :class:`InputError` where the source cannot be imported, and where too few places for cameras are
+    found.
     """
     root = cache / f"{scene.name}-{_key(scene)[:8]}"
-    library_path = _library(scene, root / "library")
-    with Library([library_path]) as library:
-        package = _room(library)
-        plan = _planned(scene, library, package, root / "capture")
+    paths = _library(scene, root / "library")
+    with Library(paths) as library:
+        plan = _planned(scene, library, root / "capture")
         folder = DatasetFolder(root / "capture")
-        (unit,) = plan.units
-        if not folder.is_done(unit):
-            _render(folder, progress)
-        collect(folder.root)
-        manifest = folder.read_manifest(unit)
-        assert manifest is not None
-        names = [camera.name for camera in folder.read_configuration(unit).cameras]
-        return PreparedScene(
-            name=scene.name,
-            capture=folder.root / manifest.shard,
-            library=(library_path,),
-            package=package.path,
-            input_names=tuple(names[: scene.views]),
-            novel_names=tuple(names[scene.views :]),
-            asset_sha256=_hashes(package),
+        configuration = folder.read_configuration(plan.units[0])
+        return PlannedScene(
+            recipe=scene,
+            folder=folder,
+            plan=plan,
+            library=paths,
+            package=library.package(configuration.environment.asset).path,
+            asset_sha256=_hashes(scene, configuration, library),
         )
 
 
-def assert_not_trained_on(prepared: PreparedScene, card: CheckpointCard) -> None:
+def prepare_scene(
+    scene: TestScene, cache: Path, progress: Progress = lambda stage, done, total: None
+) -> PreparedScene:
+    """Plan a test scene and render it. Raises :class:`InputError` as :func:`plan_scene` and
+    :func:`photograph`."""
+    return photograph(plan_scene(scene, cache), progress)
+
+
+def photograph(planned: PlannedScene, progress: Progress = lambda stage, done, total: None) -> PreparedScene:
+    """Render a planned scene where that is not done. Raises :class:`InputError` where rendering fails."""
+    folder = planned.folder
+    (unit,) = planned.plan.units
+    if not folder.is_done(unit):
+        _render(folder, progress)
+    collect(folder.root)
+    manifest = folder.read_manifest(unit)
+    assert manifest is not None
+    names = [camera.name for camera in folder.read_configuration(unit).cameras]
+    return PreparedScene(
+        name=planned.recipe.name,
+        capture=folder.root / manifest.shard,
+        library=planned.library,
+        package=planned.package,
+        input_names=tuple(names[: planned.recipe.views]),
+        novel_names=tuple(names[planned.recipe.views :]),
+        asset_sha256=planned.asset_sha256,
+    )
+
+
+def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointCard) -> None:
     """Raise :class:`InputError` where a checkpoint has learnt from a test scene, or does not say from what.
 
-    A scene is known by the hashes of its package and files, and by its id: imported with other options it has
-    another hash and is the same room all the same.
+    A scene is known by the hashes of its packages and of their files, never by an id: rooms of other people
+    have the same names. The files tell a room that was imported otherwise.
     """
+    name = scene.name if isinstance(scene, PreparedScene) else scene.recipe.name
     problems = []
-    ours = {sha: name for name, sha in prepared.asset_sha256.items()}
-    ids = {name for name in prepared.asset_sha256 if "/" not in name}
+    ours = {sha: asset for asset, sha in scene.asset_sha256.items()}
     for record in card.data:
         if record.num_views and not record.assets:
             remedy = "judge a checkpoint whose data record lists its assets"
@@ -142,18 +191,22 @@ def assert_not_trained_on(prepared: PreparedScene, card: CheckpointCard) -> None
                 Problem("checkpoint", f"data {record.name}", "no hashes of assets", "what it saw", remedy)
             )
         for asset_id, sha in sorted(record.assets.items()):
-            if asset_id in ids or sha in ours:
-                got = f"trained on {asset_id} ({sha[:12]}), which is {ours.get(sha, asset_id)} of this scene"
+            if sha in ours:
+                got = f"trained on {asset_id} ({sha[:12]}), which is {ours[sha]} of this scene"
                 expected = "a checkpoint that has never seen its test scenes"
                 remedy = "judge another checkpoint, or leave this scene out"
-                problems.append(Problem(f"scene {prepared.name}", record.name, got, expected, remedy))
+                problems.append(Problem(f"scene {name}", record.name, got, expected, remedy))
     if problems:
         raise InputError(*problems)
 
 
 def _key(scene: TestScene) -> str:
     """Hash of all that decides the pixels, but the versions of libraries and the source's own files."""
-    parts = scene.model_dump(mode="json", exclude={"source", "annotations"})
+    parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes"})
+    if not scene.is_drawn:  # they say nothing about other scenes
+        del parts["configuration"], parts["imports"]
+    else:
+        parts["imports"] = [path.name for path in scene.imports]
     parts["result_revision"] = RESULT_REVISION
     for name, path in (("source", _file(scene.source)), ("annotations", scene.annotations)):
         if path is not None:
@@ -170,10 +223,12 @@ def _file(source: Path) -> Path:
     return source
 
 
-def _library(scene: TestScene, folder: Path) -> Path:
+def _library(scene: TestScene, folder: Path) -> tuple[Path, ...]:
     """The library of the scene: its package where it is one, else what the importer makes, once."""
+    if scene.is_drawn:
+        return recipe_library(scene.source, imported(scene.imports, folder))
     if is_package(scene.source):
-        return scene.source
+        return (scene.source,)
     if not (folder / "environments" / scene.name).is_dir():
         from datagen.importers.mitsuba_xml import import_mitsuba_scene
 
@@ -186,7 +241,7 @@ def _library(scene: TestScene, folder: Path) -> Path:
             overwrite=True,
         )
         import_mitsuba_scene(_file(scene.source), folder, options)
-    return folder
+    return (folder,)
 
 
 def _room(library: Library) -> Package:
@@ -210,17 +265,28 @@ def _recipe(scene: TestScene) -> Recipe:
     )
 
 
-def _planned(scene: TestScene, library: Library, package: Package, root: Path) -> Plan:
+def _planned(scene: TestScene, library: Library, root: Path) -> Plan:
     """The plan of the dataset folder; made where there is none. Its only configuration is the room as it is,
     seen from the chosen cameras."""
     recipe = _recipe(scene)
     folder = start_folder(recipe, library, root)
     if folder.plan_path.is_file():
         return folder.read_plan()
+    configuration = _configuration(scene, library, f"{recipe.name}-00000")
+    write_bytes_atomically(folder.configuration_path(configuration.id), canonical_json(configuration))
+    return write_plan(folder, recipe, library)
+
+
+def _configuration(scene: TestScene, library: Library, configuration_id: str) -> Configuration:
+    if scene.is_drawn:
+        size = scene.resolution, scene.views, scene.novel_views
+        drawn = draw_room(scene.source, scene.configuration, library, scene.cameras, *size)
+        return drawn.model_copy(update={"id": configuration_id, "index": 0})
+    package = _room(library)
     asset = package.asset
     assert isinstance(asset, EnvironmentAsset)
-    configuration = Configuration(
-        id=f"{recipe.name}-00000",
+    return Configuration(
+        id=configuration_id,
         index=0,
         seed=int.from_bytes(digest(scene.seed, scene.name, "renderer")[:8], "little") >> 1,
         split="test",
@@ -231,8 +297,6 @@ def _planned(scene: TestScene, library: Library, package: Package, root: Path) -
         ),
         assets={package.id: package.sha256},
     )
-    write_bytes_atomically(folder.configuration_path(configuration.id), canonical_json(configuration))
-    return write_plan(folder, recipe, library)
 
 
 def _render(folder: DatasetFolder, progress: Progress) -> None:
@@ -249,6 +313,13 @@ def _render(folder: DatasetFolder, progress: Progress) -> None:
         raise input_error(folder.root, failure.id, failure.reason, "a rendered scene", f"see {failure.log}")
 
 
-def _hashes(package: Package) -> dict[str, str]:
-    files = {f"{package.id}/{name}": sha256_hex(package.read_bytes(name)) for name in package.names()}
-    return {package.id: package.sha256, **files}
+def _hashes(scene: TestScene, configuration: Configuration, library: Library) -> dict[str, str]:
+    """Of everything that a checkpoint must not have learnt from."""
+    packages = [library.package(asset_id) for asset_id in configuration.assets]
+    if scene.may_know_shapes:
+        packages = [package for package in packages if isinstance(package.asset, MaterialAsset)]
+    found = {}
+    for package in packages:
+        found[package.id] = package.sha256
+        found |= {f"{package.id}/{name}": sha256_hex(package.read_bytes(name)) for name in package.names()}
+    return found

@@ -17,34 +17,12 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.bundled import object_package, resolve_bundled
 from datagen.foundation.errors import InputError, Problem
 from model.checkpoint import bundled_checkpoint
+from model.evaluation.camera_faults import CameraFaults, chosen_cameras
+from model.evaluation.mesh_errors import GeometryError
 from model.evaluation.room import TestScene
 from model.reconstruction.merge.merger import Weights
 
 BUNDLED = "bundled"
-
-
-class GeometryError(StrictModel):
-    """How the mesh differs from the room. In this order: edges are split to ``edge_m`` at most, vertices
-    moved by a normal distribution of ``noise_m`` along each axis, triangles reduced to ``keep_share`` of
-    them, and round holes of ``hole_radius_m`` cut until ``hole_share`` of the area is gone."""
-
-    noise_m: NonNegative = 0.0
-    keep_share: Annotated[float, Field(gt=0, le=1)] = 1.0
-    hole_share: Annotated[float, Field(ge=0, le=0.9)] = 0.0
-    hole_radius_m: Positive = 0.15
-    edge_m: Positive | None = None
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
-
-    def describe(self) -> str:
-        """The errors in words."""
-        said = []
-        if self.noise_m:
-            said.append(f"noise {self.noise_m * 1000:g} mm")
-        if self.keep_share < 1:
-            said.append(f"{self.keep_share:.0%} of triangles")
-        if self.hole_share:
-            said.append(f"holes {self.hole_share:.0%}")
-        return ", ".join(said) or "true"
 
 
 class _Method(StrictModel):
@@ -136,7 +114,12 @@ class Suite(StrictModel):
     """What ``materials evaluate`` does.
 
     ``input_views`` and ``novel_views`` of each scene are judged (at most), the former drawn by ``seed`` from
-    those that methods may use. ``render``: what a re-rendered view costs. ``atlas``: side in texels.
+    those that methods may use. ``render``: what a re-rendered view costs; ``truth``: what a judged view of
+    the truth costs, which is then rendered apart from the photographs, once a scene; None judges by the
+    photographs, and renders other lights as they were. ``seed_views`` of each set and light are rendered
+    with a second seed, which says how much of a figure is noise. ``atlas``: side in texels.
+    ``camera``: every method but the truth is judged on photographs with these faults besides (names of
+    ``camera_faults.PRESETS``, "each" for every fault by itself, or faults of one's own).
     ``modified_light`` and ``inserted`` by scene; scenes that are not named take the defaults.
     ``may_be_known``: checkpoints may have been trained on the scenes (a test of the programme, not of them).
     """
@@ -151,6 +134,9 @@ class Suite(StrictModel):
     novel_views: Annotated[int, Field(ge=0)] = 10
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     render: RenderRecipe = Field(default_factory=lambda: RenderRecipe(quality="draft"))
+    truth: RenderRecipe | None = None
+    seed_views: Annotated[int, Field(ge=0)] = 0
+    camera: tuple[str | CameraFaults, ...] = ()
     modified_light: dict[Slug, ModifiedLight] = {}
     inserted: dict[Slug, InsertedObject] = {}
     may_be_known: bool = False
@@ -161,10 +147,16 @@ class Suite(StrictModel):
         for names, what in ((scenes, "scene"), ([m.name for m in self.methods], "method")):
             if len(set(names)) != len(names):
                 raise ValueError(f"expected every {what} to have a name of its own")
+        chosen_cameras(self.camera)
         unknown = sorted({*self.modified_light, *self.inserted} - set(scenes))
         if unknown:
             raise ValueError(f"expected modified_light and inserted to name scenes, not {', '.join(unknown)}")
         return self
+
+    @property
+    def cameras(self) -> tuple[CameraFaults, ...]:
+        """The faults that ``camera`` stands for."""
+        return chosen_cameras(self.camera)
 
 
 def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
@@ -191,6 +183,10 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
             changes["annotations"] = existing(
                 f"scenes[{index}].annotations", scene.annotations, "a file of annotations"
             )
+        changes["imports"] = tuple(
+            existing(f"scenes[{index}].imports[{k}]", path, "something to import")
+            for k, path in enumerate(scene.imports)
+        )
         scenes.append(scene.model_copy(update=changes))
         inserted = suite.inserted.get(scene.name, InsertedObject())
         existing(f"inserted.{scene.name}.package", inserted.path(folder), "an object package")
@@ -249,6 +245,8 @@ def describe_suite(suite: Suite) -> str:
         if method.geometry is not None:
             text += f", geometry: {method.geometry.describe()}"
         lines.append(text)
+    if suite.cameras:
+        lines.append(f"  all but the truth again with cameras: {', '.join(c.name for c in suite.cameras)}")
     views = 2 * (suite.input_views + suite.novel_views) + 1
-    lines.append(f"  at most {views} re-rendered views a method and scene, as many for the truth")
+    lines.append(f"  at most {views} re-rendered views a method, camera and scene, as many for the truth")
     return "\n".join(lines)

@@ -19,8 +19,8 @@ from model.reconstruction.atlas.atlas import MAP_NAMES
 Cell = str | float | None
 LETTERS = dict(zip(MAP_NAMES, "DSR", strict=True))
 PAPER = "paper: "
-_LIGHTS = ("own", "modified")
-_VIEWS = ("input", "novel")
+LIGHTS = ("own", "modified")
+VIEW_SETS = ("input", "novel")
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
 _ALL = {
     "psnr_srgb_db": "PSNR, clipped sRGB, range 1 (dB)",
@@ -101,10 +101,6 @@ def _measured(scene: SceneResult) -> list[MethodResult]:
     return [method for method in scene.methods if not method.skipped]
 
 
-def _label(method: MethodResult) -> str:
-    return method.method if method.geometry == "true" else f"{method.method} ({method.geometry})"
-
-
 def _maps_table(result: SuiteResult) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for scene in result.scenes:
@@ -112,7 +108,7 @@ def _maps_table(result: SuiteResult) -> Table:
             rows.append(
                 (
                     scene.name,
-                    _label(method),
+                    method.label,
                     *(method.maps_per_view.get(name) for name in MAP_NAMES),
                     *(method.maps_merged.get(name) for name in MAP_NAMES),
                     _percent(method.covered_share),
@@ -147,8 +143,8 @@ def _summary_table(result: SuiteResult) -> Table:
     """One row a method: PSNR and DSSIM by light and views."""
     columns = ["scene", "method"]
     digits = [0, 0]
-    for light in _LIGHTS:
-        for views in _VIEWS:
+    for light in LIGHTS:
+        for views in VIEW_SETS:
             columns += [f"{light} light, {views} views: {_SHOWN[key]}" for key in ("psnr_srgb_db", "dssim")]
             digits += [2, 3]
     rows: list[tuple[Cell, ...]] = []
@@ -156,11 +152,11 @@ def _summary_table(result: SuiteResult) -> Table:
         for method in _measured(scene):
             cells = [
                 method.images.get(light, {}).get(views, {}).get(key)
-                for light in _LIGHTS
-                for views in _VIEWS
+                for light in LIGHTS
+                for views in VIEW_SETS
                 for key in ("psnr_srgb_db", "dssim")
             ]
-            rows.append((scene.name, _label(method), *cells))
+            rows.append((scene.name, method.label, *cells))
         if scene.name in PUBLISHED:
             for name, (psnr, dssim) in PUBLISHED[scene.name].images.items():
                 rows.append((scene.name, PAPER + name, psnr, dssim, *(None,) * 6))
@@ -176,12 +172,12 @@ def _images_table(result: SuiteResult) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for scene in result.scenes:
         for method in _measured(scene):
-            for light in _LIGHTS:
-                for views in _VIEWS:
+            for light in LIGHTS:
+                for views in VIEW_SETS:
                     figures = method.images.get(light, {}).get(views, {})
                     if figures:
                         rows.append(
-                            (scene.name, _label(method), light, views, *(figures.get(key) for key in _ALL))
+                            (scene.name, method.label, light, views, *(figures.get(key) for key in _ALL))
                         )
     caption = (
         "The same with all measures; the last columns after one factor for all views, as a light is turned "
@@ -203,7 +199,7 @@ def _cost_table(result: SuiteResult) -> Table:
         for method in _measured(scene):
             seconds = [method.seconds.get(stage) for stage in _STAGES]
             total = sum(value for value in seconds if value is not None)
-            rows.append((scene.name, _label(method), *seconds, total, method.peak_memory_mb))
+            rows.append((scene.name, method.label, *seconds, total, method.peak_memory_mb))
         if scene.name in PUBLISHED:
             statistics, predict, texturing = (60.0 * m for m in PUBLISHED[scene.name].minutes)
             cells: dict[str, Cell] = {

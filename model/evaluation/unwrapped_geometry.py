@@ -14,8 +14,7 @@ import numpy as np
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, vertex_normals
-from model.evaluation.mesh_errors import with_errors
-from model.evaluation.suite import GeometryError
+from model.evaluation.mesh_errors import GeometryError, with_errors
 from model.reconstruction.unwrap.uv import unwrapped
 
 _REVISION = 1

@@ -4,26 +4,21 @@ needs nothing beside it."""
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.foundation.images import encode_png
-from model.evaluation.pictures import COLUMNS, RELIGHTING, Row, scene_rows, sheet
+from model.evaluation.measure_tables import measure_tables
+from model.evaluation.page import page_html
+from model.evaluation.pictures import COLUMNS, RELIGHTING, scene_rows, sheet
 from model.evaluation.rendering import JudgedView
-from model.evaluation.results import SceneResult, SuiteResult
+from model.evaluation.results import SuiteResult
 from model.evaluation.tables import Table, tables_of
 
 STATE_FILE = "state.json"
-_REVISION = 1
-_JPEG_QUALITY = 88
+_REVISION = 2
 KNOWN_WARNING = (
     "Checkpoints may have been trained on these scenes: the figures test the programme, not the checkpoints."
 )
@@ -41,15 +36,17 @@ def is_written(result: SuiteResult, out: Path) -> bool:
 
 
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
-    """Write everything into ``out``; ``stored`` are the scenes' own views as their captures have them."""
+    """Write everything into ``out``; ``stored`` are the judged views of every scene
+    under its own light."""
     out.mkdir(parents=True, exist_ok=True)
     (out / STATE_FILE).unlink(missing_ok=True)
-    tables = tables_of(result)
+    maps, *others = tables_of(result)
+    tables = [maps, *measure_tables(result), *others]
     rows = {scene.name: scene_rows(scene, stored[scene.name]) for scene in result.scenes}
     content = {
         "evaluation.md": _markdown(result, tables).encode(),
         "evaluation.json": canonical_json(result),
-        "index.html": _page(result, tables, rows).encode(),
+        "index.html": page_html(result, _notes(result), tables, rows, stored).encode(),
         **{f"{table.name}.csv": table.csv().encode() for table in tables},
     }
     figures = out / "figures"
@@ -67,6 +64,7 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
 def _notes(result: SuiteResult) -> list[str]:
     """What a reader must know, beside the tables."""
     notes = [KNOWN_WARNING] if result.may_be_known else []
+    notes += [f"{scene}: no figures, {' '.join(why.split())}." for scene, why in result.failures.items()]
     for scene in result.scenes:
         width, height = scene.resolution
         notes.append(
@@ -76,10 +74,10 @@ def _notes(result: SuiteResult) -> list[str]:
         )
         for method in scene.methods:
             if method.skipped:
-                notes.append(f"{scene.name}, {method.method}: left out, {method.skipped}.")
+                notes.append(f"{scene.name}, {method.label}: left out, {method.skipped}.")
             elif method.checkpoint:
                 notes.append(
-                    f"{scene.name}, {method.method}: checkpoint {method.checkpoint}, atlas of "
+                    f"{scene.name}, {method.label}: checkpoint {method.checkpoint}, atlas of "
                     f"{method.atlas_size} texels a side."
                 )
     return notes
@@ -88,58 +86,3 @@ def _notes(result: SuiteResult) -> list[str]:
 def _markdown(result: SuiteResult, tables: Sequence[Table]) -> str:
     notes = "\n".join(f"- {note}" for note in _notes(result))
     return "\n".join([f"# Suite {result.suite}", "", notes, "", *(table.markdown() for table in tables)])
-
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 90rem; padding: 0 1rem;
-       color: #1b1b1b; background: #fff; }
-table { border-collapse: collapse; margin: 1rem 0; font-size: 13px; }
-th, td { border: 1px solid #ccc; padding: .2rem .5rem; text-align: right; } th { background: #f2f2f2; }
-td:first-child, th:first-child, td:nth-child(2), th:nth-child(2) { text-align: left; }
-tr.paper td { color: #555; font-style: italic; } .wide { overflow-x: auto; }
-.pictures td { padding: 2px; border: 0; text-align: center; vertical-align: top; }
-.pictures tr th, .pictures tr th:first-child { border: 0; background: none; text-align: center; }
-td:first-child { white-space: nowrap; } .pictures img { display: block; min-width: 160px; }
-"""
-
-
-def _page(result: SuiteResult, tables: Sequence[Table], rows: dict[str, list[Row]]) -> str:
-    title = f"Suite {result.suite}"
-    notes = "".join(f"<li>{html.escape(note)}</li>" for note in _notes(result))
-    parts = [f"<h1>{html.escape(title)}</h1><ul>{notes}</ul>", *(table.html() for table in tables)]
-    for scene in result.scenes:
-        parts.append(_pictures(scene, rows[scene.name]))
-    return (
-        "<!doctype html><html lang=en><head><meta charset=utf-8>"
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
-    )
-
-
-def _jpeg(pixels: NDArray[np.uint8]) -> bytes:
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "JPEG", quality=_JPEG_QUALITY)
-    return stream.getvalue()
-
-
-def _pictures(scene: SceneResult, rows: Sequence[Row]) -> str:
-    head = "".join(f"<th>{html.escape(column)}</th>" for column in COLUMNS)
-    lines = []
-    for row in rows:
-        cells = []
-        for column in COLUMNS:
-            picture = row.pictures[column]
-            if picture is None:
-                cells.append("<td>none</td>")
-                continue
-            data = base64.b64encode(_jpeg(picture.pixels)).decode()
-            text = html.escape(f"{scene.name}, {row.label}: {column}", quote=True)
-            cells.append(f'<td><img alt="{text}" title="{text}" src="data:image/jpeg;base64,{data}"></td>')
-        lines.append(f"<tr><th>{html.escape(row.label)}</th>{''.join(cells)}</tr>")
-    views = ", ".join(f"{kind} {name}" for kind, name in scene.figure_views.items())
-    return (
-        f"<h2>{html.escape(scene.name)}</h2><p>Views: {html.escape(views)}. D and S sRGB-encoded, R as it "
-        "is; images under the exposure of the tables.</p><div class=wide><table class=pictures>"
-        f"<tr><th></th>{head}</tr>{''.join(lines)}</table></div>"
-    )

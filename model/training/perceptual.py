@@ -197,10 +197,26 @@ class Elpips(nn.Module):
         return _weighted_distance(features, aim, self.heads)
 
 
+class LpipsVgg:
+    """Plain LPIPS-VGG with the heads of the ``lpips`` package, in two steps: one image is often compared with
+    many others."""
+
+    def __init__(self, layers: list[Convolution]):
+        self._network, self._heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()
+
+    def features(self, image: Tensor) -> list[Tensor]:
+        """What VGG sees in images (B, 3, H, W) in [-1, 1], layer by layer."""
+        return self._network(image)
+
+    def distance(self, image: list[Tensor], reference: list[Tensor]) -> Tensor:
+        """LPIPS (B,) of two results of :meth:`features`."""
+        return _weighted_distance(image, reference, self._heads)
+
+
 def lpips_vgg(layers: list[Convolution], image: Tensor, reference: Tensor) -> Tensor:
-    """Plain LPIPS-VGG (B,) of images in [-1, 1], with the heads of the ``lpips`` package."""
-    network, heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()
-    return _weighted_distance(network(image), network(reference), heads)
+    """Plain LPIPS-VGG (B,) of images in [-1, 1]."""
+    lpips = LpipsVgg(layers)
+    return lpips.distance(lpips.features(image), lpips.features(reference))
 
 
 def lpips_check_value(layers: list[Convolution]) -> float:

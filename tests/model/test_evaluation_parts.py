@@ -17,12 +17,13 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh, joined
 from model.evaluation.baselines import maps_files
-from model.evaluation.mesh_errors import with_errors
-from model.evaluation.metrics import Lpips, MapSums, common_exposure, image_figures, psnr_db, shown, ssim
+from model.evaluation.lpips import Lpips
+from model.evaluation.mesh_errors import GeometryError, with_errors
+from model.evaluation.metrics import common_exposure, image_figures, means, psnr_db, shown, ssim
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.scenery import added_lights, level_place
-from model.evaluation.suite import GeometryError, ModifiedLight, describe_suite, read_suite
+from model.evaluation.suite import ModifiedLight, describe_suite, read_suite
 from model.evaluation.tables import tables_of
 from model.evaluation.writing import write_results
 from tests.conftest import REPOSITORY
@@ -165,25 +166,8 @@ def _view(value: float, mask: NDArray | None = None, color: float = 0.5) -> Judg
         name: np.full((4, 5, channels), value, np.float32)
         for name, channels in (("diffuse_albedo", 3), ("specular_albedo", 3), ("roughness", 1))
     }
-    return JudgedView(
-        np.full((4, 5, 3), color, np.float32), maps, np.ones((4, 5), bool) if mask is None else mask
-    )
-
-
-def test_map_errors_count_surface_only() -> None:
-    mask = np.zeros((4, 5), bool)
-    mask[:2] = True
-    sums = MapSums()
-    wrong = _view(0.7).maps
-    wrong["roughness"][2:] = 99.0  # off the surface
-    has_surface = np.ones((4, 5), bool)
-    has_surface[0] = False
-    wrong["diffuse_albedo"][0] = 99.0  # a hole in the method's mesh
-    sums.add(wrong, _view(0.5, mask), has_surface)
-    assert sums.mse() == pytest.approx(
-        {"diffuse_albedo": 0.04, "specular_albedo": 0.04, "roughness": 0.04}, rel=1e-5
-    )
-    assert sums.covered_share == 0.5
+    surface = np.ones((4, 5), bool) if mask is None else mask
+    return JudgedView(np.full((4, 5, 3), color, np.float32), maps, surface, np.zeros((4, 5), bool))
 
 
 def test_exposure_is_common_and_of_surfaces() -> None:
@@ -198,11 +182,11 @@ def test_gain_undoes_a_dimmer() -> None:
     random = np.random.default_rng(5)
     color = random.uniform(0.1, 0.4, (16, 20, 3)).astype(np.float32)
     maps, mask = _view(0.5).maps, np.ones((16, 20), bool)
-    truth = {"a": JudgedView(color, maps, mask), "b": JudgedView(color[::-1], maps, mask)}
-    dim = {name: JudgedView(0.25 * view.color, maps, mask) for name, view in truth.items()}
+    truth = {"a": JudgedView(color, maps, mask, ~mask), "b": JudgedView(color[::-1], maps, mask, ~mask)}
+    dim = {name: JudgedView(0.25 * view.color, maps, mask, ~mask) for name, view in truth.items()}
     lpips = Lpips()
     lpips.absence = "not asked for"
-    figures = image_figures(dim, truth, 1.0, lpips)
+    figures = means(image_figures(dim, truth, 1.0, lpips))
     assert figures["gain"] == pytest.approx(4.0, rel=1e-5)
     assert figures["psnr_gain_db"] == pytest.approx(99.0)
     assert figures["dssim_gain"] == pytest.approx(0.0, abs=1e-9)

@@ -16,13 +16,21 @@ from datagen.assembly.geometry import GeometryCache, WorldScene
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
 from datagen.formats.recipe import CameraRecipe
+from datagen.formats.shard import ShardReader
 from datagen.foundation.errors import InputError
 from datagen.importers.common import ImportOptions
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.library import Library
 from model.checkpoint import CheckpointCard, DataRecord, bundled_checkpoint, read_card
 from model.evaluation.photographer import choose_cameras
-from model.evaluation.room import PreparedScene, TestScene, assert_not_trained_on, prepare_scene
+from model.evaluation.room import (
+    PreparedScene,
+    TestScene,
+    assert_not_trained_on,
+    plan_scene,
+    prepare_scene,
+)
+from model.evaluation.suite import read_suite
 from model.networks import NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
 from tests.conftest import REPOSITORY
@@ -157,10 +165,10 @@ def test_a_checkpoint_that_knows_the_scene_is_refused(prepared: PreparedScene) -
     sha = prepared.asset_sha256
     texture = next(name for name in sha if name.endswith((".png", ".jpg", ".exr")))
     assert_not_trained_on(prepared, card(chair="1" * 64))
+    assert_not_trained_on(prepared, card(**{"small-room": "2" * 64}))  # another room of the same name
     for name, assets in {
         "small-room": {"another-name": sha["small-room"]},  # the package
         texture: {"oak": sha[texture]},  # one of its images
-        "room": {"small-room": "2" * 64},  # the same room, imported otherwise
     }.items():
         with pytest.raises(InputError) as caught:
             assert_not_trained_on(prepared, card(**assets))
@@ -174,6 +182,53 @@ def test_the_bundled_checkpoint_knows_no_test_scene(prepared: PreparedScene) -> 
     assert shipped.data and all(record.assets for record in shipped.data)
     assert_not_trained_on(prepared, shipped)
     assert not {"veach-ajar", "dining-room"} & {asset for record in shipped.data for asset in record.assets}
+
+
+DRAWN = """
+format: scene-materials/recipe
+version: 1
+name: drawn
+seed: 5
+configurations: 2
+views: 1
+library: [bundled]
+objects: {count: [3, 4]}
+materials: {replace_probability: 1.0, any_class_probability: 1.0, include: [maple, gold]}
+"""
+
+
+def test_a_recipe_draws_a_scene(tmp_path: Path) -> None:
+    """Furniture, materials and lights are the recipe's, cameras the scene's; what must be unknown to a
+    checkpoint is everything, or the materials alone."""
+    recipe = tmp_path / "drawn.yaml"
+    recipe.write_text(DRAWN)
+    scene = small_scene(name="drawn", source=recipe, configuration=1, may_know_shapes=True)
+    found = prepare_scene(scene, tmp_path / "cache")
+    assert (len(found.input_names), len(found.novel_names)) == (4, 2)
+    configuration = ShardReader(found.capture).configuration()
+    assert configuration.split == "test" and 3 <= len(configuration.objects) <= 4
+    heights = [camera.camera().position_m[2] for camera in configuration.cameras]
+    assert min(heights) >= HEIGHTS[0] - 1e-6 and max(heights) <= HEIGHTS[1] + 1e-6
+    placed = (configuration.environment, *configuration.objects)
+    worn = {a.asset for thing in placed for a in thing.materials.values() if a.asset is not None}
+    assert worn and worn <= {"maple", "gold"} == {n for n in found.asset_sha256 if "/" not in n}
+    with pytest.raises(InputError, match="trained on oak"):
+        assert_not_trained_on(found, card(oak=found.asset_sha256["maple"]))
+    things = plan_scene(scene.model_copy(update={"may_know_shapes": False}), tmp_path / "cache").asset_sha256
+    assert set(found.asset_sha256) < set(things) and configuration.objects[0].asset in things
+    with pytest.raises(InputError, match="below 2"):
+        plan_scene(scene.model_copy(update={"configuration": 2}), tmp_path / "cache")
+
+
+def test_a_scene_brings_assets_to_draw_from(tmp_path: Path, shared_data: Path) -> None:
+    """The living room of Poly Haven is furnished with things that are imported with it."""
+    suite = read_suite(REPOSITORY / "scenes" / "suites" / "development.yaml")
+    room = next(scene for scene in suite.scenes if scene.name == "living-room")
+    planned = plan_scene(room.model_copy(update={"views": 4, "novel_views": 0}), tmp_path)
+    configuration = planned.folder.read_configuration(planned.plan.units[0])
+    assert configuration.environment.asset == "living_room"
+    assert len({thing.asset for thing in configuration.objects}) >= 3
+    assert all(thing.materials == {} for thing in configuration.objects)  # in their own
 
 
 def test_wrong_sources_are_refused(prepared: PreparedScene, tmp_path: Path) -> None:

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datagen.foundation.errors import InputError
+from model.checkpoint import DataRecord, bundled_checkpoint, read_card
 from model.evaluation.evaluate import Evaluation, evaluate
 from model.evaluation.results import MethodResult
+from model.evaluation.room import plan_scene
 from model.evaluation.suite import MapsMethod, Suite, read_suite
 from model.evaluation.writing import is_written, write_results
 from tests.conftest import REPOSITORY
@@ -65,21 +66,34 @@ def test_everything_is_written_and_needs_nothing_beside_it(
     small: tuple[Suite, Evaluation], tmp_path: Path
 ) -> None:
     evaluation = small[1]
-    write_results(evaluation.result, evaluation.figure_views, tmp_path)
+    write_results(evaluation.result, evaluation.truth, tmp_path)
     assert is_written(evaluation.result, tmp_path)
     with (tmp_path / "rerendering.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     shown = {row["method"]: float(row["own light, input views: PSNR sRGB (dB)"]) for row in rows}
     for name, method in _methods(evaluation).items():
         assert shown[name] == method.images["own"]["input"]["psnr_srgb_db"]
+    with (tmp_path / "kinds.csv").open(newline="") as file:
+        kinds = {(row["method"], row["surfaces"]): row for row in csv.DictReader(file)}
+    metal = [float(kinds[name, "metal"]["S (RMSE)"]) for name in ("oracle", "constant")]
+    assert metal[0] < 0.1 < 0.3 < metal[1]  # copper, where one small S is said everywhere
+    assert float(kinds["ours", "glossy"]["of all (%)"]) + float(kinds["ours", "matt"]["of all (%)"]) < 100
+    with (tmp_path / "others.csv").open(newline="") as file:
+        others = {row["method"]: row for row in csv.DictReader(file)}
+    assert float(others["oracle"]["a' (dB)"]) > 25 > float(others["constant"]["a' (dB)"])
+    assert others["paper: IRIS"]["kd where rough (dB)"] == "22.3"
     markdown = (tmp_path / "evaluation.md").read_text()
     for header in ("DSSIM = 1-SSIM", "PSNR, clipped sRGB, range 1 (dB)", "D merged (MSE, linear)"):
         assert header in markdown
     assert json.loads((tmp_path / "evaluation.json").read_text())["suite"] == "small"
     page = (tmp_path / "index.html").read_text()
     # with the colon: letters alone may stand in an image, which is base64
-    assert "http:" not in page and "https:" not in page and "<script" not in page
-    assert page.count("data:image/jpeg;base64,") == 5 * 8  # truth and four methods; eight pictures each
+    assert "http:" not in page and "https:" not in page and "<script src" not in page and "<link" not in page
+    sliders, errors = 4 * 2 * 2, 4 * 3 + 1  # four methods: two pairs each; three maps each, and the scale
+    assert (
+        page.count("data:image/jpeg;base64,") == 5 * 8 + sliders + errors
+    )  # and all pictures, with the truth
+    assert page.count('<svg viewBox="0 0 430') == 3 and ">metal<" in page
     with Image.open(tmp_path / "figures" / "small-room-relighting.png") as image:
         assert image.width > 5 * 96 and image.height > 4 * 64
 
@@ -135,8 +149,42 @@ def test_maps_of_another_method_are_judged_like_ours(
     assert judged.maps_merged == pytest.approx(ours.maps_merged, rel=1e-6)
     lost = sorted(target.iterdir())[0]
     lost.unlink()
-    with pytest.raises(InputError, match=lost.stem):
-        evaluate(suite.model_copy(update={"methods": (other,)}), cache)
+    faulty = evaluate(suite.model_copy(update={"methods": (other,)}), cache)
+    assert lost.stem in faulty.result.failures["small-room"] and not faulty.result.scenes
+
+
+def test_a_scene_that_fails_leaves_the_others_whole(
+    small: tuple[Suite, Evaluation], cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scene that a checkpoint knows and one that cannot be imported, beside one that can be judged: the two
+    are told before anything is rendered, the third has its figures."""
+    suite, evaluation = small
+    whole = suite.scenes[0]
+    shutil.copytree(Path(whole.source).parent, tmp_path / "kitchen")
+    room = tmp_path / "kitchen" / "room.xml"
+    room.write_text(room.read_text().replace('value="0.62 0.60 0.54"', 'value="0.6 0.6 0.5"'))
+    known = whole.model_copy(update={"name": "kitchen", "source": room})
+    broken = whole.model_copy(update={"name": "broken", "source": tmp_path / "absent.xml"})
+    inserted = dict.fromkeys(("kitchen", "broken", whole.name), suite.inserted[whole.name])
+    three = suite.model_copy(update={"scenes": (known, broken, whole), "inserted": inserted})
+    sha = plan_scene(known, tmp_path / "other").asset_sha256["kitchen"]
+    record = DataRecord(name="data", index_sha256="0", num_views=10, assets={"other-name": sha})
+    card = read_card(bundled_checkpoint()).model_copy(update={"data": (record,)})
+    monkeypatch.setattr("model.evaluation.evaluate.read_card", lambda _: card)
+    stages: list[str] = []
+    found = evaluate(three, cache, lambda stage, done, total: stages.append(stage)).result
+    assert "trained on other-name" in found.failures["kitchen"]
+    assert "absent.xml" in found.failures["broken"]
+    (scene,) = found.scenes
+    assert scene.name == "small-room"
+    for mine, before in zip(scene.methods, evaluation.result.scenes[0].methods, strict=True):
+        assert (mine.images, mine.maps_merged) == (before.images, before.maps_merged)
+    assert stages[:3] == ["kitchen: plan", "broken: plan", "small-room: plan"]
+    assert not any("kitchen" in stage for stage in stages[3:])
+    write_results(found, evaluation.truth, tmp_path / "out")
+    text = (tmp_path / "out" / "evaluation.md").read_text()
+    assert "kitchen: no figures" in text and "| small-room | ours |" in text
+    shutil.rmtree(next(cache.glob("kitchen-*")))
 
 
 def _scene_folder(cache: Path) -> str:

@@ -69,6 +69,31 @@ def test_xatlas_gives_a_valid_unwrap_that_keeps_triangles_and_density() -> None:
     assert report.notes == [f"the mesh's own UVs do not serve: {report.rejected}"]
 
 
+@pytest.mark.parametrize("has_room", [True, False])
+def test_triangles_too_small_for_xatlas_are_unwrapped(has_room: bool) -> None:
+    """A knob of 2 mm with 5,120 triangles, by itself and in a room: xatlas leaves such edges out, and where
+    it leaves out all of a piece, its size is no number."""
+    knob = trimesh.creation.icosphere(subdivisions=4, radius=1e-3)
+    shape = trimesh.util.concatenate([knob, trimesh.creation.box((4, 3, 2.5))]) if has_room else knob
+    mesh = Mesh(np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32))
+    made, report = unwrapped(mesh)
+    assert report.source == "xatlas" and report.num_fallback_faces == report.num_blender_faces == 0
+    assert made.uv is not None and np.isfinite(made.uv).all()
+    np.testing.assert_allclose(corner_positions(made), corner_positions(mesh))
+    assert report.stretch < 1.6
+
+
+def test_a_piece_of_which_nothing_is_placed_is_laid_out_by_triangles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(uv_module, "XATLAS_PROCESS", "tests.model.places_nothing")
+    monkeypatch.setattr(uv_module, "find_spec", lambda name: None)
+    mesh = tiled_room()
+    made, report = unwrapped(mesh)
+    assert report.num_fallback_faces == len(mesh.faces)
+    assert made.uv is not None and np.isfinite(made.uv).all()
+
+
 def test_pieces_and_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small pieces share one density; pieces on which xatlas dies are laid out triangle by triangle."""
     mesh = tiled_room()

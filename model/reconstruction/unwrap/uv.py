@@ -222,7 +222,8 @@ def _unwrap_piece(positions: NDArray[np.float32], faces: NDArray[np.int64], stem
 def _run(
     module: str, source: Path, target: Path
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Corners, size and which triangles were placed, by a process that may crash; None where it did."""
+    """Corners, size and which triangles were placed, by a process that may crash; None where it did, or
+    placed none."""
     command = [sys.executable, "-m", module, str(source), str(target)]
     root = Path(__file__).resolve().parents[3]
     try:
@@ -233,7 +234,8 @@ def _run(
         return None
     with np.load(target) as data:
         corners, size, is_placed = data["corners"], data["size_m"], data["is_placed"]
-    return corners, size, is_placed & np.isfinite(corners).all(axis=(1, 2))
+    is_placed = is_placed & np.isfinite(corners).all(axis=(1, 2))
+    return (corners, size, is_placed) if is_placed.any() and np.isfinite(size).all() else None
 
 
 def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

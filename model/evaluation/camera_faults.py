@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: MIT
+"""Photographs as cameras take them, made of rendered ones: what a method loses by each fault, and by all.
+
+In the order of a camera: the lens bends (``distortion``, k1 on normalised coordinates, which calibration left
+over) and darkens the corners (``vignetting_stops``); every image has an exposure that differs from the common
+one by a normal distribution of ``exposure_stops``, which nobody is told; photons (``white_electrons`` at the
+limit) and electronics (``read_electrons``) make noise; what is beyond the limit is clipped, ``clipped_share``
+of all pixels of all images at the common exposure, lamps and windows first; a curve steeper than sRGB's
+(``contrast``) encodes it in ``bits``, and ``jpeg`` of that quality may follow. The reader takes 8 bits for
+sRGB and 14 for linear, as ``materials infer`` does. Cameras are said to stand ``pose_mm`` and ``pose_deg``
+off (standard deviations along each axis, and of the angle about a random one), and the mesh has the errors
+of ``geometry``, where the method names none.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from datagen.formats.base import NonNegative, Positive, Slug, StrictModel
+from datagen.formats.capture import Capture, ColorImage, ImageSource
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import linear_from_srgb, srgb_from_linear
+from datagen.foundation.random import digest
+from model.evaluation.mesh_errors import GeometryError
+
+_EVERY = 7  # pixels that the common exposure is measured on: one in so many
+_LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve falls again
+
+
+class CameraFaults(StrictModel):
+    """How photographs differ from what is there; the module's head says what each field does. ``seed``: of
+    noise, exposures and poses."""
+
+    name: Slug
+    bits: Literal[8, 14] | None = None
+    exposure_stops: NonNegative = 0.0
+    clipped_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    contrast: Annotated[float, Field(ge=0, le=_LARGEST_CONTRAST)] = 0.0
+    white_electrons: Positive | None = None
+    read_electrons: NonNegative = 0.0
+    vignetting_stops: NonNegative = 0.0
+    distortion: Annotated[float, Field(ge=-0.2, le=0.2)] = 0.0
+    jpeg: Annotated[int, Field(ge=1, le=100)] | None = None
+    pose_mm: NonNegative = 0.0
+    pose_deg: NonNegative = 0.0
+    geometry: GeometryError | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    @model_validator(mode="after")
+    def _is_a_camera(self) -> CameraFaults:
+        faults = []
+        if self.jpeg is not None and self.bits != 8:
+            faults.append("bits: 8 with jpeg")
+        if self.contrast and self.bits == 14:
+            faults.append("no contrast with bits: 14, which are linear")
+        if self.read_electrons and self.white_electrons is None:
+            faults.append("white_electrons with read_electrons")
+        if faults:
+            raise ValueError("expected " + "; ".join(faults))
+        return self
+
+
+_MESH = GeometryError(edge_m=0.1, noise_m=0.01, keep_share=0.3, hole_share=0.05)
+_SINGLE: dict[str, dict[str, object]] = {
+    "bits-8": {"bits": 8, "clipped_share": 0.01},  # a lamp at the limit would leave the room black
+    "bits-14": {"bits": 14, "clipped_share": 0.001},
+    "exposure": {"exposure_stops": 0.5},
+    "clipping": {"clipped_share": 0.05},
+    "response": {"contrast": 0.08},
+    "noise": {"white_electrons": 4000.0, "read_electrons": 4.0, "clipped_share": 0.02},
+    "vignetting": {"vignetting_stops": 1.0},
+    "distortion": {"distortion": 0.01},
+    "jpeg": {"bits": 8, "jpeg": 85, "clipped_share": 0.02},
+    "pose": {"pose_mm": 5.0, "pose_deg": 0.2},
+    "mesh": {"geometry": _MESH},
+}
+_RAW: dict[str, object] = {
+    "bits": 14,
+    "exposure_stops": 0.05,
+    "clipped_share": 0.01,
+    "white_electrons": 30000.0,
+    "read_electrons": 4.0,
+    "vignetting_stops": 0.5,
+    "distortion": 0.002,
+    "pose_mm": 2.0,
+    "pose_deg": 0.05,
+}
+_PHONE: dict[str, object] = {
+    "bits": 8,
+    "exposure_stops": 0.4,
+    "clipped_share": 0.04,
+    "contrast": 0.08,
+    "white_electrons": 4000.0,
+    "read_electrons": 4.0,
+    "vignetting_stops": 0.5,
+    "distortion": 0.005,
+    "jpeg": 88,
+    "pose_mm": 5.0,
+    "pose_deg": 0.1,
+}
+PRESETS = {
+    name: CameraFaults.model_validate({"name": name, **fields})
+    for name, fields in {
+        **_SINGLE,
+        "raw-camera": _RAW,
+        "phone": _PHONE,
+        "phone-and-mesh": {**_PHONE, "geometry": _MESH},
+    }.items()
+}
+"""Every fault by itself, and the three bundles."""
+BUNDLES = ("raw-camera", "phone", "phone-and-mesh")
+EACH = "each"
+"""In a suite: every fault by itself."""
+
+
+def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, ...]:
+    """What a suite's ``camera`` stands for. Raises ``ValueError`` for an unknown name and a name used
+    twice."""
+    found: list[CameraFaults] = []
+    for name in names:
+        if isinstance(name, CameraFaults):
+            found.append(name)
+        elif name == EACH:
+            found += [PRESETS[single] for single in _SINGLE]
+        elif name in PRESETS:
+            found.append(PRESETS[name])
+        else:
+            raise ValueError(f"expected {EACH}, {', '.join(PRESETS)} or faults of your own, not {name!r}")
+    known = [camera.name for camera in found]
+    if len(set(known)) != len(known):
+        raise ValueError("expected every camera to have a name of its own")
+    return tuple(found)
+
+
+def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
+    """The capture as such a camera takes it, but for its mesh. Truth is that of the scene."""
+    scale = 1.0 / _limit(capture, faults.clipped_share)
+    views = tuple(
+        replace(
+            view,
+            camera=_moved(view.camera, faults, view.name),
+            source=_Taken(view.source, view.camera, view.name, faults, scale),
+        )
+        for view in capture.views
+    )
+    return replace(capture, views=views)
+
+
+def _limit(capture: Capture, clipped_share: float) -> float:
+    """The radiance at the sensor's limit: that which ``clipped_share`` of all pixels exceed."""
+    bright = [view.read().color.max(axis=2).ravel()[::_EVERY] for view in capture.views]
+    limit = float(np.quantile(np.concatenate(bright), 1.0 - clipped_share))
+    return limit if limit > 0 else 1.0
+
+
+def _random(faults: CameraFaults, view: str, purpose: str) -> np.random.Generator:
+    """A generator for one purpose of one view, whatever else is drawn."""
+    return np.random.default_rng(int.from_bytes(digest(faults.seed, view, purpose)[:8], "little"))
+
+
+def _moved(camera: Camera, faults: CameraFaults, view: str) -> Camera:
+    if not faults.pose_mm and not faults.pose_deg:
+        return camera
+    random = _random(faults, view, "pose")
+    pose = camera.world_from_camera.copy()
+    pose[:3, 3] += random.normal(0.0, faults.pose_mm / 1000, 3)
+    axis = random.normal(size=3)
+    angle = np.radians(random.normal(0.0, faults.pose_deg))
+    turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+    pose[:3, :3] = pose[:3, :3] @ turn
+    return replace(camera, world_from_camera=pose)
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """A view's pixels through a camera with faults. ``true_camera`` is where it really stands."""
+
+    source: ImageSource
+    true_camera: Camera
+    view: str
+    faults: CameraFaults
+    scale: float
+
+    def read(self, camera: Camera) -> ColorImage:
+        there = self.source.read(replace(camera, world_from_camera=self.true_camera.world_from_camera))
+        color = photographed(there.color.astype(np.float64) * self.scale, camera, self.faults, self.view)
+        return ColorImage((color / self.scale).astype(np.float32), there.valid_mask)
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        return self.source.read_maps(names)
+
+
+def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str = "") -> NDArray[np.float64]:
+    """An image (H, W, 3), linear with the sensor's limit at 1, as it is read after all faults."""
+    random = _random(faults, view, "image")
+    if faults.distortion:
+        color = _bent(color, camera, faults.distortion)
+    color = color * 2.0 ** (faults.exposure_stops * random.normal())
+    if faults.vignetting_stops:
+        color = color * 2.0 ** (-faults.vignetting_stops * _radius_squared(camera))[..., None]
+    if faults.white_electrons is not None:
+        electrons = random.poisson(np.clip(color, 0, 4) * faults.white_electrons).astype(np.float64)
+        color = (electrons + random.normal(0.0, faults.read_electrons, color.shape)) / faults.white_electrons
+    color = np.clip(color, 0.0, 1.0)
+    if faults.bits == 14:
+        return np.round(color * (2**14 - 1)) / (2**14 - 1)
+    encoded = np.asarray(srgb_from_linear(color), np.float64)
+    encoded = encoded - faults.contrast * np.sin(2 * np.pi * encoded)
+    if faults.bits == 8:
+        encoded = np.round(encoded * 255) / 255
+    if faults.jpeg is not None:
+        encoded = _as_jpeg(encoded, faults.jpeg)
+    return np.asarray(linear_from_srgb(encoded), np.float64)
+
+
+def _radius_squared(camera: Camera) -> NDArray[np.float64]:
+    """Squared distance from the image's centre, 1 in its corners, (H, W)."""
+    x = (np.arange(camera.width_px) + 0.5 - 0.5 * camera.width_px) / (0.5 * camera.width_px)
+    y = (np.arange(camera.height_px) + 0.5 - 0.5 * camera.height_px) / (0.5 * camera.height_px)
+    return np.asarray(0.5 * (x[None] ** 2 + y[:, None] ** 2))
+
+
+def _bent(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
+    """The image as a lens with x' = x (1 + k1 r^2) forms it; beyond its border the border is repeated."""
+    import cv2
+
+    x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
+    y = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
+    bent_x, bent_y = np.meshgrid(x, y)
+    true_x, true_y = bent_x.copy(), bent_y.copy()
+    for _ in range(10):  # a contraction for the strengths that a suite may name
+        grow = 1 + k1 * (true_x**2 + true_y**2)
+        true_x, true_y = bent_x / grow, bent_y / grow
+    columns = (true_x * camera.fx_px + camera.cx_px - 0.5).astype(np.float32)
+    rows = (true_y * camera.fy_px + camera.cy_px - 0.5).astype(np.float32)
+    image = np.ascontiguousarray(color, np.float32)
+    made = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(made, np.float64)
+
+
+def _as_jpeg(encoded: NDArray, quality: int) -> NDArray[np.float64]:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.round(encoded * 255).astype(np.uint8)).save(stream, "JPEG", quality=quality)
+    with Image.open(stream) as image:
+        return np.asarray(image, np.float64) / 255

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""Test scenes that a recipe draws: a room with things, materials and lights as datasets have them.
+
+The recipe's configuration number ``configuration`` is taken as it is, but for its cameras: they are as many,
+as large and as free as the scene asks, and a walk of novel views is added.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from datagen.assembly.plan import assemble, check_recipe, world_of
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.base import read_yaml
+from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.formats.recipe import CameraRecipe, Recipe
+from datagen.foundation.errors import input_error
+from datagen.importers.common import ImportOptions
+from datagen.importers.dispatch import import_asset
+from datagen.library import Library, resolve_library_paths
+from model.evaluation.photographer import walk_between
+
+RECIPE_SUFFIXES = (".yaml", ".yml")
+
+
+def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
+    """A library of what ``sources`` hold, made once; none where there are no sources."""
+    if not sources:
+        return ()
+    if not folder.is_dir():
+        begun = folder.with_name(f"{folder.name}.part")
+        shutil.rmtree(begun, ignore_errors=True)
+        for source in sources:
+            import_asset(source, begun, ImportOptions(missing="replace", dielectric="replace"))
+        begun.rename(folder)
+    return (folder,)
+
+
+def recipe_library(source: Path, own: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The folders that a recipe draws from, and ``own``."""
+    return (*resolve_library_paths(read_yaml(Recipe, source).library, source.parent), *own)
+
+
+def draw_room(
+    source: Path,
+    index: int,
+    library: Library,
+    cameras: CameraRecipe,
+    resolution: tuple[int, int],
+    num_views: int,
+    num_novel: int,
+) -> Configuration:
+    """Configuration ``index`` of the recipe at ``source``, seen by ``num_views`` cameras view-000 ... and
+    ``num_novel`` more, path-000 ..., of a walk. Raises :class:`InputError`."""
+    changes = {"views": num_views, "resolution": resolution, "cameras": cameras}
+    recipe = read_yaml(Recipe, source).model_copy(update=changes)
+    if index >= recipe.configurations:
+        expected = f"a number below {recipe.configurations}, of the recipe's configurations"
+        raise input_error(source, "configuration", index, expected)
+    check_recipe(recipe, library)
+    drawn = assemble(recipe, index, library)
+    room = library.package(drawn.environment.asset).asset
+    assert isinstance(room, EnvironmentAsset)
+    scene = world_of(drawn, library)
+    walk = walk_between([c.camera() for c in drawn.cameras], num_novel, room, scene.rays, cameras)
+    added = tuple(ViewCamera.from_camera(f"path-{k:03d}", camera) for k, camera in enumerate(walk))
+    return drawn.model_copy(update={"split": "test", "cameras": (*drawn.cameras, *added)})

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: MIT
+"""How far maps are from the truth: errors by map and by kind of surface, levels, and the measures of others.
+
+All squared errors are of linear values over surface pixels and channels. ``diffuse gain``: the factor for the
+whole scene that makes the squared error of D least; ``region gain``: one such factor for each part of the
+scene, so that what is left is the error within parts. ``level error``: median over surface pixels of
+|ln(mean estimate / mean truth)| of their part's D luminance.
+
+``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which FIPT's
+figures are made by, too: 8-bit values, PSNR of every whole view with emitters (and for kd everything that is
+not of roughness 1) at zero in both, mean of the decibels. Our kd is D and a' is (1 - S) D + S; theirs are the
+diffuse colour and the integrated reflectance of Disney's lobe. Emission: pixels where light leaves a surface
+that has no material.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import luminance
+from model.evaluation.rendering import JudgedView
+from model.evaluation.surface_kinds import ViewSurfaces
+from model.reconstruction.atlas.atlas import MAP_NAMES
+
+D, S, R = MAP_NAMES
+_FLOOR = 1e-4  # keeps the logarithm of a black part finite
+_LEAST_MSE = 1e-10  # 100 dB, where the formula gives infinity; as in the code that is followed
+_ROUGH_LEAST = 0.2
+QUARTERS = 4
+
+
+@dataclass
+class MapMeasures:
+    """Adds views up; ``mse``, ``figures``, ``by_kind`` and ``calibration`` say what came out. ``views``: mean
+    squared errors of every view by name, and its number of ``pixels``."""
+
+    squared: dict[str, dict[str, float]] = field(default_factory=dict)
+    pixels: dict[str, int] = field(default_factory=dict)
+    views: dict[str, dict[str, float]] = field(default_factory=dict)
+    num_surface: int = 0
+    _pairs: list[tuple[NDArray, NDArray, NDArray]] = field(default_factory=list)
+    _others: list[dict[str, float]] = field(default_factory=list)
+    _sure: list[tuple[NDArray, NDArray]] = field(default_factory=list)
+
+    def add(
+        self,
+        view: str,
+        maps: Mapping[str, NDArray],
+        truth: JudgedView,
+        surfaces: ViewSurfaces,
+        *,
+        rendered: JudgedView | None = None,
+        confidence: NDArray | None = None,
+    ) -> None:
+        """Count a view. ``rendered``: the view of the recovered scene, where the maps come from it: pixels
+        without its surface are not compared, and its emission is. ``confidence`` (H, W, 3) of D, S and R."""
+        mask = truth.surface_mask if rendered is None else truth.surface_mask & rendered.surface_mask
+        errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MAP_NAMES}
+        for kind, where in {"all": mask, **surfaces.kinds}.items():
+            chosen = where & mask
+            sums = self.squared.setdefault(kind, dict.fromkeys(MAP_NAMES, 0.0))
+            self.pixels[kind] = self.pixels.get(kind, 0) + int(chosen.sum())
+            for name in MAP_NAMES:
+                sums[name] += float(errors[name][chosen].sum())
+        self.num_surface += int(truth.surface_mask.sum())
+        seen = max(int(mask.sum()), 1)
+        self.views[view] = {name: float(errors[name][mask].sum()) / seen for name in MAP_NAMES}
+        self.views[view]["pixels"] = float(mask.sum())
+        diffuse = [maps[D][mask].astype(np.float64), truth.maps[D][mask].astype(np.float64)]
+        self._pairs.append((diffuse[0], diffuse[1], surfaces.region[mask]))
+        self._others.append(measures_of_others(maps, truth, rendered))
+        if confidence is not None:
+            stacked = np.stack([np.sqrt(errors[n][mask]) for n in MAP_NAMES], axis=1)
+            self._sure.append((confidence[mask].astype(np.float64), stacked))
+
+    def figures(self) -> dict[str, float]:
+        """PSNR of maps, D after gains, error of levels, measures of others."""
+        found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
+        estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
+        found |= level_figures(estimate, truth, region)
+        for key in dict.fromkeys(key for row in self._others for key in row):
+            found[key] = float(np.mean([row[key] for row in self._others if key in row]))
+        return found
+
+    def mse(self) -> dict[str, float]:
+        """Mean squared error by map."""
+        count = max(self.pixels.get("all", 0), 1)
+        return {name: self.squared["all"][name] / count for name in MAP_NAMES}
+
+    @property
+    def covered_share(self) -> float:
+        """Share of the true surface's pixels that were compared."""
+        return self.pixels.get("all", 0) / max(self.num_surface, 1)
+
+    def by_kind(self) -> dict[str, dict[str, float]]:
+        """Mean squared errors by kind of surface, and the kind's ``share`` of all compared pixels."""
+        return {
+            kind: {
+                "share": self.pixels[kind] / max(self.pixels["all"], 1),
+                **{name: self.squared[kind][name] / self.pixels[kind] for name in MAP_NAMES},
+            }
+            for kind in self.squared
+            if self.pixels[kind]
+        }
+
+    def calibration(self) -> dict[str, list[float]]:
+        """By map: rank correlation of confidence and smallness of the error, then the root mean square error
+        of the quarter that is least sure to the quarter that is surest. Empty without confidence."""
+        if not self._sure:
+            return {}
+        from scipy.stats import spearmanr
+
+        confidence, errors = (np.concatenate(part) for part in zip(*self._sure, strict=True))
+        found = {}
+        for k, name in enumerate(MAP_NAMES):
+            order = np.argsort(confidence[:, k], kind="stable")
+            correlation = float(spearmanr(confidence[:, k], -errors[:, k]).statistic)
+            quarters = np.array_split(errors[order, k], QUARTERS)
+            roots = [float(np.sqrt((quarter**2).mean())) for quarter in quarters]
+            found[name] = [0.0 if np.isnan(correlation) else correlation, *roots]
+        return found
+
+
+def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
+    """Of D (N, 3) in regions (N,): the best gain, errors after it and after each region's own, and the error
+    of levels."""
+    gain = _best_gain((estimate * truth).sum(), (estimate**2).sum())
+    index = np.unique(region, return_inverse=True)[1]
+
+    def summed(values: NDArray) -> NDArray[np.float64]:
+        return np.bincount(index, values).astype(np.float64)
+
+    products, squares = summed((estimate * truth).sum(axis=1)), summed((estimate**2).sum(axis=1))
+    gains = np.where(squares > 0, products / np.maximum(squares, 1e-30), 1.0)
+    counts = np.maximum(summed(np.ones(len(index))), 1)
+    means = [np.maximum(summed(luminance(values)) / counts, _FLOOR) for values in (estimate, truth)]
+    level = np.abs(np.log(means[0] / means[1]))
+    return {
+        "diffuse_gain": gain,
+        "diffuse_mse_gain": float(((gain * estimate - truth) ** 2).mean()),
+        "diffuse_mse_region_gain": float(((gains[index][:, None] * estimate - truth) ** 2).mean()),
+        "level_error": float(np.median(level[index])),
+    }
+
+
+def _best_gain(product: float, square: float) -> float:
+    return float(product / square) if square > 0 else 1.0
+
+
+def psnr_of_mse(mse: float) -> float:
+    """Of values with a range of 1; at most 100 dB."""
+    return float(-10.0 * np.log10(max(mse, _LEAST_MSE)))
+
+
+def _eight_bits(values: NDArray) -> NDArray[np.float64]:
+    return np.floor(np.clip(values.astype(np.float64), 0, 1) * 255) / 255
+
+
+def measures_of_others(
+    maps: Mapping[str, NDArray], truth: JudgedView, rendered: JudgedView | None = None
+) -> dict[str, float]:
+    """``kd``, ``a_prime`` and ``roughness`` of one view in dB and, of a rendered one whose truth shows an
+    emitter, IoU of the emitters' pixels and mean squared difference of ln(1 + emission)."""
+    lit = truth.emission_mask
+    is_seen = truth.surface_mask | lit  # the background is zero in both
+    rough = np.clip(_eight_bits(truth.maps[R]), _ROUGH_LEAST, 1.0)
+    matt = rough[..., 0] >= 1.0
+    pairs: dict[str, tuple[NDArray, NDArray, NDArray]] = {
+        "kd": (maps[D], truth.maps[D], is_seen & ~lit & matt),
+        "a_prime": (_reflectance(maps), _reflectance(truth.maps), is_seen & ~lit),
+        "roughness": (np.clip(maps[R], _ROUGH_LEAST, 1.0), rough, is_seen & ~lit),
+    }
+    found = {}
+    for name, (estimate, true, mask) in pairs.items():
+        error = np.where(mask[..., None], _eight_bits(estimate) - _eight_bits(true), 0.0)
+        found[f"{name}_db"] = psnr_of_mse(float((error**2).mean()))
+    if rendered is not None and lit.any():
+        other = rendered.emission_mask
+        found["emission_iou"] = float((lit & other).sum() / (lit | other).sum())
+        logs = [np.log1p(np.where(v.emission_mask[..., None], v.color, 0.0)) for v in (rendered, truth)]
+        found["emission_log_l2"] = float(((logs[0] - logs[1]) ** 2).mean())
+    return found
+
+
+def _reflectance(maps: Mapping[str, NDArray]) -> NDArray[np.float64]:
+    specular = maps[S].astype(np.float64)
+    return (1 - specular) * maps[D] + specular

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""Tables of what map errors are made of: levels, kinds of surface, the measures of others, confidence, and
+what cameras cost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model.evaluation.map_measures import QUARTERS
+from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.evaluation.surface_kinds import KINDS
+from model.evaluation.tables import LETTERS, PAPER, Cell, Table
+from model.reconstruction.atlas.atlas import MAP_NAMES
+
+_STAGES = {"per_view": "per view", "merged": "merged"}
+_LEVELS = {
+    "diffuse_gain": "best gain of D",
+    "diffuse_mse_gain": "D after it (MSE)",
+    "diffuse_mse_region_gain": "D after each part's gain (MSE)",
+    "level_error": "error of levels (median of |ln ratio|)",
+}
+_OTHERS = {
+    "kd_db": "kd where rough (dB)",
+    "a_prime_db": "a' (dB)",
+    "roughness_db": "roughness in [0.2, 1] (dB)",
+    "emission_iou": "emission (IoU)",
+    "emission_log_l2": "emission (log L2)",
+}
+PUBLISHED_OTHERS = (
+    ("FIPT", "HDR photographs", 29.95, 25.98, 26.37),
+    ("FIPT", "8 bits", 15.5, 9.7, 5.0),
+    ("IRIS", "8 bits", 22.3, 17.9, 21.4),
+)
+"""Means over the four rooms of FIPT as IRIS has them: kd, a' and roughness in dB."""
+
+
+def measure_tables(result: SuiteResult) -> list[Table]:
+    """The tables that have rows; that of kinds always."""
+    tables = [_levels(result), _kinds(result), _others(result), _calibration(result), _cameras(result)]
+    return [table for table in tables if table.rows or table.name == "kinds"]
+
+
+def _judged(result: SuiteResult) -> list[tuple[SceneResult, MethodResult]]:
+    return [(s, method) for s in result.scenes for method in s.methods if not method.skipped]
+
+
+def _levels(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene, method in _judged(result):
+        for stage, words in _STAGES.items():
+            found = method.map_figures.get(stage)
+            if found is not None:
+                psnr = (found[f"{name}_psnr_db"] for name in MAP_NAMES)
+                rows.append((scene.name, method.label, words, *psnr, *(found[key] for key in _LEVELS)))
+    letters = (f"{LETTERS[name]} (PSNR, dB)" for name in MAP_NAMES)
+    columns = ("scene", "method", "maps", *letters, *_LEVELS.values())
+    caption = (
+        "Of linear values with a range of 1. After the gain that is best for the whole scene, what is left "
+        "of D is levels of parts and patterns; after one for each part, patterns alone."
+    )
+    return Table(
+        "levels", "Levels and patterns", caption, columns, tuple(rows), (0, 0, 0, 1, 1, 1, 2, 4, 4, 3)
+    )
+
+
+def _kinds(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene, method in _judged(result):
+        for kind in ("all", *KINDS):
+            found = method.by_kind.get("merged", {}).get(kind)
+            if found is not None:
+                roots = (float(np.sqrt(found[name])) for name in MAP_NAMES)
+                rows.append((scene.name, method.label, kind, 100 * found["share"], *roots))
+    columns = ("scene", "method", "surfaces", "of all (%)", *(f"{LETTERS[n]} (RMSE)" for n in MAP_NAMES))
+    caption = (
+        "Root mean square errors of merged maps. Metal: S > 0.2; of the rest white: D > 0.7, glossy: "
+        "R < 0.4, matt: R >= 0.4; small: pieces less than 0.3 m across; seldom seen: by fewer than 4 views; "
+        "sunlit: in direct sun."
+    )
+    return Table("kinds", "Errors by kind of surface", caption, columns, tuple(rows), (0, 0, 0, 1, 3, 3, 3))
+
+
+def _others(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene, method in _judged(result):
+        found = method.map_figures.get("merged")
+        if found is not None:
+            rows.append((scene.name, method.label, "merged", *(found.get(key) for key in _OTHERS)))
+    if rows:
+        for name, how, *decibels in PUBLISHED_OTHERS:
+            rows.append(("FIPT's rooms", f"{PAPER}{name}", how, *decibels, None, None))
+    caption = (
+        "By the public evaluation of IRIS: 8-bit values, whole views with all that is not asked for at zero "
+        "in both, mean of the views' decibels. Published figures are of other rooms, views and photographs, "
+        "and of Disney's lobe: they stand here for orientation. Our emitters come with the geometry."
+    )
+    columns = ("scene", "method", "maps", *_OTHERS.values())
+    return Table(
+        "others", "Measures of FIPT and IRIS", caption, columns, tuple(rows), (0, 0, 0, 2, 2, 2, 3, 4)
+    )
+
+
+def _calibration(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene, method in _judged(result):
+        for name in MAP_NAMES:
+            if name in method.calibration:
+                rows.append((scene.name, method.label, LETTERS[name], *method.calibration[name]))
+    quarters = ("least sure quarter (RMSE)", *(f"quarter {k}" for k in range(2, QUARTERS)), "surest quarter")
+    columns = ("scene", "method", "map", "rank correlation", *quarters)
+    caption = "Of the maps as predicted. Correlation with small errors: 1 knows their order, 0 does not."
+    return Table("confidence", "Confidence", caption, columns, tuple(rows), (0, 0, 0, 2, 3, 3, 3, 3))
+
+
+def _cameras(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene in result.scenes:
+        judged = [method for method in scene.methods if not method.skipped and method.kind != "truth"]
+        if not any(method.camera for method in judged):
+            continue
+        for method in sorted(judged, key=lambda m: [other.method for other in judged].index(m.method)):
+            maps = (method.maps_merged.get(name) for name in MAP_NAMES)
+            psnr = (
+                method.images.get(light, {}).get(views, {}).get("psnr_srgb_db")
+                for light in ("own", "modified")
+                for views in ("input", "novel")
+            )
+            rows.append((scene.name, method.method, method.camera or "as rendered", *maps, *psnr))
+    columns = (
+        "scene",
+        "method",
+        "photographs",
+        *(f"{LETTERS[name]} merged (MSE)" for name in MAP_NAMES),
+        *(f"{light}, {views} (PSNR, dB)" for light in ("own", "modified") for views in ("input", "novel")),
+    )
+    caption = (
+        "The same methods on photographs as cameras take them; docs/evaluation.md says what each name means."
+    )
+    return Table("cameras", "Cameras", caption, columns, tuple(rows), (0, 0, 0, 4, 4, 4, 2, 2, 2, 2))

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""How much of a figure is noise.
+
+A figure is a mean over views. Other views would have given another one: its bootstrap over views. Other
+samples of the renderer too: some views are rendered with a second seed. Both add up in squares. Of the
+difference of two methods on the same views, the bootstrap is paired: what makes a view hard for both drops
+out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_RESAMPLES = 2000
+_SEED = 0x6E6F6973
+SURE = 2.0  # standard errors: a smaller difference is none
+
+
+def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> float:
+    """Standard error of the (weighted) mean of values (V,) by 2,000 resamples of the views; nan for one."""
+    values = np.asarray(values, np.float64)
+    if len(values) < 2:
+        return float("nan")
+    share = np.ones(len(values)) if weights is None else np.asarray(weights, np.float64)
+    drawn = np.random.default_rng(_SEED).integers(0, len(values), (_RESAMPLES, len(values)))
+    means = (values * share)[drawn].sum(axis=1) / np.maximum(share[drawn].sum(axis=1), 1e-30)
+    return float(means.std() * np.sqrt(len(values) / (len(values) - 1)))  # a resample varies less by that
+
+
+def seed_spread(
+    pairs: Sequence[tuple[Mapping[str, float | None], Mapping[str, float | None]]],
+) -> dict[str, float]:
+    """Standard deviation of each figure of a view, from pairs of the same views with two seeds."""
+    found = {}
+    for key in pairs[0][0]:
+        differences = [
+            first - second
+            for rows in pairs
+            if (first := rows[0][key]) is not None and (second := rows[1][key]) is not None
+        ]
+        if differences:
+            found[key] = float(np.sqrt(np.mean(np.square(differences)) / 2))
+    return found
+
+
+@dataclass(frozen=True)
+class Difference:
+    """``other`` and ``this`` figure, and the standard error of ``this - other``."""
+
+    other: float
+    this: float
+    error: float
+
+    @property
+    def is_none(self) -> bool:
+        """Whether it may well be chance."""
+        return not abs(self.this - self.other) > SURE * self.error
+
+
+def difference(
+    other: Mapping[str, float],
+    this: Mapping[str, float],
+    spreads: tuple[float, float] = (0.0, 0.0),
+    weights: Mapping[str, float] | None = None,
+) -> Difference | None:
+    """Of the means of two methods' figures over the views that both have; None where they share fewer than
+    two. ``spreads``: of a view's figure by the renderer's noise, of each; ``weights`` of views."""
+    names = [name for name in other if name in this]
+    if len(names) < 2:
+        return None
+    share = np.array([1.0 if weights is None else weights[name] for name in names])
+    before, after = (np.array([row[name] for name in names]) for row in (other, this))
+    error = bootstrap_error(after - before, share)
+    noise = sum(spread**2 for spread in spreads) / len(names)
+    means = [float(np.average(values, weights=share)) for values in (before, after)]
+    return Difference(means[0], means[1], float(np.hypot(error, np.sqrt(noise))))

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: MIT
+"""The page of a suite: what each method makes of each scene, to be looked at; it needs nothing beside it.
+
+For every scene: the best and the worst view of each method behind a slider between truth and estimate, errors
+of D, S and R of one view in one scale, a chart of errors by kind of surface, all pictures, and the tables.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.evaluation.metrics import shown
+from model.evaluation.page_style import SCRIPT, STYLE
+from model.evaluation.pictures import COLUMNS, Row, rendered_views, small
+from model.evaluation.rendering import JudgedView
+from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.evaluation.surface_kinds import KINDS
+from model.evaluation.tables import LETTERS, Table
+from model.reconstruction.atlas.atlas import MAP_NAMES
+
+_JPEG_QUALITY = 88
+_WIDTH_PX = 480
+LARGEST_ERROR = 0.5
+"""Of the error maps: what is shown in the last colour of the scale."""
+_SCALE = np.array(  # from dark over violet and orange to pale yellow, evenly brighter
+    [
+        [0.01, 0.02, 0.05],
+        [0.24, 0.06, 0.37],
+        [0.55, 0.16, 0.41],
+        [0.86, 0.32, 0.24],
+        [0.98, 0.60, 0.12],
+        [0.98, 0.96, 0.66],
+    ]
+)
+_BAR_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 12, 92, 430
+
+
+def page_html(
+    result: SuiteResult,
+    notes: Sequence[str],
+    tables: Sequence[Table],
+    rows: Mapping[str, list[Row]],
+    truths: Mapping[str, Mapping[str, JudgedView]],
+) -> str:
+    """The page. ``truths``: by scene, the judged views under its own light."""
+    title = f"Suite {result.suite}"
+    items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
+    links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)
+    scenes = [scene_html(scene, rows[scene.name], truths[scene.name]) for scene in result.scenes]
+    parts = [
+        f"<h1>{html.escape(title)}</h1>"
+        "<p>Rooms photographed by a renderer, their materials recovered by each method from the photographs, "
+        "rendered again, and held against the truth.</p>"
+        f'<nav>{links}<a href="#tables">tables</a></nav>',
+        *scenes,
+        f'<section id="tables"><ul class="notes">{items}</ul>{"".join(t.html() for t in tables)}</section>',
+    ]
+    return (
+        "<!doctype html><html lang=en><head><meta charset=utf-8>"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{html.escape(title)}</title><style>{STYLE}</style></head>"
+        f"<body><main>{''.join(parts)}</main><script>{SCRIPT}</script></body></html>\n"
+    )
+
+
+def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
+    """A scene's part of the page."""
+    methods = [m for m in scene.methods if not m.skipped and m.kind != "truth"]
+    views = {method.label: rendered_views(method, "own") for method in methods}
+    cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)
+    return (
+        f'<section id="{scene.name}"><h2>{html.escape(scene.name)}</h2>'
+        "<h3>Best and worst view of each method</h3><p>Truth on the left, the recovered room on the right, "
+        f'under the scene\'s own light; move the line.</p><div class="cards">{cards}</div>'
+        f"{_error_maps(scene, methods, views, truth)}{_charts(methods)}"
+        f"<details><summary>All pictures</summary>{_all_pictures(scene, rows)}</details></section>"
+    )
+
+
+# ---- sliders
+
+
+def best_and_worst(method: MethodResult) -> list[tuple[str, str, float]]:
+    """("best" or "worst", view, PSNR in dB) under the scene's own light; one where there is only one."""
+    rows = {
+        name: row["psnr_srgb_db"] or 0.0
+        for views in method.image_views.get("own", {}).values()
+        for name, row in views.items()
+    }
+    if not rows:
+        return []
+    order = sorted(rows, key=lambda name: rows[name])
+    chosen = [("best", order[-1]), *([("worst", order[0])] if len(order) > 1 else [])]
+    return [(which, name, rows[name]) for which, name in chosen]
+
+
+def _cards(
+    scene: SceneResult,
+    method: MethodResult,
+    views: Mapping[str, JudgedView],
+    truth: Mapping[str, JudgedView],
+) -> str:
+    cards = []
+    for which, name, psnr in best_and_worst(method):
+        pair = [_picture(shown(source[name].color, scene.exposures["own"])) for source in (truth, views)]
+        text = html.escape(f"{scene.name}, {name}: truth and {method.label}", quote=True)
+        label = html.escape(method.label)
+        cards.append(
+            f'<figure><div class="pair"><img alt="" src="{pair[1]}"><img class="over" alt="{text}" '
+            f'src="{pair[0]}"><span class="tag left">truth</span><span class="tag right">'
+            f'{label}</span><input type="range" value="50" aria-label="{text}"></div>'
+            f"<figcaption><b>{label}</b>, {which} view ({name}): {psnr:.1f} dB</figcaption>"
+            "</figure>"
+        )
+    return "".join(cards)
+
+
+# ---- error maps
+
+
+def error_picture(error: NDArray) -> NDArray[np.float64]:
+    """Errors (H, W), nan where there is nothing to compare, as colours (H, W, 3) in [0, 1]."""
+    share = np.clip(np.nan_to_num(error) / LARGEST_ERROR, 0, 1) * (len(_SCALE) - 1)
+    low = np.minimum(share.astype(int), len(_SCALE) - 2)
+    part = (share - low)[..., None]
+    colors = (1 - part) * _SCALE[low] + part * _SCALE[low + 1]
+    return np.where(np.isnan(error)[..., None], 0.5, colors)
+
+
+def _error_maps(
+    scene: SceneResult,
+    methods: Sequence[MethodResult],
+    views: Mapping[str, Mapping[str, JudgedView]],
+    truth: Mapping[str, JudgedView],
+) -> str:
+    name = scene.figure_views["input"]
+    cells = ["<span></span>", *(f'<span class="head">{letter}</span>' for letter in LETTERS.values())]
+    for method in methods:
+        view = views[method.label].get(name)
+        if view is None:
+            continue
+        cells.append(f'<span class="row">{html.escape(method.label)}</span>')
+        mask = truth[name].surface_mask & view.surface_mask
+        for map_name in MAP_NAMES:
+            squared = ((view.maps[map_name] - truth[name].maps[map_name]).astype(np.float64) ** 2).mean(
+                axis=2
+            )
+            error = np.where(mask, np.sqrt(squared), np.nan)
+            text = html.escape(f"{method.label}: error of {LETTERS[map_name]}", quote=True)
+            cells.append(f'<img alt="{text}" title="{text}" src="{_picture(error_picture(error))}">')
+    bar = error_picture(np.linspace(0, LARGEST_ERROR, 256)[None].repeat(8, 0))
+    return (
+        "<h3>Where maps are wrong</h3><p>Root mean square error over channels of the merged maps in "
+        f'{name}; grey: nothing to compare.</p><div class="errors">{"".join(cells)}</div>'
+        '<div class="scale">0<img alt="" '
+        f'src="{_picture(bar)}">{LARGEST_ERROR:g} and more</div>'
+    )
+
+
+# ---- charts
+
+
+def _charts(methods: Sequence[MethodResult]) -> str:
+    judged = [method for method in methods if method.by_kind.get("merged")]
+    if not judged:
+        return ""
+    kinds = [k for k in ("all", *KINDS) if any(k in method.by_kind["merged"] for method in judged)]
+    legend = "".join(
+        f'<span><i style="background:{_hue(k)}"></i>{html.escape(m.label)}</span>'
+        for k, m in enumerate(judged)
+    )
+    charts = "".join(_chart(name, kinds, judged) for name in MAP_NAMES)
+    return (
+        "<h3>Errors by kind of surface</h3><p>Root mean square error of the merged maps on all surfaces and "
+        "on each kind; the share of the judged pixels stands below its name.</p>"
+        f'<div class="legend">{legend}</div><div class="chart">{charts}</div>'
+    )
+
+
+def _hue(index: int) -> str:
+    hues = ("#2f6f8f", "#d08a2e", "#5a8f4e", "#8a5a9c", "#b5483f", "#7a7f87", "#3d9c94", "#c06c9a")
+    return hues[index % len(hues)]
+
+
+def _chart(name: str, kinds: Sequence[str], methods: Sequence[MethodResult]) -> str:
+    """Horizontal bars: a group for each kind, a bar for each method."""
+    errors = {
+        (kind, k): float(np.sqrt(method.by_kind["merged"][kind][name]))
+        for kind in kinds
+        for k, method in enumerate(methods)
+        if kind in method.by_kind["merged"]
+    }
+    largest = max([*errors.values(), 1e-6])
+    group = _BAR_PX * len(methods) + _GROUP_GAP_PX
+    height = 26 + group * len(kinds)
+    room = _CHART_PX - _LABEL_PX - 44
+    parts = [f'<text x="0" y="13" font-weight="600">{LETTERS[name]}, {name.replace("_", " ")}</text>']
+    parts.append(f'<line class="axis" x1="{_LABEL_PX}" x2="{_LABEL_PX}" y1="22" y2="{height}"/>')
+    for row, kind in enumerate(kinds):
+        top = 26 + row * group
+        share = next(
+            (m.by_kind["merged"][kind]["share"] for m in methods if kind in m.by_kind["merged"]), 0.0
+        )
+        parts.append(f'<text x="0" y="{top + 11}">{html.escape(kind)}</text>')
+        parts.append(f'<text class="quiet" x="0" y="{top + 25}">{share:.1%}</text>')
+        for k in range(len(methods)):
+            if (kind, k) not in errors:
+                continue
+            y, length = top + k * _BAR_PX, room * errors[kind, k] / largest
+            parts.append(
+                f'<rect x="{_LABEL_PX}" y="{y}" width="{length:.1f}" height="{_BAR_PX - 2}" rx="2" '
+                f'fill="{_hue(k)}"/><text class="quiet" x="{_LABEL_PX + length + 4:.1f}" y="{y + 7.5}" '
+                f'style="font-size:8.5px">{errors[kind, k]:.3f}</text>'
+            )
+    return f'<svg viewBox="0 0 {_CHART_PX} {height}" role="img">{"".join(parts)}</svg>'
+
+
+# ---- all pictures
+
+
+def _all_pictures(scene: SceneResult, rows: Sequence[Row]) -> str:
+    head = "".join(f"<th>{html.escape(column)}</th>" for column in COLUMNS)
+    lines = []
+    for row in rows:
+        cells = []
+        for column in COLUMNS:
+            picture = row.pictures[column]
+            if picture is None:
+                cells.append("<td>none</td>")
+                continue
+            text = html.escape(f"{scene.name}, {row.label}: {column}", quote=True)
+            cells.append(f'<td><img alt="{text}" title="{text}" src="{_address(picture.pixels)}"></td>')
+        lines.append(f"<tr><th>{html.escape(row.label)}</th>{''.join(cells)}</tr>")
+    views = ", ".join(f"{kind} {name}" for kind, name in scene.figure_views.items())
+    return (
+        f"<p>Views: {html.escape(views)}. D and S sRGB-encoded, R as it is; images under the exposure of the "
+        f'tables.</p><div class="wide"><table class="pictures"><tr><th></th>{head}</tr>{"".join(lines)}'
+        "</table></div>"
+    )
+
+
+def _picture(values: NDArray) -> str:
+    """Values (H, W, 3) in [0, 1] as an image's address."""
+    return _address(small(values, _WIDTH_PX))
+
+
+def _address(pixels: NDArray[np.uint8]) -> str:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "JPEG", quality=_JPEG_QUALITY)
+    return f"data:image/jpeg;base64,{base64.b64encode(stream.getvalue()).decode()}"

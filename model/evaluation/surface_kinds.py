@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Kinds of surface in the judged views: which pixels show metal, white walls, small things and so on.
+
+By the true maps: ``metal`` S > 0.2; of the rest ``white`` D > 0.7 in every channel, ``glossy`` R < 0.4,
+``matt`` R >= 0.4. By the true mesh: ``small`` pieces that hang together and are less than 0.3 m across, and
+``sunlit`` places that a sun of the scene shines on directly. By the views: ``seldom seen``, by fewer than 4.
+Kinds overlap; one that a scene does not have is left out. A ``region`` is a part of the scene's geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from datagen.assembly.geometry import RayScene
+from datagen.formats.capture import CaptureGeometry, CaptureView
+from datagen.formats.lights import DirectionalLight, Light, SkyLight
+from datagen.foundation.meshes.mesh import Mesh, welded
+from model.evaluation.rendering import JudgedView
+
+KINDS = ("metal", "white", "glossy", "matt", "small", "seldom seen", "sunlit")
+METAL_S, WHITE_D, GLOSSY_R = 0.2, 0.7, 0.4
+SMALL_M, FEW_VIEWS = 0.3, 4
+_LIFT_M = 1e-3  # of a shadow ray above its surface, which would shade itself
+
+
+@dataclass(frozen=True)
+class ViewSurfaces:
+    """``kinds`` by name (H, W) bool, on the surface only; ``region`` (H, W), -1 where there is none."""
+
+    kinds: dict[str, NDArray[np.bool_]]
+    region: NDArray[np.int32]
+
+
+def kinds_of_maps(truth: JudgedView) -> dict[str, NDArray[np.bool_]]:
+    """The kinds that the true maps tell, (H, W) each."""
+    surface = truth.surface_mask
+    metal = surface & (truth.maps["specular_albedo"].mean(axis=2) > METAL_S)
+    rest = surface & ~metal
+    rough = truth.maps["roughness"][..., 0]
+    return {
+        "metal": metal,
+        "white": rest & (truth.maps["diffuse_albedo"].min(axis=2) > WHITE_D),
+        "glossy": rest & (rough < GLOSSY_R),
+        "matt": rest & (rough >= GLOSSY_R),
+    }
+
+
+class SurfaceFinder:
+    """Finds the surfaces of views of one scene by rays through their pixels."""
+
+    def __init__(self, geometry: CaptureGeometry, lights: Sequence[Light]):
+        self._rays = RayScene(geometry.mesh.positions.astype(np.float64), geometry.mesh.faces)
+        starts = np.array([part.first_face for part in geometry.parts])
+        self._part = np.searchsorted(starts, np.arange(len(geometry.mesh.faces)), side="right") - 1
+        self._is_small = small_faces(geometry.mesh)
+        self._suns = [sun for light in lights if (sun := _towards_sun(light)) is not None]
+
+    def find(self, view: CaptureView, truth: JudgedView) -> ViewSurfaces:
+        """The kinds and regions of a view."""
+        directions = view.camera.ray_directions()
+        hits = self._rays.cast(view.camera.position_m, directions.reshape(-1, 3))
+        shape = truth.surface_mask.shape
+        face = hits.face.reshape(shape)
+        hit = truth.surface_mask & (face >= 0)
+        kinds = kinds_of_maps(truth)
+        kinds["small"] = hit & self._is_small[face]
+        count = view.source.read_maps(("observation_count",)).get("observation_count")
+        if count is not None:
+            kinds["seldom seen"] = truth.surface_mask & (count[..., 0] < FEW_VIEWS)
+        if self._suns:
+            place = view.camera.position_m + hits.distance_m.reshape(shape)[..., None] * directions
+            kinds["sunlit"] = self._sunlit(place, face, directions, hit)
+        region = np.where(hit, self._part[face], -1).astype(np.int32)
+        return ViewSurfaces(kinds, region)
+
+    def _sunlit(
+        self, place: NDArray, face: NDArray, directions: NDArray, hit: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        lit = np.zeros(hit.shape, bool)
+        normal = self._rays.normals[face[hit]]
+        back = np.einsum("ij,ij->i", normal, directions[hit]) > 0
+        normal = np.where(back[:, None], -normal, normal)
+        for sun in self._suns:
+            towards = np.broadcast_to(sun, normal.shape)
+            origins = place[hit] + _LIFT_M * normal
+            free = ~self._rays.occluded(origins, towards, np.inf)
+            lit[hit] |= free & (normal @ sun > 0)
+        return lit
+
+
+def small_faces(mesh: Mesh) -> NDArray[np.bool_]:
+    """Triangles (M,) of connected pieces whose bounding box has a diagonal below ``SMALL_M``."""
+    positions, vertex = welded(mesh)
+    faces = vertex[mesh.faces]
+    first, second = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    graph = coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(len(positions),) * 2)
+    count, piece = connected_components(graph, directed=False)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, piece, positions)
+    np.maximum.at(high, piece, positions)
+    small = np.linalg.norm(high - low, axis=1) < SMALL_M
+    return np.asarray(small[piece[faces[:, 0]]])
+
+
+def _towards_sun(light: Light) -> NDArray[np.float64] | None:
+    """Unit vector to the sun of a light; None where it has none."""
+    if isinstance(light, DirectionalLight):
+        direction = -np.array(light.direction)
+    elif isinstance(light, SkyLight) and light.sun_scale > 0:
+        direction = np.array(light.sun_direction)
+    else:
+        return None
+    return np.asarray(direction / np.linalg.norm(direction))
