@@ -129,16 +129,17 @@ def check_variant(name: str | None = None) -> None:
 def select_variant(name: str | None = None) -> str:
     """Set the Mitsuba variant of this process and return its name. Repeated calls are cheap.
 
-    ``name`` is one of :data:`VARIANTS`; None takes ``SCENE_MATERIALS_VARIANT`` from the environment, else
-    CUDA where a GPU answers, else LLVM. Raises ``RuntimeError`` if another variant is already active, and
-    :class:`InputError` if the LLVM on the machine is too old.
+    ``name`` is one of :data:`VARIANTS`; None and ``auto`` take the one that is active,
+    ``SCENE_MATERIALS_VARIANT`` from the environment, CUDA where a GPU answers, or LLVM. Raises
+    ``RuntimeError`` if another variant is already active, and :class:`InputError` if the LLVM on the machine
+    is too old.
     """
     if "mitsuba" in sys.modules:
         import mitsuba as mi
 
         active = mi.variant()
         if active is not None:
-            if name is not None and active != name:
+            if name not in (None, "auto", active):
                 raise RuntimeError(
                     f"variant {active} is already active in this process; expected {name}; "
                     "use one variant a process"
