@@ -8,7 +8,13 @@ import pytest
 
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
-from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
+from datagen.multiview.visibility import (
+    PackedViews,
+    VisibilityOptions,
+    max_distance,
+    observe_points,
+    vectors_from_rows,
+)
 from tests.datagen.multiview_scenes import is_occluded, make_views, mitsuba_scene
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -150,6 +156,32 @@ def test_points_behind_outside_and_facing_away_are_not_seen():
     normals = [(0, -1, 0), (0, -1, 0), (0, -1, 0), (0, 1, 0), (0, -1, 0), (0, -1, 0)]
     seen = observe_points(packed, np.array(points), np.array(normals))
     assert seen.visible_mask[0].tolist() == [True, False, False, False, False, False]
+
+
+def test_the_image_ends_where_the_pixel_after_its_last_would_begin():
+    """Points that project exactly onto the left, right, upper and lower border of the image."""
+    camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
+    packed = PackedViews([camera], [np.full((10, 10), 2.0)])
+    points = np.array([(-1, 2, 0), (1, 2, 0), (0, 2, 1), (0, 2, -1)])
+    pixels, _ = camera.project(points)
+    np.testing.assert_array_equal(pixels, [(0, 5), (10, 5), (5, 0), (5, 10)])
+    seen = observe_points(packed, points, np.tile([0.0, -1.0, 0.0], (4, 1)))
+    assert seen.visible_mask[0].tolist() == [True, False, True, False]
+
+
+@pytest.mark.parametrize("farthest", [0, 1, 2])
+def test_the_farthest_camera_is_found_wherever_it_is_listed(farthest):
+    """Far from the origin, so that what lies behind the list of cameras would be taken for one."""
+    import mitsuba as mi
+
+    centres = np.array([[40.0, 41.0, 40.0], [40.0, 40.0, 42.0], [41.0, 41.0, 40.0]])
+    centres[farthest, 0] += 9.0
+    poses = [look_at(centre, (60.0, 40.0, 40.0)) for centre in centres]
+    packed = PackedViews([Camera(4, 4, 4.0, 4.0, 2.0, 2.0, pose) for pose in poses], None)
+    points = np.array([[40.0, 40.0, 41.0], [42.0, 39.0, 40.0]])
+    found = max_distance(packed, mi.Point3f(vectors_from_rows(points)))
+    expected = np.linalg.norm(centres[:, None] - points, axis=-1).max(axis=0)
+    np.testing.assert_allclose(np.array(found), expected, rtol=1e-6)
 
 
 def test_bad_input_is_refused():

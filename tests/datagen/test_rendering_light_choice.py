@@ -21,6 +21,8 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
 RECIPE = RenderRecipe(path_samples=4, auxiliary_samples=4, denoise=False, max_depth=8, irradiance_cache=True)
 SIDES = (-1.0, 1.0)
+DIM = LAMP.model_copy(update={"radiance": (0.3, 0.3, 0.3)})
+"""Beside it the sky has a quarter of the light, and a guide."""
 
 
 def two_chambers(tmp_path: Path) -> SceneRenderer:
@@ -117,6 +119,62 @@ def test_less_noise_and_the_same_light_behind_a_wall(tmp_path: Path) -> None:
     assert learned.mean() == pytest.approx(even.mean(), rel=0.01)
     variances = [images.var(axis=0, ddof=1).mean() for images in (learned, even)]
     assert variances[0] < 0.25 * variances[1]
+
+
+def test_light_is_put_down_to_what_brought_it(tmp_path: Path) -> None:
+    """A lamp's to the lamp; the sky's to the guide, but for what is as bright as the sun."""
+    import drjit as dr
+    import mitsuba as mi
+
+    tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT))._tracer
+    lights, scene = tracer.lights, tracer.scene
+    assert lights is not None and lights.guide is not None
+    guide = lights.num_emitters
+    brightest = float(lights.guide.brightest[0])
+    for number, emitter in enumerate(scene.emitters()):
+        ds = dr.zeros(mi.DirectionSample3f, 2)
+        ds.emitter = mi.EmitterPtr(emitter)
+        brought = mi.Float([0.9 * brightest, 1.1 * brightest])
+        found = np.broadcast_to(np.array(lights.technique(ds, brought)), 2).tolist()
+        assert found == ([guide, number] if emitter.is_environment() else [number, number])
+        assert int(np.array(lights.index(mi.EmitterPtr(emitter)))[0]) == number
+    tracer.guide_by(None)
+    assert tracer.lights is not None and tracer.lights.guide is None
+    for number, emitter in enumerate(scene.emitters()):
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.emitter = mi.EmitterPtr(emitter)
+        assert int(np.array(tracer.lights.technique(ds, mi.Float(0.0)))[0]) == number
+
+
+def test_before_anything_is_learned_the_guide_has_its_share_and_lights_the_rest() -> None:
+    import mitsuba as mi
+
+    from datagen.rendering.light_choice import MOST_TECHNIQUES, SLOTS, even_choice
+
+    def lamps(number: int) -> Any:
+        bulb = {"type": "point", "position": [0.0, 0.0, 1.0]}
+        return mi.load_dict({"type": "scene"} | {f"bulb {k}": bulb for k in range(number)})
+
+    assert even_choice(lamps(0), None) is None and even_choice(lamps(1), None) is None
+    assert even_choice(lamps(MOST_TECHNIQUES + 1), None) is None
+    for number in (2, 5, 20, MOST_TECHNIQUES):
+        choice = even_choice(lamps(number), None)
+        assert choice is not None and choice.num_techniques == choice.num_emitters == number
+        chances = np.array(choice.probabilities)
+        assert chances.sum() == pytest.approx(1.0) and np.ptp(chances) <= 1 / max(SLOTS, 2 * number)
+
+
+def test_a_guide_has_its_share_of_an_even_choice(tmp_path: Path) -> None:
+    from datagen.rendering.light_choice import even_choice
+
+    tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT))._tracer
+    guide = tracer.sky_guide
+    assert guide is not None and 0.1 < guide.share < 0.5
+    choice = even_choice(tracer.scene, guide)
+    assert choice is not None
+    *lights, guided = np.array(choice.probabilities).tolist()
+    assert guided == pytest.approx(guide.share, abs=2 / choice.num_slots)
+    assert lights == pytest.approx([(1 - guided) / len(lights)] * len(lights), abs=1 / choice.num_slots)
 
 
 @pytest.mark.parametrize("lights", [(LAMP, DAYLIGHT), (DAYLIGHT,)], ids=["lamp and daylight", "daylight"])

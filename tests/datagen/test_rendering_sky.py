@@ -154,3 +154,123 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
     assert first is not None and second is not None
     for one, other in zip(first.arrays(), second.arrays(), strict=True):
         assert np.array_equal(np.array(one), np.array(other))
+
+
+# ---- what is learned, of observations that are known -----------------------------------------------------
+
+
+def observed(count: int = 4096, **more: Any) -> Any:
+    """A room of 4 x 2 x 1 m with points all over, from whose middle every fourth ray leaves through one place
+    of its upper face."""
+    from datagen.rendering.sky_guide import SkyObservations
+
+    points = np.random.default_rng(1).random((count, 3)) * [4, 2, 1]
+    through = np.array([3.1, 0.4, 1.0])
+    origins = points[::4] * [0.2, 0.5, 0.2] + [1, 0.5, 0.2]
+    fields = {
+        "points_m": points,
+        "origins_m": origins,
+        "directions": (through - origins) / np.linalg.norm(through - origins, axis=1, keepdims=True),
+        "radiance": np.ones(len(origins)),
+        "environment": 0.0,
+        "others": 0.0,
+    }
+    return SkyObservations(**{**fields, **more})
+
+
+def open_sky() -> Any:
+    import mitsuba as mi
+
+    return mi.load_dict({"type": "scene", "sky": {"type": "constant"}, "ball": {"type": "sphere"}})
+
+
+def test_the_share_of_the_sky_is_of_all_direct_light() -> None:
+    """A quarter of cosine-distributed rays meet radiance 1: irradiance pi / 4."""
+    quarter = np.pi / 4
+    assert observed().sky_share() == 1.0
+    assert observed(others=quarter).sky_share() == pytest.approx(0.5)
+    assert observed(environment=quarter / 2, others=quarter).sky_share() == pytest.approx(0.5)
+    # emitter sampling sees the sun too: that part is its own
+    assert observed(environment=3 * quarter, others=quarter).sky_share() == pytest.approx(0.25)
+    assert observed(radiance=np.zeros(1024)).sky_share() == 0.0
+    assert observed(radiance=np.zeros(0), others=1.0).sky_share() == 0.0
+
+
+def test_rays_that_met_the_sun_count_as_sky() -> None:
+    radiance = np.ones(1024)
+    radiance[::300] = 1e6
+    calm = observed(radiance=radiance, others=np.pi / 4)
+    assert calm.calm_radiance().max() == pytest.approx(1.0) and calm.sky_share() == pytest.approx(0.5)
+    radiance[::100] = 1e6  # one in a hundred is no chance
+    assert observed(radiance=radiance).calm_radiance().max() > 1e5
+
+
+def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
+    import mitsuba as mi
+
+    from datagen.rendering.sky_guide import BOX_MARGIN, CELLS, NEIGHBOUR_SHARE, learn_sky
+
+    found = learn_sky(open_sky(), observed(others=3 * np.pi / 4))
+    assert found is not None and found.share == pytest.approx(0.25)
+    low, high = np.percentile(observed().points_m, [2, 98], axis=0)
+    margin = BOX_MARGIN * (high - low)[0]  # of its longest side
+    np.testing.assert_allclose(found.box_m, [low - margin, high + margin], rtol=1e-6)
+    side = found.box_m[1] - found.box_m[0]
+    areas = np.repeat([side[1] * side[2], side[0] * side[2], side[0] * side[1]], 2) / CELLS**2
+    chance = np.array(found.density).reshape(6, CELLS, CELLS) * areas[:, None, None]
+    assert chance.sum() == pytest.approx(1.0, abs=1e-3)
+    # rays end a little before the box's upper face, and so spread over few cells
+    column, row = (int(c) for c in (np.array([3.1, 0.4]) - found.box_m[0, :2]) / side[:2] * CELLS)
+    assert chance[5, column - 3 : column + 4, row - 3 : row + 4].sum() == pytest.approx(1.0, abs=1e-3)
+    centre = mi.Point3f(*(float(c) for c in found.box_m.mean(axis=0)))
+    assert bool(found.contains(centre)[0]) and not bool(found.contains(mi.Point3f(0.0, 0.0, 9.0))[0])
+    straight_up = observed(directions=np.tile([0.0, 0.0, 1.0], (1024, 1)), origins_m=np.full((1024, 3), 0.5))
+    one = learn_sky(open_sky(), straight_up)
+    assert one is not None and one.share == 0.5  # never more than half
+    chance = np.sort((np.array(one.density).reshape(6, CELLS, CELLS) * areas[:, None, None]).ravel())[::-1]
+    whole = 1 + 8 * NEIGHBOUR_SHARE
+    assert chance[0] == pytest.approx(1 / whole, abs=1e-3)
+    assert chance[1:9] == pytest.approx([NEIGHBOUR_SHARE / whole] * 8, abs=1e-3) and chance[9] == 0.0
+
+
+def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
+    from datagen.rendering.sky_guide import LEAST_ESCAPES, learn_sky
+
+    quarter = np.pi / 4
+    assert learn_sky(open_sky(), observed(others=8 * quarter)) is not None
+    assert learn_sky(open_sky(), observed(others=10 * quarter)) is None
+    for extra, is_guide in ((0, True), (-1, False)):
+        few = observed(4 * (LEAST_ESCAPES + extra))
+        assert (learn_sky(open_sky(), few) is not None) == is_guide
+    assert learn_sky(open_sky(), observed(origins_m=np.full((1024, 3), 9.0))) is None
+    assert learn_sky(open_sky(), observed(points_m=np.zeros((4096, 3)))) is None
+
+
+def test_rays_leave_the_box_where_geometry_says() -> None:
+    import mitsuba as mi
+
+    from datagen.rendering.sky_guide import CELLS, _exit
+
+    random = np.random.default_rng(2)
+    low, high = np.array([-1.0, 0.0, 2.0]), np.array([3.0, 1.0, 4.0])
+    points = low + (high - low) * random.random((2000, 3))
+    directions = random.normal(size=(2000, 3))
+    directions[:6] = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    corners = mi.Point3f(*low.tolist()), mi.Point3f(*high.tolist())
+    cell, t, along = (
+        np.array(part)
+        for part in _exit(*corners, mi.Point3f(points.T.astype("f4")), mi.Vector3f(directions.T.astype("f4")))
+    )
+    with np.errstate(divide="ignore"):
+        distance = np.where(directions > 0, high - points, low - points) / directions
+    distance[directions == 0] = np.inf
+    axis = distance.argmin(axis=1)
+    rows = np.arange(2000)
+    np.testing.assert_allclose(t, distance.min(axis=1), rtol=1e-4, atol=2e-6)  # float32 in metres
+    np.testing.assert_allclose(along, directions[rows, axis], rtol=1e-5)
+    place = (points + t[:, None] * directions - low) / (high - low) * CELLS
+    others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
+    column, row = (np.clip(np.floor(place[rows, others[:, k]]), 0, CELLS - 1) for k in (0, 1))
+    expected = ((2 * axis + (directions[rows, axis] > 0)) * CELLS + column) * CELLS + row
+    assert (cell == expected).mean() > 0.998  # but where rounding takes a place to the cell beside

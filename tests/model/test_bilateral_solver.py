@@ -137,6 +137,32 @@ def test_guide_is_scaled_by_its_maximum():
     assert build_grid(torch.zeros(1, 3, 16, 16)).num_vertices == 4
 
 
+def test_scaling_the_target_scales_the_result():
+    """Also where its square would pass for a solution."""
+    guide, target, confidence = _images(24, 32)
+    grid = build_grid(guide)
+    whole = bilateral_solve(target, confidence, grid)
+    small = bilateral_solve(1e-7 * target, confidence, grid)
+    torch.testing.assert_close(1e7 * small, whole, rtol=0, atol=1e-6)
+
+
+def test_what_confident_pixels_sum_to_is_kept():
+    """The sum of confidence times result is that of confidence times target: its gradient is the confidence,
+    which the adjoint knows before its first iteration."""
+    guide, target, confidence = _images(24, 32)
+    target.requires_grad_()
+    filtered = bilateral_solve(target, confidence, build_grid(guide), SolverConfig(max_iterations=1))
+    (confidence * filtered).sum().backward()
+    torch.testing.assert_close(target.grad, confidence, rtol=0, atol=1e-9)
+
+
+def test_nothing_is_solved_at_once():
+    grid = build_grid(_images(24, 32)[0])
+    zero = torch.zeros(grid.num_vertices, 2, dtype=torch.float64)
+    y, report = solve(grid, SolverConfig(), torch.ones_like(zero), zero, zero)
+    assert (y == 0).all() and report.iterations == 0 and report.residual == 0.0
+
+
 def test_a_target_of_another_size_is_refused():
     grid = build_grid(torch.rand(1, 3, 16, 16))
     with pytest.raises(ValueError, match="does not fit"):

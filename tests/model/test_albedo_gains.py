@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""Gains out of points whose reflectance and irradiance are given, and the rays that gather irradiance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from model.reconstruction.level import albedo_level
+from model.reconstruction.level.albedo_level import (
+    MAX_IMPOSSIBLE,
+    MAX_SPREAD,
+    MIN_POINTS,
+    NUM_RAYS,
+    AlbedoLevel,
+)
+
+NUM = 1200
+WANTED = np.array([[1.5, 1.2, 0.8], [0.7, 0.9, 1.1], [1.3, 1.3, 1.3]])
+"""Gains of three regions, R, G, B; the middle one is number 2, and number 1 has no points."""
+REGIONS = np.array([0, 2, 3])
+ARRIVING = np.random.default_rng(5).uniform(0.5, 2.0, (NUM, 3))
+"""Irradiance of the points."""
+
+
+def leaving(reflected: float = 0.4) -> NDArray[np.float64]:
+    """Radiance of points that reflect what was predicted times what is wanted."""
+    return reflected * WANTED[np.arange(NUM) % 3] * ARRIVING / np.pi
+
+
+def fit(
+    num: int = NUM, coverage: Any = 1.0, noise: float = 0.0, reflected: float = 0.4, **changes: Any
+) -> AlbedoLevel:
+    """Points in three regions whose ln reflectances spread by ``noise`` about those wanted."""
+    which = np.arange(num) % 3
+    arriving = np.resize(ARRIVING, (num, 3))
+    factor = np.exp(noise * np.random.default_rng(4).normal(size=(num, 1)))
+    rho = reflected * WANTED[which] * factor
+    known = np.broadcast_to(np.asarray(coverage, dtype=float), num)
+    fields = {
+        "position_m": np.zeros((num, 3)),
+        "normal": np.zeros((num, 3)),
+        "radiance": rho * arriving / np.pi,
+        "reflected": np.full((num, 3), reflected),
+        "region": REGIONS[which],
+    }
+    points = albedo_level._Points(**{**fields, **changes})
+    return albedo_level._fit(points, arriving * known[:, None], known, 4, 0.01)
+
+
+def test_gains_are_those_of_each_region_and_the_rooms_elsewhere() -> None:
+    level = fit()
+    np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
+    np.testing.assert_allclose(level.gains[1], level.report.gain, rtol=1e-6)
+    report = level.report
+    assert report.is_applied and (report.points_used, report.regions_used) == (NUM, 3)
+    assert (report.coverage, report.used_share, report.clipped_share) == (1.0, 1.0, 0.01)
+    assert report.spread < 1e-3 and report.impossible_share == 0.0
+    # a third of the points lie at each of ln 0.9, ln 1.2 and ln 1.3: quartiles are the outer ones
+    assert report.region_spread == pytest.approx(0.5 * np.log(1.3 / 0.9), rel=0.03)
+
+
+def test_points_whose_hemisphere_is_little_known_count_less() -> None:
+    """Full weight from a known share of 0.9, none below 0.6, half between."""
+    random = np.random.default_rng(0)
+    coverage = random.choice([0.5, 0.75, 0.9, 1.0], NUM)
+    level = fit(coverage=coverage)
+    weight = np.select([coverage == 0.5, coverage == 0.75], [0.0, 0.5], 1.0)
+    assert level.report.used_share == pytest.approx(weight.mean(), abs=1e-9)
+    assert level.report.points_used == (weight > 0).sum()
+    assert level.report.coverage == pytest.approx(coverage.mean())
+    np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
+
+
+def test_dark_points_and_such_without_light_say_nothing() -> None:
+    left = leaving()
+    left[:60] = 0.0
+    level = fit(radiance=left)
+    assert level.report.points_used == NUM - 60
+    np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
+
+
+def test_spread_is_half_the_interquartile_range() -> None:
+    """Of a normal distribution 0.6745 times its standard deviation."""
+    level = fit(num=30_000, noise=0.3)
+    assert level.report.is_applied and level.report.spread == pytest.approx(0.6745 * 0.3, rel=0.04)
+    np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.03)
+    worse = fit(num=30_000, noise=1.1 * MAX_SPREAD / 0.6745, reflected=0.02)
+    assert not worse.report.is_applied and worse.report.spread > MAX_SPREAD
+    assert (worse.gains == 1).all() and worse.report.gain != (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(("share", "is_applied"), [(0.9, True), (1.1, False)])
+def test_too_many_points_that_reflect_more_than_arrives_change_nothing(
+    share: float, is_applied: bool
+) -> None:
+    num_impossible = int(share * MAX_IMPOSSIBLE * NUM)
+    left = leaving()
+    left[:num_impossible] = 1.2 * ARRIVING[:num_impossible] / np.pi
+    level = fit(radiance=left)
+    assert level.report.impossible_share == pytest.approx(num_impossible / NUM)
+    assert level.report.is_applied == is_applied
+
+
+@pytest.mark.parametrize(("num", "is_applied"), [(MIN_POINTS, True), (MIN_POINTS - 1, False)])
+def test_few_points_change_nothing(num: int, is_applied: bool) -> None:
+    level = fit(num=num)
+    assert level.report.is_applied == is_applied and level.gains.shape == (4, 3)
+
+
+@pytest.mark.parametrize(("coverage", "is_applied"), [(0.73, True), (0.71, False)])
+def test_little_weight_changes_nothing(coverage: float, is_applied: bool) -> None:
+    """0.4 of full weight is reached at a known share of 0.72."""
+    assert fit(coverage=coverage).report.is_applied == is_applied
+
+
+def test_predictions_near_zero_are_taken_for_a_fiftieth() -> None:
+    """A ratio to nothing would say that the room reflects without end."""
+    black = fit(reflected=0.02)
+    np.testing.assert_allclose(black.gains[REGIONS], WANTED, rtol=0.02)
+    same = fit(reflected=0.005)
+    np.testing.assert_allclose(same.gains[REGIONS], WANTED / 4, rtol=0.02)
+
+
+def test_a_region_of_few_points_leans_on_the_room() -> None:
+    """One point at 4 times the room's level pulls its region less than 200 do."""
+    gains = []
+    for count in (1, 200):
+        region = np.zeros(NUM, np.int64)
+        region[:count] = 3
+        factor = np.where(region == 3, 4.0, 1.0)[:, None]
+        factor = factor * np.exp(0.1 * np.random.default_rng(1).normal(size=(NUM, 1)))
+        level = fit(radiance=0.2 * factor * ARRIVING / np.pi, region=region, reflected=0.2)
+        gains.append(level.gains[3, 1])
+        np.testing.assert_allclose(level.gains[0], 1.0, rtol=0.05)
+    assert 1.1 < gains[0] < 0.9 * gains[1] < 4.0 and gains[1] == pytest.approx(4.0, rel=0.05)
+
+
+def test_outliers_do_not_move_a_regions_gain() -> None:
+    """A third of the points receive three times the light that is known of."""
+    random = np.random.default_rng(6)
+    lit = np.where(random.random((NUM, 1)) < 1 / 3, 3.0, 1.0)
+    spread = np.exp(0.05 * random.normal(size=(NUM, 1)))
+    level = fit(radiance=0.25 * lit * spread * ARRIVING / np.pi, reflected=0.25)
+    np.testing.assert_allclose(level.gains[REGIONS], 1.0, rtol=0.06)
+
+
+def test_rays_go_by_the_cosine_one_to_each_stratum() -> None:
+    normal = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.36, -0.48, -0.8]])
+    rays = albedo_level._cosine_rays(normal, np.random.default_rng(3)).reshape(3, NUM_RAYS, 3)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=1e-9)
+    cosine = np.einsum("nrc,nc->nr", rays, normal)
+    assert cosine.min() > 0
+    side = round(np.sqrt(NUM_RAYS))
+    strata = np.sort(np.floor((1 - cosine**2) * side).astype(int), axis=1)
+    np.testing.assert_array_equal(strata, np.tile(np.repeat(np.arange(side), side), (3, 1)))
+    np.testing.assert_allclose(rays.mean(axis=1), 2 / 3 * normal, atol=0.01)  # sides cancel
+    across = rays - cosine[..., None] * normal[:, None]
+    for k in range(3):  # evenly around the normal
+        spread = across[k].T @ across[k] / NUM_RAYS
+        np.testing.assert_allclose(spread, 0.25 * (np.eye(3) - np.outer(normal[k], normal[k])), atol=0.01)
+
+
+def test_weighted_quantiles_are_where_the_weights_reach_them() -> None:
+    values, weight = np.array([3.0, 1.0, 2.0, 4.0]), np.array([1.0, 5.0, 1.0, 3.0])
+    found = albedo_level._quantiles(values, weight, (0.2, 0.55, 0.65, 0.95))
+    assert found.tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert albedo_level._range(values, weight) == 3.0
