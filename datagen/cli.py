@@ -280,6 +280,9 @@ def run(
     views: Annotated[Optional[int], typer.Option(help="Views a configuration.")] = None,  # noqa: UP045
     attempts: Annotated[int, typer.Option(min=1, help="Tries a unit before it is set aside.")] = 3,
     sheets: Annotated[bool, typer.Option(help="Write a contact sheet a configuration.")] = True,
+    space_check: Annotated[
+        bool, typer.Option(help="Refuse to begin where the disk is too small for the estimate.")
+    ] = True,
     dry_run: DryRunOption = False,
 ) -> None:
     """Plan, render, gather statistics and pack; interrupt at any moment, continue by the same command.
@@ -294,6 +297,11 @@ def run(
         _print_recipe(recipe)
         return
     _plan(recipe, recipe_path.parent, out, workers)
+    if space_check:
+        from datagen.farm.folder import DatasetFolder
+        from datagen.farm.space import check_space
+
+        check_space(DatasetFolder(out), workers)
     _run_stages(out, workers, ("render", "stats", "pack"), attempts)
     from datagen.farm.collect import collect
 
@@ -352,6 +360,13 @@ def _run_stages(
     if summary.interrupted:
         typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
         raise typer.Exit(EXIT_INTERRUPTED)
+    if summary.disk_full:
+        typer.echo(
+            f"{summary.disk_full}; the run stops, what is finished is kept: make room, then the same",
+            err=True,
+        )
+        typer.echo("command goes on from here", err=True)
+        raise typer.Exit(1)
     if summary.set_aside:
         for record in summary.failures:
             typer.echo(

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from datagen.farm.folder import DatasetFolder, UnitManifest
+from datagen.farm.leftovers import remove_leftovers
 from datagen.formats.base import canonical_json, inside, sha256_file, write_bytes_atomically
 from datagen.formats.configuration import Split
 from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
@@ -13,9 +15,12 @@ from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import InputError, Problem, input_error
 
 
-def collect(root: Path, deep: bool = False) -> DatasetIndex:
+def collect(
+    root: Path, deep: bool = False, on_removed: Callable[[Path], object] = lambda path: None
+) -> DatasetIndex:
     """Write ``index.json`` from the units that are done, and return it.
 
+    What killed attempts left behind is removed, and told to ``on_removed``.
     ``deep`` hashes every shard again and raises :class:`InputError` naming those that differ. Units that are
     not done are listed in ``missing``; the index is complete when there are none.
     """
@@ -72,6 +77,8 @@ def collect(root: Path, deep: bool = False) -> DatasetIndex:
         shards=tuple(shards),
     )
     write_bytes_atomically(folder.index_path, canonical_json(index))
+    for path in remove_leftovers(root):
+        on_removed(path)
     return index
 
 

@@ -140,7 +140,7 @@ def farm_collect(
     """
     from datagen.farm.collect import collect
 
-    index = collect(folder, deep)
+    index = collect(folder, deep, lambda path: typer.echo(f"removed {path}: nothing rests on it"))
     typer.echo(f"{folder}: {index.num_configurations} shards, {index.num_views} views")
     if index.missing:
         typer.echo(f"{len(index.missing)} units are not done, {index.missing[0]} the first of them", err=True)

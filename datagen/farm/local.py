@@ -27,7 +27,7 @@ import psutil
 
 from datagen.farm.folder import DatasetFolder, FailureRecord, Plan, PlannedUnit
 from datagen.formats.base import canonical_json, write_bytes_atomically
-from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.errors import DISK_FULL, InputError, Problem, input_error
 from mitsuba_plugins.variant import check_variant, select_variant
 
 EXIT_INTERRUPTED = 75
@@ -57,6 +57,8 @@ class RunSummary:
     already_done: int = 0
     failures: list[FailureRecord] = field(default_factory=list)
     interrupted: bool = False
+    disk_full: str = ""
+    """Why the run stopped, where there was no room; no attempt is counted and no unit set aside for it."""
 
     @property
     def set_aside(self) -> list[str]:
@@ -124,11 +126,18 @@ def _worker_main(connection: Connection, root: str, threads: int, stages: tuple[
                 )
         except OSError as error:  # no room for a log
             outcome = "failed", f"{type(error).__name__}: {error}"
+            if error.errno in DISK_FULL:
+                outcome = "full", _full(error, folder.root)
         memory = psutil.Process().memory_info().rss / 2**20
         try:
             connection.send(("outcome", *outcome, memory))
         except (BrokenPipeError, OSError):
             return
+
+
+def _full(error: OSError, root: Path) -> str:
+    """One sentence about a full disk: further attempts would only fill the time."""
+    return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
 
 
 def _orphan(parent: int) -> bool:
@@ -215,6 +224,13 @@ def _run_one(
     except InputError as error:
         print(error, file=sys.stderr)
         return "failed", str(error)
+    except OSError as error:
+        if error.errno not in DISK_FULL:
+            traceback.print_exc()
+            return "failed", f"{type(error).__name__}: {error}"
+        reason = _full(error, context.folder.root)
+        print(reason, file=sys.stderr)
+        return "full", reason
     except Exception as error:  # a worker must outlive whatever a unit raises; the trace is in its log
         traceback.print_exc()
         return "failed", f"{type(error).__name__}: {error}"
@@ -301,8 +317,9 @@ def run_local(
 ) -> RunSummary:
     """Run every unit of the plan that is not done, with ``options.workers`` processes.
 
-    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop. Returns what happened;
-    units that failed ``attempts`` times are in ``set_aside`` and under ``failed/``.
+    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop; so does a full disk,
+    at its first word. Returns what happened; units that failed ``attempts`` times are in ``set_aside`` and
+    under ``failed/``.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
@@ -321,7 +338,7 @@ def run_local(
     threads = max(1, available_cpus() // num_workers)
     workers: list[_Worker] = []
     try:
-        while (todo or any(w.unit for w in workers)) and not stop["asked"]:
+        while (todo or any(w.unit for w in workers)) and not stop["asked"] and not summary.disk_full:
             while len(workers) < num_workers and len(workers) < len(todo) + sum(
                 w.unit is not None for w in workers
             ):
@@ -333,8 +350,8 @@ def run_local(
                     worker.give(unit, folder.logs_path / f"{unit.id}.{attempts[unit.id]}.log")
             for worker in _ready(workers):
                 _handle(worker, workers, todo, attempts, folder, options, summary, on_event)
-        if stop["asked"]:
-            summary.interrupted = True
+        summary.interrupted = stop["asked"]
+        if summary.interrupted or summary.disk_full:
             _stop_all(workers)
     finally:
         for worker in workers:
@@ -396,6 +413,8 @@ def _handle(
         if worker.log is not None and worker.log.exists() and worker.log.stat().st_size == 0:
             worker.log.unlink()
         on_event(("done", unit.id, "", 0, 0))
+    elif outcome == "full":
+        summary.disk_full = summary.disk_full or reason
     elif outcome == "failed":
         _failed(unit, reason, worker.log, todo, attempts, folder, options, summary, on_event)
     else:  # someone else asked the worker to stop: the unit is simply tried again

@@ -66,7 +66,7 @@ def read_status(root: Path) -> FarmStatus:
     plan = folder.read_plan()
     markers = _names(folder.units_path)
     shards = {f"shards/{name}" for name in _names(folder.shards_path)}
-    now = _file_system_now(folder)
+    now = file_system_now(folder)
     done: list[UnitManifest] = []
     finish_times: list[float] = []
     undone: list[PlannedUnit] = []
@@ -82,7 +82,7 @@ def read_status(root: Path) -> FarmStatus:
             continue
         done.append(manifest)
         finish_times.append(folder.manifest_path(unit).stat().st_mtime)
-    running = tuple(unit.id for unit in undone if _age(folder.work_path(unit), now) < RUNNING_AGE_S)
+    running = tuple(unit.id for unit in undone if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S)
     failed = tuple(_failures(folder, undone))
     seconds = [sum(manifest.seconds.values()) for manifest in done]
     rate = _rate_per_hour(finish_times, now)
@@ -103,7 +103,7 @@ def read_status(root: Path) -> FarmStatus:
     )
 
 
-def _file_system_now(folder: DatasetFolder) -> float:
+def file_system_now(folder: DatasetFolder) -> float:
     """The file system's own clock: hosts disagree, so ages are judged against a file written just now."""
     probe = folder.root / f".clock.{os.getpid()}"
     try:
@@ -116,7 +116,7 @@ def _file_system_now(folder: DatasetFolder) -> float:
             probe.unlink(missing_ok=True)
 
 
-def _age(work: Path, now: float) -> float:
+def age_of_attempt(work: Path, now: float) -> float:
     """Seconds since an attempt at the unit last showed that it is alive; infinite where none is."""
     try:
         return abs(now - (work / "running").stat().st_mtime)  # a clock may have been set back meanwhile

@@ -134,6 +134,9 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
         raise
     finally:
         run.heartbeat_path.unlink(missing_ok=True)
+        # Also after another process's commit: it may have tidied up while this one was still writing.
+        if run.folder.is_done(run.unit):
+            shutil.rmtree(run.work, ignore_errors=True)
     return True
 
 
@@ -248,8 +251,9 @@ def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:
 
 
 def _pack(run: UnitRun, configuration: Configuration) -> None:
-    """Tar the complete views, commit the shard, write the manifest, then tidy the work folder."""
+    """Tar the complete views, commit the shard, write the manifest."""
     start = time.perf_counter()
+    run.heartbeat_path.touch()
     names = [camera.name for camera in configuration.cameras]
     for name in names:
         if run.read_record(run.complete_path, name) is None:
@@ -268,9 +272,12 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         digest = sha256_file(partial)
         shard = run.folder.shards_path / f"{configuration.id}-{digest[:16]}.tar"
         num_bytes = partial.stat().st_size
+        run.heartbeat_path.touch()  # until the marker is there, nothing else says whose shard this is
         publish(partial, shard)
-    except BaseException:
+    except BaseException as error:
         partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(partial)
         raise
     timings = []
     for name in names:
@@ -293,7 +300,6 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         peak_memory_mb=round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
     )
     _commit_manifest(run, manifest)
-    shutil.rmtree(run.work, ignore_errors=True)
 
 
 def _commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:

@@ -235,8 +235,10 @@ def write_bytes_atomically(path: Path, data: bytes) -> None:
     try:
         temporary.write_bytes(data)
         publish(temporary, path)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(path)  # a write or a flush does not know it
         raise
 
 

@@ -17,13 +17,12 @@ _REMEDIES = {
     errno.EISDIR: "name a file",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
-_FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 def run_command(app: Callable[[], object]) -> None:
     """Run a command. Bad input ends with its message and code 2, a full disk with code 1, a broken pipe in
     silence; files and folders that the system refuses count as bad input."""
-    from datagen.foundation.errors import InputError, Problem
+    from datagen.foundation.errors import DISK_FULL, InputError, Problem
 
     try:
         app()
@@ -34,11 +33,14 @@ def run_command(app: Callable[[], object]) -> None:
         sys.stderr.close()
         raise SystemExit(1) from None
     except OSError as error:
-        if error.filename is None or error.errno not in {*_REMEDIES, *_FULL}:
+        is_full = error.errno in DISK_FULL
+        if not is_full and (error.filename is None or error.errno not in _REMEDIES):
             raise
-        remedy = _REMEDIES.get(error.errno, "make room; what is finished is kept")
-        print(Problem(error.filename, "", (error.strerror or "").lower(), "", remedy), file=sys.stderr)
-        raise SystemExit(1 if error.errno in _FULL else 2) from None
+        remedy = _REMEDIES.get(error.errno or 0, "make room; what is finished is kept")
+        print(
+            Problem(error.filename or "disk", "", (error.strerror or "").lower(), "", remedy), file=sys.stderr
+        )
+        raise SystemExit(1 if is_full else 2) from None
 
 
 def check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass
 from pathlib import Path
 
+DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+"""What the system says where there is no room, or no more for this user."""
 _MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can hold a million faults of any length
 
 

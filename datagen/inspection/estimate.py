@@ -18,11 +18,10 @@ from pathlib import Path
 from datagen.farm.folder import DatasetFolder, UnitManifest
 from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.planning import create_plan
+from datagen.farm.space import VIEW_BYTES_WHILE_WORKING
 from datagen.formats.recipe import Recipe, SplitRecipe
 from datagen.foundation.errors import input_error
 from datagen.library import Library
-
-VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2  # upper bound a pixel: uncompressed and complete view side by side
 
 
 @dataclass(frozen=True)

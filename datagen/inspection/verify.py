@@ -91,8 +91,14 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
         names = ", ".join(index.missing[:5]) + (" ..." if len(index.missing) > 5 else "")
         add(f"{len(index.missing)} configurations are missing: {names}", "a complete dataset", "warning")
     listed = {folder / record.file for record in index.shards}
-    for stray in sorted(set(on_disk) - listed):
-        add(f"{stray.relative_to(folder)} is not listed", "only shards that the index knows", "warning")
+    leftovers = _leftovers(folder)
+    for stray in sorted({*on_disk, *leftovers} - listed):
+        what = f"{stray.relative_to(folder)} is not listed"
+        if stray in leftovers:
+            what = (
+                f"{stray.relative_to(folder)} was left by a killed attempt; `datagen farm collect` removes it"
+            )
+        add(what, "only what the index knows", "warning")
     sums = {
         "num_configurations": len(index.shards),
         "num_views": sum(record.num_views for record in index.shards),
@@ -113,6 +119,16 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
             continue
         jobs.append(ShardJob(folder / record.file, record.file, record, index.buffers))
     return jobs
+
+
+def _leftovers(folder: Path) -> set[Path]:
+    """What killed attempts left; a folder without its plan (a copy of the shards, say) holds none."""
+    from datagen.farm.leftovers import find_leftovers
+
+    try:
+        return set(find_leftovers(folder))
+    except InputError:
+        return set()
 
 
 def _check_split(index: DatasetIndex, where: str) -> list[Fault]:

@@ -14,6 +14,7 @@ import pytest
 from datagen.formats.shard import Dataset
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import write_small_library
+from tests.small_disk import small_disk
 
 RECIPE = """
 format: scene-materials/recipe
@@ -131,3 +132,15 @@ def test_a_dry_run_looks_into_the_libraries(inputs: Path, tmp_path: Path, verb: 
     result = _datagen(verb, tmp_path / "wrong.yaml", "--library", inputs / "library", *options)
     assert result.returncode == 2 and "ship" in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_disk_too_small_is_said_before_anything_is_rendered(inputs: Path, tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 2) as disk:
+        out = disk.root / "out"
+        words = ["run", inputs / "small.yaml", "--library", inputs / "library", "--views", 3, "--out", out]
+        refused = _datagen(*words)
+        assert refused.returncode == 2 and "--no-space-check" in refused.stderr, refused.stderr
+        assert "MB; expected about" in refused.stderr and not (out / "work").exists()
+        begun = _datagen(*words, "--no-space-check")
+        assert begun.returncode == 1 and "no space left on device" in begun.stderr, begun.stderr
+        assert "Traceback" not in begun.stderr

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""What attempts that were killed left in a dataset folder: nothing rests on it, and it takes room.
+
+A crash between a shard's rename and its marker leaves a tar that no marker names, one before it a part of
+a tar. A second process on the same unit may go on writing views after the first has committed it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+from datagen.farm.folder import DatasetFolder, PlannedUnit
+from datagen.farm.status import RUNNING_AGE_S, age_of_attempt, file_system_now
+from datagen.foundation.durable import sync_folder
+from datagen.foundation.errors import InputError
+
+_SHARD = re.compile(r"(?P<id>.+)-[0-9a-f]{16}\.tar")
+_PARTIAL_SHARD = re.compile(r"\.(?P<id>.+)\.[0-9a-f]{12}\.partial")
+_PARTIAL_MARKER = re.compile(r"\.+(?P<key>[0-9a-f]{64})\.json\.[0-9a-f]{12}\.partial(\.\d+\.partial)?")
+
+
+def find_leftovers(root: Path) -> list[Path]:
+    """Files and folders of planned units that nothing rests on, sorted; none of units in progress.
+
+    Only names that the project gives are looked at: other files are nobody's business here. Raises
+    :class:`InputError` where there is no plan.
+    """
+    folder = DatasetFolder(root)
+    units = folder.read_plan().units
+    by_id, by_key = {unit.id: unit for unit in units}, {unit.key: unit for unit in units}
+    now = file_system_now(folder)
+    found = []
+    for name in _names(folder.shards_path):
+        if match := _SHARD.fullmatch(name) or _PARTIAL_SHARD.fullmatch(name):
+            unit = by_id.get(match["id"])
+            if unit is not None and not _is_needed(folder, unit, name, now):
+                found.append(folder.shards_path / name)
+    for name in _names(folder.units_path):
+        if match := _PARTIAL_MARKER.fullmatch(name):
+            unit = by_key.get(match["key"])
+            if unit is not None and not _is_needed(folder, unit, name, now):
+                found.append(folder.units_path / name)
+    works = set(_names(root / "work"))
+    found += [
+        folder.work_path(unit)
+        for unit in units
+        if folder.work_path(unit).name in works and _is_over(folder, unit, now)
+    ]
+    return sorted(found)
+
+
+def remove_leftovers(root: Path) -> list[Path]:
+    """Remove what :func:`find_leftovers` finds; returns the paths that were removed."""
+    removed = []
+    for path in find_leftovers(root):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)  # a slow attempt may write into it at this moment
+        else:
+            path.unlink(missing_ok=True)
+        if not os.path.lexists(path):
+            removed.append(path)
+    for parent in {path.parent for path in removed}:
+        sync_folder(parent)
+    return removed
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return sorted(entry.name for entry in os.scandir(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def _is_needed(folder: DatasetFolder, unit: PlannedUnit, name: str, now: float) -> bool:
+    """Whether a file is the unit's shard, or may become it: the marker comes after the shard."""
+    if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S:
+        return True
+    try:
+        manifest = folder.read_manifest(unit)
+    except InputError:
+        return True  # a damaged marker says nothing of its shard; it is made again
+    return manifest is not None and Path(manifest.shard).name == name
+
+
+def _is_over(folder: DatasetFolder, unit: PlannedUnit, now: float) -> bool:
+    """Whether the unit is done and nothing works on it any more."""
+    return folder.is_done(unit) and age_of_attempt(folder.work_path(unit), now) >= RUNNING_AGE_S

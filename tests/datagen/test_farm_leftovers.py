@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: MIT
+"""What killed and doubled attempts leave, and full disks: found, told, removed, and nothing else touched."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+import datagen.farm.work_unit as work_unit
+from datagen.farm.collect import collect
+from datagen.farm.folder import DatasetFolder
+from datagen.farm.leftovers import find_leftovers
+from datagen.farm.local import LocalOptions, run_local
+from datagen.farm.space import check_space, needed_space
+from datagen.farm.work_unit import UnitRun, run_unit
+from datagen.formats.configuration import Configuration
+from datagen.foundation.errors import InputError
+from datagen.inspection.verify import verify_dataset
+from datagen.library import Library
+from tests.datagen.small_plan import plan_small
+from tests.small_disk import small_disk
+
+
+@pytest.fixture(scope="module")
+def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("leftovers") / "library"
+
+
+@pytest.fixture(scope="module")
+def half_done(tmp_path_factory: pytest.TempPathFactory, library_root: Path) -> DatasetFolder:
+    """The first of two units is done, the second is rendered and has its statistics."""
+    folder = plan_small(tmp_path_factory.mktemp("half") / "dataset", library_root, num_units=2)
+    run_local(folder.root, LocalOptions(only=(0,)))
+    run_local(folder.root, LocalOptions(stages=("render", "stats"), only=(1,)))
+    return folder
+
+
+@pytest.fixture
+def folder(half_done: DatasetFolder, tmp_path: Path) -> DatasetFolder:
+    shutil.copytree(half_done.root, tmp_path / "set")
+    return DatasetFolder(tmp_path / "set")
+
+
+def _attempt(folder: DatasetFolder, index: int) -> UnitRun:
+    plan, recipe = folder.read_plan(), folder.read_recipe()
+    library = Library([Path(path) for path in folder.read_record().library_paths])
+    return UnitRun(folder, plan.units[index], recipe, library, plan.versions, plan.variant)
+
+
+def _all(root: Path) -> set[str]:
+    return {str(path.relative_to(root)) for path in root.rglob("*") if not path.name.startswith(".clock")}
+
+
+def _touch(root: Path, names: Iterable[str]) -> set[str]:
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(b"half")
+    return set(names)
+
+
+def test_a_crash_between_the_shard_and_its_marker(
+    folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tar has its name and no marker names it: verify says so, collect removes it."""
+
+    def crash(run: UnitRun, manifest: object) -> None:
+        raise SystemExit("killed")
+
+    with monkeypatch.context() as context:
+        context.setattr(work_unit, "_commit_manifest", crash)
+        with pytest.raises(SystemExit):
+            run_unit(_attempt(folder, 1), ("pack",))
+    (orphan,) = [path for path in folder.shards_path.iterdir() if "small-00001" in path.name]
+    assert find_leftovers(folder.root) == [orphan]
+    removed: list[Path] = []
+    orphan_bytes = orphan.read_bytes()
+    index = collect(folder.root, on_removed=removed.append)
+    assert removed == [orphan] and not orphan.exists() and index.missing == ("small-00001",)
+    orphan.write_bytes(orphan_bytes)
+    faults = [fault for fault in verify_dataset(folder.root).faults if orphan.name in fault.got]
+    assert len(faults) == 1 and "`datagen farm collect` removes it" in faults[0].got
+    assert run_unit(_attempt(folder, 1), ("pack",))
+    assert collect(folder.root).is_complete and orphan.read_bytes() == orphan_bytes
+
+
+def test_only_what_nothing_rests_on_is_removed(folder: DatasetFolder) -> None:
+    done, undone = folder.read_plan().units
+    kept = _all(folder.root)
+    kept |= _touch(
+        folder.root,
+        [
+            "shards/mine.tar",
+            "shards/other-00000-0123456789abcdef.tar",
+            "shards/.mine.partial",
+            "units/mine.json",
+            "work/mine/file",
+            f"{folder.work_path(undone).relative_to(folder.root)}/rendered/view-009.exr",
+        ],
+    ) | {"work/mine"}
+    gone = _touch(
+        folder.root,
+        [
+            f"shards/{done.id}-0123456789abcdef.tar",
+            f"shards/{undone.id}-0123456789abcdef.tar",
+            f"shards/.{done.id}.0123456789ab.partial",
+            f"shards/.{undone.id}.0123456789ab.partial",
+            f"units/.{undone.key}.json.0123456789ab.partial",
+            f"units/..{done.key}.json.0123456789ab.partial.77.partial",
+            f"{folder.work_path(done).relative_to(folder.root)}/rendered/view-000.exr",
+        ],
+    )
+    top = {
+        str(folder.work_path(done).relative_to(folder.root)) if name.startswith("work/") else name
+        for name in gone
+    }
+    assert {str(path.relative_to(folder.root)) for path in find_leftovers(folder.root)} == top
+    collect(folder.root)
+    assert _all(folder.root) == kept | {"index.json"}
+    assert find_leftovers(folder.root) == []
+
+
+def test_what_is_being_made_is_left_alone(folder: DatasetFolder) -> None:
+    """An attempt that showed itself in the last ten minutes may be about to write the marker."""
+    undone = folder.read_plan().units[1]
+    _touch(
+        folder.root, [f"shards/{undone.id}-0123456789abcdef.tar", f"shards/.{undone.id}.0123456789ab.partial"]
+    )
+    heartbeat = folder.work_path(undone) / "running"
+    heartbeat.touch()
+    assert find_leftovers(folder.root) == []
+    os.utime(heartbeat, (1, 1))
+    assert len(find_leftovers(folder.root)) == 2
+
+
+def test_a_second_process_on_a_unit_leaves_nothing(
+    folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first commits and tidies up while the second is between two views."""
+    first, second = _attempt(folder, 1), _attempt(folder, 1)
+
+    def overtaken(run: UnitRun, configuration: Configuration) -> None:
+        assert run_unit(first, ("pack",))
+        run.rendered_path.mkdir(parents=True)
+        (run.rendered_path / "view-000.exr").write_bytes(b"late")
+        run.progress("render", 1, 3)
+        (run.complete_path / "view-000.exr").write_bytes(b"the folder is gone")
+
+    monkeypatch.setitem(work_unit._STAGES, "render", overtaken)
+    assert not run_unit(second, ("render",))
+    assert list((folder.root / "work").iterdir()) == []
+    assert collect(folder.root).is_complete
+
+
+def _logs(folder: DatasetFolder) -> list[str]:
+    return sorted(path.name for path in folder.logs_path.glob("*.log"))
+
+
+def test_a_full_disk_stops_the_run_at_its_first_word(tmp_path: Path, library_root: Path) -> None:
+    """One attempt at one unit, not three at each; none is set aside; the same command goes on afterwards."""
+    with small_disk(tmp_path / "disk", 16) as disk:
+        folder = plan_small(disk.root / "set", library_root)
+        disk.fill(leave=400_000)  # a view or two
+        command = [sys.executable, "-m", "datagen", "render", str(folder.root)]
+        result = subprocess.run(command, capture_output=True, text=True)
+        said = " ".join(result.stderr.split())
+        assert result.returncode == 1 and "Traceback" not in said, said
+        assert said.count("no space left on device") == 1 and "make room" in said and ".partial" not in said
+        assert len(_logs(folder)) == 1 and not folder.failed_path.exists()
+        assert list(folder.root.glob("work/*/rendered/*.json")), "what had room was kept"
+        disk.make_room()
+        summary = run_local(folder.root, LocalOptions())
+        assert len(summary.done) == 3 and collect(folder.root).is_complete
+
+
+def test_a_disk_too_small_for_the_estimate_is_said_before_work(
+    folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need = needed_space(folder, workers=2)
+    manifest = folder.read_manifest(folder.read_plan().units[0])
+    assert manifest is not None
+    assert need.num_units == 1 and need.shard_bytes == manifest.num_bytes, "from the shard that is there"
+    assert need.working_bytes == 3 * 64 * 48 * 128
+    usage = shutil.disk_usage(folder.root)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(need.total_bytes) + 1))
+    check_space(folder, workers=2)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(need.total_bytes) - 1))
+    with pytest.raises(InputError, match=r"free disk = .* MB; expected about .* for 1 units.*--no-space"):
+        check_space(folder, workers=2)
+
+
+def test_the_estimate_before_there_is_a_shard(tmp_path: Path, library_root: Path) -> None:
+    """It is within a factor of two of what the shards take."""
+    folder = plan_small(tmp_path / "set", library_root, num_units=1)
+    need = needed_space(folder, workers=1)
+    run_local(folder.root, LocalOptions())
+    taken = collect(folder.root).num_bytes
+    assert taken / 2 < need.shard_bytes < taken * 2
+    assert needed_space(folder, workers=1).total_bytes == 0
