@@ -7,9 +7,10 @@ from __future__ import annotations
 import numpy as np
 
 from model.evaluation.map_measures import QUARTERS
+from model.evaluation.noise import Figure, figure_of
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
-from model.evaluation.tables import LETTERS, PAPER, Cell, Table
+from model.evaluation.tables import LETTERS, LIGHTS, PAPER, VIEW_SETS, Cell, Table
 from model.reconstruction.atlas.atlas import MAP_NAMES
 
 _STAGES = {"per_view": "per view", "merged": "merged"}
@@ -36,7 +37,8 @@ PUBLISHED_OTHERS = (
 
 def measure_tables(result: SuiteResult) -> list[Table]:
     """The tables that have rows; that of kinds always."""
-    tables = [_levels(result), _kinds(result), _others(result), _calibration(result), _cameras(result)]
+    tables = [_levels(result), _kinds(result), _others(result), _noise(result)]
+    tables += [_calibration(result), _cameras(result)]
     return [table for table in tables if table.rows or table.name == "kinds"]
 
 
@@ -98,6 +100,36 @@ def _others(result: SuiteResult) -> Table:
     return Table(
         "others", "Measures of FIPT and IRIS", caption, columns, tuple(rows), (0, 0, 0, 2, 2, 2, 3, 4)
     )
+
+
+def _noise(result: SuiteResult) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for scene, method in _judged(result):
+        for light, views, found in image_noise(method):
+            error = float(np.hypot(found.by_views, found.by_seed))
+            rows.append(
+                (scene.name, method.label, light, views, found.mean, found.by_views, found.by_seed, error)
+            )
+    columns = ("scene", "method", "light", "views", "PSNR sRGB (dB)", "by views", "by seed", "together")
+    caption = (
+        "Standard errors of the mean over views: the bootstrap over views, and what another seed of the "
+        "renderer changes (0 where no view was rendered with a second one). Two methods on the same views "
+        "differ by less than these suggest: --compare pairs them."
+    )
+    return Table("noise", "Noise of the figures", caption, columns, tuple(rows), (0, 0, 0, 0, 2, 2, 2, 2))
+
+
+def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
+    """Light, views, and PSNR with its noise."""
+    found = []
+    for light in LIGHTS:
+        for views in VIEW_SETS:
+            rows = method.image_views.get(light, {}).get(views, {}).values()
+            values = [value for row in rows if (value := row["psnr_srgb_db"]) is not None]
+            if values:
+                spread = method.seed_spread.get(light, {}).get("psnr_srgb_db", 0.0)
+                found.append((light, views, figure_of(values, spread)))
+    return found
 
 
 def _calibration(result: SuiteResult) -> Table:

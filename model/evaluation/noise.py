@@ -31,6 +31,27 @@ def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> floa
     return float(means.std() * np.sqrt(len(values) / (len(values) - 1)))  # a resample varies less by that
 
 
+@dataclass(frozen=True)
+class Figure:
+    """A mean over views, and the standard errors of it by the choice of views and by the renderer's seed (nan
+    and 0 where there is nothing to tell it from)."""
+
+    mean: float
+    by_views: float
+    by_seed: float
+
+    @property
+    def text(self) -> str:
+        """The figure with its noise, as people read it."""
+        error = np.hypot(self.by_views, self.by_seed)
+        return f"{self.mean:.1f}" if np.isnan(error) else f"{self.mean:.1f} ± {error:.1f}"
+
+
+def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
+    """Of a figure of every view, and its ``spread`` between two seeds."""
+    return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
+
+
 def seed_spread(
     pairs: Sequence[tuple[Mapping[str, float | None], Mapping[str, float | None]]],
 ) -> dict[str, float]:

@@ -15,29 +15,24 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.color_maps import cividis
+from model.evaluation.measure_tables import image_noise
 from model.evaluation.metrics import shown
 from model.evaluation.page_style import SCRIPT, STYLE
 from model.evaluation.pictures import COLUMNS, Row, rendered_views, small
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
-from model.evaluation.tables import LETTERS, Table
+from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Table
 from model.reconstruction.atlas.atlas import MAP_NAMES
 
 _JPEG_QUALITY = 88
+_BOUNDS = ("oracle", "truth")  # what no method can be better than
 _WIDTH_PX = 480
 LARGEST_ERROR = 0.5
 """Of the error maps: what is shown in the last colour of the scale."""
-_SCALE = np.array(  # from dark over violet and orange to pale yellow, evenly brighter
-    [
-        [0.01, 0.02, 0.05],
-        [0.24, 0.06, 0.37],
-        [0.55, 0.16, 0.41],
-        [0.86, 0.32, 0.24],
-        [0.98, 0.60, 0.12],
-        [0.98, 0.96, 0.66],
-    ]
-)
+NOTHING = 0.5
+"""Grey of pixels without an error, in [0, 1]."""
 _BAR_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 12, 92, 430
 
 
@@ -75,11 +70,42 @@ def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, Judg
     views = {method.label: rendered_views(method, "own") for method in methods}
     cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)
     return (
-        f'<section id="{scene.name}"><h2>{html.escape(scene.name)}</h2>'
+        f'<section id="{scene.name}"><h2>{html.escape(scene.name)}</h2>{_summary(scene)}'
         "<h3>Best and worst view of each method</h3><p>Truth on the left, the recovered room on the right, "
         f'under the scene\'s own light; move the line.</p><div class="cards">{cards}</div>'
         f"{_error_maps(scene, methods, views, truth)}{_charts(methods)}"
         f"<details><summary>All pictures</summary>{_all_pictures(scene, rows)}</details></section>"
+    )
+
+
+def _summary(scene: SceneResult) -> str:
+    """The figures that matter most; of each the best of methods that are no bound is bold."""
+    judged = [method for method in scene.methods if not method.skipped]
+    heads = [f"{letter} (MSE)" for letter in LETTERS.values()]
+    heads += [f"{light} light, {views} (dB)" for light in LIGHTS for views in VIEW_SETS]
+    values: list[list[float | None]] = []
+    texts: list[list[str]] = []
+    for method in judged:
+        maps = [method.maps_merged.get(name) for name in MAP_NAMES]
+        noise = {(light, views): found for light, views, found in image_noise(method)}
+        images = [noise.get((light, views)) for light in LIGHTS for views in VIEW_SETS]
+        values.append([*maps, *(None if found is None else -found.mean for found in images)])
+        texts.append(
+            [*("" if v is None else f"{v:.4f}" for v in maps), *(f.text if f else "" for f in images)]
+        )
+    lines = []
+    for method, row, numbers in zip(judged, texts, values, strict=True):
+        cells = []
+        for k, text in enumerate(row):
+            rivals = [v[k] for m, v in zip(judged, values, strict=True) if m.kind not in _BOUNDS]
+            known = [value for value in rivals if value is not None]
+            is_best = method.kind not in _BOUNDS and bool(known) and numbers[k] == min(known)
+            cells.append(f"<td>{'<b>' if is_best else ''}{text}{'</b>' if is_best else ''}</td>")
+        lines.append(f"<tr><td>{html.escape(method.label)}</td>{''.join(cells)}</tr>")
+    head = "".join(f"<th>{head}</th>" for head in heads)
+    return (
+        f'<div class="wide"><table class="summary"><thead><tr><th>method</th>{head}</tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></div>"
     )
 
 
@@ -126,11 +152,11 @@ def _cards(
 
 def error_picture(error: NDArray) -> NDArray[np.float64]:
     """Errors (H, W), nan where there is nothing to compare, as colours (H, W, 3) in [0, 1]."""
-    share = np.clip(np.nan_to_num(error) / LARGEST_ERROR, 0, 1) * (len(_SCALE) - 1)
-    low = np.minimum(share.astype(int), len(_SCALE) - 2)
-    part = (share - low)[..., None]
-    colors = (1 - part) * _SCALE[low] + part * _SCALE[low + 1]
-    return np.where(np.isnan(error)[..., None], 0.5, colors)
+    scale = np.array(cividis()) / 255
+    colors = scale[
+        np.rint(np.clip(np.nan_to_num(error) / LARGEST_ERROR, 0, 1) * (len(scale) - 1)).astype(int)
+    ]
+    return np.where(np.isnan(error)[..., None], NOTHING, colors)
 
 
 def _error_maps(

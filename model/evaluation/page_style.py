@@ -25,12 +25,13 @@ th, td { padding: .28rem .65rem; text-align: right; border-bottom: 1px solid var
 th { font-weight: 600; vertical-align: bottom; color: var(--soft); }
 td:first-child, th:first-child, td:nth-child(2), th:nth-child(2) { text-align: left; }
 td:first-child { white-space: nowrap; } tbody tr:hover td { background: var(--wash); }
+.summary td:nth-child(2), .summary th:nth-child(2) { text-align: right; } .summary b { color: var(--accent); }
 tr.paper td { color: var(--soft); font-style: italic; }
 .pictures td { padding: 2px; border: 0; text-align: center; vertical-align: top; }
 .pictures tr th, .pictures tr th:first-child { border: 0; text-align: center; padding: 2px 6px; }
 .pictures tr th:first-child { text-align: right; vertical-align: middle; color: var(--ink); }
 .pictures img { display: block; min-width: 160px; border-radius: 4px; }
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(21rem, 1fr)); gap: 1.1rem; }
+.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(17.5rem, 1fr)); gap: 1.1rem; }
 figure { margin: 0; } figure img { width: 100%; display: block; border-radius: 6px; }
 figcaption { font-size: 12.5px; padding: .3rem .1rem 0; } figcaption b { color: var(--ink); font-weight:
   600; }

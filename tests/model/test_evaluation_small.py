@@ -14,6 +14,7 @@ from PIL import Image
 
 from model.checkpoint import DataRecord, bundled_checkpoint, read_card
 from model.evaluation.evaluate import Evaluation, evaluate
+from model.evaluation.noise import bootstrap_error
 from model.evaluation.results import MethodResult
 from model.evaluation.room import plan_scene
 from model.evaluation.suite import MapsMethod, Suite, read_suite
@@ -78,6 +79,10 @@ def test_everything_is_written_and_needs_nothing_beside_it(
     metal = [float(kinds[name, "metal"]["S (RMSE)"]) for name in ("oracle", "constant")]
     assert metal[0] < 0.1 < 0.3 < metal[1]  # copper, where one small S is said everywhere
     assert float(kinds["ours", "glossy"]["of all (%)"]) + float(kinds["ours", "matt"]["of all (%)"]) < 100
+    with (tmp_path / "noise.csv").open(newline="") as file:
+        noise = [row for row in csv.DictReader(file) if row["method"] == "ours"]
+    own = [row["psnr_srgb_db"] for row in _methods(evaluation)["ours"].image_views["own"]["input"].values()]
+    assert float(noise[0]["by views"]) == pytest.approx(bootstrap_error(own)) and len(noise) == 4
     with (tmp_path / "others.csv").open(newline="") as file:
         others = {row["method"]: row for row in csv.DictReader(file)}
     assert float(others["oracle"]["a' (dB)"]) > 25 > float(others["constant"]["a' (dB)"])
@@ -93,6 +98,7 @@ def test_everything_is_written_and_needs_nothing_beside_it(
     assert (
         page.count("data:image/jpeg;base64,") == 5 * 8 + sliders + errors
     )  # and all pictures, with the truth
+    assert "±" in page and page.count('class="pair"') == 8
     assert page.count('<svg viewBox="0 0 430') == 3 and ">metal<" in page
     with Image.open(tmp_path / "figures" / "small-room-relighting.png") as image:
         assert image.width > 5 * 96 and image.height > 4 * 64
