@@ -26,7 +26,7 @@ def render(arguments: argparse.Namespace) -> None:
     """All cameras, one after the other."""
     import bpy
 
-    bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()))
+    bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
     scene = bpy.context.scene
     settings = argparse.Namespace(samples=arguments.samples, max_depth=8, seed=0, noisy=False, adaptive=False)
     set_up(scene, settings)
@@ -53,7 +53,7 @@ def retopology(arguments: argparse.Namespace) -> None:
     import bpy  # isort: split
     import bmesh
 
-    bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()))
+    bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
     scene = bpy.context.scene
     joined = bmesh.new()
     for thing in list(scene.objects):

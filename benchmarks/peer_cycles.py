@@ -163,7 +163,7 @@ def render(arguments: argparse.Namespace) -> None:
     """Render views one after the other; the moments go to ``times.json``."""
     import bpy
 
-    bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()))
+    bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
     scene = bpy.context.scene
     set_up(scene, arguments)
     cameras = json.loads(bpy.data.texts["cameras"].as_string())

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import sys
-
-from .command import main
+from .command import leave, main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -6,11 +6,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from .problems import ExportRefused, Problem
 from .settings import KINDS, ExportSettings
@@ -144,6 +145,21 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def leave(code: int) -> NoReturn:
+    """End the process with ``code``, without Blender's own clean-up.
+
+    With a scripted driver in the file that is open, it waits for ever for the Python that has ended.
+    """
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        bpy = sys.modules.get("bpy")
+        if bpy is not None and Path(bpy.app.tempdir).name.startswith("blender_"):
+            shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+    finally:
+        os._exit(code)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point with pip's bpy: opens the file, then exports."""
     arguments = build_parser().parse_args(argv)
@@ -157,7 +173,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return REFUSED
     try:
         with quiet_stdout():
-            bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), load_ui=False)
+            # Whatever the preferences say: the file may come from anyone.
+            path = str(arguments.blend.resolve())
+            bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
     except RuntimeError:
         print(f"error: {arguments.blend}: Blender cannot open it; give a .blend file", file=sys.stderr)
         return REFUSED

@@ -15,6 +15,7 @@ import bpy
 
 from .assembly import Progress, write_target
 from .bake.execute import BakeSession
+from .drivers import refuse_unevaluated_drivers
 from .problems import ExportRefused, Problem, ProblemList
 from .reading import Contents, Reader
 from .settings import ExportSettings
@@ -97,5 +98,6 @@ def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
 
 
 def _reader(settings: ExportSettings, session: BakeSession, problems: ProblemList) -> Reader:
+    refuse_unevaluated_drivers(problems)
     context = bpy.context
     return Reader(settings, session, problems, context.scene, context.evaluated_depsgraph_get)
