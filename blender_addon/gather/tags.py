@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from ..problems import ERROR, ProblemList
+from .transliteration import transliterated
 
 ROLES = (
     "environment", "object", "support_surface", "light_slot", "opening", "camera_region", "ignore",
@@ -50,8 +51,8 @@ def numbers(value: Any) -> tuple[float, ...]:
 
 
 def slug(name: str) -> str:
-    """A name as an identifier: lower case, digits, ``_ - .``."""
-    text = re.sub(r"[^a-z0-9_.-]+", "_", name.lower()).strip("._-")
+    """A name as an identifier: lower case, digits, ``_ - .``; other alphabets are transliterated."""
+    text = re.sub(r"[^a-z0-9_.-]+", "_", transliterated(name).lower()).strip("._-")
     return re.sub(r"\.{2,}", ".", text) or "unnamed"
 
 

@@ -31,6 +31,7 @@ from datagen.formats.base import (
     Slug,
     StrictModel,
     canonical_json,
+    differences,
     inside,
     read_json,
     read_yaml,
@@ -230,11 +231,10 @@ class DatasetFolder:
             remedy = "choose another --out, or remove this folder: nothing was rendered in it"
         problems = []
         if existing.recipe_sha256 != record.recipe_sha256:
-            then, now = (r.model_dump(mode="json") for r in (self.read_recipe(), recipe))
+            earlier = self.read_recipe().model_dump(mode="json")
             problems += [
-                Problem(self.root, f"recipe: {key}", str(now[key]), f"{then[key]} as at its start", remedy)
-                for key in now
-                if now[key] != then[key]
+                Problem(self.root, f"recipe: {field}", now, f"{then} as at its start", remedy)
+                for field, then, now in differences(earlier, recipe.model_dump(mode="json"))
             ]
         if existing.library_sha256 != record.library_sha256:
             expected = f"what it held at the start ({', '.join(existing.library_paths)})"

@@ -199,6 +199,27 @@ def read_yaml(model: type[ModelT], path: Path) -> ModelT:
     return parse_model(model, data if data is not None else {}, path)
 
 
+def differences(old: Any, new: Any, field: str = "") -> list[tuple[str, str, str]]:
+    """Where two trees of plain data differ: each leaf's field, what stood there and what does, in short."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        found = []
+        for key in dict.fromkeys((*old, *new)):
+            name = f"{field}.{key}" if field else str(key)
+            found += differences(old.get(key), new.get(key), name)
+        return found
+    are_lists = isinstance(old, list | tuple) and isinstance(new, list | tuple) and len(old) == len(new)
+    if are_lists and any(isinstance(item, dict | list | tuple) for item in (*old, *new)):
+        pairs = enumerate(zip(old, new, strict=True))
+        return [entry for k, (a, b) in pairs for entry in differences(a, b, f"{field}[{k}]")]
+    return [] if old == new else [(field, _brief(old), _brief(new))]
+
+
+def _brief(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    return value if isinstance(value, str) else _SHORT.repr(value)
+
+
 def canonical_json(data: BaseModel | dict[str, Any] | list[Any]) -> bytes:
     """UTF-8 JSON with sorted keys, two-space indent and a final newline: equal content, equal bytes.
 

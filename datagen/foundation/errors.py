@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
@@ -44,13 +44,28 @@ class Problem:
         return text
 
 
+def _said_of_empty(problem: Problem) -> Problem:
+    """What a parser misses in an empty file says nothing; that it is empty does."""
+    try:
+        is_empty = (
+            isinstance(problem.where, Path)
+            and not problem.field
+            and problem.where.is_file()
+            and problem.where.stat().st_size == 0
+        )
+    except (OSError, ValueError):
+        return problem
+    remedy = problem.remedy or "copy or export it again"
+    return replace(problem, got="an empty file", remedy=remedy) if is_empty else problem
+
+
 class InputError(ValueError):
     """Bad input. Carries every problem that was found, so that a user mends all of them in one go."""
 
     def __init__(self, *problems: Problem):
         if not problems:
             raise TypeError("InputError needs at least one Problem")
-        problems = tuple(dict.fromkeys(problems))  # what many things have in common is said once
+        problems = tuple(dict.fromkeys(map(_said_of_empty, problems)))  # what many share is said once
         self.problems = problems
         lines = [str(problem) for problem in problems[:_MAX_LISTED]]
         if len(problems) > _MAX_LISTED:

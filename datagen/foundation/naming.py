@@ -5,10 +5,15 @@ from __future__ import annotations
 
 import re
 
+from datagen.foundation.transliteration import transliterated
+
 
 def slug(text: str) -> str:
-    """A name that is safe as an id and as a file: lower-case letters, digits, '_' and '-'."""
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", text)
+    """A name that is safe as an id and as a file: lower-case letters, digits, '_' and '-'.
+
+    Other alphabets are transliterated.
+    """
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", transliterated(text))
     cleaned = re.sub(r"[^a-z0-9_-]+", "-", words.lower()).strip("-_")
     return cleaned or "unnamed"
 

@@ -62,8 +62,9 @@ class ImportWatch:
         self.steps.append(step)
 
     def _print_summary(self) -> None:
-        from rich.console import Console
         from rich.table import Table
+
+        from datagen.foundation.console import table_console
 
         table = Table("category", "imported", "there already", "refused")
         by_category: dict[str, Counter[str]] = {}
@@ -75,7 +76,7 @@ class ImportWatch:
             total.update(counts)
         table.add_section()
         table.add_row("all", *(str(total[k]) for k in ("imported", "kept", "refused")))
-        console = Console()
+        console = table_console()
         console.print(table)
         reasons = Counter(
             f"{' '.join(p.field.split()[:1]) or 'model'}: {p.got}" if len(p.got) < 60 else p.field or "model"

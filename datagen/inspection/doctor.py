@@ -142,10 +142,11 @@ def _gpu() -> Finding:
 
 def print_report(findings: list[Finding]) -> None:
     """Print the findings as a table."""
-    from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table("what", "found", "", "remedy")
+    from datagen.foundation.console import table_console
+
+    table = Table(Column("what", overflow="fold"), Column("found", overflow="fold"), "", "remedy")
     for finding in findings:
         mark = (
             "[green]ok"
@@ -153,4 +154,4 @@ def print_report(findings: list[Finding]) -> None:
             else ("[red]missing" if finding.is_required else "[yellow]optional")
         )
         table.add_row(finding.name, finding.value, mark, "" if finding.is_fine else finding.remedy)
-    Console().print(table)
+    table_console().print(table)

@@ -8,9 +8,9 @@ from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
+from datagen.foundation.console import table_console
 from datagen.foundation.errors import input_error
 from datagen.library import check_library, describe_library, find_packages, resolve_library_paths
 
@@ -40,11 +40,11 @@ def print_library(names: list[str], check: bool, as_json: bool) -> int:
     if as_json:
         print(json.dumps([{**asdict(s), "path": str(s.path)} for s in summaries], indent=2))
         return 0
-    table = Table("kind", "id", "title", "what", "licence")
+    table = Table("kind", Column("id", overflow="fold"), "title", "what", "licence")
     for summary in summaries:
         licence = summary.license + (" (evaluation only)" if summary.usage != "any" else "")
         table.add_row(summary.kind, summary.id, summary.title, summary.detail, licence)
-    Console().print(table)
+    table_console().print(table)
     by_kind = Counter(s.kind for s in summaries)
     print(", ".join(f"{count} {kind}s" for kind, count in sorted(by_kind.items())))
     return 0

@@ -258,11 +258,12 @@ def _verify_with_progress(path: Path, library: Library | None, workers: int, is_
 
 def print_report(report: Report) -> None:
     """The report as a table of checks and a list of what was found."""
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
+    from datagen.foundation.console import table_console
+
+    console = table_console()
     table = Table("check", "asserts", "looked at", "errors", "warnings", title=escape(report.path))
     for check, asserts in CHECKS.items():
         mine = [fault for fault in report.faults if fault.check == check]

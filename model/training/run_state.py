@@ -16,8 +16,15 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from datagen.formats.base import StrictModel, canonical_json, parse_model, write_bytes_atomically
-from datagen.foundation.errors import input_error
+from datagen.formats.base import (
+    StrictModel,
+    canonical_json,
+    differences,
+    parse_model,
+    read_json,
+    write_bytes_atomically,
+)
+from datagen.foundation.errors import InputError, Problem, input_error
 from model.checkpoint import DataRecord
 from model.training.config import TrainingConfig
 
@@ -35,6 +42,23 @@ class RunRecord(StrictModel):
     data: tuple[DataRecord, ...]
     loss: str
     num_ranks: int
+
+
+def check_same_run(path: Path, record: RunRecord) -> None:
+    """Raise :class:`InputError` with every field in which the run of ``run.json`` differs from ``record``."""
+    earlier = read_json(RunRecord, path)
+    if earlier == record:
+        return
+    remedy = "resume with what it was started with, or give another --out"
+    raise InputError(
+        *(
+            Problem(path, field, now, f"{then} as at its start", remedy)
+            for field, then, now in differences(
+                earlier.model_dump(mode="json"), record.model_dump(mode="json")
+            )
+            if ".assets" not in field  # the hash of the index stands for them
+        )
+    )
 
 
 class RunProgress(StrictModel):

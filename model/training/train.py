@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from datagen.formats.base import canonical_json, read_json, write_bytes_atomically
+from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint, software_versions
 from model.training.conditions import generator_for
@@ -35,6 +35,7 @@ from model.training.run_state import (
     NonFiniteError,
     RunProgress,
     RunRecord,
+    check_same_run,
     load_state,
     restore_module,
     restore_optimizer,
@@ -140,12 +141,7 @@ class Trainer:
         )
         path = self.out / RUN_FILE
         if path.is_file():
-            earlier = read_json(RunRecord, path)
-            if earlier != record:
-                old, new = earlier.model_dump(mode="json"), record.model_dump(mode="json")
-                changed = ", ".join(key for key in old if old[key] != new[key])
-                remedy = "resume with what it was started with, or give another --out"
-                raise input_error(path, changed, "another run's", "the same as now", remedy)
+            check_same_run(path, record)
         elif self.ranks.is_first:
             self.out.mkdir(parents=True, exist_ok=True)
             if any(not entry.name.startswith(".") for entry in self.out.iterdir()):

@@ -131,7 +131,7 @@ def test_colmap_faults_are_named(tmp_path: Path) -> None:
     images = tmp_path / "cut" / "images.bin"
     for keep in (0, 30, 100, len(images.read_bytes()) - 1):
         images.write_bytes(images.read_bytes()[:keep])
-        with pytest.raises(InputError, match="ends early"):
+        with pytest.raises(InputError, match=r"ends early|an empty file"):
             read_colmap(tmp_path / "cut")
         images.write_bytes(b"")
     (tmp_path / "empty").mkdir()

@@ -112,6 +112,10 @@ class GltfFile:
             raise input_error(self.path, got=error.strerror or error, expected="a glTF file") from None
         if data[:4] == b"glTF":
             data = self._split_binary(data)
+            if not data.strip(b" \0"):
+                raise input_error(
+                    self.path, got="a .glb without its JSON chunk", expected="an intact .glb file"
+                )
         try:
             value = json.loads(data.decode("utf-8"))
         except UnicodeDecodeError:

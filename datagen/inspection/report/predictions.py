@@ -30,6 +30,7 @@ from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.foundation.buffers import surface_pixels
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
+from datagen.foundation.transliteration import transliterated
 from datagen.inspection.report.tiles import write_tile
 
 MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
@@ -90,7 +91,7 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
         raise InputError(*problems)
     slugs: list[str] = []
     for number, name in enumerate(names):
-        slug = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "method"
+        slug = re.sub(r"[^a-z0-9]+", "-", transliterated(name).lower()).strip("-") or "method"
         slugs.append(slug if slug not in slugs else f"{slug}-{number}")
     return tuple(Method(*parts) for parts in zip(names, slugs, folders, strict=True))
 

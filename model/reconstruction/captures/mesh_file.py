@@ -68,6 +68,14 @@ def load_mesh(path: Path) -> Mesh:
         got = (suffix or "no suffix") if path.is_file() else "no such file"
         remedy = _CONVERT if path.is_file() else "name it with --mesh"
         raise input_error(path, "", got, f"a mesh ({', '.join(MESH_SUFFIXES)})", remedy)
+    mesh = _decoded(path, suffix)
+    if not len(mesh.faces):
+        got = "points without triangles" if len(mesh.positions) else "no triangles"
+        raise input_error(path, "", got, "a mesh", "export the surface, not the point cloud")
+    return mesh
+
+
+def _decoded(path: Path, suffix: str) -> Mesh:
     if suffix == ".ply":
         return read_ply(path)
     if suffix == ".obj":

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: MIT
+"""Names in other alphabets, in the letters of ids and files: Küche is kueche, Öl-Eiche oel-eiche.
+
+German writes its umlauts as two letters; accents are left out; letters that are no others with an accent
+(ø, ł, ß), Greek and Cyrillic go by the tables. What has no Latin writing here is named by its code points,
+so that two such names stay two.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+
+_LATIN = {
+    "ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "æ": "ae", "œ": "oe", "ø": "o", "ð": "d", "þ": "th",
+    "đ": "d", "ħ": "h", "ı": "i", "ł": "l", "ŋ": "ng", "ŧ": "t", "ə": "e", "ĸ": "k", "ʻ": "", "ʼ": "",
+    "’": "", "×": "x",
+}  # fmt: skip
+_GREEK = {
+    "α": "a", "β": "v", "γ": "g", "δ": "d", "ε": "e", "ζ": "z", "η": "i", "θ": "th", "ι": "i", "κ": "k",
+    "λ": "l", "μ": "m", "ν": "n", "ξ": "x", "ο": "o", "π": "p", "ρ": "r", "σ": "s", "ς": "s", "τ": "t",
+    "υ": "y", "φ": "f", "χ": "ch", "ψ": "ps", "ω": "o",
+}  # fmt: skip
+_CYRILLIC = {
+    "а": "a", "б": "b", "в": "v", "г": "g", "д": "d", "е": "e", "ж": "zh", "з": "z", "и": "i", "й": "y",
+    "к": "k", "л": "l", "м": "m", "н": "n", "о": "o", "п": "p", "р": "r", "с": "s", "т": "t", "у": "u",
+    "ф": "f", "х": "kh", "ц": "ts", "ч": "ch", "ш": "sh", "щ": "shch", "ъ": "", "ы": "y", "ь": "", "э": "e",
+    "ю": "yu", "я": "ya", "ё": "yo", "є": "ye", "і": "i", "ї": "yi", "ґ": "g", "ђ": "dj", "ј": "j",
+    "љ": "lj", "њ": "nj", "ћ": "c", "џ": "dz", "ѕ": "dz",
+}  # fmt: skip
+_TABLE = {**_LATIN, **_GREEK, **_CYRILLIC}
+
+
+def transliterated(text: str) -> str:
+    """``text`` in ASCII; punctuation of other alphabets is a blank."""
+    text = unicodedata.normalize("NFC", text)
+    neighbours = zip(text, f" {text}", f"{text[1:]} ", strict=False)
+    return "".join(_letters(c, after.isupper() or before.isupper()) for c, before, after in neighbours)
+
+
+def _letters(letter: str, is_shouted: bool) -> str:
+    """``is_shouted``: a letter beside it is a capital, so that a capital becomes capitals only."""
+    if letter.isascii():
+        return letter
+    small = letter.lower()
+    if small in _TABLE:
+        written = _TABLE[small]
+        return written if letter == small else written.upper() if is_shouted else written.capitalize()
+    plain = "".join(c for c in unicodedata.normalize("NFKD", letter) if not unicodedata.combining(c))
+    if plain.isascii():
+        return plain
+    if plain != letter:
+        return "".join(_letters(part, is_shouted) for part in plain)
+    return f" u{ord(letter):04x} " if letter.isalnum() else " "

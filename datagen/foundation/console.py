@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: MIT
+"""Where tables are printed: as wide as a terminal on one, and as wide as they need elsewhere."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+_UNBOUNDED = 100_000  # characters; tables and lines take what they need of it
+
+
+def table_console() -> Console:
+    """A console on standard output. Into a pipe or a file nothing is cut or wrapped, so that ids stay ids."""
+    console = Console()
+    return console if console.is_terminal else Console(width=_UNBOUNDED)
