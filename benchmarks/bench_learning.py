@@ -21,10 +21,11 @@ from typing import Any
 
 import torch
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.checkpoint import load_checkpoint
 from model.networks import TrackName
 from model.training.config import TrainingConfig, parse_overrides, resolve_config
-from model.training.dataset import TRUTH_BUFFERS, ViewPlace, buffer_names
+from model.training.dataset import ViewPlace, buffer_names
 from model.training.run_log import read_log
 from model.training.sources import TrainingData, open_data, spread
 from model.training.train import Trainer
@@ -113,9 +114,9 @@ def metal_errors(
 
 def as_table(rows: Rows) -> str:
     """Markdown table of mean squared errors."""
-    lines = ["| method | " + " | ".join(TRUTH_BUFFERS) + " |", "|---" * (len(TRUTH_BUFFERS) + 1) + "|"]
+    lines = ["| method | " + " | ".join(MATERIAL_MAPS) + " |", "|---" * (len(MATERIAL_MAPS) + 1) + "|"]
     for label, metrics in rows.items():
-        values = [metrics.get(f"{name}_mse") for name in TRUTH_BUFFERS]
+        values = [metrics.get(f"{name}_mse") for name in MATERIAL_MAPS]
         lines.append(f"| {label} | " + " | ".join("" if v is None else f"{v:.5f}" for v in values) + " |")
     return "\n".join(lines) + "\n"
 

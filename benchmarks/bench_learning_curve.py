@@ -30,9 +30,10 @@ import torch
 from benchmarks.bench_learning import CONSTANT, TRACKS, Rows
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, DatasetIndex, ShardRecord
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.checkpoint import load_checkpoint
 from model.training.config import PhaseConfig, TrainingConfig, parse_overrides, resolve_config
-from model.training.dataset import TRUTH_BUFFERS, buffer_names
+from model.training.dataset import buffer_names
 from model.training.sources import open_data, spread
 from model.training.train import Trainer
 from model.training.validation import (
@@ -112,12 +113,12 @@ def constant(config: TrainingConfig, dataset: Path) -> dict[str, float]:
 
 def as_table(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, float]) -> str:
     """Markdown table of mean squared errors."""
-    lines = ["| data | configurations | " + " | ".join(TRUTH_BUFFERS) + " |"]
-    lines.append("|---" * (len(TRUTH_BUFFERS) + 2) + "|")
+    lines = ["| data | configurations | " + " | ".join(MATERIAL_MAPS) + " |"]
+    lines.append("|---" * (len(MATERIAL_MAPS) + 2) + "|")
 
     def row(label: str, count: str, metrics: dict[str, float]) -> str:
         return (
-            f"| {label} | {count} | " + " | ".join(f"{metrics[f'{n}_mse']:.5f}" for n in TRUTH_BUFFERS) + " |"
+            f"| {label} | {count} | " + " | ".join(f"{metrics[f'{n}_mse']:.5f}" for n in MATERIAL_MAPS) + " |"
         )
 
     lines.append(row(CONSTANT, "", baseline))
@@ -134,8 +135,8 @@ def plot(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, flo
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(1, len(TRUTH_BUFFERS), figsize=(4 * len(TRUTH_BUFFERS), 3.4))
-    for axis, name in zip(axes, TRUTH_BUFFERS, strict=True):
+    figure, axes = pyplot.subplots(1, len(MATERIAL_MAPS), figsize=(4 * len(MATERIAL_MAPS), 3.4))
+    for axis, name in zip(axes, MATERIAL_MAPS, strict=True):
         for label, points in curves.items():
             axis.plot(list(points), [m[f"{name}_mse"] for m in points.values()], marker="o", label=label)
         axis.axhline(baseline[f"{name}_mse"], color="grey", linestyle="--", linewidth=1, label=CONSTANT)

@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Capture
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
-from model.reconstruction.atlas.atlas import MAP_NAMES, Atlas, empty_atlas
+from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.geometry.traced import ViewGeometry, face_normals, seen_sides, smooth_regions
@@ -75,20 +76,20 @@ class Room:
 
     def atlas_errors(self, atlas: Atlas) -> dict[str, float]:
         """Sums of squared errors of the atlas as the views see it, by map."""
-        sums = dict.fromkeys(MAP_NAMES, 0.0)
+        sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
         for uv, truth in zip(self.uv, self.truth, strict=True):
             on_surface = ~np.isnan(uv[..., 0])
-            for name in MAP_NAMES:
+            for name in MATERIAL_MAPS:
                 error = looked_up(atlas.maps[name], uv[on_surface]) - truth[name][on_surface]
                 sums[name] += float((error**2).mean(axis=-1).sum())
         return sums
 
     def view_errors(self, maps: Maps, reference: Maps) -> dict[str, float]:
         """Sums of squared errors of maps against others by pixel, by map."""
-        sums = dict.fromkeys(MAP_NAMES, 0.0)
+        sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
         for uv, found, truth in zip(self.uv, maps, reference, strict=True):
             on_surface = ~np.isnan(uv[..., 0])
-            for name in MAP_NAMES:
+            for name in MATERIAL_MAPS:
                 error = found[name][on_surface].astype(np.float64) - truth[name][on_surface]
                 sums[name] += float((error**2).mean(axis=-1).sum())
         return sums
@@ -196,15 +197,15 @@ def main() -> None:
         checkpoint = arguments.checkpoint or bundled_checkpoint()
         rows = measure(arguments.what, room, checkpoint, arguments.sizes.split(","))
         for row, errors in rows.items():
-            kept = sums.setdefault(row, dict.fromkeys(MAP_NAMES, 0.0))
+            kept = sums.setdefault(row, dict.fromkeys(MATERIAL_MAPS, 0.0))
             for name, value in errors.items():
                 kept[name] += value
         print(f"{shard.name}: {len(room.capture.views)} views, auto {room.auto}", flush=True)
-    print(f"{'':<36}" + "".join(f"{name:>18}" for name in MAP_NAMES))
+    print(f"{'':<36}" + "".join(f"{name:>18}" for name in MATERIAL_MAPS))
     for row, errors in sums.items():
-        print(f"{row:<36}" + "".join(f"{errors[name] / num_pixels:>18.3e}" for name in MAP_NAMES))
+        print(f"{row:<36}" + "".join(f"{errors[name] / num_pixels:>18.3e}" for name in MATERIAL_MAPS))
     if arguments.json:
-        means = {row: {name: e[name] / num_pixels for name in MAP_NAMES} for row, e in sums.items()}
+        means = {row: {name: e[name] / num_pixels for name in MATERIAL_MAPS} for row, e in sums.items()}
         arguments.json.write_text(json.dumps(means, indent=2, sort_keys=True) + "\n")
 
 

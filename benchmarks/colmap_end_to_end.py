@@ -36,12 +36,12 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, read_json
 from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.foundation.images import read_image
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
 FOV_X_DEG = 72.0
 FULL_WELL, READ_NOISE = 12000.0, 8.0  # electrons: a small sensor at base ISO
 JPEG_QUALITY = 92
@@ -265,8 +265,8 @@ class EndToEnd:
         configuration = self.configuration()
         cameras = configuration.cameras[::COMPARED_EVERY]
         configuration = configuration.model_copy(update={"cameras": cameras})
-        sums: dict[str, list[float]] = {name: [] for name in MAPS}
-        constants: dict[str, list[NDArray]] = {name: [] for name in MAPS}
+        sums: dict[str, list[float]] = {name: [] for name in MATERIAL_MAPS}
+        constants: dict[str, list[NDArray]] = {name: [] for name in MATERIAL_MAPS}
         shares, taken = [], []
         found = self._asset_maps(configuration)
         true = rendered_maps(configuration, Library([bundled_library()]))
@@ -274,7 +274,7 @@ class EndToEnd:
             mask = (ours["depth_z_m"][..., 0] > 0) & (truth["depth_z_m"][..., 0] > 0)
             mask &= np.abs(ours["depth_z_m"] / np.maximum(truth["depth_z_m"], 1e-6) - 1)[..., 0] < 0.05
             shares.append(float(mask.mean()))
-            for name in MAPS:
+            for name in MATERIAL_MAPS:
                 sums[name].append(float(((ours[name] - truth[name])[mask] ** 2).mean()))
                 constants[name].append(truth[name][mask])
             photograph = linear_from_srgb(read_image(self.out / "images" / f"{view.name}.jpg") / 255.0)
@@ -282,7 +282,7 @@ class EndToEnd:
             if view.name in _SHOWN:
                 self._picture(view.name, ours, truth)
         table = {}
-        for name in MAPS:
+        for name in MATERIAL_MAPS:
             values = np.concatenate(constants[name])
             table[name] = {
                 "mse": float(np.mean(sums[name])),
@@ -334,7 +334,7 @@ def rendered_maps(configuration: Configuration, library: Any) -> list[dict[str, 
 
     recipe = RenderRecipe(path_samples=1, auxiliary_samples=16, denoise=False)
     renderer = SceneRenderer(configuration, library, recipe)
-    names = (*MAPS, "depth_z_m", "normal_world")
+    names = (*MATERIAL_MAPS, "depth_z_m", "normal_world")
     found = [
         {name: view.buffers[name].astype(np.float32) for name in names}
         for view in renderer.render_views(range(len(configuration.cameras)))

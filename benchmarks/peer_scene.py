@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from datagen.assembly.daylight import _SUN_HALF_ANGLE_RAD, _sunsky, lookup, sun_of
 from datagen.farm.folder import DatasetFolder
-from datagen.formats.asset import EnvironmentAsset, ObjectAsset, Texture
+from datagen.formats.asset import MATERIAL_CHANNELS, EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.lights import EnvironmentLight, SkyLight
@@ -39,7 +39,6 @@ from datagen.rendering.scene_builder import _uv_scale
 from datagen.rendering.textures import NO_ADJUSTMENT, SCALAR_ROLES, _decoded, adjusted_constant
 
 SKY_SIZE = (512, 1024)
-CHANNELS = ("diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal")
 
 
 def open_folder(path: Path) -> tuple[Configuration, Library, DatasetFolder]:
@@ -111,7 +110,7 @@ class RoomExport:
             name = self._names[key] = f"{len(self._names):03} {surface.name}"
             self.materials[name] = {
                 role: self._channel(surface, role, f"{len(self._names):03}_{role}")
-                for role in CHANNELS
+                for role in MATERIAL_CHANNELS
                 if getattr(surface.material, role) is not None
             } | ({"emission": list(surface.emission)} if surface.emission is not None else {})
         return self._names[key]

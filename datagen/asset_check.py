@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen.formats.asset import (
+    MATERIAL_CHANNELS,
     EnvironmentAsset,
     Material,
     MaterialAsset,
@@ -99,7 +100,7 @@ class _Checker:
             self.error(f"{field}.encoding", "'srgb'", "'linear', which is what EXR files hold")
 
     def check_material(self, field: str, material: Material) -> None:
-        for channel in ("diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"):
+        for channel in MATERIAL_CHANNELS:
             value = getattr(material, channel)
             if isinstance(value, Texture):
                 self.check_texture(f"{field}.{channel}", value)

@@ -25,6 +25,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS, MATERIAL_MAPS
 from datagen.foundation.errors import input_error
 from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 
@@ -42,18 +43,11 @@ MIN_COVERAGE = 1e-6
 # and 1/g^2 with g^3 = g + 1 for the pixel (the R2 sequence of M. Roberts), sqrt(2) and sqrt(3) for the lens,
 # sqrt(5) for time (their fractional parts).
 _PIXEL_X, _PIXEL_Y, _LENS_X, _LENS_Y, _TIME = 3242174889, 2447445413, 1779033703, 3144134277, 1013904243
-CHANNELS = {
-    "diffuse_albedo": ("R", "G", "B"),
-    "specular_albedo": ("R", "G", "B"),
-    "roughness": ("Y",),
-    "normal_world": ("X", "Y", "Z"),
-    "surface_mask": ("Y",),
-    "depth_z_m": ("Z",),
-    "position_world": ("X", "Y", "Z"),
-    "instance_id": ("I",),
-    "material_id": ("I",),
+CHANNELS = {name: BUFFERS[name].channels for name in GROUND_TRUTH_BUFFERS} | {
+    "position_world": ("X", "Y", "Z")
 }
-"""Name and channels of each buffer, in the order of the integrator's output."""
+"""Name and channels of each buffer, in the order of the integrator's output: the registry's ground truth, and
+positions."""
 
 
 class PixelFilter:
@@ -278,18 +272,18 @@ def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
     origin = to_world @ mi.Point3f(0.0, 0.0, 0.0)
     is_hit = sums.shape_index != 0
     instance, material = view.materials.ids_at(sums.shape_index)
-    values = (
-        dr.clip(sums.diffuse_albedo * scale, 0.0, 1.0),
-        dr.clip(sums.specular_albedo * scale, 0.0, 1.0),
-        dr.clip(sums.roughness * scale, 0.0, 1.0),
-        dr.select(has_normal, sums.normal / dr.select(has_normal, length, 1.0), 0.0),
-        dr.select(is_covered, dr.minimum(share, 1.0), 0.0),
-        dr.select(is_hit, dr.dot(sums.point - origin, axis), 0.0),
-        sums.point,
-        instance,
-        material,
-    )
-    return dict(zip(CHANNELS, values, strict=True))
+    values = {
+        MATERIAL_MAPS.diffuse_albedo: dr.clip(sums.diffuse_albedo * scale, 0.0, 1.0),
+        MATERIAL_MAPS.specular_albedo: dr.clip(sums.specular_albedo * scale, 0.0, 1.0),
+        MATERIAL_MAPS.roughness: dr.clip(sums.roughness * scale, 0.0, 1.0),
+        "normal_world": dr.select(has_normal, sums.normal / dr.select(has_normal, length, 1.0), 0.0),
+        "surface_mask": dr.select(is_covered, dr.minimum(share, 1.0), 0.0),
+        "depth_z_m": dr.select(is_hit, dr.dot(sums.point - origin, axis), 0.0),
+        "position_world": sums.point,
+        "instance_id": instance,
+        "material_id": material,
+    }
+    return {name: values[name] for name in CHANNELS}
 
 
 def _make_view(

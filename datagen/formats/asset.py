@@ -27,6 +27,7 @@ from datagen.formats.base import (
     Vector3,
 )
 from datagen.formats.lights import Light
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.cameras import Camera
 
 ASSET_FILE = "asset.json"
@@ -67,6 +68,10 @@ ColorChannel = UnitColor | Texture
 ScalarChannel = Unit | Texture
 
 
+MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
+"""Fields of a material that a texture may fill."""
+
+
 class Material(StrictModel):
     """The three channels of the project's BSDF and what goes with them (method 1).
 
@@ -89,7 +94,7 @@ class Material(StrictModel):
 
     def textures(self) -> tuple[Texture, ...]:
         """All textures of the material, in a fixed order."""
-        channels = (self.diffuse_albedo, self.specular_albedo, self.roughness, self.opacity, self.normal)
+        channels = (getattr(self, name) for name in MATERIAL_CHANNELS)
         return tuple(channel for channel in channels if isinstance(channel, Texture))
 
 

@@ -25,6 +25,7 @@ from typing import Any
 
 from datagen.formats.asset import (
     ASSET_FILE,
+    MATERIAL_CHANNELS,
     EnvironmentAsset,
     MaterialAsset,
     ObjectAsset,
@@ -160,7 +161,7 @@ def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
 
     def add_material(prefix: str, material: Any) -> None:
-        for channel in ("diffuse_albedo", "specular_albedo", "roughness", "opacity", "normal"):
+        for channel in MATERIAL_CHANNELS:
             value = getattr(material, channel)
             if isinstance(value, Texture):
                 found.append((f"{prefix}.{channel}.texture", value.texture))

@@ -9,13 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 PixelType = Literal["half", "float", "uint"]
 ColorSpace = Literal["linear_rec709", "data"]
+Stage = Literal["radiance", "ground_truth", "statistics"]
+
+
+class MaterialMaps(NamedTuple):
+    """Names of D, S and R, in this order wherever the three stand together."""
+
+    diffuse_albedo: str
+    specular_albedo: str
+    roughness: str
+
+
+MATERIAL_MAPS = MaterialMaps("diffuse_albedo", "specular_albedo", "roughness")
 
 
 @dataclass(frozen=True)
@@ -23,7 +35,7 @@ class Buffer:
     """One buffer: its name, EXR channel suffixes, storage type, unit, closed valid range and fill value.
 
     ``invalid`` is what a pixel holds where the quantity does not exist (background, emitters).
-    ``layer`` is the EXR layer; "" stores plain R, G, B, the default image of any viewer.
+    ``stage`` is what makes it: path tracing, the ground truth of the first hit, or statistics over views.
     """
 
     name: str
@@ -35,7 +47,8 @@ class Buffer:
     color_space: ColorSpace
     invalid: float
     description: str
-    is_ground_truth: bool = False
+    stage: Stage = "ground_truth"
+    is_optional: bool = False
 
     @property
     def num_channels(self) -> int:
@@ -59,39 +72,28 @@ _HALF_MAX = 65504.0
 _RADIANCE = "W/(m^2 sr), scene-linear"
 
 
-def _radiance(name: str, description: str) -> Buffer:
-    return Buffer(name, _RGB, "half", _RADIANCE, 0.0, _HALF_MAX, "linear_rec709", 0.0, description)
+def _color(name: str, stage: Stage, description: str, is_optional: bool = False) -> Buffer:
+    return Buffer(
+        name, _RGB, "half", _RADIANCE, 0.0, _HALF_MAX, "linear_rec709", 0.0, description, stage, is_optional
+    )
+
+
+def _albedo(name: str, description: str) -> Buffer:
+    return Buffer(name, _RGB, "half", "1", 0.0, 1.0, "linear_rec709", 0.0, description)
+
+
+def _id(name: str, of: str) -> Buffer:
+    description = f"{of} through the pixel's centre; 0 = none; names are in the view's JSON"
+    return Buffer(name, ("I",), "uint", "id", 0, 2**32 - 1, "data", 0, description)
 
 
 _ALL = (
-    _radiance("beauty", "rendered image, denoised where the recipe asks for it"),
-    _radiance("beauty_noisy", "the same image before the denoiser (kept only if asked for)"),
+    _color("beauty", "radiance", "rendered image, denoised where the recipe asks for it"),
+    _color("beauty_noisy", "radiance", "the same image before the denoiser (kept only if asked for)", True),
+    _albedo(MATERIAL_MAPS.diffuse_albedo, "diffuse albedo D at the first hit"),
+    _albedo(MATERIAL_MAPS.specular_albedo, "specular albedo S (F0) at the first hit"),
     Buffer(
-        "diffuse_albedo",
-        _RGB,
-        "half",
-        "1",
-        0.0,
-        1.0,
-        "linear_rec709",
-        0.0,
-        "diffuse albedo D at the first hit",
-        True,
-    ),
-    Buffer(
-        "specular_albedo",
-        _RGB,
-        "half",
-        "1",
-        0.0,
-        1.0,
-        "linear_rec709",
-        0.0,
-        "specular albedo S (F0) at the first hit",
-        True,
-    ),
-    Buffer(
-        "roughness",
+        MATERIAL_MAPS.roughness,
         ("Y",),
         "half",
         "1 (perceptual)",
@@ -100,7 +102,6 @@ _ALL = (
         "data",
         0.0,
         "perceptual roughness R at the first hit; alpha = R^2",
-        True,
     ),
     Buffer(
         "normal_world",
@@ -112,7 +113,6 @@ _ALL = (
         "data",
         0.0,
         "shading normal in world space, facing the camera",
-        True,
     ),
     Buffer(
         "depth_z_m",
@@ -124,7 +124,6 @@ _ALL = (
         "data",
         0.0,
         "depth along the optical axis through the pixel's centre; 0 where nothing was hit",
-        True,
     ),
     Buffer(
         "surface_mask",
@@ -136,35 +135,12 @@ _ALL = (
         "data",
         0.0,
         "share of the pixel covered by reflecting surface; emitters and background do not count",
-        True,
     ),
-    Buffer(
-        "instance_id",
-        ("I",),
-        "uint",
-        "id",
-        0,
-        2**32 - 1,
-        "data",
-        0,
-        "object instance through the pixel's centre; 0 = none; names are in the view's JSON",
-        True,
-    ),
-    Buffer(
-        "material_id",
-        ("I",),
-        "uint",
-        "id",
-        0,
-        2**32 - 1,
-        "data",
-        0,
-        "material through the pixel's centre; 0 = none; names are in the view's JSON",
-        True,
-    ),
-    _radiance("color_min", "per-channel minimum of the colours seen by the chosen views"),
-    _radiance("color_median", "per-channel median of the colours seen by the chosen views"),
-    _radiance("color_max", "per-channel maximum of the colours seen by the chosen views"),
+    _id("instance_id", "object instance"),
+    _id("material_id", "material"),
+    _color("color_min", "statistics", "per-channel minimum of the colours seen by the chosen views"),
+    _color("color_median", "statistics", "per-channel median of the colours seen by the chosen views"),
+    _color("color_max", "statistics", "per-channel maximum of the colours seen by the chosen views"),
     Buffer(
         "observation_count",
         ("N",),
@@ -175,12 +151,20 @@ _ALL = (
         "data",
         0,
         "number of views whose colours entered the statistics; 0 on the background",
+        "statistics",
     ),
 )
 
 BUFFERS: dict[str, Buffer] = {buffer.name: buffer for buffer in _ALL}
-RENDERED_BUFFERS = tuple(b.name for b in _ALL[:10] if b.name != "beauty_noisy")
-STATISTICS_BUFFERS = ("color_min", "color_median", "color_max", "observation_count")
+
+
+def _names(*stages: Stage) -> tuple[str, ...]:
+    return tuple(b.name for b in _ALL if b.stage in stages and not b.is_optional)
+
+
+GROUND_TRUTH_BUFFERS = _names("ground_truth")
+RENDERED_BUFFERS = _names("radiance", "ground_truth")
+STATISTICS_BUFFERS = _names("statistics")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 """What a complete view holds; ``beauty_noisy`` is optional."""
 MIN_COVERAGE = 0.5

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import CONFIGURATION_MEMBER, INDEX_FILE, Dataset, ShardReader
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import exposure_for, srgb_from_linear
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
@@ -44,7 +45,7 @@ _CELL_WIDTH_PX = 256
 _MARGIN_PX = 8
 _TITLE_PX, _LABEL_PX = 32, 20
 _INK, _PAPER, _FAINT = (235, 235, 235), (24, 24, 26), (150, 150, 155)
-_NEEDS_SURFACE = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world")
+_NEEDS_SURFACE = (*MATERIAL_MAPS, "normal_world")
 
 
 @dataclass(frozen=True)

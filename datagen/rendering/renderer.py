@@ -34,7 +34,7 @@ from datagen.formats.base import quantized
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, RenderRecipe
 from datagen.formats.view import RenderRecord
-from datagen.foundation.buffers import BUFFERS, RENDERED_BUFFERS
+from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS, RENDERED_BUFFERS
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import exposure_for
 from datagen.foundation.errors import input_error
@@ -299,14 +299,14 @@ class SceneRenderer:
             )
         sensor = self._sensor(self.configuration.cameras[index].camera())
         start = time.perf_counter()
-        buffers = render_material_buffers(
+        traced = render_material_buffers(
             self.built.scene,
             sensor,
             self.recipe.auxiliary_samples,
             self._seed(index, "buffers"),
             self._materials,
         )
-        buffers.pop("position_world", None)
+        buffers = {name: traced[name] for name in GROUND_TRUTH_BUFFERS}
         seen_lights = self._seen_lights(sensor, buffers["surface_mask"], index)
         seconds = {"buffers": time.perf_counter() - start}
         return _ViewInProgress(index, buffers, seen_lights, self._clamp_limit(sensor, index), seconds)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.recipe import RenderRecipe
-from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 from datagen.foundation.color import exposure_for
 from datagen.foundation.durable import publish
 from datagen.foundation.versions import pixel_versions
@@ -34,7 +34,7 @@ MAX_DEPTH = 32
 RUSSIAN_ROULETTE_DEPTH = 8
 MAP_SAMPLES = 1024
 BEST_VIEWS = 24
-MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world", "depth_z_m", "surface_mask")
+MAPS = (*MATERIAL_MAPS, "normal_world", "depth_z_m", "surface_mask")
 STATISTICS = ("color_min", "color_median", "color_max")
 
 

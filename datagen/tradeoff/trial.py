@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.configuration import Configuration, ViewCamera
-from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 from datagen.foundation.exr import COMPRESSIONS, decode_view, encode_view, to_storage
 from datagen.rendering.denoiser import OidnDenoiser
 from datagen.rendering.error import relative_mse
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from datagen.library import Library
     from datagen.rendering.renderer import SceneRenderer
 
-ERROR_MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal_world")
+ERROR_MAPS = (*MATERIAL_MAPS, "normal_world")
 STAGES = ("learn", "render", "statistics", "compress")
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import sha256_file, sha256_hex, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view, encode_view
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
-from model.reconstruction.atlas.atlas import MAP_NAMES
 from model.reconstruction.geometry.views import TracedCapture, TracedView
 from model.reconstruction.predict.predictor import capture_exposure
 from model.reconstruction.predict.sources import TRUTH, GivenMaps
@@ -48,7 +48,7 @@ def _source(method: Given, scene: str, capture: Capture) -> tuple[str, Callable[
     if isinstance(method, OracleMethod):
         return "oracle", TRUTH.read
     if isinstance(method, ConstantMethod):
-        values = {name: np.ravel(getattr(method, name)) for name in MAP_NAMES}
+        values = {name: np.ravel(getattr(method, name)) for name in MATERIAL_MAPS}
         return f"constant {values}", lambda traced: [_constant(view, values) for view in traced.views]
     files = maps_files(method.folder / scene, capture)
     hashes = sha256_hex("".join(sha256_file(path) for path in files.values()).encode())
@@ -97,7 +97,7 @@ def maps_files(folder: Path, capture: Capture) -> dict[str, Path]:
 
 
 def _read(path: Path) -> Maps:
-    return decode_view(path, MAP_NAMES)
+    return decode_view(path, MATERIAL_MAPS)
 
 
 def _map_faults(path: Path, view: CaptureView, maps: Maps) -> list[Problem]:

@@ -12,11 +12,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from datagen.formats.base import read_json
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import input_error
 from model.evaluation.noise import Difference, difference
 from model.evaluation.results import MethodResult, SuiteResult
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Cell, Table
-from model.reconstruction.atlas.atlas import MAP_NAMES
 
 _IMAGES = {"psnr_srgb_db": ("PSNR (dB)", True), "dssim": ("DSSIM", False), "lpips_vgg": ("LPIPS", False)}
 """What is compared of images: its name, and whether more is better."""
@@ -77,7 +77,7 @@ def _differences(other: MethodResult, this: MethodResult) -> Iterator[tuple[str,
     for stage, words in _STAGES.items():
         rows = [result.map_views.get(stage, {}) for result in (other, this)]
         weights = {view: row["pixels"] for view, row in rows[1].items()}
-        for name in MAP_NAMES:
+        for name in MATERIAL_MAPS:
             values = [{view: row[name] for view, row in part.items()} for part in rows]
             found = difference(values[0], values[1], weights=weights)
             if found is not None:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from datagen.formats.base import sha256_file
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
 from model.checkpoint import read_card
@@ -47,7 +48,6 @@ from model.evaluation.room import PlannedScene, assert_not_trained_on, photograp
 from model.evaluation.scenery import Scenery, recovered_scenery
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
-from model.reconstruction.atlas.atlas import MAP_NAMES
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps
@@ -337,7 +337,7 @@ def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
     """Errors of the maps as they were predicted."""
     measures = MapMeasures()
     for name in scene.inputs:
-        maps = decode_view(folder / "views" / f"{name}.exr", MAP_NAMES)
+        maps = decode_view(folder / "views" / f"{name}.exr", MATERIAL_MAPS)
         sure = folder / "views" / f"{name}.confidence.npy"
         confidence = np.load(sure) if sure.is_file() else None
         measures.add(name, maps, scene.truth[OWN][name], scene.surfaces(name), confidence=confidence)

@@ -21,12 +21,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import luminance
 from model.evaluation.rendering import JudgedView
 from model.evaluation.surface_kinds import ViewSurfaces
-from model.reconstruction.atlas.atlas import MAP_NAMES
 
-D, S, R = MAP_NAMES
+D, S, R = MATERIAL_MAPS
 _FLOOR = 1e-4  # keeps the logarithm of a black part finite
 _LEAST_MSE = 1e-10  # 100 dB, where the formula gives infinity; as in the code that is followed
 _ROUGH_LEAST = 0.2
@@ -59,22 +59,22 @@ class MapMeasures:
         """Count a view. ``rendered``: the view of the recovered scene, where the maps come from it: pixels
         without its surface are not compared, and its emission is. ``confidence`` (H, W, 3) of D, S and R."""
         mask = truth.surface_mask if rendered is None else truth.surface_mask & rendered.surface_mask
-        errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MAP_NAMES}
+        errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MATERIAL_MAPS}
         for kind, where in {"all": mask, **surfaces.kinds}.items():
             chosen = where & mask
-            sums = self.squared.setdefault(kind, dict.fromkeys(MAP_NAMES, 0.0))
+            sums = self.squared.setdefault(kind, dict.fromkeys(MATERIAL_MAPS, 0.0))
             self.pixels[kind] = self.pixels.get(kind, 0) + int(chosen.sum())
-            for name in MAP_NAMES:
+            for name in MATERIAL_MAPS:
                 sums[name] += float(errors[name][chosen].sum())
         self.num_surface += int(truth.surface_mask.sum())
         seen = max(int(mask.sum()), 1)
-        self.views[view] = {name: float(errors[name][mask].sum()) / seen for name in MAP_NAMES}
+        self.views[view] = {name: float(errors[name][mask].sum()) / seen for name in MATERIAL_MAPS}
         self.views[view]["pixels"] = float(mask.sum())
         diffuse = [maps[D][mask].astype(np.float64), truth.maps[D][mask].astype(np.float64)]
         self._pairs.append((diffuse[0], diffuse[1], surfaces.region[mask]))
         self._others.append(measures_of_others(maps, truth, rendered))
         if confidence is not None:
-            stacked = np.stack([np.sqrt(errors[n][mask]) for n in MAP_NAMES], axis=1)
+            stacked = np.stack([np.sqrt(errors[n][mask]) for n in MATERIAL_MAPS], axis=1)
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
@@ -89,7 +89,7 @@ class MapMeasures:
     def mse(self) -> dict[str, float]:
         """Mean squared error by map."""
         count = max(self.pixels.get("all", 0), 1)
-        return {name: self.squared["all"][name] / count for name in MAP_NAMES}
+        return {name: self.squared["all"][name] / count for name in MATERIAL_MAPS}
 
     @property
     def covered_share(self) -> float:
@@ -101,7 +101,7 @@ class MapMeasures:
         return {
             kind: {
                 "share": self.pixels[kind] / max(self.pixels["all"], 1),
-                **{name: self.squared[kind][name] / self.pixels[kind] for name in MAP_NAMES},
+                **{name: self.squared[kind][name] / self.pixels[kind] for name in MATERIAL_MAPS},
             }
             for kind in self.squared
             if self.pixels[kind]
@@ -116,7 +116,7 @@ class MapMeasures:
 
         confidence, errors = (np.concatenate(part) for part in zip(*self._sure, strict=True))
         found = {}
-        for k, name in enumerate(MAP_NAMES):
+        for k, name in enumerate(MATERIAL_MAPS):
             order = np.argsort(confidence[:, k], kind="stable")
             correlation = float(spearmanr(confidence[:, k], -errors[:, k]).statistic)
             quarters = np.array_split(errors[order, k], QUARTERS)

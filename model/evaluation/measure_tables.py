@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.evaluation.map_measures import QUARTERS
 from model.evaluation.noise import Figure, figure_of
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
 from model.evaluation.tables import LETTERS, LIGHTS, PAPER, VIEW_SETS, Cell, Table
-from model.reconstruction.atlas.atlas import MAP_NAMES
 
 _STAGES = {"per_view": "per view", "merged": "merged"}
 _LEVELS = {
@@ -52,9 +52,9 @@ def _levels(result: SuiteResult) -> Table:
         for stage, words in _STAGES.items():
             found = method.map_figures.get(stage)
             if found is not None:
-                psnr = (found[f"{name}_psnr_db"] for name in MAP_NAMES)
+                psnr = (found[f"{name}_psnr_db"] for name in MATERIAL_MAPS)
                 rows.append((scene.name, method.label, words, *psnr, *(found[key] for key in _LEVELS)))
-    letters = (f"{LETTERS[name]} (PSNR, dB)" for name in MAP_NAMES)
+    letters = (f"{LETTERS[name]} (PSNR, dB)" for name in MATERIAL_MAPS)
     columns = ("scene", "method", "maps", *letters, *_LEVELS.values())
     caption = (
         "Of linear values with a range of 1. After the gain that is best for the whole scene, what is left "
@@ -71,9 +71,9 @@ def _kinds(result: SuiteResult) -> Table:
         for kind in ("all", *KINDS):
             found = method.by_kind.get("merged", {}).get(kind)
             if found is not None:
-                roots = (float(np.sqrt(found[name])) for name in MAP_NAMES)
+                roots = (float(np.sqrt(found[name])) for name in MATERIAL_MAPS)
                 rows.append((scene.name, method.label, kind, 100 * found["share"], *roots))
-    columns = ("scene", "method", "surfaces", "of all (%)", *(f"{LETTERS[n]} (RMSE)" for n in MAP_NAMES))
+    columns = ("scene", "method", "surfaces", "of all (%)", *(f"{LETTERS[n]} (RMSE)" for n in MATERIAL_MAPS))
     caption = (
         "Root mean square errors of merged maps. Metal: S > 0.2; of the rest white: D > 0.7, glossy: "
         "R < 0.4, matt: R >= 0.4; small: pieces less than 0.3 m across; seldom seen: by fewer than 4 views; "
@@ -135,7 +135,7 @@ def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
 def _calibration(result: SuiteResult) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for scene, method in _judged(result):
-        for name in MAP_NAMES:
+        for name in MATERIAL_MAPS:
             if name in method.calibration:
                 rows.append((scene.name, method.label, LETTERS[name], *method.calibration[name]))
     quarters = ("least sure quarter (RMSE)", *(f"quarter {k}" for k in range(2, QUARTERS)), "surest quarter")
@@ -151,7 +151,7 @@ def _cameras(result: SuiteResult) -> Table:
         if not any(method.camera for method in judged):
             continue
         for method in sorted(judged, key=lambda m: [other.method for other in judged].index(m.method)):
-            maps = (method.maps_merged.get(name) for name in MAP_NAMES)
+            maps = (method.maps_merged.get(name) for name in MATERIAL_MAPS)
             psnr = (
                 method.images.get(light, {}).get(views, {}).get("psnr_srgb_db")
                 for light in ("own", "modified")
@@ -162,7 +162,7 @@ def _cameras(result: SuiteResult) -> Table:
         "scene",
         "method",
         "photographs",
-        *(f"{LETTERS[name]} merged (MSE)" for name in MAP_NAMES),
+        *(f"{LETTERS[name]} merged (MSE)" for name in MATERIAL_MAPS),
         *(f"{light}, {views} (PSNR, dB)" for light in ("own", "modified") for views in ("input", "novel")),
     )
     caption = (

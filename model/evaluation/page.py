@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color_maps import cividis
 from model.evaluation.measure_tables import image_noise
 from model.evaluation.metrics import shown
@@ -24,7 +25,6 @@ from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Table
-from model.reconstruction.atlas.atlas import MAP_NAMES
 
 _JPEG_QUALITY = 88
 _BOUNDS = ("oracle", "truth")  # what no method can be better than
@@ -86,7 +86,7 @@ def _summary(scene: SceneResult) -> str:
     values: list[list[float | None]] = []
     texts: list[list[str]] = []
     for method in judged:
-        maps = [method.maps_merged.get(name) for name in MAP_NAMES]
+        maps = [method.maps_merged.get(name) for name in MATERIAL_MAPS]
         noise = {(light, views): found for light, views, found in image_noise(method)}
         images = [noise.get((light, views)) for light in LIGHTS for views in VIEW_SETS]
         values.append([*maps, *(None if found is None else -found.mean for found in images)])
@@ -173,7 +173,7 @@ def _error_maps(
             continue
         cells.append(f'<span class="row">{html.escape(method.label)}</span>')
         mask = truth[name].surface_mask & view.surface_mask
-        for map_name in MAP_NAMES:
+        for map_name in MATERIAL_MAPS:
             squared = ((view.maps[map_name] - truth[name].maps[map_name]).astype(np.float64) ** 2).mean(
                 axis=2
             )
@@ -201,7 +201,7 @@ def _charts(methods: Sequence[MethodResult]) -> str:
         f'<span><i style="background:{_hue(k)}"></i>{html.escape(m.label)}</span>'
         for k, m in enumerate(judged)
     )
-    charts = "".join(_chart(name, kinds, judged) for name in MAP_NAMES)
+    charts = "".join(_chart(name, kinds, judged) for name in MATERIAL_MAPS)
     return (
         "<h3>Errors by kind of surface</h3><p>Root mean square error of the merged maps on all surfaces and "
         "on each kind; the share of the judged pixels stands below its name.</p>"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from model.reconstruction.atlas.atlas import MAP_NAMES
+from datagen.foundation.buffers import MATERIAL_MAPS
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class PublishedMaps:
 
     def by_map(self) -> dict[str, float]:
         """By the maps' names."""
-        return dict(zip(MAP_NAMES, self.mse, strict=True))
+        return dict(zip(MATERIAL_MAPS, self.mse, strict=True))
 
 
 @dataclass(frozen=True)

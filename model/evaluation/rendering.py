@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import CaptureView
 from datagen.formats.recipe import RenderRecipe
-from datagen.foundation.buffers import surface_pixels
+from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.library import Library
 from model.evaluation.scenery import Scenery
-from model.reconstruction.atlas.atlas import MAP_NAMES
 
-BUFFERS = ("beauty", *MAP_NAMES, "surface_mask", "depth_z_m", "normal_world")
+BUFFERS = ("beauty", *MATERIAL_MAPS, "surface_mask", "depth_z_m", "normal_world")
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class JudgedView:
 
 def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
     """From stored buffers."""
-    maps = {name: np.clip(buffers[name].astype(np.float32), 0, 1) for name in MAP_NAMES}
+    maps = {name: np.clip(buffers[name].astype(np.float32), 0, 1) for name in MATERIAL_MAPS}
     color, surface = buffers["beauty"].astype(np.float32), surface_pixels(buffers)
     shines = ~surface & (buffers["depth_z_m"][..., 0] > 0) & (color.max(axis=2) > 0)
     return JudgedView(color, maps, surface, shines)

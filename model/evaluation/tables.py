@@ -12,12 +12,12 @@ import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.evaluation.published import PUBLISHED
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
-from model.reconstruction.atlas.atlas import MAP_NAMES
 
 Cell = str | float | None
-LETTERS = dict(zip(MAP_NAMES, "DSR", strict=True))
+LETTERS = dict(zip(MATERIAL_MAPS, "DSR", strict=True))
 PAPER = "paper: "
 LIGHTS = ("own", "modified")
 VIEW_SETS = ("input", "novel")
@@ -109,21 +109,21 @@ def _maps_table(result: SuiteResult) -> Table:
                 (
                     scene.name,
                     method.label,
-                    *(method.maps_per_view.get(name) for name in MAP_NAMES),
-                    *(method.maps_merged.get(name) for name in MAP_NAMES),
+                    *(method.maps_per_view.get(name) for name in MATERIAL_MAPS),
+                    *(method.maps_merged.get(name) for name in MATERIAL_MAPS),
                     _percent(method.covered_share),
                     _percent(method.seen_share),
                 )
             )
         for row in PUBLISHED[scene.name].maps if scene.name in PUBLISHED else ():
-            errors, nothing = row.by_map().values(), (None,) * len(MAP_NAMES)
+            errors, nothing = row.by_map().values(), (None,) * len(MATERIAL_MAPS)
             cells = (*nothing, *errors) if row.is_merged else (*errors, *nothing)
             rows.append((scene.name, PAPER + row.method, *cells, None, None))
     columns = (
         "scene",
         "method",
-        *(f"{LETTERS[name]} per view (MSE, linear)" for name in MAP_NAMES),
-        *(f"{LETTERS[name]} merged (MSE, linear)" for name in MAP_NAMES),
+        *(f"{LETTERS[name]} per view (MSE, linear)" for name in MATERIAL_MAPS),
+        *(f"{LETTERS[name]} merged (MSE, linear)" for name in MATERIAL_MAPS),
         "pixels covered (%)",
         "atlas seen (%)",
     )

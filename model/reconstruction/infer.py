@@ -31,7 +31,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
-from model.reconstruction.atlas.atlas import MAP_NAMES, Atlas, empty_atlas
+from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
 from model.reconstruction.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
@@ -44,7 +44,7 @@ from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
 from model.reconstruction.stages import MapSource, MapStage, Run
 from model.reconstruction.unwrap.uv import unwrapped
 
-__all__ = ["MAP_NAMES", "InferOptions", "InferReport", "infer"]
+__all__ = ["InferOptions", "InferReport", "infer"]
 MEMORY_ATLAS = 4096
 """Atlases up to this side are held in memory, larger ones in files beside the result while they are made."""
 

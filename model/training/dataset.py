@@ -30,13 +30,13 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from datagen.formats.base import parse_model
 from datagen.formats.shard import CONFIGURATION_MEMBER
 from datagen.formats.view import ViewRecord
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.exr import decode_view
 from model.networks import COLOR_STATISTICS, NetworkConfig
 from model.training.conditions import generator_for
 from model.training.config import DataConfig
 
-TRUTH_BUFFERS = ("diffuse_albedo", "specular_albedo", "roughness")
 _GEOMETRY_BUFFERS = ("normal_world", "depth_z_m", "surface_mask")
 _REMEDY = "make the shard again, or train with data.on_bad_view: skip"
 _ORDER_PURPOSE, _CROP_PURPOSE = 0x0D, 0xC4
@@ -46,7 +46,7 @@ _RANGE_SLACK = 1e-3  # half floats round 1 - eps up
 def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
     """Buffers that training reads from a view."""
     statistics = COLOR_STATISTICS if network.uses_statistics else ()
-    return ("beauty", *statistics, *TRUTH_BUFFERS, *_GEOMETRY_BUFFERS)
+    return ("beauty", *statistics, *MATERIAL_MAPS, *_GEOMETRY_BUFFERS)
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _problems_of(
     for name, values in buffers.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             complain(name, f"{int((~np.isfinite(values)).sum())} values NaN or Inf", "finite values")
-        elif name in TRUTH_BUFFERS or name == "surface_mask":
+        elif name in MATERIAL_MAPS or name == "surface_mask":
             low, high = float(values.min()), float(values.max())
             if low < -_RANGE_SLACK or high > 1.0 + _RANGE_SLACK:
                 complain(name, f"{low:.4g} ... {high:.4g}", "values in [0, 1], linear, perceptual roughness")
@@ -339,7 +339,7 @@ def view_sample(
     mask = (cut.pop("surface_mask") > 0.5) & (depth > 0) & (length > 0.5)
     cut["normal_camera"] = np.where(mask, normal / np.maximum(length, 1e-6), 0.0)
     cut["position"] = ray * depth
-    for name in TRUTH_BUFFERS:
+    for name in MATERIAL_MAPS:
         cut[name] = np.clip(cut[name], 0.0, 1.0)
     sample = {n: torch.from_numpy(np.ascontiguousarray(v.transpose(2, 0, 1))).float() for n, v in cut.items()}
     sample["mask"] = torch.from_numpy(np.ascontiguousarray(mask.transpose(2, 0, 1)))

@@ -20,6 +20,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from datagen.formats.base import StrictModel
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.shading import shade_point_light, shade_spherical_gaussians
 from model.training.conditions import (
     AreaCondition,
@@ -31,7 +32,6 @@ from model.training.conditions import (
 )
 from model.training.stopwatch import Stopwatch
 
-MAP_NAMES = ("diffuse_albedo", "specular_albedo", "roughness")
 _LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the logarithm finite in the dark
 
 
@@ -69,7 +69,7 @@ Condition = PointCondition | AreaCondition
 
 def render(maps: Mapping[str, Tensor], geometry: Geometry, condition: Condition) -> Tensor:
     """Radiance (B, 3, H, W) of the maps under one condition, always in float32."""
-    diffuse, specular, roughness = (maps[name].float() for name in MAP_NAMES)
+    diffuse, specular, roughness = (maps[name].float() for name in MATERIAL_MAPS)
     normal, view = geometry.normal, condition.view_dir
     if isinstance(condition, PointCondition):
         position, light = geometry.position, condition.light_position
@@ -118,7 +118,9 @@ class MaterialLoss(nn.Module):
         """
         watch = stopwatch or Stopwatch()
         mask = geometry.mask
-        shown = {n: torch.where(mask, predicted[n].float(), truth[n]) for n in MAP_NAMES if n in predicted}
+        shown = {
+            n: torch.where(mask, predicted[n].float(), truth[n]) for n in MATERIAL_MAPS if n in predicted
+        }
         materials = {**truth, **shown}
         parts: dict[str, Tensor] = {}
         total = next(iter(shown.values())).new_zeros(())

@@ -13,12 +13,13 @@ import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, TrackName, encode_color
 from model.training.conditions import Geometry, SampleDraws
 from model.training.confidence import confidence_loss
 from model.training.config import PHASE_TRACKS, TrainingConfig
-from model.training.dataset import TRUTH_BUFFERS, BatchPlan, CropDataset, CropOrder, make_loader
+from model.training.dataset import BatchPlan, CropDataset, CropOrder, make_loader
 from model.training.losses import LossTerms, MaterialLoss
 from model.training.sources import TrainingData
 from model.training.stopwatch import Stopwatch
@@ -158,7 +159,7 @@ class Phase:
     def terms(self, batch: dict[str, Tensor], generator: torch.Generator) -> LossTerms:
         """Loss of one micro-batch."""
         shop = self.shop
-        truth = {name: batch[name] for name in TRUTH_BUFFERS}
+        truth = {name: batch[name] for name in MATERIAL_MAPS}
         watch = shop.stopwatch
         if not self.tracks:
             network = shop.models.network

@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.networks import encode_color
-from model.training.dataset import TRUTH_BUFFERS
 
 CSV_FILE = "log.csv"
 _COLUMNS = (
@@ -98,7 +98,7 @@ def view_panel(batch: Mapping[str, Tensor], predicted: Mapping[str, Tensor]) -> 
     image = 0.5 * (encode_color(batch["beauty"], batch["exposure"].reshape(-1, 1, 1, 1))[0] + 1.0)
     rows = [torch.cat([image, torch.zeros_like(image), torch.zeros_like(image)], dim=2)]
     mask = batch["mask"][0].float()
-    for name in TRUTH_BUFFERS:
+    for name in MATERIAL_MAPS:
         if name not in predicted:
             continue
         ours, theirs = (m[name][0].float().clamp(0, 1) * mask for m in (predicted, batch))

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from datagen.foundation.buffers import MATERIAL_MAPS
 from model.bilateral_solver import SolverConfig
 from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
 from model.networks import MaterialNetwork, TrackName, encode_color
-from model.training.dataset import TRUTH_BUFFERS, ViewPlace, load_view, view_sample
+from model.training.dataset import ViewPlace, load_view, view_sample
 
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 """From a batch of buffers to maps by name."""
@@ -28,7 +29,7 @@ class MapErrors:
 
     def add(self, predicted: Mapping[str, Tensor], batch: Mapping[str, Tensor]) -> None:
         """Count a batch; maps that ``predicted`` lacks are left out."""
-        for name in TRUTH_BUFFERS:
+        for name in MATERIAL_MAPS:
             if name not in predicted:
                 continue
             error = ((predicted[name].float() - batch[name]) * batch["mask"]).double()
@@ -106,7 +107,7 @@ def mean_maps(batches: Iterable[Mapping[str, Tensor]]) -> dict[str, Tensor]:
     count = 0.0
     for batch in batches:
         count += float(batch["mask"].sum())
-        for name in TRUTH_BUFFERS:
+        for name in MATERIAL_MAPS:
             total = (batch[name] * batch["mask"]).double().sum(dim=(0, 2, 3))
             sums[name] = sums.get(name, torch.zeros_like(total)) + total
     return {name: (total / max(count, 1.0)).float().reshape(-1, 1, 1) for name, total in sums.items()}

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from datagen.formats.shard import Dataset, ShardReader, View
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.color_maps import cividis
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.inspection.report.gather import SHOWN_BUFFERS
-from datagen.inspection.report.predictions import MAPS, parse_methods
+from datagen.inspection.report.predictions import parse_methods
 from datagen.inspection.report.tiles import write_tile
 from datagen.inspection.report.writing import VIEW_COLUMNS, ReportOptions, write_report
 from datagen.library import Library
@@ -325,11 +326,11 @@ def test_prediction_is_chosen_and_its_error_is_read(
     choose(page, "method", slug)
     page.wait_for_view(key)
     shown = page.run("return [...document.querySelectorAll('#panels canvas')].map((c) => c.dataset.buffer)")
-    assert shown == [n for m in MAPS for n in (m, f"predicted:{slug}:{m}", f"error:{slug}:{m}")]
+    assert shown == [n for m in MATERIAL_MAPS for n in (m, f"predicted:{slug}:{m}", f"error:{slug}:{m}")]
     for x, y in ((5, 5), (40, 20), (63, 47)):
         page.hover(f"error:{slug}:roughness", x, y)
         page.until(lambda x=x, y=y: cursor(page) == (x, y), f"{x}, {y}")
-        for name in MAPS:
+        for name in MATERIAL_MAPS:
             told = np.array(page.values(f"predicted:{slug}:{name}")).astype(np.float16)
             assert told.tobytes() == predicted[name][y, x].tobytes()
             error = np.abs(predicted[name][y, x].astype(float) - truth[name][y, x].astype(float))
@@ -526,7 +527,7 @@ def test_stepping_through_large_views_keeps_nothing(
         path.write_text(text)
         for view in range(5):
             buffers = views["small-00000/view-000"].buffers
-            for name, array in (*buffers.items(), *((f"ours/{m}", buffers[m]) for m in MAPS)):
+            for name, array in (*buffers.items(), *((f"ours/{m}", buffers[m]) for m in MATERIAL_MAPS)):
                 picture = array[rows // 8, columns // 10]
                 if array.dtype.kind == "f":
                     picture = picture * (1 + 0.01 * rng.random(picture.shape, dtype=np.float32)).astype(

@@ -17,7 +17,7 @@ from datagen.formats.asset import Box, SlotMaterial, Texture
 from datagen.formats.base import canonical_json, parse_model, read_json, read_yaml, write_bytes_atomically
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import ShardReader, write_shard
-from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS, get_buffer
+from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS, RENDERED_BUFFERS, VIEW_BUFFERS, get_buffer
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view, to_storage
 from tests.conftest import REPOSITORY
@@ -210,3 +210,14 @@ def test_atomic_write_leaves_nothing_behind_on_failure(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         write_bytes_atomically(target, b"data")  # a folder that is not empty cannot be replaced
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_buffer_says_its_stage() -> None:
+    """The order decides the bytes of a view's EXR; what is optional is in no list."""
+    truth = ("normal_world", "depth_z_m", "surface_mask", "instance_id", "material_id")
+    assert ("beauty", *MATERIAL_MAPS, *truth) == RENDERED_BUFFERS
+    assert VIEW_BUFFERS[len(RENDERED_BUFFERS) :] == (
+        "color_min", "color_median", "color_max", "observation_count",
+    )  # fmt: skip
+    assert set(BUFFERS) - set(VIEW_BUFFERS) == {"beauty_noisy"}
+    assert [BUFFERS[name].num_channels for name in MATERIAL_MAPS] == [3, 3, 1]

@@ -12,6 +12,7 @@ import pytest
 
 from datagen.formats.lights import AreaLight, PointLight, SkyLight
 from datagen.formats.shard import Dataset, DatasetIndex, ShardReader
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.inspection.findings import Fault, Report
@@ -19,7 +20,7 @@ from datagen.inspection.report import summary
 from datagen.inspection.report.command import parse_pixels, report_command
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, count_view, hue_deg
 from datagen.inspection.report.gather import light_intensity
-from datagen.inspection.report.predictions import MAPS, parse_methods
+from datagen.inspection.report.predictions import parse_methods
 from datagen.inspection.report.sources import NO_VIEW, options_of, source_views
 from datagen.inspection.report.tiles import decode_tile, encode_tile, read_tile, write_tile
 from datagen.inspection.report.writing import (
@@ -372,12 +373,12 @@ def compared(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     places = {f"{v.record.configuration}/{v.record.name}": v for v in Dataset(dataset).views()}
     (bad / "small-00000" / "view-000.exr").unlink()
     (bad / "small-00000" / "view-001.exr").write_bytes(b"no picture")
-    maps = {name: places["small-00000/view-002"].buffers[name].astype(np.float32) for name in MAPS}
+    maps = {name: places["small-00000/view-002"].buffers[name].astype(np.float32) for name in MATERIAL_MAPS}
     del maps["roughness"]
     (bad / "small-00000" / "view-002.exr").write_bytes(encode_view(maps))
-    maps = {name: places["small-00000/view-003"].buffers[name][:-8] for name in MAPS}
+    maps = {name: places["small-00000/view-003"].buffers[name][:-8] for name in MATERIAL_MAPS}
     (bad / "small-00000" / "view-003.exr").write_bytes(encode_view(maps))
-    maps = {name: places["small-00000/view-004"].buffers[name].copy() for name in MAPS}
+    maps = {name: places["small-00000/view-004"].buffers[name].copy() for name in MATERIAL_MAPS}
     maps["specular_albedo"][20, 20] = np.nan
     (bad / "small-00000" / "view-004.exr").write_bytes(encode_view(maps))
     # what `materials infer` writes: a folder views/ in the folder of each configuration
@@ -402,7 +403,7 @@ def test_prediction_errors_agree_with_another_count(compared: tuple[Path, Path, 
         mask = (view.buffers["depth_z_m"][..., 0] > 0) & (view.buffers["surface_mask"][..., 0] >= 0.5)
         squares = [
             ((predicted[m].astype(float) - view.buffers[m].astype(float)) ** 2)[mask].mean(axis=-1)
-            for m in MAPS
+            for m in MATERIAL_MAPS
         ]
         np.testing.assert_allclose(table["errors"]["ours"][row][:3], [s.mean() for s in squares], rtol=1e-5)
         assert table["errors"]["ours"][row][3] == 0b111
@@ -410,7 +411,7 @@ def test_prediction_errors_agree_with_another_count(compared: tuple[Path, Path, 
         num += int(mask.sum())
     ours = table["methods"][0]
     assert ours["num_views"] == 10 and ours["num_missing"] == ours["num_problems"] == 0
-    np.testing.assert_allclose([ours["total"][m] for m in MAPS], sums / num, rtol=1e-6)
+    np.testing.assert_allclose([ours["total"][m] for m in MATERIAL_MAPS], sums / num, rtol=1e-6)
     assert sums.min() / num > 1e-4  # there is something to count
 
 

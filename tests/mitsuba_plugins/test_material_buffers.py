@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS
 from datagen.foundation.errors import InputError
 from tests.mitsuba_plugins.bsdf_probe import array, dr, mi
 
@@ -58,7 +58,7 @@ IDS = {"red": (7, 3), "blue": (9, 4)}
 
 def test_buffers_have_the_registered_names_shapes_and_types() -> None:
     buffers = render_material_buffers(_edge_scene(), spp=4, ids=IDS)
-    assert set(buffers) - {"position_world"} == {n for n, b in BUFFERS.items() if b.is_ground_truth}
+    assert set(buffers) - {"position_world"} == set(GROUND_TRUTH_BUFFERS)
     for name, image in buffers.items():
         assert image.shape == (HEIGHT, WIDTH, len(CHANNELS[name]))
         assert image.dtype == (np.uint32 if name.endswith("_id") else np.float32)

@@ -27,18 +27,17 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.shard import ShardReader, ShardRecord, View
-from datagen.foundation.buffers import surface_pixels
+from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
 from datagen.foundation.transliteration import transliterated
 from datagen.inspection.report.tiles import write_tile
 
-MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
 TILES = "predictions"
 """Folder of predicted pixels beside those of the configurations, and part of their tiles' names."""
 MAX_LISTED_PROBLEMS = 200
 _REVISION = 1
-_NEEDED = ("depth_z_m", "surface_mask", *MAPS)
+_NEEDED = ("depth_z_m", "surface_mask", *MATERIAL_MAPS)
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,7 @@ def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], 
     rest."""
     maps: dict[str, NDArray] = {}
     problems: dict[str, str] = {}
-    for name in MAPS:
+    for name in MATERIAL_MAPS:
         try:
             predicted = decode_view(path, [name])[name]
         except InputError as error:
@@ -207,7 +206,7 @@ def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], 
             got, expected = (" x ".join(map(str, size[1::-1])) for size in (predicted.shape, shape))
             problems[name] = f"{got} pixels; expected {expected}"
     whole = set(problems.values())
-    if len(problems) == len(MAPS) and len(whole) == 1:
+    if len(problems) == len(MATERIAL_MAPS) and len(whole) == 1:
         return maps, [f"the file: {whole.pop()}"]
     return maps, [f"{name}: {text}" for name, text in problems.items()]
 
@@ -244,7 +243,7 @@ def prediction_table(
                 "label": method.label,
                 "slug": method.slug,
                 "folder": method.folder.resolve().name,
-                "total": {name: _total(there, name) for name in MAPS},
+                "total": {name: _total(there, name) for name in MATERIAL_MAPS},
                 "num_views": len(there),
                 "num_missing": len(missing),
                 "missing": missing[:MAX_LISTED_PROBLEMS],
@@ -253,12 +252,12 @@ def prediction_table(
             }
         )
         errors[method.slug] = [
-            [*(_rounded(view["mse"].get(name)) for name in MAPS), _bits(view["maps"])]
+            [*(_rounded(view["mse"].get(name)) for name in MATERIAL_MAPS), _bits(view["maps"])]
             if view is not None and view["file"]
             else None
             for view in found
         ]
-    return {"maps": list(MAPS), "methods": methods_out, "errors": errors}
+    return {"maps": list(MATERIAL_MAPS), "methods": methods_out, "errors": errors}
 
 
 def _total(views: Sequence[dict[str, Any]], name: str) -> float | None:
@@ -268,7 +267,7 @@ def _total(views: Sequence[dict[str, Any]], name: str) -> float | None:
 
 
 def _bits(maps: Sequence[str]) -> int:
-    return sum(1 << bit for bit, name in enumerate(MAPS) if name in maps)
+    return sum(1 << bit for bit, name in enumerate(MATERIAL_MAPS) if name in maps)
 
 
 def _rounded(value: float | None) -> float | None:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAP_CHANNELS = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1}
+from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
+
+MAP_CHANNELS = {name: BUFFERS[name].num_channels for name in MATERIAL_MAPS}
 """Maps that are merged and their channels, in the order of the packed storage."""
-MAP_NAMES = tuple(MAP_CHANNELS)
 ATLAS_DTYPE = np.float16
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from datagen.formats.capture import CaptureView
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import input_error
-from model.reconstruction.atlas.atlas import MAP_NAMES
 from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.stages import Maps, Run
@@ -67,8 +67,8 @@ class GivenMaps:
 
 
 def _truth(view: CaptureView) -> Maps:
-    maps = view.source.read_maps(MAP_NAMES)
-    if set(maps) != set(MAP_NAMES):
+    maps = view.source.read_maps(MATERIAL_MAPS)
+    if set(maps) != set(MATERIAL_MAPS):
         expected = "a rendered capture"
         raise input_error(view.name, "ground truth", "none", expected, "leave --truth out")
     return {name: np.clip(values.astype(np.float32), 0, 1) for name, values in maps.items()}

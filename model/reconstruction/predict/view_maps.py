@@ -11,12 +11,12 @@ import numpy as np
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from model.checkpoint import load_checkpoint
-from model.reconstruction.atlas.atlas import MAP_NAMES
 from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 from model.reconstruction.stages import Maps, Run
@@ -105,7 +105,7 @@ def _store(out: Path, view: CaptureView, maps: Maps) -> None:
         stream = io.BytesIO()
         np.save(stream, maps["confidence"].astype(np.float16))
         write_bytes_atomically(_confidence_path(out, view), stream.getvalue())
-    write_bytes_atomically(_map_path(out, view), encode_view({name: maps[name] for name in MAP_NAMES}))
+    write_bytes_atomically(_map_path(out, view), encode_view({name: maps[name] for name in MATERIAL_MAPS}))
 
 
 def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> Maps | None:
@@ -113,7 +113,7 @@ def _stored(out: Path, view: CaptureView, wants_confidence: bool) -> Maps | None
     if not path.is_file() or (wants_confidence and not confidence_path.is_file()):
         return None
     try:
-        maps = decode_view(path, MAP_NAMES)
+        maps = decode_view(path, MATERIAL_MAPS)
         if wants_confidence:
             maps["confidence"] = np.load(confidence_path)
     except (InputError, ValueError, EOFError):
