@@ -4,13 +4,18 @@ PYTHON ?= python3.11
 VENV ?= .venv
 OUT ?= demo-output
 WORKERS ?= 2
+ONLY ?= tests
+FAST := $(addprefix tests/,test_architecture.py mitsuba_plugins/test_variant.py \
+  datagen/test_formats.py datagen/test_package.py datagen/test_library.py datagen/test_importers_gltf.py \
+  datagen/test_importers_material_folder.py datagen/test_assembly_random.py datagen/test_assembly_materials.py \
+  model/test_checkpoint.py model/test_confidence.py model/test_networks.py model/test_reconstruction_captures_formats.py)
 export VENV
 
 BIN := $(VENV)/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-slow lint format docs docs-serve library extension packages three clean
+.PHONY: help setup setup-dev demo test test-fast test-slow lint format docs docs-serve library extension packages three clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -40,8 +45,11 @@ demo: setup ## Generate a small dataset from the bundled library and a contact s
 	@$(BIN)/datagen verify $(OUT)
 	@echo "look at $(abspath $(OUT))/sheets/*.png"
 
-test: setup-dev ## Run the tests
-	@$(BIN)/python -m pytest -q
+test: setup-dev ## Run the tests; ONLY=path runs those of a file or folder
+	@$(BIN)/python -m pytest -q $(ONLY)
+
+test-fast: setup-dev ## Run what needs no rendering, training or Blender: formats, importers, assembly, architecture
+	@$(BIN)/python -m pytest -q $(FAST)
 
 test-slow: setup-dev ## Run the long tests too
 	@$(BIN)/python -m pytest -q -m "slow or not slow"

@@ -43,7 +43,7 @@ from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import CheckpointMaps
-from tests.model.textured_room import room_capture
+from oracles.textured_room import room_capture
 
 PAPER_MINUTES = {"statistics": 7.56, "prediction": 3.93, "texturing": 3 * 3.12}
 """Veach Ajar, 160 views, 16K atlas, three maps, on a Xeon 5218 and a Quadro RTX 5000."""

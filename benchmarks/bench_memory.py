@@ -38,7 +38,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.images import encode_png
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
-from tests.datagen.rendering_scenes import SmallScene, box, placed, quad
+from oracles.rendering_scenes import SmallScene, box, placed, quad
 
 RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 LIMIT_MB = 100.0

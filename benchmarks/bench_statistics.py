@@ -31,7 +31,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics, has_surface
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
 from mitsuba_plugins.variant import select_variant
-from tests.oracles.statistics import OracleOptions, statistics_vectorized
+from oracles.statistics import OracleOptions, statistics_vectorized
 
 
 def summary(values: list[float]) -> dict:

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.oracles import brdf as oracle
+from oracles import brdf as oracle
 
 BATCH = 4_000_000
 ROUGHNESS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
@@ -43,7 +43,7 @@ def _print_table(head: list[str], rows: list[list[Any]]) -> None:
 
 def print_errors(num: int = 200_000) -> None:
     """Median, 99.9 % and largest relative error in eps of value and density, where exp's argument is < 20."""
-    from tests.mitsuba_plugins import bsdf_probe as probe
+    from oracles import bsdf_probe as probe
 
     rng = np.random.default_rng(0)
     rows = []
@@ -83,7 +83,7 @@ def print_density(num: int = 200_000) -> None:
     import drjit as dr
 
     from mitsuba_plugins import beckmann
-    from tests.mitsuba_plugins import bsdf_probe as probe
+    from oracles import bsdf_probe as probe
 
     def log_domain(h: Any, alpha: Any) -> Any:
         tan2 = (dr.square(h.x) + dr.square(h.y)) / dr.square(h.z)

@@ -3,8 +3,8 @@
 
     python -m benchmarks.data_extremes            all tables as Markdown
 
-What a table says is what ``tests/datagen/test_extremes.py`` holds; both call the functions below. The scene
-of boxes is that of the tests.
+``tests/benchmarks/test_extremes.py`` holds what a table says; both call the functions below. The boxes
+are in ``oracles``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.multiview.visibility import PackedViews, observe_points
 from mitsuba_plugins.variant import select_variant
-from tests.datagen.multiview_scenes import make_views
-from tests.datagen.rendering_scenes import SmallScene, down_camera, quad, renderer
+from oracles.multiview_scenes import make_views
+from oracles.rendering_scenes import SmallScene, down_camera, quad, renderer
 
 SCALES = (1e-3, 1e-1, 1e2, 1e4)
 RADIANCES = (1e-6, 1e-3, 1e3, 1e6)
@@ -121,7 +121,7 @@ def spread_of_alike_views(num_views: int) -> float:
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
     """Views of the boxes from places beside the usual ones, each rendered anew."""
     from datagen.foundation.cameras import look_at
-    from tests.datagen.multiview_scenes import _POSES, hit_boxes
+    from oracles.multiview_scenes import _POSES, hit_boxes
 
     rng = np.random.default_rng(3)
     base = make_views((size,))

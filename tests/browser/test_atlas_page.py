@@ -21,9 +21,9 @@ from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.atlas_page.writing import PAGE_FILES, write_view
+from oracles import brdf
 from tests.browser.driver import SOFTWARE_GL, WAIT_S, Page, find_browser, open_browser
 from tests.conftest import REPOSITORY
-from tests.oracles import brdf
 
 SIDE, PATCHES = 64, 8
 MAX_OPEN_S = 3.0

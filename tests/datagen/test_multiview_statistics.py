@@ -19,8 +19,8 @@ from datagen.multiview.statistics import (
     sorting_network,
 )
 from datagen.multiview.visibility import VisibilityOptions
-from tests.datagen.multiview_scenes import is_occluded, make_views, mitsuba_scene
-from tests.oracles.statistics import OracleOptions, statistics_by_loops, statistics_vectorized
+from oracles.multiview_scenes import is_occluded, make_views, mitsuba_scene
+from oracles.statistics import OracleOptions, statistics_by_loops, statistics_vectorized
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 

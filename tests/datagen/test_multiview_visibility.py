@@ -15,7 +15,7 @@ from datagen.multiview.visibility import (
     observe_points,
     vectors_from_rows,
 )
-from tests.datagen.multiview_scenes import is_occluded, make_views, mitsuba_scene
+from oracles.multiview_scenes import is_occluded, make_views, mitsuba_scene
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
@@ -201,31 +201,3 @@ def test_bad_input_is_refused():
         observe_points(packed, np.zeros((1, 3)), np.ones((1, 3)))
     with pytest.raises(ValueError, match="scene"):
         observe_points(packed, np.zeros((1, 3)), np.ones((1, 3)), VisibilityOptions("trace"))
-
-
-@pytest.mark.slow
-def test_depth_and_rays_agree_on_a_real_scene(shared_data):
-    """Twelve views of the staircase: the two tests differ on few pairs, and hardly in the statistics."""
-    from benchmarks.bench_statistics import (
-        capture,
-        measure_accuracy,
-        measure_visibility,
-        place_cameras,
-        scene_from_file,
-    )
-
-    scene, pose, up = scene_from_file(shared_data / "scenes" / "staircase" / "scene.xml")
-    cameras = place_cameras(scene, pose, up, 12, 320, 192)
-    views = [capture(scene, camera, f"view_{index}", True) for index, camera in enumerate(cameras)]
-    difference = measure_visibility(views, scene)
-    assert difference["pairs_seen_by_rays"] > 100_000
-    assert difference["only_depth_sees_share"] < 0.02
-    assert difference["only_rays_see_share"] < 0.03
-    accuracy = measure_accuracy(views, scene)
-    for statistic in ("minimum", "median", "maximum"):
-        assert accuracy["depth_bilinear"][statistic] < 0.06
-        difference = abs(accuracy["depth_bilinear"][statistic] - accuracy["trace_bilinear"][statistic])
-        assert difference < 2e-3
-    # why colours are interpolated: a fetch from the nearest pixel feigns highlights
-    feigned = "share_with_false_range_over_0.3"
-    assert accuracy["depth_bilinear"][feigned] < 0.5 * accuracy["depth_nearest"][feigned]

@@ -32,7 +32,7 @@ from datagen.rendering.sample_budget import (
     SampleBudget,
     estimate_error,
 )
-from tests.datagen.rendering_scenes import configure, renderer
+from oracles.rendering_scenes import configure, renderer
 from tests.datagen.test_rendering_renderer import CAMERAS, LIGHTS, OBJECTS, box_room, digest
 
 # ---------------------------------------------------------------------- recipes

@@ -19,7 +19,7 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
 from datagen.rendering.renderer import SceneRenderer
-from tests.datagen.rendering_scenes import GREY, SmallScene, down_camera, quad, renderer
+from oracles.rendering_scenes import GREY, SmallScene, down_camera, quad, renderer
 from tests.datagen.test_rendering_depth import closed_room
 from tests.datagen.test_rendering_renderer import digest
 from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, walled_room

@@ -14,7 +14,7 @@ from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.rendering.renderer import SceneRenderer
-from tests.datagen.rendering_scenes import SmallScene, quad, renderer
+from oracles.rendering_scenes import SmallScene, quad, renderer
 from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, SKY, walled_room
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

@@ -30,7 +30,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
-from tests.datagen.rendering_scenes import GREY, SmallScene, configure, down_camera, quad, renderer
+from oracles.rendering_scenes import GREY, SmallScene, configure, down_camera, quad, renderer
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
@@ -183,7 +183,7 @@ def environment_package(root: Path, pixels: np.ndarray) -> str:
     """A material package that carries an environment image, since any package may; returns its id."""
     from datagen.formats.asset import Material, MaterialAsset
     from datagen.formats.package import write_package
-    from tests.datagen.rendering_scenes import CC0
+    from oracles.rendering_scenes import CC0
 
     root.mkdir(parents=True, exist_ok=True)
     path = root / "image.exr"

@@ -23,8 +23,8 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.exr import to_storage
 from datagen.rendering.denoiser import OidnDenoiser, auxiliary_albedo
 from datagen.rendering.renderer import RenderedView, SceneRenderer, view_seed
+from oracles.rendering_scenes import GREY, SmallScene, box, placed, quad, renderer
 from tests.conftest import REPOSITORY
-from tests.datagen.rendering_scenes import GREY, SmallScene, box, placed, quad, renderer
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 

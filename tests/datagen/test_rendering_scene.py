@@ -23,16 +23,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.library import Library
 from datagen.rendering.renderer import RenderedView, RenderError, SceneRenderer
 from datagen.rendering.scene_builder import build_scene
-from tests.datagen.rendering_scenes import (
-    GREY,
-    SmallScene,
-    box,
-    configure,
-    down_camera,
-    placed,
-    quad,
-    renderer,
-)
+from oracles.rendering_scenes import GREY, SmallScene, box, configure, down_camera, placed, quad, renderer
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 

@@ -15,7 +15,7 @@ from datagen.formats.lights import AreaLight, EnvironmentLight, SkyLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.rendering.renderer import SceneRenderer
-from tests.datagen.rendering_scenes import GREY, SmallScene, quad, renderer
+from oracles.rendering_scenes import GREY, SmallScene, quad, renderer
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 

@@ -29,7 +29,7 @@ from datagen.inspection.checks import firefly_mask
 from datagen.inspection.findings import CHECKS
 from datagen.inspection.verify import expected_roughness, verify_command, verify_dataset
 from datagen.multiview.statistics import StatisticsView, compute_statistics
-from tests.datagen.multiview_scenes import make_views
+from oracles.multiview_scenes import make_views
 
 View = dict[str, np.ndarray]
 SIZE = (128, 90)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.mitsuba_plugins.bsdf_probe import ANGLES_RAD, EPS, ROUGHNESS, array, dr, mi, unit_float32, vector
-from tests.oracles import brdf as oracle
+from oracles import brdf as oracle
+from oracles.bsdf_probe import ANGLES_RAD, EPS, ROUGHNESS, array, dr, mi, unit_float32, vector
 
 from mitsuba_plugins import beckmann  # isort: skip  (after the variant is chosen)
 

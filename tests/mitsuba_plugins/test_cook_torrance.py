@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.mitsuba_plugins.bsdf_probe import (
+from oracles import brdf as oracle
+from oracles.bsdf_probe import (
     ANGLES_RAD,
     EPS,
     ROUGHNESS,
@@ -21,7 +22,6 @@ from tests.mitsuba_plugins.bsdf_probe import (
     unit_float32,
     vector,
 )
-from tests.oracles import brdf as oracle
 
 # Largest error in eps, divided by 1 + x with x = tan^2(theta_h) / alpha^2, the exponent of D. The value's is
 # larger than the density's because Fresnel's fifth power multiplies the rounding of 1 - cos by five.

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.mitsuba_plugins.bsdf_probe import dr, mi, vector
-from tests.oracles import brdf as oracle
+from oracles import brdf as oracle
+from oracles.bsdf_probe import dr, mi, vector
 
 from mitsuba.chi2 import ChiSquareTest, SphericalDomain  # isort: skip  (needs the variant)
 

@@ -10,7 +10,7 @@ import pytest
 
 from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS
 from datagen.foundation.errors import InputError
-from tests.mitsuba_plugins.bsdf_probe import array, dr, mi
+from oracles.bsdf_probe import array, dr, mi
 
 from mitsuba_plugins.material_buffers import CHANNELS, render_material_buffers  # isort: skip
 from mitsuba_plugins.surface_material import SceneMaterials, number_shapes  # isort: skip

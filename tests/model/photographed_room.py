@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from datagen.formats.capture import Capture, CaptureView, ColorImage
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
-from tests.model.textured_room import geometry_of, materials_at, room_cameras, room_mesh, uv_of_pixels
+from oracles.textured_room import geometry_of, materials_at, room_cameras, room_mesh, uv_of_pixels
 
 SIZE = (320, 220)
 

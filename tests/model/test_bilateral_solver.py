@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from model.bilateral_solver import SolverConfig, bilateral_solve, build_grid, guide_yuv, solve
-from tests.oracles import bilateral_dense
+from oracles import bilateral_dense
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR tensor support is in beta")
 EXACT = SolverConfig(sigma_xy=4.0, sigma_luma=16.0, sigma_chroma=12.0, tolerance=1e-13, max_iterations=2000)

@@ -22,8 +22,8 @@ from datagen.formats.lights import PointLight
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.render.relight import RelightOptions, render_asset
+from oracles.textured_room import room_capture
 from tests.conftest import REPOSITORY
-from tests.model.textured_room import room_capture
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 needs_bpy = pytest.mark.skipif(

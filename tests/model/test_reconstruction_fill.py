@@ -21,7 +21,7 @@ from model.reconstruction.geometry.traced import TracedGeometry, face_normals
 from model.reconstruction.merge.fill import fill_unseen, nearest_labels
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
 from model.reconstruction.unwrap.charts import chart_of_faces
-from tests.model.textured_room import geometry_of, room_mesh
+from oracles.textured_room import geometry_of, room_mesh
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 SIZE = 96

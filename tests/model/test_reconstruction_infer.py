@@ -37,8 +37,8 @@ from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.render.relight import Insertion, RelightOptions, render_asset, write_renders
+from oracles.textured_room import room_capture
 from tests.model.rendered_capture import SIZE, make_shard
-from tests.model.textured_room import room_capture
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 SAMPLES = 64

@@ -29,6 +29,7 @@ from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures.mesh_file import load_mesh, sound_mesh
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
+from oracles.textured_room import materials_at, room_capture, room_mesh
 from tests.model.photographed_room import (
     Photograph,
     photographed_room,
@@ -37,7 +38,6 @@ from tests.model.photographed_room import (
     with_mesh,
     with_view,
 )
-from tests.model.textured_room import materials_at, room_capture, room_mesh
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 ATLAS = 96
@@ -284,7 +284,7 @@ from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from tests.model.photographed_room import with_mesh
 from tests.model.test_reconstruction_robustness import large_room
-from tests.model.textured_room import room_capture
+from oracles.textured_room import room_capture
 
 mesh = large_room(int(sys.argv[2]))
 start = time.process_time()

@@ -18,7 +18,7 @@ from model.reconstruction.infer import InferOptions, infer, map_stages
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps, GivenMaps
 from model.reconstruction.stages import Maps, Run
-from tests.model.textured_room import room_capture
+from oracles.textured_room import room_capture
 
 OPTIONS = InferOptions(atlas=64, has_exr=False, is_checked=False)
 PREDICTED = replace(TRUTH, identity="as if predicted", is_predicted=True)

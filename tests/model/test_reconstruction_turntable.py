@@ -21,7 +21,7 @@ from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.render.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
 from model.reconstruction.render.turntable import TurntableOptions, way_cameras, write_turntable
-from tests.model.textured_room import room_cameras, room_capture
+from oracles.textured_room import room_cameras, room_capture
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 LAMP = PointLight(name="lamp", position_m=(2.1, 1.4, 2.2), intensity=(5.0, 5.0, 4.0))

@@ -12,8 +12,8 @@ from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.geometry.traced import face_normals
 from model.reconstruction.unwrap import uv as uv_module
 from model.reconstruction.unwrap.uv import own_uv_fault, shelf_packed, triangle_sheet, unwrapped
+from oracles.textured_room import room_mesh
 from tests.datagen.small_library import room_shapes, with_uv
-from tests.model.textured_room import room_mesh
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 

@@ -11,8 +11,8 @@ import torch
 
 from model import shading
 from model.training import conditions
-from tests.oracles import brdf
-from tests.oracles import spherical_gaussians as oracle
+from oracles import brdf
+from oracles import spherical_gaussians as oracle
 
 
 def _directions(count: int, seed: int, min_cos: float = 0.02) -> np.ndarray:
@@ -99,7 +99,7 @@ def test_brdf_against_the_oracle(dtype, tolerance):
 
 def test_brdf_agrees_with_the_renderer():
     """The Dr.Jit plugin and the torch BRDF on the same grid, to 1e-4 relative."""
-    from tests.mitsuba_plugins import bsdf_probe as probe
+    from oracles import bsdf_probe as probe
 
     d, s, r, n, o, i = _angle_grid(torch.float32)
     plugin = probe.material(d.numpy(), s.numpy(), r[:, 0].numpy(), len(r))

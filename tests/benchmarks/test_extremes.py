@@ -26,9 +26,9 @@ from datagen.foundation.color import exposure_for, linear_from_log, log_from_lin
 from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
 from datagen.rendering.error import relative_mse
-from tests.datagen.multiview_scenes import make_views
+from oracles.multiview_scenes import make_views
+from oracles.statistics import statistics_vectorized
 from tests.datagen.test_multiview_statistics import disagreement, oracle_options
-from tests.oracles.statistics import statistics_vectorized
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 EPS = float(np.finfo(np.float32).eps)

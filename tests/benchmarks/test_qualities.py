@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: MIT
+"""How the qualities' excess over fixed sample counts is judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks.bench_qualities import excesses
+from datagen.tradeoff.selection import points_of
+from datagen.tradeoff.sweep import Sweep
+from tests.datagen.small_plan import plan_small
+from tests.datagen.test_tradeoff import OPTIONS, point
+
+
+def test_excess_of_qualities_is_held_against_fixed_counts() -> None:
+    fixed = [replace(point(k, 0.1 / k, path_samples=k), path_samples=float(k)) for k in (2, 8, 32)]
+    clever = replace(point(6.0, 0.1 / 8, quality="standard"), path_samples=4.0)
+    assert excesses([*fixed, clever]) == {
+        "standard": {"path_samples": pytest.approx(0.5), "cpu_s": pytest.approx(0.75)}
+    }
+
+
+@pytest.mark.slow
+def test_qualities_lie_on_the_front_of_two_rooms_that_differ(tmp_path: Path) -> None:
+    """In light paths: at this size a view's time is that of starting kernels, not of tracing."""
+    folder = plan_small(tmp_path / "plan", tmp_path / "library", num_units=2, num_views=3).root
+    options = replace(
+        OPTIONS,
+        configurations=(0, 1),
+        size=(64, 48),
+        reference_samples=1024,
+        sweeps=("path_samples=2,4,8,16,32,64,128", "quality=draft,standard"),
+    )
+    found = excesses(points_of(Sweep(folder, tmp_path / "out", options).run()))
+    assert set(found) == {"draft", "standard"}
+    # two rooms of one kind: a pass doubles the samples, so that up to twice as many are taken as were needed
+    assert all(quality["path_samples"] < 2.0 for quality in found.values()), found
