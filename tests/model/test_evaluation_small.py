@@ -14,10 +14,11 @@ from PIL import Image
 
 from model.checkpoint import DataRecord, bundled_checkpoint, read_card
 from model.evaluation.evaluate import Evaluation, evaluate
+from model.evaluation.measure_tables import measure_tables
 from model.evaluation.noise import bootstrap_error
 from model.evaluation.results import MethodResult
 from model.evaluation.room import plan_scene
-from model.evaluation.suite import MapsMethod, Suite, read_suite
+from model.evaluation.suite import MapsMethod, Suite, TruthMethod, read_suite
 from model.evaluation.writing import is_written, write_results
 from tests.conftest import REPOSITORY
 
@@ -157,6 +158,34 @@ def test_maps_of_another_method_are_judged_like_ours(
     lost.unlink()
     faulty = evaluate(suite.model_copy(update={"methods": (other,)}), cache)
     assert lost.stem in faulty.result.failures["small-room"] and not faulty.result.scenes
+
+
+def test_cameras_and_seeds_go_the_whole_way(small: tuple[Suite, Evaluation], cache: Path) -> None:
+    """Texture on photographs of a phone differs from that on rendered ones; the truth is judged once, and
+    rendered apart from the photographs; a second seed says how far its figures can be trusted."""
+    suite, evaluation = small
+    methods = tuple(method for method in suite.methods if method.kind == "texture")
+    changes = {
+        "methods": (*methods, TruthMethod(name="truth", kind="truth")),
+        "camera": ("phone",),
+        "truth": suite.render,
+        "seed_views": 1,
+    }
+    (scene,) = evaluate(suite.model_copy(update=changes), cache).result.scenes
+    assert [method.label for method in scene.methods] == ["texture", "truth", "texture (phone)"]
+    plain, truth, phone = scene.methods
+    assert plain.maps_merged == pytest.approx(_methods(evaluation)["texture"].maps_merged, rel=0.05)
+    assert phone.maps_merged != pytest.approx(plain.maps_merged, rel=1e-3)
+    assert phone.maps_per_view != pytest.approx(plain.maps_per_view, rel=1e-3)
+    assert Path(phone.folder).name.startswith("texture-phone-")
+    assert "own" in scene.renders
+    assert truth.images["own"]["input"]["psnr_srgb_db"] > plain.images["own"]["input"]["psnr_srgb_db"] + 5
+    assert 0 < truth.seed_spread["own"]["psnr_srgb_db"] < 5
+    tables = measure_tables(evaluation.result.model_copy(update={"scenes": (scene,)}))
+    assert [row[:3] for table in tables if table.name == "cameras" for row in table.rows] == [
+        ("small-room", "texture", "as rendered"),
+        ("small-room", "texture", "phone"),
+    ]
 
 
 def test_a_scene_that_fails_leaves_the_others_whole(
