@@ -315,6 +315,7 @@ def _reconstruct(
             is_filtered=method.is_filtered,
             weights=method.weights,
             is_leveled=method.is_leveled,
+            materials=method.materials,
         )
     else:
         assert not isinstance(method, TruthMethod)

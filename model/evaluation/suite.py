@@ -20,6 +20,7 @@ from model.checkpoint import bundled_checkpoint
 from model.evaluation.camera_faults import CameraFaults, chosen_cameras
 from model.evaluation.mesh_errors import GeometryError
 from model.evaluation.room import TestScene
+from model.reconstruction.infer_options import Materials
 from model.reconstruction.merge.merger import Weights
 
 BUNDLED = "bundled"
@@ -32,13 +33,14 @@ class _Method(StrictModel):
 
 class NetworkMethod(_Method):
     """A checkpoint. One that is not there is left out of the tables, and they say so. ``weights`` of the
-    medians over views and ``is_leveled`` as for ``materials infer``."""
+    medians over views, ``is_leveled`` and ``materials`` as for ``materials infer``."""
 
     kind: Literal["network"]
     checkpoint: str = BUNDLED
     is_filtered: bool = True
     weights: Weights = "none"
     is_leveled: bool = True
+    materials: Materials = "both"
 
 
 class TextureMethod(_Method):

@@ -62,6 +62,9 @@ def infer(
         str,
         typer.Option("--weights", help="Of the medians over views: none, angle, distance, confidence, all."),
     ] = "none",
+    materials: Annotated[
+        str, typer.Option("--materials", help="From the network, from light, or both.")
+    ] = "both",
     precision: Annotated[str, typer.Option("--precision", help="auto, float32 or bfloat16.")] = "auto",
     device: Annotated[str, typer.Option("--device", help="cpu or cuda, for the networks.")] = "cpu",
     no_filter: Annotated[bool, typer.Option("--no-filter", help="Leave the bilateral solver out.")] = False,
@@ -90,6 +93,7 @@ def infer(
     choices: dict[str, tuple[str, tuple[str, ...]]] = {
         "--visibility": (visibility, ("depth", "trace")),
         "--precision": (precision, ("auto", "float32", "bfloat16")),
+        "--materials": (materials, ("network", "light", "both")),
         "--weights": (weights, ("none", "angle", "distance", "confidence", "all")),
     }
     check_choices(choices)
@@ -100,6 +104,7 @@ def infer(
     )
     source: MapSource = TRUTH if truth else CheckpointMaps(checkpoint or bundled_checkpoint())
     doing: dict[str, Any] = {"visibility": visibility, "precision": precision, "weights": weights}
+    doing["materials"] = materials
     options = InferOptions(
         atlas="auto" if atlas == "auto" else int(atlas),
         is_filtered=not no_filter,

@@ -38,6 +38,7 @@ from model.reconstruction.geometry.traced import TracedGeometry, face_normals, s
 from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
+from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
@@ -116,7 +117,8 @@ def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
     """What happens to maps between prediction and merge, in order."""
     if not source.is_predicted:
         return []
-    return [leveled] if options.is_leveled else []
+    stages: list[MapStage] = [leveled] if options.is_leveled else []
+    return stages if options.materials == "network" else [*stages, lit]
 
 
 def _claim(capture: Capture, source: MapSource, run: Run) -> None:

@@ -13,6 +13,7 @@ from datagen.foundation.errors import input_error
 from model.reconstruction.merge.merger import Weights
 
 Progress = Callable[[str, int, int], None]
+Materials = Literal["network", "light", "both"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class InferOptions:
     whether the mesh is compared with the photographs first. ``weights`` of the medians over views, see
     :class:`MergeOptions`; confidence takes the checkpoint's. ``is_leveled``:
     whether predicted diffuse albedo takes its level from the light between the surfaces
-    (``albedo_level``)."""
+    (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
+    alone, or both, the network's as the prior (``light``)."""
 
     atlas: int | Literal["auto"] = "auto"
     visibility: Literal["depth", "trace"] = "depth"
@@ -34,6 +36,7 @@ class InferOptions:
     jobs: int = 2
     weights: Weights = "none"
     is_leveled: bool = True
+    materials: Materials = "both"
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
@@ -56,6 +59,7 @@ class InferReport:
     precision: str = ""
     is_filtered: bool = False
     albedo_level: dict[str, Any] = field(default_factory=dict)
+    light: dict[str, Any] = field(default_factory=dict)
     gltf_error: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

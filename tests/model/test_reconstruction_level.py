@@ -199,7 +199,9 @@ def test_inference_corrects_the_atlas_and_keeps_the_views(tmp_path: Path) -> Non
         ("without", False, np.inf),
         ("clipped", True, 0.6),
     ):
-        options = InferOptions(atlas=128, is_leveled=is_leveled, is_checked=False, has_exr=False)
+        options = InferOptions(
+            atlas=128, is_leveled=is_leveled, materials="network", is_checked=False, has_exr=False
+        )
         reports[name] = infer(
             box_capture(white), tmp_path / name, CheckpointMaps(tmp_path / "random.safetensors"), options
         )

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""Errors of the views' maps from the network, with its level, and from light: one row a room and method.
+
+    python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
+
+Renders the scenes of a suite, or takes them from the cache of ``materials evaluate``, and predicts the maps
+of their first so many photographs with the bundled network. Mean squared errors are over all surface pixels,
+and over those of metal (S above 0.2), of white (D above 0.6) and of glossy surfaces (R below 0.4). Sheets,
+one a room, show D of the network, from light and true, and R from light and true, of three views.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import srgb_from_linear
+from mitsuba_plugins.variant import select_variant
+from model.checkpoint import bundled_checkpoint
+from model.evaluation.room import prepare_scene
+from model.evaluation.suite import read_suite
+from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.geometry.views import TracedCapture, trace_capture
+from model.reconstruction.infer_options import InferOptions, InferReport
+from model.reconstruction.level.stage import leveled
+from model.reconstruction.light.map_stage import lit
+from model.reconstruction.predict.sources import CheckpointMaps
+from model.reconstruction.stages import Maps, Run
+
+NAMES = ("diffuse_albedo", "specular_albedo", "roughness")
+ALONG = 3
+"""Every third pixel along both axes is measured."""
+
+
+def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
+    """Mean squared errors of D, S and R by kind of surface."""
+    stacks = [
+        np.concatenate([np.concatenate([m[n][::ALONG, ::ALONG].reshape(-1, m[n].shape[2]) for n in NAMES], 1)
+                        for m in of]).astype(np.float64)
+        for of in (maps, truth)
+    ]  # fmt: skip
+    on_surface = np.concatenate([t["surface_mask"][::ALONG, ::ALONG].ravel() for t in truth]) > 0.5
+    found, true = (stack[on_surface] for stack in stacks)
+    kinds = {
+        "all": np.ones(len(true), dtype=bool),
+        "metal": true[:, 3:6].mean(axis=1) > 0.2,
+        "white": true[:, :3].mean(axis=1) > 0.6,
+        "glossy": true[:, 6] < 0.4,
+    }
+    cells = []
+    for chosen in kinds.values():
+        error = (found[chosen] - true[chosen]) ** 2
+        parts = [error[:, a:b].mean() if len(error) else np.nan for a, b in ((0, 3), (3, 6), (6, 7))]
+        cells.append(" ".join(f"{part:.4f}" for part in parts))
+    return " | ".join(cells)
+
+
+def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
+    """D of the network, from light and true, R from light and true, of views a quarter of all apart."""
+    from PIL import Image
+
+    def tile(maps: dict[str, NDArray], name: str) -> NDArray:
+        values = np.clip(np.asarray(maps[name][::2, ::2], np.float64), 0, 1)
+        shown = srgb_from_linear(values) if name == NAMES[0] else np.repeat(values, 3, axis=2)
+        return np.round(255 * shown).astype(np.uint8)
+
+    diffuse, _, roughness = NAMES
+    lines = []
+    for k in (len(truth) // 4, len(truth) // 2, 3 * len(truth) // 4):
+        shown = [
+            (network, diffuse),
+            (light, diffuse),
+            (truth, diffuse),
+            (light, roughness),
+            (truth, roughness),
+        ]
+        lines.append(np.hstack([tile(maps[k], name) for maps, name in shown]))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.vstack(lines)).save(path, quality=88)
+
+
+def rows(traced: TracedCapture, run: Run, sheet: Path | None) -> None:
+    """Print the rows of a room."""
+    truth = [view.source.read_maps((*NAMES, "surface_mask")) for view in traced.capture.views]
+    name = f"{traced.capture.name} | {len(truth)}"
+    source = CheckpointMaps(bundled_checkpoint())
+    source.prepare(run.options)
+    network = maps = source.maps(traced, run)
+    print(f"{name} | network | {measured(maps, truth)}", flush=True)
+    maps = leveled(traced, maps, run)
+    print(f"{name} | network, level | {measured(maps, truth)}", flush=True)
+    maps = lit(traced, maps, run)
+    light = run.report.light
+    print(f"{name} | light | {measured(maps, truth)}", flush=True)
+    print(f"  light: {run.report.seconds['light']:.0f} s, {light['num_surfels']} surfels, "
+          f"{light['photographed_share']:.2f} of their light photographed", flush=True)  # fmt: skip
+    if sheet is not None:
+        draw_sheet(sheet / f"{traced.capture.name}.jpg", network, maps, truth)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("suite", type=Path)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--rooms", nargs="*", help="scenes of the suite, all unless named")
+    parser.add_argument("--views", type=int, nargs="*", default=[4096], help="the first so many photographs")
+    parser.add_argument("--sheet", type=Path, help="folder for pictures")
+    options = parser.parse_args()
+    select_variant()
+    print("room | views | method | all D S R | metal | white | glossy")
+    for scene in read_suite(options.suite).scenes:
+        if options.rooms and scene.name not in options.rooms:
+            continue
+        prepared = prepare_scene(scene, options.cache)
+        reading = CaptureOptions(library=prepared.library, max_width_px=scene.resolution[0])
+        capture = read_capture(prepared.capture, reading)
+        photographs = tuple(view for view in capture.views if view.name in prepared.input_names)
+        for count in options.views:
+            chosen = replace(capture, views=photographs[:count])
+            out = options.cache / "light" / f"{prepared.capture.stem}-{len(chosen.views)}"
+            (out / "views").mkdir(parents=True, exist_ok=True)
+            report = InferReport(chosen.name, len(chosen.views), len(chosen.geometry.mesh.faces))
+            run = Run(out, InferOptions(materials="both"), report, lambda *_: None)
+            rows(trace_capture(chosen), run, options.sheet)
+
+
+if __name__ == "__main__":
+    main()

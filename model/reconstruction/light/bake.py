@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: MIT
+"""Shading of surfels in a radiance field: irradiance, and the specular part of each observation.
+
+With the project's BRDF and Schlick's Fresnel term, an observation of a point is
+
+    L = (1 - S) D Ld + S Ls0(R) + Ls1(R),       Ld = E / pi,
+    Ls0 = mean of L_in G1(wo) (1 - f),  Ls1 = mean of L_in G1(wo) f,  f = (1 - wi.h)^5,
+
+over half vectors h drawn from the visible normals of roughness R (Heitz & d'Eon 2014), wo the mirror image of
+wi about h. Emitters are sampled too, and both ways of sampling are combined by the balance heuristic (Veach
+1997). Samples of a point are a rank-1 lattice with a shift of its own, so that results depend on the number
+of a point and on nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.multiview.visibility import vectors_from_rows
+from mitsuba_plugins.beckmann import (
+    alpha_from_roughness,
+    beckmann_d,
+    sample_visible_normal,
+    smith_g1,
+    smith_g1_over_cos,
+)
+from model.reconstruction.light.emitters import EmitterSampler
+from model.reconstruction.light.radiance_field import RadianceField
+
+GOLDEN = 0.6180339887498949
+MIN_COSINE = 0.02
+"""Of a view's direction: one below the surface's horizon, as bumpy normals have it, is lifted to it."""
+_START = 2e-4  # of the diagonal: distance of a ray's origin from the surface
+_SHADOW = 1e-3  # of the distance to an emitter that a shadow ray leaves out
+
+
+@dataclass(frozen=True)
+class Irradiance:
+    """``diffuse`` (N, 3): Ld = E / pi of all known light; ``known`` (N,) share of the cosine-weighted
+    hemisphere whose radiance is known or estimated, ``photographed`` (N,) that photographs show."""
+
+    diffuse: NDArray[np.float32]
+    known: NDArray[np.float32]
+    photographed: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SpecularShading:
+    """``ls0`` and ``ls1`` (K, 3), ``known`` and ``photographed`` (K,) as in :class:`Irradiance`, of the
+    lobe."""
+
+    ls0: NDArray[np.float32]
+    ls1: NDArray[np.float32]
+    known: NDArray[np.float32]
+    photographed: NDArray[np.float32]
+
+
+class Baker:
+    """Bakes points of a radiance field. ``size_m``: diagonal of the room."""
+
+    def __init__(self, field: RadianceField, size_m: float):
+        self.field = field
+        self.start_m = _START * size_m
+        self._sampler = EmitterSampler(field.emitters)
+
+    def irradiance(self, position_m: NDArray, normal: NDArray, num_rays: int, seed: int = 0) -> Irradiance:
+        """Of points (N, 3) with unit normals (N, 3), by ``num_rays`` rays each."""
+        import drjit as dr
+        import mitsuba as mi
+
+        if not len(position_m):
+            empty = np.zeros(0, np.float32)
+            return Irradiance(np.zeros((0, 3), np.float32), empty, empty)
+        n = vectors_from_rows(normal)
+        p = mi.Point3f(vectors_from_rows(position_m)) + n * self.start_m
+        lane = dr.arange(mi.UInt32, len(position_m))
+        total, known, photographed = _irradiance_loop(
+            self, p, mi.Frame3f(n), lane, dr.opaque(mi.UInt32, num_rays), dr.opaque(mi.UInt32, seed)
+        )
+        scale = 1.0 / num_rays
+        total, known, photographed = total * scale, known * scale, photographed * scale
+        dr.eval(total, known, photographed)
+        return Irradiance(_rows(total), np.array(known.numpy()), np.array(photographed.numpy()))
+
+    def specular(
+        self,
+        position_m: NDArray,
+        normal: NDArray,
+        view: NDArray,
+        roughness: NDArray,
+        num_rays: int,
+        seed: int = 0,
+    ) -> SpecularShading:
+        """Of observations: points (K, 3), normals (K, 3), unit directions to the cameras (K, 3) and
+        ``roughness`` (K,)."""
+        import drjit as dr
+        import mitsuba as mi
+
+        if not len(position_m):
+            empty, rows = np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
+            return SpecularShading(rows, rows, empty, empty)
+        n = vectors_from_rows(normal)
+        frame = mi.Frame3f(n)
+        p = mi.Point3f(vectors_from_rows(position_m)) + n * self.start_m
+        wi = frame.to_local(vectors_from_rows(view))
+        wi.z = dr.maximum(wi.z, MIN_COSINE)
+        wi = dr.normalize(wi)
+        alpha = alpha_from_roughness(mi.Float(np.ascontiguousarray(roughness, np.float32)))
+        lane = dr.arange(mi.UInt32, len(position_m))
+        ls0, ls1, known, photographed = _specular_loop(
+            self, p, frame, wi, alpha, lane, dr.opaque(mi.UInt32, num_rays), dr.opaque(mi.UInt32, seed)
+        )
+        scale = 1.0 / num_rays
+        ls0, ls1, known, photographed = ls0 * scale, ls1 * scale, known * scale, photographed * scale
+        dr.eval(ls0, ls1, known, photographed)
+        return SpecularShading(
+            _rows(ls0), _rows(ls1), np.array(known.numpy()), np.array(photographed.numpy())
+        )
+
+    def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
+        """A point of an emitter: local direction, radiance where it is visible, density by solid angle, and
+        whether it counts."""
+        import drjit as dr
+        import mitsuba as mi
+
+        point, normal, radiance, area_pdf = self._sampler.sample(sample_1, sample_2)
+        toward = point - p
+        distance2 = dr.maximum(dr.squared_norm(toward), 1e-12)
+        distance = dr.sqrt(distance2)
+        d = toward / distance
+        facing = -dr.dot(normal, d)
+        wo = frame.to_local(d)
+        counts = (facing > 1e-4) & (wo.z > 0)
+        ray = mi.Ray3f(p, d)
+        ray.maxt = distance * (1 - _SHADOW)
+        counts &= ~self.field.scene.ray_test(ray, counts)
+        pdf = area_pdf * distance2 / dr.maximum(facing, 1e-4)
+        return wo, dr.select(counts, radiance, 0.0), pdf, counts
+
+    def emitter_pdf(self, met: Any, ray: Any) -> Any:
+        """Density by solid angle at which :meth:`emitter_sample` finds what a ray met."""
+        import drjit as dr
+        import mitsuba as mi
+
+        is_emitter = met.is_front_of_emitter
+        area = dr.gather(mi.Float, self._sampler.area_pdf_of_face, met.face, is_emitter)
+        facing = dr.maximum(met.cosine, 1e-4)
+        return dr.select(is_emitter, area * dr.square(met.distance_m) / facing, 0.0)
+
+    @property
+    def samples_emitters(self) -> bool:
+        """Whether there are emitters to sample."""
+        return not self._sampler.is_empty
+
+
+def _rows(values: Any) -> NDArray[np.float32]:
+    return np.ascontiguousarray(np.asarray(values.numpy(), np.float32).reshape(3, -1).T)
+
+
+def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """Five numbers in [0, 1) of a point's sample: a rank-1 lattice with shifts of the point's own."""
+    import drjit as dr
+    import mitsuba as mi
+
+    a, b = mi.sample_tea_32(lane, seed)
+    c, d = mi.sample_tea_32(lane, seed + 7919)
+    e, _ = mi.sample_tea_32(lane, seed + 104729)
+    unit = 1.0 / 4294967296.0
+
+    def shifted(step: Any, shift: Any) -> Any:
+        value = step + mi.Float(shift) * unit
+        value -= dr.floor(value)
+        return dr.minimum(value, 1.0 - 6e-8)
+
+    i = mi.Float(index)
+    return (
+        shifted(i / mi.Float(count), a),
+        shifted(i * GOLDEN, b),
+        shifted(i * 0.7548776662466927, c),
+        shifted(i * 0.5698402909980532, d),
+        shifted(i * 0.8191725133961645, e),
+    )
+
+
+def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, seed: Any) -> tuple[Any, ...]:
+    import drjit as dr
+    import mitsuba as mi
+
+    def body(index, total, known, photographed):
+        u1, u2, u3, u4, u5 = _lattice(lane, index, count, seed)
+        wo = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2))
+        ray = mi.Ray3f(p, frame.to_world(wo))
+        met = baker.field.meet(ray, mi.Bool(True))
+        weight = mi.Float(1.0)
+        if baker.samples_emitters:
+            pdf = wo.z * dr.inv_pi
+            weight = pdf / dr.maximum(pdf + baker.emitter_pdf(met, ray), 1e-20)
+            direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
+            cosine_pdf = dr.maximum(direction.z, 0.0) * dr.inv_pi
+            light = cosine_pdf / dr.maximum(light_pdf + cosine_pdf, 1e-20)
+            total = total + dr.select(counts, radiance * light, 0.0)
+        total = total + met.radiance * weight
+        known = known + dr.select(met.is_known, 1.0, 0.0)
+        photographed = photographed + dr.select(met.is_photographed, 1.0, 0.0)
+        return index + 1, total, known, photographed
+
+    state = (mi.UInt32(0), mi.Color3f(0.0), mi.Float(0.0), mi.Float(0.0))
+    _, total, known, photographed = dr.while_loop(
+        state, lambda index, *_: index < count, body, label="bake_irradiance"
+    )
+    return total, known, photographed
+
+
+def _specular_loop(
+    baker: Baker, p: Any, frame: Any, wi: Any, alpha: Any, lane: Any, count: Any, seed: Any
+) -> tuple[Any, ...]:
+    import drjit as dr
+    import mitsuba as mi
+
+    def body(index, ls0, ls1, known, photographed):
+        u1, u2, u3, u4, u5 = _lattice(lane, index, count, seed)
+        h = sample_visible_normal(wi, alpha, mi.Point2f(u1, u2))
+        wo = mi.reflect(wi, h)
+        above = wo.z > 0
+        ray = mi.Ray3f(p, frame.to_world(wo))
+        met = baker.field.meet(ray, above)
+        f = _schlick(dr.dot(wi, h))
+        value = dr.select(above, smith_g1(wo, alpha), 0.0)
+        weight = mi.Float(1.0)
+        if baker.samples_emitters:
+            pdf = _lobe_pdf(wi, wo, h, alpha)
+            weight = pdf / dr.maximum(pdf + baker.emitter_pdf(met, ray), 1e-20)
+            direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
+            half = dr.normalize(wi + direction)
+            lobe = _lobe_pdf(wi, direction, half, alpha)
+            arriving = dr.select(
+                counts,
+                radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(light_pdf + lobe, 1e-20)),
+                0.0,
+            )
+            light_f = _schlick(dr.dot(wi, half))
+            ls0 = ls0 + arriving * (1.0 - light_f)
+            ls1 = ls1 + arriving * light_f
+        ls0 = ls0 + met.radiance * (value * weight * (1.0 - f))
+        ls1 = ls1 + met.radiance * (value * weight * f)
+        known = known + dr.select(met.is_known | ~above, 1.0, 0.0)
+        photographed = photographed + dr.select(met.is_photographed | ~above, 1.0, 0.0)
+        return index + 1, ls0, ls1, known, photographed
+
+    state = (mi.UInt32(0), mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Float(0.0))
+    _, ls0, ls1, known, photographed = dr.while_loop(
+        state, lambda index, *_: index < count, body, label="bake_specular"
+    )
+    return ls0, ls1, known, photographed
+
+
+def _schlick(cosine: Any) -> Any:
+    """(1 - wi.h)^5."""
+    import drjit as dr
+
+    m = dr.clip(1.0 - cosine, 0.0, 1.0)
+    return dr.square(dr.square(m)) * m
+
+
+def _lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:
+    """Density by solid angle of ``wo`` when half vectors are drawn from the visible normals:
+    D(h) G1(wi) / (4 cos_i)."""
+    import drjit as dr
+
+    valid = (h.z > 0) & (wo.z > 0)
+    return dr.select(valid, 0.25 * beckmann_d(h, alpha) * smith_g1_over_cos(wi, alpha), 0.0)

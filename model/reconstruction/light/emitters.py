@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: MIT
+"""Emitters of a room: triangles that shine, the radiance that photographs show of them, and their sampling.
+
+The geometry of a capture may name its emitters; others are found where the radiance of a surface is beyond
+what any albedo below 1 explains (:func:`found_emitters`). The triangles of one smooth region are one emitter,
+whose radiance is the median of its pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.geometry.traced import seen_sides
+from model.reconstruction.geometry.views import TracedView
+
+MIN_PIXELS = 4
+"""Pixels of an emitter without which its radiance is that of its neighbours."""
+
+
+@dataclass(frozen=True)
+class Emitters:
+    """``of_face`` (M,) emitter of each triangle, -1 for none; ``radiance`` (K, 3); ``side_of_face`` (M,) 1 or
+    -1, the side of the triangle that shines; ``triangles`` (T,) those that emit, ``vertices`` (T, 3, 3) in
+    metres and ``power`` (T,) area times luminance, for sampling."""
+
+    of_face: NDArray[np.int32]
+    radiance: NDArray[np.float32]
+    side_of_face: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float32]
+    power: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.radiance)
+
+
+def photographed_emitters(
+    views: Sequence[TracedView], mesh: Mesh, emits: NDArray[np.bool_], region_of_face: NDArray[np.int32]
+) -> Emitters:
+    """The emitters of triangles where ``emits`` (M,). Those that no photograph shows have radiance 0."""
+    of_face = np.full(len(mesh.faces), -1, np.int32)
+    if not emits.any():
+        none = np.zeros(0, np.float32)
+        sides = np.ones(len(mesh.faces), np.float32)
+        return Emitters(
+            of_face, none.reshape(0, 3), sides, np.zeros(0, np.int32), none.reshape(0, 3, 3), none
+        )
+    regions, of_face[emits] = np.unique(region_of_face[emits], return_inverse=True)
+    colors: list[list[NDArray]] = [[] for _ in regions]
+    for view in views:
+        face = view.geometry.face.ravel()
+        pixel = np.flatnonzero((face >= 0) & view.valid_mask.ravel())
+        emitter = of_face[face[pixel]]
+        pixel, emitter = pixel[emitter >= 0], emitter[emitter >= 0]
+        for which in np.unique(emitter):
+            colors[which].append(view.color.reshape(-1, 3)[pixel[emitter == which]])
+    radiance = np.zeros((len(regions), 3), np.float32)
+    for which, parts in enumerate(colors):
+        if sum(len(part) for part in parts) >= MIN_PIXELS:
+            radiance[which] = np.median(np.concatenate(parts), axis=0)
+    sides = seen_sides([view.geometry for view in views], len(mesh.faces))
+    triangles = np.flatnonzero(emits).astype(np.int32)
+    vertices = mesh.positions[mesh.faces[triangles]].astype(np.float32)
+    cross = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    power = area * (radiance @ LUMINANCE_WEIGHTS)[of_face[triangles]]
+    return Emitters(of_face, radiance, sides, triangles, vertices, power.astype(np.float32))
+
+
+def described(emitters: Emitters) -> list[dict[str, Any]]:
+    """For a report: middle, area and radiance of each emitter that photographs show."""
+    found = []
+    cross = np.cross(
+        emitters.vertices[:, 1] - emitters.vertices[:, 0], emitters.vertices[:, 2] - emitters.vertices[:, 0]
+    )
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    middle = emitters.vertices.mean(axis=1)
+    for which, radiance in enumerate(emitters.radiance):
+        mine = emitters.of_face[emitters.triangles] == which
+        total = float(area[mine].sum())
+        if total <= 0 or not radiance.any():
+            continue
+        place = (middle[mine] * area[mine, None]).sum(axis=0) / total
+        found.append(
+            {
+                "place_m": [round(float(v), 4) for v in place],
+                "area_m2": round(total, 6),
+                "radiance": [round(float(v), 5) for v in radiance],
+            }
+        )
+    return found
+
+
+class EmitterSampler:
+    """Draws points of emitters by power, on the device."""
+
+    def __init__(self, emitters: Emitters):
+        import drjit as dr
+        import mitsuba as mi
+
+        self.is_empty = not len(emitters) or float(emitters.power.sum()) <= 0
+        if self.is_empty:
+            return
+        used = emitters.power > 0
+        triangles = emitters.triangles[used]
+        vertices = emitters.vertices[used].astype(np.float64)
+        side = emitters.side_of_face[triangles].astype(np.float64)
+        cross = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
+        double_area = np.linalg.norm(cross, axis=1)
+        self._distribution = mi.DiscreteDistribution(mi.Float(emitters.power[used].astype(np.float32)))
+
+        def upload(rows: NDArray) -> Any:
+            return mi.Float(np.ascontiguousarray(rows, np.float32).ravel())
+
+        self._corner = upload(vertices[:, 0])
+        self._edge_u = upload(vertices[:, 1] - vertices[:, 0])
+        self._edge_v = upload(vertices[:, 2] - vertices[:, 0])
+        self._normal = upload(cross / double_area[:, None] * side[:, None])
+        radiance = emitters.radiance[emitters.of_face[triangles]]
+        self._radiance = upload(radiance)
+        luminance = np.maximum(radiance @ LUMINANCE_WEIGHTS, 1e-20)
+        total = float(emitters.power[used].astype(np.float64).sum())
+        self._area_pdf = upload(luminance / total)  # power / total / area
+        #: density by area of a point of a triangle of the mesh, for rays that hit it by chance
+        by_face = np.zeros(len(emitters.of_face), np.float32)
+        by_face[triangles] = luminance / total
+        self.area_pdf_of_face = mi.Float(by_face)
+        dr.eval(self._corner, self._edge_u, self._edge_v, self._normal, self._radiance, self._area_pdf)
+
+    def sample(self, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
+        """Point, normal, radiance and density by area [1/m^2]."""
+        import drjit as dr
+        import mitsuba as mi
+
+        index = self._distribution.sample(sample_1)
+        root = dr.sqrt(sample_2.x)
+        u, v = 1.0 - root, root * sample_2.y
+        point = (
+            dr.gather(mi.Point3f, self._corner, index)
+            + dr.gather(mi.Vector3f, self._edge_u, index) * u
+            + dr.gather(mi.Vector3f, self._edge_v, index) * v
+        )
+        return (
+            point,
+            dr.gather(mi.Vector3f, self._normal, index),
+            dr.gather(mi.Color3f, self._radiance, index),
+            dr.gather(mi.Float, self._area_pdf, index),
+        )

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: MIT
+"""Surfels and the light that arrives at them: radiance field, estimates of what no photograph shows,
+irradiance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from datagen.multiview.visibility import vectors_from_rows
+from model.reconstruction.geometry.traced import TracedGeometry
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.background import photographed_background
+from model.reconstruction.light.bake import Baker, Irradiance
+from model.reconstruction.light.emitters import described, photographed_emitters
+from model.reconstruction.light.options import LightOptions, LightReport
+from model.reconstruction.light.radiance_field import RadianceField, cell_keys
+from model.reconstruction.light.surfels import CELLS_ACROSS, Surfels, build_surfels
+
+MIN_KNOWN = 0.1
+"""Least share of known light that is scaled up to all light."""
+MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
+"""Surfels whose rays look for surface that no photograph shows, and how many rays each has."""
+MAX_RATIO_SURFELS = 8000
+"""Surfels whose reflectance gives the mean of the room."""
+ESTIMATE_ROUNDS = 2
+"""What no photograph shows is lit by what no photograph shows: each round adds a bounce."""
+_MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
+
+
+@dataclass(frozen=True)
+class Lit:
+    """Surfels with their shading: ``diffuse`` (N, 3), smoothed."""
+
+    surfels: Surfels
+    baker: Baker
+    irradiance: Irradiance
+    diffuse: NDArray[np.float32]
+
+
+def light_surfels(
+    views: Sequence[TracedView],
+    traced: TracedGeometry,
+    emits: NDArray[np.bool_],
+    region_of_face: NDArray[np.int32],
+    options: LightOptions,
+    report: LightReport,
+) -> Lit:
+    """Surfels of the views and the light that arrives at them."""
+    with report.step("surfels"):
+        surfels = build_surfels(views)
+        report.num_surfels, report.num_observations = len(surfels), len(surfels.observations.view)
+    with report.step("field"):
+        emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
+        grid = surfels.grid
+        report.emitters = described(emitters)
+        background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
+        scene_field = RadianceField(traced.scene, surfels, emitters, background)
+        size_m = surfels.grid.cell_m * CELLS_ACROSS
+        scene_field = _estimated(scene_field, surfels, size_m, options)
+    with report.step("irradiance"):
+        baker = Baker(scene_field, size_m)
+        irradiance = baker.irradiance(surfels.position_m, surfels.normal, options.irradiance_rays)
+        report.photographed_share = float(irradiance.photographed.mean())
+        known = np.maximum(irradiance.known, MIN_KNOWN)[:, None]
+        diffuse = smoothed(surfels, irradiance.diffuse / known, options.smoothing_neighbours)
+    return Lit(surfels, baker, irradiance, diffuse)
+
+
+def _estimated(
+    scene_field: RadianceField, surfels: Surfels, size_m: float, options: LightOptions
+) -> RadianceField:
+    """The field with estimates where rays of the surfels end on surface that no photograph shows: the mean
+    reflectance of the room times the light that arrives there."""
+    position, facing = _unknown_surface(scene_field, surfels, size_m)
+    if not len(position):
+        return scene_field
+    reflectance = _mean_reflectance(Baker(scene_field, size_m), surfels, options)
+    extended = scene_field
+    for _ in range(ESTIMATE_ROUNDS):
+        lit = Baker(extended, size_m).irradiance(position, facing, options.estimate_rays)
+        radiance = reflectance * lit.diffuse / np.maximum(lit.known, 2 * MIN_KNOWN)[:, None]
+        extended = scene_field.extended(position, facing, surfels, radiance.astype(np.float32))
+    return extended
+
+
+def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:
+    """A position and normal (K, 3) for each cell without radiance that rays of the surfels end in."""
+    import drjit as dr
+    import mitsuba as mi
+
+    step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
+    rays = ESTIMATE_RAYS_A_SURFEL
+    normal = vectors_from_rows(np.repeat(surfels.normal[::step], rays, axis=0))
+    origin = mi.Point3f(vectors_from_rows(np.repeat(surfels.position_m[::step], rays, axis=0)))
+    random = np.random.default_rng(0).random((2, dr.width(normal))).astype(np.float32)
+    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(mi.Float(random[0]), mi.Float(random[1])))
+    start_m = Baker(scene_field, size_m).start_m
+    ray = mi.Ray3f(origin + normal * start_m, mi.Frame3f(normal).to_world(local))
+    position, facing = scene_field.unknown_hits(ray)
+    chosen = np.unique(cell_keys(surfels.grid, position, facing), return_index=True)[1]
+    return position[chosen], facing[chosen]
+
+
+def _mean_reflectance(baker: Baker, surfels: Surfels, options: LightOptions) -> NDArray[np.float64]:
+    """Median (3,) of pi L / E over surfels whose light photographs show."""
+    step = max(1, len(surfels) // MAX_RATIO_SURFELS)
+    lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)
+    used = (lit.photographed > 0.8) & (lit.diffuse.min(axis=1) > 0)
+    if not used.any():
+        return np.full(3, 0.4)
+    ratio = surfels.radiance[::step][used] * lit.known[used, None] / lit.diffuse[used]
+    return np.clip(np.median(ratio, axis=0), *_MEAN_REFLECTANCE)
+
+
+def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
+    """Means of ``values`` (N, K) over the nearest surfels of like normals."""
+    cell = surfels.grid.cell_m
+    tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
+    distance, index = tree.query(tree.data, k=min(neighbours, len(surfels)), workers=-1)
+    weight = np.exp(-0.5 * (distance / (1.5 * cell)) ** 2)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.einsum("nk,nkc->nc", weight, values[index]).astype(np.float32)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: MIT
+"""The stage of ``materials infer`` that takes materials from light, as the pipeline wants it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from model.reconstruction.geometry.traced import smooth_regions
+from model.reconstruction.geometry.views import TracedCapture
+from model.reconstruction.level.albedo_level import MAX_CLIPPED, clipped_share
+from model.reconstruction.light.stage import LightOptions, materials_from_light
+from model.reconstruction.stages import Maps, Run
+
+
+def lit(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
+    """The maps with D, S and R out of the light that the photographs record. The network's stay where
+    evidence lacks, and everywhere where photographs are clipped. What lies on disk stays as it was
+    predicted."""
+    clipped = clipped_share(traced)
+    if clipped > MAX_CLIPPED:
+        reason = f"{clipped:.1%} of the pixels are at the sensor's limit"
+        run.report.notes.append(f"materials are the networks' alone: {reason}")
+        return maps
+    options = LightOptions(
+        has_prior=run.options.materials == "both",
+        is_leveled=bool(run.report.albedo_level.get("is_applied", False)),
+    )
+    with run.report.stage("light"):
+        found = materials_from_light(
+            traced.views,
+            maps,
+            traced.geometry,
+            traced.capture.geometry.emitter_mask(),
+            smooth_regions(traced.geometry.mesh),
+            run.report.exposure,
+            options,
+        )
+    run.report.light = asdict(found.report)
+    return found.maps

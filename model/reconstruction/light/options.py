@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: MIT
+"""What the light stage is told, and what it tells."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from model.reconstruction.light.solve import PriorWeights
+
+
+@dataclass(frozen=True)
+class LightOptions:
+    """Rays a surfel (``irradiance_rays``), an observation of a solved point and level (``solve_rays``), an
+    observation of a surfel (``specular_rays``); ``max_points`` solved in all, ``num_observations`` of each.
+    ``has_prior``: whether the network's maps draw the solution and stay where evidence lacks; ``is_leveled``
+    whether their D has a level out of light already."""
+
+    irradiance_rays: int = 144
+    estimate_rays: int = 48
+    solve_rays: int = 24
+    specular_rays: int = 12
+    max_points: int = 24_000
+    num_observations: int = 8
+    smoothing_neighbours: int = 9
+    prior: PriorWeights = field(default_factory=PriorWeights)
+    is_leveled: bool = True
+    has_prior: bool = True
+
+
+@dataclass
+class LightReport:
+    """What was found. ``photographed_share``: mean share of the surfels' hemispheres that photographs show;
+    ``confidence`` means over surfels for D, S and R; ``emitters`` with their middle (``place_m``),
+    ``area_m2`` and ``radiance``; ``seconds`` by step."""
+
+    num_surfels: int = 0
+    num_observations: int = 0
+    num_segments: int = 0
+    num_metal: int = 0
+    photographed_share: float = 0.0
+    confidence: tuple[float, ...] = (0.0, 0.0, 0.0)
+    emitters: list[dict[str, Any]] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Add the time inside to a step."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: MIT
+"""The surfels whose observations are solved, their specular shading, and S and R of the segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.reconstruction.light.lighting import MIN_KNOWN, Lit
+from model.reconstruction.light.options import LightOptions
+from model.reconstruction.light.solve import (
+    ROUGHNESS_LEVELS,
+    PriorWeights,
+    SolvedSegments,
+    decide,
+    segment_costs,
+)
+from model.reconstruction.light.surfels import Surfels
+
+EVIDENCE_POWER = 3
+"""Priors count one over this power of the share of the light that photographs show."""
+MIN_VIEWS, MIN_LIGHT = 3, 0.6
+"""Views and known light of a surfel that is preferred as a point."""
+_MIN_WEIGHT = 0.1  # of an observation that is preferred
+_QUOTA_STEP = 8
+_UNSEEN_WEIGHT = 0.05  # of an observation whose lobe sees nothing that photographs show, against 1.05
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """By surfel: ``segment`` (N,), smooth ``region`` (N,) and the network's D, S, R ``prior`` (N, 7)."""
+
+    segment: NDArray[np.int32]
+    region: NDArray[np.int32]
+    prior: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Surfels whose observations are solved: ``surfel`` (P,), ``row`` (P, O) observations and ``weight`` (P,
+    O), 0 for none; ``start`` (G + 1,) of the segments, ``segment`` (G,) which they are."""
+
+    surfel: NDArray[np.int64]
+    row: NDArray[np.int64]
+    weight: NDArray[np.float32]
+    start: NDArray[np.int64]
+
+
+def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
+    """At most ``max_points`` surfels, as many of each segment as it has and all may have; of each the
+    brightest, the darkest and evenly ranked observations between them."""
+    num_segments = int(segment.max()) + 1
+    size = np.bincount(segment, minlength=num_segments)
+    quota = _QUOTA_STEP
+    while quota < size.max() and np.minimum(size, quota + _QUOTA_STEP).sum() < options.max_points:
+        quota += _QUOTA_STEP
+    count = np.diff(surfels.observations.start)
+    random = np.random.default_rng(0).random(len(surfels))
+    rank = np.lexsort((random - 2.0 * (count >= MIN_VIEWS) - 1.0 * (known > MIN_LIGHT), segment))
+    first = np.cumsum(size) - size
+    place = np.arange(len(rank)) - first[segment[rank]]
+    chosen = rank[place < quota]
+    luminance = surfels.observations.radiance.mean(axis=1)
+    cosine_weight = _observation_weights(surfels)
+    row, weight = _choose_observations(
+        surfels.observations.start, luminance, cosine_weight, chosen, options.num_observations
+    )
+    start = np.concatenate([[0], np.cumsum(np.minimum(size, quota))]).astype(np.int64)
+    return Points(chosen, row, weight, start)
+
+
+def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
+    """Weight (M,) of each observation: its pixels, up to four, times the cosine of its view."""
+    observations = surfels.observations
+    surfel = surfels.surfel_of_observation()
+    direction = surfels.directions(surfel, observations.view)
+    cosine = (direction * surfels.normal[surfel]).sum(axis=1)
+    return (np.minimum(observations.weight, 4.0) * np.clip(cosine, 0.02, 1.0)).astype(np.float32)
+
+
+def _choose_observations(
+    start: NDArray, luminance: NDArray, weight: NDArray, chosen: NDArray, num: int
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    row = np.zeros((len(chosen), num), np.int64)
+    found = np.zeros((len(chosen), num), np.float32)
+    for k, surfel in enumerate(chosen):
+        rows = np.arange(start[surfel], start[surfel + 1])
+        good = rows[weight[rows] > _MIN_WEIGHT]
+        rows = good if len(good) >= 2 else rows
+        order = rows[np.argsort(luminance[rows], kind="stable")]
+        picked = (
+            order if len(order) <= num else order[np.round(np.linspace(0, len(order) - 1, num)).astype(int)]
+        )
+        row[k, : len(picked)], found[k, : len(picked)] = picked, weight[picked]
+    return row, found
+
+
+@dataclass(frozen=True)
+class PointShading:
+    """Specular shading ``ls0`` and ``ls1`` (P, O, levels, 3) of the observations of points, and their
+    ``weight`` (P, O), which is less where the lobe sees what no photograph shows."""
+
+    ls0: NDArray[np.float32]
+    ls1: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+def shade_points(lit: Lit, points: Points, options: LightOptions) -> PointShading:
+    """Specular shading of all observations of the points for every roughness level."""
+    surfels, observations = lit.surfels, lit.surfels.observations
+    num_points, num = points.row.shape
+    num_levels = len(ROUGHNESS_LEVELS)
+    used = points.weight > 0
+    surfel = np.repeat(points.surfel, num).reshape(num_points, num)[used]
+    row = points.row[used]
+    view = surfels.directions(surfel, observations.view[row])
+    ls0 = np.zeros((num_points, num, num_levels, 3), np.float32)
+    ls1 = np.zeros_like(ls0)
+    photographed = np.zeros((num_points, num, num_levels), np.float32)
+    for level, roughness in enumerate(ROUGHNESS_LEVELS):
+        shading = lit.baker.specular(
+            surfels.position_m[surfel],
+            surfels.normal[surfel],
+            view,
+            np.full(len(surfel), roughness),
+            options.solve_rays,
+            seed=level + 1,
+        )
+        known = np.maximum(shading.known, MIN_KNOWN)[:, None]
+        ls0[used, level], ls1[used, level] = shading.ls0 / known, shading.ls1 / known
+        photographed[used, level] = shading.photographed
+    weight = points.weight * (_UNSEEN_WEIGHT + photographed.mean(axis=2))
+    return PointShading(ls0, ls1, weight.astype(np.float32))
+
+
+def solve_points(
+    lit: Lit,
+    points: Points,
+    shading: PointShading,
+    segmentation: Segmentation,
+    exposure: float,
+    options: LightOptions,
+) -> SolvedSegments:
+    """S and R of the segments."""
+    of_point = segmentation.prior[points.surfel]
+    num_segments = len(points.start) - 1
+    segment = np.repeat(np.arange(num_segments), np.diff(points.start))
+    total = np.bincount(segment, minlength=num_segments)
+    mean = np.stack([np.bincount(segment, c, num_segments) / total for c in of_point.T], axis=1)
+    evidence = np.bincount(segment, lit.irradiance.photographed[points.surfel], num_segments) / total
+    costs = segment_costs(
+        points.start,
+        lit.surfels.observations.radiance[points.row],
+        shading.weight,
+        lit.diffuse[points.surfel],
+        shading.ls0,
+        shading.ls1,
+        exposure,
+    )
+    weights = options.prior if options.has_prior else PriorWeights(0.0, 0.0, options.prior.metal)
+    group = np.zeros(num_segments, np.int64)
+    group[segmentation.segment] = segmentation.region
+    size = np.bincount(segmentation.segment, minlength=num_segments)
+    return decide(costs, mean[:, 3:6], mean[:, 6], evidence**EVIDENCE_POWER, group, size, weights)

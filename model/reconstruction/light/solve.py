@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: MIT
+"""Specular albedo and roughness of segments, out of how the radiance of their points varies over views.
+
+For each roughness of :data:`ROUGHNESS_LEVELS` and specular albedo of :data:`SPECULAR_LEVELS`, the diffuse
+albedo of each point follows in closed form from its observations,
+
+    D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_ALBEDO],
+
+and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
+ln 51 at the capture's exposure, and priors that draw to the network's S and R. Metal is an alternative: D = 0
+and a coloured S, the median of (L - Ls1) / Ls0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.reconstruction.atlas.compiled import compiled
+
+ROUGHNESS_LEVELS = np.array([0.12, 0.25, 0.4, 0.55, 0.75, 1.0], np.float32)
+SPECULAR_LEVELS = np.array([0.0, 0.02, 0.04, 0.06, 0.08], np.float32)
+"""Of dielectrics: 0.02 is water, 0.08 sapphire; more is metal."""
+MAX_ALBEDO = 0.95
+MAX_RESIDUAL = 0.2
+"""Of an observation: what counts more is no evidence but a fault of visibility or of the light."""
+MIN_METAL = 0.2
+"""Specular albedo, mean over channels, below which nothing is metal."""
+
+
+METAL_SHARE = 0.25
+"""Share of a smooth region's surfels from which metal spreads in it."""
+METAL_TOLERANCE = 0.005
+"""By how much metal may explain a segment worse than a dielectric does, where it spreads."""
+
+
+@dataclass(frozen=True)
+class PriorWeights:
+    """Weights of the squared differences to the network's square root of S, and R; ``metal`` by which metal
+    has to explain the observations better than a dielectric does. They count ``1 / evidence`` times."""
+
+    specular_albedo: float = 0.02
+    roughness: float = 0.005
+    metal: float = 0.02
+
+
+@dataclass(frozen=True)
+class Costs:
+    """How well hypotheses explain the observations of G segments: ``dielectric`` (G, levels, speculars),
+    ``metal`` (G, levels), and the metals' ``metal_albedo`` (G, levels, 3)."""
+
+    dielectric: NDArray[np.float32]
+    metal: NDArray[np.float32]
+    metal_albedo: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SolvedSegments:
+    """``specular_albedo`` (G, 3), ``roughness`` (G,), ``is_metal`` (G,), ``residual`` (G,) mean cost without
+    priors."""
+
+    specular_albedo: NDArray[np.float32]
+    roughness: NDArray[np.float32]
+    is_metal: NDArray[np.bool_]
+    residual: NDArray[np.float32]
+
+
+def segment_costs(
+    start: NDArray[np.int64],
+    radiance: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    diffuse: NDArray[np.float32],
+    ls0: NDArray[np.float32],
+    ls1: NDArray[np.float32],
+    exposure: float,
+) -> Costs:
+    """Costs of segments whose points are ``start[g]`` to ``start[g + 1]`` (G + 1,).
+
+    Of P points with O observations each: ``radiance`` (P, O, 3), ``weight`` (P, O), 0 for none; ``diffuse``
+    (P, 3) their Ld; ``ls0`` and ``ls1`` (P, O, levels, 3).
+    """
+    return Costs(
+        *_costs(
+            start,
+            radiance,
+            weight,
+            diffuse,
+            ls0,
+            ls1,
+            np.float32(exposure),
+            ROUGHNESS_LEVELS,
+            SPECULAR_LEVELS,
+        )
+    )
+
+
+def decide(
+    costs: Costs,
+    specular_albedo: NDArray,
+    roughness: NDArray,
+    evidence: NDArray,
+    group: NDArray,
+    size: NDArray,
+    weights: PriorWeights,
+) -> SolvedSegments:
+    """The likeliest material of each segment. ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the
+    network's, ``evidence`` (G,) in (0, 1], ``group`` (G,) the smooth region and ``size`` (G,) the surfels.
+
+    Metal counts by hysteresis: where it holds :data:`METAL_SHARE` of a region, it also takes the region's
+    segments that it explains about as well as a dielectric does.
+    """
+    doubt = (1.0 / np.maximum(evidence, 0.05))[:, None]
+    root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))[:, None]
+    of_s = weights.specular_albedo * doubt * (np.sqrt(SPECULAR_LEVELS)[None] - root) ** 2
+    of_r = weights.roughness * doubt * (ROUGHNESS_LEVELS[None] - roughness[:, None]) ** 2
+    total = costs.dielectric + of_s[:, None, :] + of_r[:, :, None]
+    total[:, :-1, 0] = np.inf  # without specular reflection roughness is 1 by convention
+    rows = np.arange(len(total))
+    best = total.reshape(len(total), -1).argmin(axis=1)
+    level, which = np.divmod(best, total.shape[2])
+    found_s = np.repeat(SPECULAR_LEVELS[which][:, None], 3, axis=1)
+    found_r = _refined(total[rows, :, which], level)
+    residual = costs.dielectric[rows, level, which]
+    mean = costs.metal_albedo.mean(axis=2)
+    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # a network hardly knows metal; where it does, it counts
+    metal = costs.metal + of_r
+    metal = np.where(mean < MIN_METAL, np.inf, metal)
+    metal_level = metal.argmin(axis=1)
+    advantage = total[rows, level, which] - metal[rows, metal_level]
+    is_metal = advantage > weights.metal * (doubt * unlike)[:, 0]
+    share = np.bincount(group, size * is_metal) / np.maximum(np.bincount(group, size), 1)
+    is_metal |= (share[group] >= METAL_SHARE) & (advantage > -METAL_TOLERANCE)
+    found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s)
+    found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
+    residual = np.where(is_metal, costs.metal[rows, metal_level], residual)
+    return SolvedSegments(
+        found_s.astype(np.float32), found_r.astype(np.float32), is_metal, residual.astype(np.float32)
+    )
+
+
+def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:
+    """Minimum (G,) of the parabola through the best level and its neighbours; ``cost`` (G, levels)."""
+    rows, last = np.arange(len(best)), len(ROUGHNESS_LEVELS) - 1
+    inner = (best > 0) & (best < last)
+    middle = np.clip(best, 1, last - 1)
+    x = [ROUGHNESS_LEVELS[middle + k].astype(np.float64) for k in (-1, 0, 1)]
+    y = [cost[rows, middle + k].astype(np.float64) for k in (-1, 0, 1)]
+    usable = inner & np.isfinite(y[0]) & np.isfinite(y[1]) & np.isfinite(y[2])
+    y = [np.where(usable, value, 0.0) for value in y]
+    low, high = (y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1])
+    curvature = (high - low) / (x[2] - x[0])
+    vertex = 0.5 * (x[0] + x[1] - low / np.where(curvature > 0, curvature, 1.0))
+    refined = np.clip(vertex, x[0], x[2])
+    return np.where(usable & (curvature > 0), refined, ROUGHNESS_LEVELS[best]).astype(np.float32)
+
+
+@compiled
+def _encoded(value, exposure):
+    return np.log(np.float32(1) + np.float32(50) * max(value, np.float32(0)) * exposure) * np.float32(0.25433)
+
+
+@compiled
+def _cost(first, last, radiance, target, weight, diffuse, ls0, ls1, level, specular, is_metal, exposure):
+    """Mean capped residual of a segment's points for one roughness level and specular albedo (3,)."""
+    total, sum_weight = np.float32(0), np.float32(0)
+    num = radiance.shape[1]
+    for point in range(first, last):
+        for channel in range(3):
+            s = specular[channel]
+            albedo = np.float32(0)
+            if not is_metal:
+                above, below = np.float32(0), np.float32(0)
+                for o in range(num):
+                    w = weight[point, o]
+                    spec = s * ls0[point, o, level, channel] + ls1[point, o, level, channel]
+                    above += w * (radiance[point, o, channel] - spec)
+                    below += w
+                scale = (1 - s) * diffuse[point, channel] * below
+                if scale > 0:
+                    albedo = min(max(above / scale, np.float32(0)), np.float32(MAX_ALBEDO))
+            base = (1 - s) * albedo * diffuse[point, channel]
+            for o in range(num):
+                w = weight[point, o]
+                if w > 0:
+                    spec = s * ls0[point, o, level, channel] + ls1[point, o, level, channel]
+                    r = abs(_encoded(base + spec, exposure) - target[point, o, channel])
+                    total += w * min(r, np.float32(MAX_RESIDUAL))
+                    sum_weight += w
+    return total / max(sum_weight, np.float32(1e-12))
+
+
+@compiled
+def _metal_albedo(first, last, radiance, weight, ls0, ls1, level, out):
+    """Medians (3,) of (L - Ls1) / Ls0."""
+    num = radiance.shape[1]
+    ratio = np.empty((last - first) * num, np.float32)
+    for channel in range(3):
+        found = 0
+        for point in range(first, last):
+            for o in range(num):
+                if weight[point, o] > 0 and ls0[point, o, level, channel] > 1e-6:
+                    ratio[found] = (radiance[point, o, channel] - ls1[point, o, level, channel]) / ls0[
+                        point, o, level, channel
+                    ]
+                    found += 1
+        out[channel] = min(max(np.median(ratio[:found]), 0), 1) if found else 0
+
+
+@compiled
+def _costs(start, radiance, weight, diffuse, ls0, ls1, exposure, levels, speculars):
+    num = len(start) - 1
+    dielectric = np.zeros((num, len(levels), len(speculars)), np.float32)
+    metal, colour = np.zeros((num, len(levels)), np.float32), np.zeros((num, len(levels), 3), np.float32)
+    target = np.empty_like(radiance)
+    for p in range(radiance.shape[0]):
+        for o in range(radiance.shape[1]):
+            for c in range(3):
+                target[p, o, c] = _encoded(radiance[p, o, c], exposure)
+    grey = np.zeros(3, np.float32)
+    for g in range(num):
+        first, last = start[g], start[g + 1]
+        for level in range(len(levels)):
+            for k in range(len(speculars)):
+                grey[:] = speculars[k]
+                dielectric[g, level, k] = _cost(
+                    first, last, radiance, target, weight, diffuse, ls0, ls1, level, grey, False, exposure
+                )
+            _metal_albedo(first, last, radiance, weight, ls0, ls1, level, colour[g, level])
+            metal[g, level] = _cost(
+                first,
+                last,
+                radiance,
+                target,
+                weight,
+                diffuse,
+                ls0,
+                ls1,
+                level,
+                colour[g, level],
+                True,
+                exposure,
+            )
+    return dielectric, metal, colour

@@ -1,0 +1,362 @@
+# SPDX-License-Identifier: MIT
+"""Surfels: the photographed surfaces of a room as cells of about 2.5 cm, with all observations of each.
+
+Letters: V views, N surfels, M observations (a surfel in a view), C cells. Space is divided into cubic cells,
+each split into six sides by the axis that the normal is nearest to, so that both sides of a wall stay apart.
+A surfel is an occupied cell and side. Its observation in a view is the weighted mean of the view's pixels
+there; its radiance is the weighted median over views. Surfels are numbered by cell, so that they do not
+depend on the order of the views. Colours are linear and of one exposure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.reconstruction.atlas.compiled import compiled, num_threads
+from model.reconstruction.geometry.views import TracedView
+
+Floats32 = NDArray[np.float32]
+CELLS_ACROSS = 300
+"""Cells along the diagonal of the photographed volume: 2.5 cm in a room of 7 m."""
+MIN_CELL_PIXELS = 1.0
+"""Least side of a cell in pixels at the median depth: smaller cells would be seen by chance."""
+NUM_SIDES = 6
+EDGE_WEIGHT = 0.02
+"""Weight of a pixel at a depth edge, where surfaces mix, against 1 elsewhere."""
+_MAX_EXTENT = 1.25  # of the central 98 % of the pixels: what lies farther out counts as outside
+
+
+@dataclass(frozen=True)
+class CellGrid:
+    """The cells: ``low`` (3,) corner in metres, ``cell_m`` side, ``shape`` (3,) cells along the axes, and
+    ``surfel`` (C * 6,) surfel of each cell and side, -1 where there is none."""
+
+    low: NDArray[np.float64]
+    cell_m: float
+    shape: NDArray[np.int64]
+    surfel: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Rows of surfel i are ``start[i]`` to ``start[i + 1]``, ordered by view. ``radiance`` (M, 3),
+    ``weight`` (M,): number of pixels, those at depth edges counted by :data:`EDGE_WEIGHT`."""
+
+    start: NDArray[np.int64]
+    view: NDArray[np.int32]
+    radiance: Floats32
+    weight: Floats32
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,)
+    triangle, ``radiance`` (N, 3) median over views, ``camera_m`` (V, 3) positions of the cameras. By view:
+    ``pixel_surfel`` surfel (P,) of each pixel, -1 for none, and its ``pixel_weight`` (P,)."""
+
+    grid: CellGrid
+    position_m: Floats32
+    normal: Floats32
+    face: NDArray[np.int32]
+    radiance: Floats32
+    observations: Observations
+    camera_m: Floats32
+    pixel_surfel: tuple[NDArray[np.int32], ...]
+    pixel_weight: tuple[Floats32, ...]
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+    def surfel_of_observation(self) -> NDArray[np.int32]:
+        """Surfel (M,) of each observation."""
+        return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.observations.start))
+
+    def directions(self, surfel: NDArray, view: NDArray) -> Floats32:
+        """Unit directions (K, 3) from surfels to the cameras of views."""
+        toward = self.camera_m[view] - self.position_m[surfel]
+        return toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9)
+
+
+def build_surfels(views: Sequence[TracedView]) -> Surfels:
+    """Surfels of what the views show of surfaces that do not emit.
+
+    Raises ValueError where the views see no extended surface.
+    """
+    cameras = [camera_row(view) for view in views]
+    low, cell_m, shape = _extent(views, cameras)
+    cells = [_cells_of(view, row, low, cell_m, shape) for view, row in zip(views, cameras, strict=True)]
+    occupied = np.zeros(int(np.prod(shape)) * NUM_SIDES, np.bool_)
+    for cell, _ in cells:
+        occupied[cell[cell >= 0]] = True
+    surfel = np.full(len(occupied), -1, np.int32)
+    num = int(occupied.sum())
+    surfel[occupied] = np.arange(num, dtype=np.int32)
+    grid = CellGrid(low, cell_m, shape, surfel)
+
+    def observe(index: int) -> tuple[NDArray, ...]:
+        cell, weight = cells[index]
+        view = views[index]
+        return _observe_view(
+            cell,
+            weight,
+            np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
+            view.geometry.depth_z_m.ravel(),
+            cameras[index],
+            low,
+            cell_m,
+            shape,
+            surfel,
+            num,
+        )
+
+    with ThreadPoolExecutor(num_threads()) as pool:
+        seen = list(pool.map(observe, range(len(views))))
+    pixel_surfel = tuple(np.where(cell >= 0, surfel[np.maximum(cell, 0)], -1) for cell, _ in cells)
+    return _gathered(views, cameras, grid, seen, pixel_surfel, tuple(weight for _, weight in cells))
+
+
+def camera_row(view: TracedView) -> NDArray[np.float64]:
+    """Rotation (9), position (3), fx, fy, cx, cy, width, height of a view's camera."""
+    camera = view.camera
+    matrix = camera.world_from_camera
+    return np.array(
+        [*matrix[:3, :3].ravel(), *matrix[:3, 3], camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+         camera.width_px, camera.height_px]
+    )  # fmt: skip
+
+
+def _extent(
+    views: Sequence[TracedView], cameras: Sequence[NDArray]
+) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
+    """Corner, cell size and shape of the grid, from a sparse sample of the pixels."""
+    points, footprint = [], []
+    for view, row in zip(views, cameras, strict=True):
+        depth = view.geometry.depth_z_m[..., 0]
+        rows, columns = np.nonzero(depth[2::5, 2::5] > 0)
+        rows, columns = rows * 5 + 2, columns * 5 + 2
+        z = depth[rows, columns].astype(np.float64)
+        local = np.stack(
+            [(columns + 0.5 - row[14]) / row[12] * z, (rows + 0.5 - row[15]) / row[13] * z, z], axis=1
+        )
+        points.append(local @ row[:9].reshape(3, 3).T + row[9:12])
+        footprint.append(z / row[12])
+    position = np.concatenate(points) if points else np.zeros((0, 3))
+    if not len(position):
+        raise ValueError("no view sees the mesh")
+    low, high = np.percentile(position, [1, 99], axis=0)
+    diagonal = float(np.linalg.norm(high - low))
+    if diagonal <= 0:
+        raise ValueError("the views see no extended surface")
+    cell_m = max(diagonal / CELLS_ACROSS, MIN_CELL_PIXELS * float(np.median(np.concatenate(footprint))))
+    margin = 0.5 * (_MAX_EXTENT - 1) * np.maximum(high - low, 0.1 * diagonal)
+    low = np.maximum(position.min(axis=0) - cell_m, low - margin)
+    high = np.minimum(position.max(axis=0) + cell_m, high + margin)
+    return low, cell_m, np.ceil((high - low) / cell_m).astype(np.int64) + 1
+
+
+@compiled
+def cell_of(position, normal, low, cell_m, shape):
+    """Number of the cell and side of a point; -1 outside of the grid."""
+    index = 0
+    for axis in range(3):
+        at = int(np.floor((position[axis] - low[axis]) / cell_m))
+        if at < 0 or at >= shape[axis]:
+            return -1
+        index = index * shape[axis] + at
+    x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
+    if x >= y and x >= z:
+        side = 0 if normal[0] <= 0 else 1
+    elif y >= z:
+        side = 2 if normal[1] <= 0 else 3
+    else:
+        side = 4 if normal[2] <= 0 else 5
+    return index * NUM_SIDES + side
+
+
+@compiled
+def place_pixel(index, depth, width, camera, out):
+    """World position of a pixel's centre."""
+    u = (index % width + 0.5 - camera[14]) / camera[12] * depth
+    v = (index // width + 0.5 - camera[15]) / camera[13] * depth
+    for axis in range(3):
+        out[axis] = (
+            camera[3 * axis] * u + camera[3 * axis + 1] * v + camera[3 * axis + 2] * depth + camera[9 + axis]
+        )
+
+
+@compiled
+def _classify(depth, normal, usable, camera, low, cell_m, shape):
+    """Cell (P,) of each pixel, -1 for none, and its weight (P,)."""
+    width, height = int(camera[16]), int(camera[17])
+    cell = np.full(width * height, -1, np.int32)
+    weight = np.zeros(width * height, np.float32)
+    here, there = np.zeros(3), np.zeros(3)
+    for index in range(width * height):
+        z = depth[index]
+        if z <= 0 or not usable[index]:
+            continue
+        place_pixel(index, z, width, camera, here)
+        cell[index] = cell_of(here, normal[index], low, cell_m, shape)
+        tolerance = 1.5 * z / camera[12]
+        is_edge = False
+        x, y = index % width, index // width
+        for step in range(4):
+            dx, dy = (1, -1, 0, 0)[step], (0, 0, 1, -1)[step]
+            if not (0 <= x + dx < width and 0 <= y + dy < height):
+                continue
+            other = index + dy * width + dx
+            if depth[other] <= 0:
+                is_edge = True
+                break
+            place_pixel(other, depth[other], width, camera, there)
+            off, along = 0.0, 0.0
+            for axis in range(3):
+                off += normal[index, axis] * (there[axis] - here[axis])
+                along += normal[index, axis] * normal[other, axis]
+            if abs(off) > tolerance or along < 0.8:
+                is_edge = True
+                break
+        weight[index] = EDGE_WEIGHT if is_edge else 1.0
+    return cell, weight
+
+
+@compiled
+def _observe_view(cell, weight, color, depth, camera, low, cell_m, shape, surfel, num):
+    """Surfels (K,) that a view sees, in order, their radiance (K, 3) and weight (K,), and the pixel (K,)
+    nearest to the cell's centre with its squared distance (K,)."""
+    sums = np.zeros((num, 3), np.float32)
+    total = np.zeros(num, np.float32)
+    nearest = np.full(num, -1, np.int32)
+    distance = np.full(num, np.inf, np.float32)
+    here = np.zeros(3)
+    width = int(camera[16])
+    for index in range(len(cell)):
+        if cell[index] < 0:
+            continue
+        at = surfel[cell[index]]
+        w = weight[index]
+        total[at] += w
+        for channel in range(3):
+            sums[at, channel] += w * color[index, channel]
+        place_pixel(index, depth[index], width, camera, here)
+        off = np.float32(
+            0.0 if w == 1.0 else 1e6
+        )  # pixels at edges stand for a surfel only where no other does
+        for axis in range(3):
+            part = (here[axis] - low[axis]) / cell_m
+            off += (part - np.floor(part) - 0.5) ** 2
+        if off < distance[at]:
+            distance[at], nearest[at] = off, index
+    found = np.flatnonzero(total > 0).astype(np.int32)
+    radiance = np.empty((len(found), 3), np.float32)
+    for row in range(len(found)):
+        for channel in range(3):
+            radiance[row, channel] = sums[found[row], channel] / total[found[row]]
+    return found, radiance, total[found], nearest[found], distance[found]
+
+
+def _cells_of(
+    view: TracedView, row: NDArray, low: NDArray, cell_m: float, shape: NDArray
+) -> tuple[NDArray[np.int32], Floats32]:
+    usable = view.valid_mask & (view.geometry.surface_mask[..., 0] > 0)
+    return _classify(
+        view.geometry.depth_z_m.ravel(),
+        np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
+        usable.ravel(),
+        row,
+        low,
+        cell_m,
+        shape,
+    )
+
+
+def _gathered(
+    views: Sequence[TracedView],
+    cameras: Sequence[NDArray],
+    grid: CellGrid,
+    seen: Sequence[tuple[NDArray, ...]],
+    pixel_surfel: tuple[NDArray[np.int32], ...],
+    pixel_weight: tuple[Floats32, ...],
+) -> Surfels:
+    """Observations of all views in the order of the surfels, and a point of the surface for each surfel."""
+    num = int(grid.surfel.max()) + 1
+    surfel = np.concatenate([part[0] for part in seen])
+    view = np.repeat(np.arange(len(views), dtype=np.int32), [len(part[0]) for part in seen])
+    order = np.argsort(surfel, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(surfel, minlength=num))]).astype(np.int64)
+    observations = Observations(
+        start,
+        view[order],
+        np.concatenate([part[1] for part in seen])[order],
+        np.concatenate([part[2] for part in seen])[order],
+    )
+    pixel = np.concatenate([part[3] for part in seen])
+    distance = np.concatenate([part[4] for part in seen])
+    ranked = np.lexsort((distance, surfel))
+    chosen = ranked[start[:-1]]  # every surfel is seen by a view
+    position, normal = np.empty((num, 3), np.float32), np.empty((num, 3), np.float32)
+    face = np.empty(num, np.int32)
+    for index, (of_view, row) in enumerate(zip(views, cameras, strict=True)):
+        mine = chosen[view[chosen] == index]
+        at, geometry = pixel[mine], of_view.geometry
+        z = geometry.depth_z_m.ravel()[at].astype(np.float64)
+        width = int(row[16])
+        local = np.stack(
+            [(at % width + 0.5 - row[14]) / row[12] * z, (at // width + 0.5 - row[15]) / row[13] * z, z],
+            axis=1,
+        )
+        position[surfel[mine]] = local @ row[:9].reshape(3, 3).T + row[9:12]
+        normal[surfel[mine]] = geometry.normal_world.reshape(-1, 3)[at]
+        face[surfel[mine]] = geometry.face.ravel()[at]
+    radiance = weighted_medians(observations.start, observations.radiance, observations.weight)
+    camera_m = np.array([row[9:12] for row in cameras], np.float32)
+    return Surfels(grid, position, normal, face, radiance, observations, camera_m, pixel_surfel, pixel_weight)
+
+
+@compiled
+def weighted_medians(start, values, weight):
+    """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel: the
+    mean of the values at which the weights of the smaller ones reach and exceed half of all."""
+    num = len(start) - 1
+    found = np.zeros((num, 3), np.float32)
+    for i in range(num):
+        first, last = start[i], start[i + 1]
+        half = np.float32(0.5) * weight[first:last].sum()
+        for channel in range(3):
+            rows = values[first:last, channel]
+            order = np.argsort(rows)
+            total = np.float32(0.0)
+            for k in range(last - first):
+                total += weight[first + order[k]]
+                if total >= half:
+                    following = rows[order[min(k + 1, last - first - 1)]]
+                    is_tie = total <= half * np.float32(1 + 1e-6)
+                    found[i, channel] = 0.5 * (rows[order[k]] + following) if is_tie else rows[order[k]]
+                    break
+    return found
+
+
+def surfel_means(surfels: Surfels, maps: Sequence[NDArray]) -> Floats32:
+    """Weighted means (N, K) over all pixels of a surfel of the views' ``maps`` (H, W, K)."""
+    channels = maps[0].shape[-1]
+    sums, total = np.zeros((len(surfels), channels)), np.zeros(len(surfels))
+    for view_map, surfel, weight in zip(maps, surfels.pixel_surfel, surfels.pixel_weight, strict=True):
+        _add_pixels(
+            surfel, weight, np.ascontiguousarray(view_map.reshape(-1, channels), np.float32), sums, total
+        )
+    return (sums / np.maximum(total, 1e-12)[:, None]).astype(np.float32)
+
+
+@compiled
+def _add_pixels(surfel, weight, values, sums, total):
+    for index in range(len(surfel)):
+        at = surfel[index]
+        if at >= 0:
+            total[at] += weight[index]
+            for channel in range(values.shape[1]):
+                sums[at, channel] += weight[index] * values[index, channel]

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: MIT
+"""Maps of views from solved surfels: the pattern is the photographs', the level is the light's.
+
+At a pixel, shading and materials of the surfels around it are interpolated between the centres of cells, and
+
+    D = (L - specular part) / ((1 - S) Ld),
+
+clipped to [0, MAX_ALBEDO], with the specular part of the same view. S and R come from the surfels whose
+reflectance is like the pixel's, so that they change where the colour does. Where the confidence of the
+surfels is below 1, the result is mixed with the network's maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.reconstruction.atlas.compiled import compiled
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.solve import MAX_ALBEDO
+from model.reconstruction.light.surfels import NUM_SIDES, Surfels, cell_of, place_pixel
+
+SIMILAR = 0.35
+"""Difference of the logarithm of reflectance at which a surfel's S and R count exp(-1/2)."""
+_MIN_SHADING = 1e-3  # of the room's median: below it nothing is known of a diffuse albedo
+
+
+@dataclass(frozen=True)
+class SolvedSurfels:
+    """``diffuse`` (N, 3) their Ld, ``specular`` (M, 3) S Ls0 + Ls1 of each observation, ``specular_albedo``
+    (N, 3), ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1],
+    ``gain`` (N, 3) of the network's D where the confidence is low."""
+
+    diffuse: NDArray[np.float32]
+    specular: NDArray[np.float32]
+    specular_albedo: NDArray[np.float32]
+    roughness: NDArray[np.float32]
+    is_metal: NDArray[np.bool_]
+    confidence: NDArray[np.float32]
+    gain: NDArray[np.float32]
+
+
+def view_materials(
+    surfels: Surfels,
+    solved: SolvedSurfels,
+    index: int,
+    view: TracedView,
+    camera_row: NDArray[np.float64],
+    predicted: dict[str, NDArray],
+) -> dict[str, NDArray[np.float16]]:
+    """Maps of view ``index``: ``diffuse_albedo``, ``specular_albedo``, ``roughness``, and ``confidence`` (H,
+    W, 3) of the three. Pixels without surfels keep what was ``predicted``."""
+    observations = surfels.observations
+    rows = np.flatnonzero(observations.view == index)
+    surfel = surfels.surfel_of_observation()[rows]
+    row_of = np.full(len(surfels), -1, np.int64)
+    row_of[surfel] = rows
+    height, width = view.color.shape[:2]
+    names = ("diffuse_albedo", "specular_albedo", "roughness")
+    prior = np.concatenate([predicted[name].reshape(height * width, -1) for name in names], axis=1)
+    floor = _MIN_SHADING * float(np.median(solved.diffuse)) if len(solved.diffuse) else 0.0
+    packed = _pixels(
+        np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
+        view.geometry.depth_z_m.ravel(),
+        np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
+        surfels.pixel_surfel[index],
+        camera_row,
+        surfels.grid.low,
+        surfels.grid.cell_m,
+        surfels.grid.shape,
+        surfels.grid.surfel,
+        row_of,
+        solved.diffuse,
+        solved.specular,
+        solved.specular_albedo,
+        solved.roughness,
+        solved.is_metal,
+        solved.confidence,
+        solved.gain,
+        surfels.radiance,
+        prior.astype(np.float32),
+        np.float32(floor),
+    ).reshape(height, width, 10)
+    return {
+        "diffuse_albedo": packed[..., :3].astype(np.float16),
+        "specular_albedo": packed[..., 3:6].astype(np.float16),
+        "roughness": packed[..., 6:7].astype(np.float16),
+        "confidence": packed[..., 7:].astype(np.float16),
+    }
+
+
+@compiled
+def _pixels(
+    color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, diffuse, specular, albedo, rough,
+    metal, confidence, gain, radiance, prior, floor
+):  # fmt: skip
+    """D, S, R and their confidences (P, 10)."""
+    out = np.zeros((len(color), 10), np.float32)
+    width = int(camera[16])
+    here = np.zeros(3)
+    base = np.zeros(3, np.int64)
+    part = np.zeros(3)
+    near = np.zeros(8, np.int64)
+    share = np.zeros(8, np.float32)
+    ld, spec, s = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
+    scale = np.zeros(3, np.float32)
+    for index in range(len(color)):
+        for k in range(7):
+            out[index, k] = prior[index, k]
+        if own[index] < 0:
+            continue
+        place_pixel(index, depth[index], width, camera, here)
+        cell = cell_of(here, normal[index], low, cell_m, shape)
+        side = cell % NUM_SIDES
+        for axis in range(3):
+            at = (here[axis] - low[axis]) / cell_m - 0.5
+            base[axis] = int(np.floor(at))
+            part[axis] = at - base[axis]
+        num = 0
+        for corner in range(8):
+            key = 0
+            w = 1.0
+            inside = True
+            for axis in range(3):
+                bit = (corner >> axis) & 1
+                at = base[axis] + bit
+                if at < 0 or at >= shape[axis]:
+                    inside = False
+                    break
+                key = key * shape[axis] + at
+                w *= part[axis] if bit else 1 - part[axis]
+            if not inside:
+                continue
+            which = surfel[key * NUM_SIDES + side]
+            if which >= 0:
+                near[num], share[num] = which, w + 1e-4
+                num += 1
+        total = np.float32(0)
+        total_spec = np.float32(0)
+        conf = np.zeros(3, np.float32)
+        ld[:], spec[:], scale[:] = 0, 0, 0
+        for k in range(num):
+            i, w = near[k], share[k]
+            total += w
+            for c in range(3):
+                ld[c] += w * diffuse[i, c]
+                conf[c] += w * confidence[i, c]
+                scale[c] += w * gain[i, c]
+            row = row_of[i]
+            if row >= 0:
+                total_spec += w
+                for c in range(3):
+                    spec[c] += w * specular[row, c]
+        for c in range(3):
+            ld[c] = max(ld[c] / total, floor)
+            conf[c] /= total
+            spec[c] /= max(total_spec, np.float32(1e-12))
+        s[:] = 0
+        r, is_metal, total_like = np.float32(0), np.float32(0), np.float32(0)
+        for k in range(num):
+            i = near[k]
+            apart = np.float32(0)
+            for c in range(3):
+                d = np.log(
+                    (color[index, c] / ld[c] + np.float32(0.02))
+                    / (radiance[i, c] / max(diffuse[i, c], floor) + np.float32(0.02))
+                )
+                apart += d * d
+            w = share[k] * (np.exp(np.float32(-0.5 / SIMILAR**2) * apart / 3) + np.float32(1e-4))
+            total_like += w
+            r += w * rough[i]
+            is_metal += w * metal[i]
+            for c in range(3):
+                s[c] += w * albedo[i, c]
+        r /= total_like
+        is_metal /= total_like
+        for c in range(3):
+            s[c] /= total_like
+            d = (color[index, c] - spec[c]) / (max(1 - s[c], np.float32(0.05)) * ld[c])
+            d = min(max(d, np.float32(0)), np.float32(MAX_ALBEDO)) * (1 - is_metal)
+            fallback = min(prior[index, c] * scale[c] / total, np.float32(MAX_ALBEDO))
+            out[index, c] = conf[0] * d + (1 - conf[0]) * fallback
+            out[index, 3 + c] = conf[1] * s[c] + (1 - conf[1]) * prior[index, 3 + c]
+            out[index, 7 + c] = conf[c]
+        out[index, 6] = conf[2] * r + (1 - conf[2]) * prior[index, 6]
+    return out

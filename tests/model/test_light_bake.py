@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""Ld, Ls0 and Ls1 against brute-force integration in float64, and the solve against known materials."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.geometry.traced import mesh_scene
+from model.reconstruction.light.background import AZIMUTHS, HEIGHTS, PLACES, Background
+from model.reconstruction.light.bake import Baker
+from model.reconstruction.light.emitters import Emitters
+from model.reconstruction.light.radiance_field import RadianceField
+from model.reconstruction.light.solve import (
+    ROUGHNESS_LEVELS,
+    SPECULAR_LEVELS,
+    PriorWeights,
+    decide,
+    segment_costs,
+)
+from model.reconstruction.light.surfels import CellGrid, Observations, Surfels, weighted_medians
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+RADIANCE = np.array([3.0, 2.0, 1.0])
+ABOVE = 0.25
+"""The panel emits at this z, 0.6 x 0.6 m about the origin, downwards."""
+
+
+def background(radiance: NDArray) -> Background:
+    """One radiance from everywhere."""
+    num = 6 * PLACES * PLACES * AZIMUTHS * HEIGHTS
+    every = np.ones(num, dtype=bool)
+    low, high = np.full(3, -5.0), np.full(3, 5.0)
+    return Background(low, high, np.tile(radiance, (num, 1)).astype(np.float32), every, every)
+
+
+def dark_surfel() -> Surfels:
+    """One that no ray meets."""
+    surfel = np.array([0, -1, -1, -1, -1, -1], np.int32)
+    grid = CellGrid(np.full(3, -5.0), 10.0, np.array([1, 1, 1]), surfel)
+    row, one = np.zeros((1, 3), np.float32), np.zeros(1, np.int32)
+    seen = Observations(np.array([0, 1]), one, row, np.ones(1, np.float32))
+    return Surfels(grid, row, row, one, row, seen, row, (), ())
+
+
+def panel() -> tuple[Mesh, Emitters]:
+    corners = np.array([[-0.3, -0.3, ABOVE], [-0.3, 0.3, ABOVE], [0.3, 0.3, ABOVE], [0.3, -0.3, ABOVE]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    mesh = Mesh(corners.astype(np.float32), faces, None, None)
+    emitters = Emitters(
+        np.zeros(2, np.int32),
+        RADIANCE[None].astype(np.float32),
+        np.ones(2, np.float32),
+        np.arange(2, dtype=np.int32),
+        corners[faces].astype(np.float32),
+        np.full(2, 0.18 * RADIANCE @ LUMINANCE_WEIGHTS, np.float32),
+    )
+    return mesh, emitters
+
+
+@lru_cache(maxsize=2)
+def baker(*, has_sky: bool) -> Baker:
+    mesh, emitters = panel()
+    sky = background(0.5 * RADIANCE if has_sky else np.zeros(3))
+    return Baker(RadianceField(mesh_scene(mesh), dark_surfel(), emitters, sky), 1e-2)
+
+
+def hemisphere(num: int = 1200) -> tuple[NDArray, NDArray]:
+    """Directions (K, 3) of a grid equal in cosine and azimuth, and their solid angle."""
+    z = (np.arange(num) + 0.5) / num
+    azimuth = (np.arange(num) + 0.5) / num * 2 * np.pi
+    z, azimuth = (part.ravel() for part in np.meshgrid(z, azimuth, indexing="ij"))
+    radius = np.sqrt(1 - z**2)
+    directions = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+    return directions, np.full(len(directions), 2 * np.pi / len(directions))
+
+
+def incoming(point: NDArray, direction: NDArray, *, has_sky: bool) -> NDArray[np.float64]:
+    """1 where a ray meets the panel, else the sky's half; in units of RADIANCE."""
+    t = (ABOVE - point[2]) / np.maximum(direction[:, 2], 1e-12)
+    place = point[None, :2] + t[:, None] * direction[:, :2]
+    hits = (np.abs(place) < 0.3).all(axis=1)
+    return np.where(hits, 1.0, 0.5 if has_sky else 0.0)
+
+
+POINTS = np.array([[0.0, 0.0, 0.0], [0.25, -0.1, 0.0], [0.6, 0.4, 0.0]])
+
+
+@pytest.mark.parametrize("has_sky", [False, True])
+def test_diffuse_shading(has_sky: bool) -> None:
+    """Within 1 % of the integral of L cos / pi."""
+    normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
+    found = baker(has_sky=has_sky).irradiance(POINTS, normal, 4096)
+    directions, solid = hemisphere()
+    for point, value in zip(POINTS, found.diffuse, strict=True):
+        true = (incoming(point, directions, has_sky=has_sky) * directions[:, 2] * solid).sum() / np.pi
+        np.testing.assert_allclose(value, true * RADIANCE, rtol=0.01)
+    assert found.known == pytest.approx(1.0)
+
+
+def lobes(wi: NDArray, wo: NDArray, alpha: float) -> tuple[NDArray, NDArray]:
+    """D G / (4 cos_i) times 1 - f and f, in float64: the integrand's BRDF parts times cos_o."""
+    from scipy.special import erf
+
+    half = wi + wo
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    tan2 = (half[:, 0] ** 2 + half[:, 1] ** 2) / half[:, 2] ** 2
+    density = np.exp(-tan2 / alpha**2) / (np.pi * alpha**2 * half[:, 2] ** 4)
+
+    def masking(w: NDArray) -> NDArray:
+        sine = np.sqrt(np.maximum(1 - w[..., 2] ** 2, 1e-30))
+        a = w[..., 2] / (alpha * sine)
+        return 2 / (1 + erf(a) + np.exp(-(a**2)) / (a * np.sqrt(np.pi)))
+
+    value = density * masking(wi) * masking(wo) / (4 * wi[2])
+    f = (1 - (half * wi).sum(axis=1)) ** 5
+    return value * (1 - f), value * f
+
+
+@pytest.mark.parametrize("roughness", [0.25, 0.55, 1.0])
+@pytest.mark.parametrize("has_sky", [False, True])
+def test_specular_shading(roughness: float, has_sky: bool) -> None:
+    """Within 2 % of the integrals of the BRDF's two parts, and 0.003 of what the brightest light gives."""
+    view = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.9, 0.1, np.sqrt(1 - 0.82)]])
+    normal = np.tile([0.0, 0.0, 1.0], (len(POINTS), 1))
+    found = baker(has_sky=has_sky).specular(POINTS, normal, view, np.full(len(POINTS), roughness), 8192)
+    directions, solid = hemisphere()
+    for k, point in enumerate(POINTS):
+        light = incoming(point, directions, has_sky=has_sky) * solid
+        first, second = lobes(view[k], directions, roughness**2)
+        np.testing.assert_allclose(found.ls0[k], (first * light).sum() * RADIANCE, rtol=0.02, atol=0.003)
+        np.testing.assert_allclose(found.ls1[k], (second * light).sum() * RADIANCE, rtol=0.02, atol=0.003)
+
+
+def observations(num: int, metal: bool, seed: int) -> tuple[NDArray, ...]:
+    """Random shading of points, and what a material would look like in it: S 0.06 or coloured, R 0.4."""
+    random = np.random.default_rng(seed)
+    levels = len(ROUGHNESS_LEVELS)
+    ls0 = random.gamma(0.6, 1.0, (num, 8, levels, 3)).astype(np.float32)
+    ls1 = (0.1 * random.gamma(0.6, 1.0, (num, 8, levels, 3))).astype(np.float32)
+    diffuse = random.uniform(0.5, 1.5, (num, 3)).astype(np.float32)
+    albedo = np.zeros((num, 3)) if metal else random.uniform(0.1, 0.7, (num, 3))
+    s = np.array([0.9, 0.7, 0.4]) if metal else np.full(3, 0.06)
+    at = int(np.flatnonzero(np.isclose(ROUGHNESS_LEVELS, 0.4))[0])
+    radiance = ((1 - s) * albedo * diffuse)[:, None] + s * ls0[:, :, at] + ls1[:, :, at]
+    return radiance.astype(np.float32), np.ones((num, 8), np.float32), diffuse, ls0, ls1
+
+
+@pytest.mark.parametrize("metal", [False, True])
+def test_known_materials_are_found(metal: bool) -> None:
+    start = np.array([0, 30, 60], np.int64)
+    costs = segment_costs(start, *observations(60, metal, 5), 0.4)
+    found = decide(
+        costs,
+        np.full((2, 3), 0.04),
+        np.full(2, 0.6),
+        np.ones(2),
+        np.arange(2),
+        np.full(2, 30),
+        PriorWeights(),
+    )
+    assert (found.is_metal == metal).all()
+    np.testing.assert_allclose(
+        found.specular_albedo, [[0.9, 0.7, 0.4] if metal else [0.06] * 3] * 2, atol=0.01
+    )
+    np.testing.assert_allclose(found.roughness, 0.4, atol=0.02)
+    assert found.residual.max() < 1e-4
+
+
+def test_cost_is_that_of_a_dense_solve() -> None:
+    """Of every hypothesis for dielectrics, against float64 NumPy."""
+    radiance, weight, diffuse, ls0, ls1 = observations(12, False, 9)
+    weight = np.random.default_rng(2).uniform(0.2, 2.0, weight.shape).astype(np.float32)
+    costs = segment_costs(np.array([0, 12], np.int64), radiance, weight, diffuse, ls0, ls1, 0.4)
+    for level in range(len(ROUGHNESS_LEVELS)):
+        for k, s in enumerate(SPECULAR_LEVELS.astype(np.float64)):
+            spec = s * ls0[:, :, level].astype(np.float64) + ls1[:, :, level]
+            rest = ((radiance - spec) * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None]
+            albedo = np.clip(rest / ((1 - s) * diffuse), 0, 0.95)
+            model = ((1 - s) * albedo * diffuse)[:, None] + spec
+            encode = lambda x: np.log1p(50 * np.maximum(x, 0) * 0.4) / np.log(51)  # noqa: E731
+            residual = np.minimum(np.abs(encode(model) - encode(radiance)), 0.2)
+            true = (residual * weight[..., None]).sum() / (3 * weight.sum())
+            assert costs.dielectric[0, level, k] == pytest.approx(true, rel=2e-3, abs=1e-5)
+
+
+def test_weighted_medians() -> None:
+    random = np.random.default_rng(0)
+    values = random.random((40, 3)).astype(np.float32)
+    start = np.array([0, 1, 4, 40], np.int64)
+    found = weighted_medians(start, values, np.ones(40, np.float32))
+    for row, (first, last) in enumerate(pairwise(start)):
+        np.testing.assert_allclose(found[row], np.median(values[first:last], axis=0), rtol=1e-6)
+    heavy = np.ones(40, np.float32)
+    heavy[7] = 100
+    np.testing.assert_array_equal(weighted_medians(start, values, heavy)[2], values[7])

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""`materials infer` with materials from light, on the lit box."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.images import read_image
+from model.checkpoint import CheckpointCard, save_checkpoint
+from model.networks import MaterialNetwork, NetworkConfig
+from model.reconstruction.infer import InferOptions, InferReport, infer
+from model.reconstruction.infer_options import Materials
+from model.reconstruction.predict.sources import CheckpointMaps
+from tests.model.lit_box import ALBEDOS, box_capture
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+
+
+def untrained(folder: Path, seed: int) -> CheckpointMaps:
+    """Networks that say one grey or another."""
+    torch.manual_seed(seed)
+    network = NetworkConfig(base_channels=4, global_channels=8)
+    card = CheckpointCard(network=network, loss="none", phase="untrained", step=0)
+    path = folder / f"random-{seed}.safetensors"
+    save_checkpoint(path, card, MaterialNetwork(network))
+    return CheckpointMaps(path)
+
+
+def inferred(
+    folder: Path, seed: int, materials: Materials, white: float = np.inf
+) -> tuple[InferReport, NDArray[np.float64]]:
+    """The report, and D of the atlas where it was seen, (K, 3)."""
+    options = InferOptions(atlas=128, materials=materials, is_checked=False, has_exr=False)
+    out = folder / f"{materials}-{seed}-{white}"
+    report = infer(box_capture(white), out, untrained(folder, seed), options)
+    atlas = read_image(out / "atlas" / "diffuse_albedo.png")[..., :3] / 255.0
+    seen = read_image(out / "atlas" / "mask.png")[..., 0] == 255
+    return report, linear_from_srgb(atlas[seen])
+
+
+def walls_found(found: NDArray) -> NDArray[np.float64]:
+    """Share of the texels within 20 % of the albedo of one of the walls. An untrained network predicts
+    a specular albedo that the light cannot quite refute, at the cost of D."""
+    apart = np.abs(np.log(np.maximum(found, 1e-3)[:, None] / ALBEDOS[None])).max(axis=2).min(axis=1)
+    return np.mean(apart < 0.2)
+
+
+def test_atlas_has_the_walls_albedos_whatever_was_predicted(tmp_path: Path) -> None:
+    report, found = inferred(tmp_path, 3, "both")
+    assert walls_found(found) > 0.7
+    written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
+    assert written["photographed_share"] > 0.95 and min(written["confidence"]) > 0.95
+    assert written["num_surfels"] > 1000 and len(written["emitters"]) == 1
+    assert "light" in report.seconds and set(written["seconds"]) >= {"surfels", "irradiance", "solve", "maps"}
+    _, other = inferred(tmp_path, 4, "both")
+    assert np.median(np.abs(found - other)) < 0.02
+
+
+def test_light_alone_needs_no_level(tmp_path: Path) -> None:
+    report, found = inferred(tmp_path, 3, "light")
+    assert walls_found(found) > 0.85
+    assert report.light["confidence"] == (1.0, 1.0, 1.0)
+
+
+def test_network_alone_leaves_light_out(tmp_path: Path) -> None:
+    """The twin: untrained networks do not know the walls."""
+    report, found = inferred(tmp_path, 3, "network")
+    assert report.light == {} and "light" not in report.seconds
+    assert walls_found(found) < 0.5
+
+
+def test_clipped_photographs_keep_the_network_s_maps(tmp_path: Path) -> None:
+    report, found = inferred(tmp_path, 3, "both", white=0.6)
+    assert report.light == {} and any("materials are the networks' alone" in note for note in report.notes)
+    _, network = inferred(tmp_path, 3, "network", white=0.6)
+    np.testing.assert_array_equal(found, network)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: MIT
+"""Materials from light in a room whose materials and light are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.options import LightOptions
+from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
+from tests.model.light_room import LAMP, SKY, photographed_room, quads, room_geometry
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+EXPOSURE = 0.5
+WALLS = ("west", "south", "north", "ceiling", "east-low")
+
+
+def predicted(
+    views: tuple[TracedView, ...], diffuse: float = 0.35, specular: float = 0.03, roughness: float = 0.7
+) -> list[dict[str, NDArray]]:
+    """What a network might say that has not understood the room: one grey, faintly glossy material."""
+    height, width = views[0].color.shape[:2]
+    maps = {
+        "diffuse_albedo": np.full((height, width, 3), diffuse, np.float16),
+        "specular_albedo": np.full((height, width, 3), specular, np.float16),
+        "roughness": np.full((height, width, 1), roughness, np.float16),
+    }
+    return [dict(maps) for _ in views]
+
+
+def solved(
+    views: tuple[TracedView, ...], maps: list[dict[str, NDArray]], exposure: float = EXPOSURE
+) -> LightMaterials:
+    geometry = room_geometry()
+    traced = TracedGeometry(geometry)
+    regions = smooth_regions(traced.mesh)
+    options = LightOptions(is_leveled=False)
+    return materials_from_light(views, maps, traced, geometry.emitter_mask(), regions, exposure, options)
+
+
+@lru_cache(maxsize=1)
+def room() -> LightMaterials:
+    return solved(photographed_room(), predicted(photographed_room()))
+
+
+def of_quad(found: LightMaterials, name: str) -> NDArray[np.bool_]:
+    """Surfels of a quad."""
+    number = [quad.name for quad in quads()].index(name)
+    return found.lit.surfels.face // 2 == number
+
+
+def median_albedo(found: LightMaterials, name: str) -> NDArray[np.float64]:
+    return np.median(found.albedo[of_quad(found, name)], axis=0)
+
+
+def wall_error(found: LightMaterials) -> float:
+    """Greatest relative error of the walls' diffuse albedo."""
+    true = {quad.name: np.array(quad.diffuse) for quad in quads()}
+    return max(float(np.abs(median_albedo(found, name) / true[name] - 1).max()) for name in WALLS)
+
+
+def test_light_of_lamp_and_sky_is_found() -> None:
+    """Within 5 %: no photograph was told what they are."""
+    field = room().lit.baker.field
+    np.testing.assert_allclose(field.emitters.radiance, [LAMP], rtol=0.05)
+    sky = field.background.radiance[field.background.is_photographed]
+    np.testing.assert_allclose(np.median(sky, axis=0), SKY, rtol=0.05)
+    (lamp,) = room().report.emitters
+    np.testing.assert_allclose(lamp["place_m"], [2.0, 1.5, 2.48], atol=0.01)
+    assert lamp["area_m2"] == pytest.approx(1.0)
+
+
+def test_diffuse_albedo_of_coloured_walls() -> None:
+    """Within 6 %. The mirror's radiance in the cameras' directions counts for all others, which takes 4 % of
+    blue off north wall and ceiling; specular albedo that noise allows, 0 to 0.04, takes the rest."""
+    assert wall_error(room()) < 0.06
+
+
+def test_tiles_of_a_floor_keep_their_pattern() -> None:
+    tiles = [quad for quad in quads() if quad.name.startswith("tile")]
+    found = np.array([median_albedo(room(), tile.name) for tile in tiles])
+    true = np.array([tile.diffuse for tile in tiles])
+    np.testing.assert_allclose(np.median(found / true, axis=0), 1.0, atol=0.06)
+    assert np.quantile(np.abs(found - true), 0.9) < 0.03
+
+
+def test_glossy_panel() -> None:
+    panel = of_quad(room(), "glossy")
+    assert np.abs(np.median(room().solved.specular_albedo[panel]) - 0.04) < 0.03
+    assert np.abs(np.median(room().solved.roughness[panel]) - 0.25) < 0.08
+    np.testing.assert_allclose(median_albedo(room(), "glossy"), [0.15, 0.2, 0.4], atol=0.03)
+
+
+@pytest.mark.parametrize(("name", "tolerance"), [("metal", 0.12), ("mirror", 0.03)])
+def test_metal_has_no_diffuse_part_and_its_colour(name: str, tolerance: float) -> None:
+    """It is told from dark paint by how its radiance follows the view; nothing predicted it."""
+    (quad,) = (quad for quad in quads() if quad.name == name)
+    panel = of_quad(room(), name)
+    assert room().solved.is_metal[panel].mean() > 0.6
+    found = np.median(room().solved.specular_albedo[panel], axis=0)
+    np.testing.assert_allclose(found, quad.specular, atol=tolerance)
+    assert np.abs(np.median(room().solved.roughness[panel]) - quad.roughness) < 0.08
+    assert median_albedo(room(), name).max() == 0
+
+
+def test_exposure_changes_nothing() -> None:
+    """All photographs at a quarter of the exposure: the same materials."""
+    views = tuple(replace(view, color=view.color * np.float32(0.25)) for view in photographed_room())
+    darker = solved(views, predicted(views), exposure=4 * EXPOSURE)
+    np.testing.assert_allclose(darker.albedo, room().albedo, atol=2e-3)
+    np.testing.assert_array_equal(darker.solved.is_metal, room().solved.is_metal)
+
+
+def test_order_of_views_changes_nothing() -> None:
+    views = photographed_room()
+    order = np.random.default_rng(3).permutation(len(views))
+    shuffled = solved(tuple(views[index] for index in order), predicted(views))
+    for place, index in enumerate(order):
+        for name, values in room().maps[index].items():
+            assert values.tobytes() == shuffled.maps[place][name].tobytes()
+
+
+def test_prediction_of_diffuse_albedo_does_not_count_where_light_is_known() -> None:
+    other = solved(photographed_room(), predicted(photographed_room(), diffuse=0.7))
+    for name in WALLS:
+        np.testing.assert_allclose(median_albedo(other, name), median_albedo(room(), name), rtol=0.03)
+
+
+def test_irradiance_that_is_wrong_by_a_tenth_fails() -> None:
+    """The twin of the walls' test."""
+    found = room()
+    wrong = surfel_albedo(
+        found.lit.surfels,
+        found.lit.diffuse * np.float32(1.1),
+        found.solved.specular,
+        found.solved.specular_albedo,
+        found.solved.is_metal,
+    )
+    assert wall_error(replace(found, albedo=wrong)) > 0.06
+
+
+@pytest.mark.parametrize("name", ["west", "south", "north", "east-low", "glossy"])
+def test_energy_is_conserved(name: str) -> None:
+    """No more leaves than arrives, but for noise, where all light is photographed."""
+    found = room()
+    seen = (found.lit.irradiance.photographed > 0.98) & of_quad(found, name)
+    reflected = found.lit.surfels.radiance[seen] / found.lit.diffuse[seen]
+    assert seen.sum() > 300
+    assert (reflected.max(axis=1) > 1).mean() < 0.01
