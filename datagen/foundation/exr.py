@@ -28,6 +28,7 @@ COMPRESSIONS = {
     "zip": OpenEXR.ZIP_COMPRESSION,
     "piz": OpenEXR.PIZ_COMPRESSION,
 }
+_EXR_ERRORS = (RuntimeError, ValueError, OSError, MemoryError, TypeError, IndexError, KeyError)
 _READ_REMEDY = "make the view again (remove it and rerun), or restore the file"
 
 
@@ -76,19 +77,28 @@ def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, wher
         raise InputError(Problem(where, "size", got, "a size that the file can hold", _READ_REMEDY))
 
 
-def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray]:
-    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged or lying file."""
+def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
+    """(width, height) by an EXR file's header, if the file can hold as much. Raises :class:`InputError`."""
     OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
     try:
         with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
             low, high = (np.asarray(corner, dtype=np.int64) for corner in file.header()["dataWindow"])
             width, height = (int(side) for side in high - low + 1)
             check_claim((width, height), 4 * len(file.header()["channels"]), len(data), where)
-        with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
-            return {name: channel.pixels for name, channel in file.channels().items()}
+            return width, height
     except InputError:
         raise
-    except (RuntimeError, ValueError, OSError, MemoryError, TypeError, IndexError, KeyError) as error:
+    except _EXR_ERRORS as error:
+        raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
+
+
+def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray]:
+    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged or lying file."""
+    claimed_size(data, where)
+    try:
+        with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
+            return {name: channel.pixels for name, channel in file.channels().items()}
+    except _EXR_ERRORS as error:
         raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
 
 

@@ -41,8 +41,11 @@ def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -
     """(width, height) without decoding pixels where the format allows; ``formats`` as Pillow names them, by
     content. Raises :class:`InputError`."""
     if path.suffix.lower() == ".exr":
-        height, width = read_image(path).shape[:2]
-        return width, height
+        from datagen.foundation.exr import claimed_size
+
+        if not path.is_file():
+            raise input_error(path, got="no such file", expected="an image", remedy="correct its name")
+        return claimed_size(path.read_bytes(), path)
     from PIL import Image
 
     if not path.is_file():  # a pipe would wait for ever

@@ -20,8 +20,13 @@ def slug(text: str) -> str:
 
 def unique(name: str, taken: set[str] | dict[str, object]) -> str:
     """``name``, or ``name_2``, ``name_3``, ... if it is taken."""
-    candidate, number = name, 1
-    while candidate in taken:
-        number += 1
-        candidate = f"{name}_{number}"
-    return candidate
+    if name not in taken:
+        return name
+    last, step = 1, 1  # of thousands of equal names each would else try all before it
+    while f"{name}_{last + step}" in taken:
+        last, step = last + step, 2 * step
+    while step > 1:
+        step //= 2
+        if f"{name}_{last + step}" in taken:
+            last += step
+    return f"{name}_{last + 1}"

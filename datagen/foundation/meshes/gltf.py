@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,10 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.budget import Budget
+from datagen.foundation.documents import parse_json
 from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.paths import named_file
 
 KNOWN_EXTENSIONS = frozenset(
     {
@@ -34,9 +36,10 @@ KNOWN_EXTENSIONS = frozenset(
     }
 )  # fmt: skip
 MAX_FILE_BYTES = 2 << 30
-_MAX_ZEROS = 10_000_000  # entries of an accessor without data, which a file may claim for nothing
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+TRIANGLE_MODES = (4, 5, 6)  # list, strip, fan
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_MISFITS = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, ArithmeticError)
 _IMAGE_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
 
 
@@ -55,17 +58,26 @@ class PlacedNode:
 
 
 class GltfFile:
-    """An opened document. Use as a context manager: embedded images live in a temporary folder."""
+    """An opened document. Use as a context manager: embedded images live in a temporary folder. Leaving it by
+    an error of Python's own, of which a tree of anything has many, raises :class:`InputError` instead.
 
-    def __init__(self, path: Path):
+    Its files lie in its own folder, or in those that are ``allowed``.
+    """
+
+    def __init__(self, path: Path, budget: Budget | None = None, allowed: Sequence[Path] = ()):
         self.path = path
-        self.folder = path.parent.resolve()
+        self.folder = path.parent
+        self.budget, self.allowed = budget or Budget(path), allowed
         self._temporary: tempfile.TemporaryDirectory | None = None
         self._buffers: dict[int, bytes] = {}
         self._lists: dict[str, list[dict[str, Any]]] = {}
         self._binary = b""
         self.json = self._load()
-        required = set(self.json.get("extensionsRequired", [])) - KNOWN_EXTENSIONS
+        version = self.json.get("asset", {})
+        version = version.get("version", "") if isinstance(version, dict) else ""
+        if not str(version).startswith("2."):
+            raise input_error(self.path, "asset.version", repr(version), "2.0", "export it as glTF 2.0")
+        required = {str(name) for name in self._list("extensionsRequired")} - KNOWN_EXTENSIONS
         if required:
             raise input_error(
                 path,
@@ -78,21 +90,29 @@ class GltfFile:
     def __enter__(self) -> GltfFile:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self._temporary is not None:
             self._temporary.cleanup()
+        if isinstance(error, _MISFITS) and not isinstance(error, InputError):
+            raise self.error("", repr(error)[:200], "a readable glTF file") from None
 
     def error(
         self, field: str, got: object, expected: str, remedy: str = "export the file again"
     ) -> InputError:
         return input_error(self.path, field, got, expected, remedy)
 
+    def _list(self, key: str) -> list[Any]:
+        value = self.json.get(key, [])
+        if not isinstance(value, list):
+            raise self.error(key, type(value).__name__, "a list")
+        return value
+
     def items(self, key: str) -> list[dict[str, Any]]:
         """A top-level list of the document, empty where it is absent."""
         if key not in self._lists:
-            value = self.json.get(key, [])
-            if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
-                raise self.error(key, type(value).__name__, "a list of objects")
+            value = self._list(key)
+            if not all(isinstance(v, dict) for v in value):
+                raise self.error(key, "something else", "a list of objects")
             self._lists[key] = value
         return self._lists[key]
 
@@ -107,6 +127,7 @@ class GltfFile:
         try:
             if self.path.stat().st_size > MAX_FILE_BYTES:
                 raise input_error(self.path, got="over 2 GB", expected="a glTF file")
+            self.budget.hold_file(self.path)
             data = self.path.read_bytes()
         except OSError as error:
             raise input_error(self.path, got=error.strerror or error, expected="a glTF file") from None
@@ -117,17 +138,15 @@ class GltfFile:
                     self.path, got="a .glb without its JSON chunk", expected="an intact .glb file"
                 )
         try:
-            value = json.loads(data.decode("utf-8"))
+            text = data.decode("utf-8")
         except UnicodeDecodeError:
             expected = "a glTF file: .glb, or .gltf in UTF-8"
             raise input_error(
                 self.path, "", "neither binary glTF nor text", expected, "check the file"
             ) from None
-        except (ValueError, RecursionError) as error:
-            raise input_error(self.path, got=str(error)[:200], expected="a glTF document") from None
-        version = value.get("asset", {}).get("version", "") if isinstance(value, dict) else ""
-        if not str(version).startswith("2."):
-            raise input_error(self.path, "asset.version", repr(version), "2.0", "export it as glTF 2.0")
+        value = parse_json(text, self.path, self.budget, "export the file again")
+        if not isinstance(value, dict):
+            raise input_error(self.path, got=type(value).__name__, expected="a glTF document")
         return value
 
     def _split_binary(self, data: bytes) -> bytes:
@@ -158,10 +177,8 @@ class GltfFile:
                 return base64.b64decode(uri.split(",", 1)[1], validate=True)
             except (IndexError, binascii.Error):
                 raise self.error(user, uri[:40], "base64 data") from None
-        path = (self.folder / unquote(uri)).resolve()
-        if "://" in uri or not path.is_relative_to(self.folder):
-            raise self.error(user, repr(uri), "a file in the document's folder", "copy it there")
-        return path
+        remedy = "copy it there, or name its folder with --allow"
+        return named_file(self.folder, unquote(uri), self.path, user, self.allowed, remedy)
 
     def buffer(self, index: int) -> bytes:
         if index not in self._buffers:
@@ -178,6 +195,7 @@ class GltfFile:
                         "the buffer",
                         "restore it",
                     )
+                self.budget.hold_file(content)
                 content = content.read_bytes()
             if len(content) < int(entry.get("byteLength", 0)):
                 raise self.error(
@@ -186,16 +204,38 @@ class GltfFile:
             self._buffers[index] = content
         return self._buffers[index]
 
-    def view(self, index: object) -> tuple[bytes, int]:
+    def view(self, index: object) -> tuple[memoryview, int]:
         """Bytes of a buffer view and its stride (0 = tightly packed)."""
         entry = self.item("bufferViews", index, "accessors")
         if "EXT_meshopt_compression" in entry.get("extensions", {}):
             raise self.error(
                 f"bufferViews[{index}]", "EXT_meshopt_compression", "uncompressed data", "export it without"
             )
-        data = self.buffer(int(entry.get("buffer", 0)))
+        data = memoryview(self.buffer(int(entry.get("buffer", 0))))
         start = int(entry.get("byteOffset", 0))
         return data[start : start + int(entry["byteLength"])], int(entry.get("byteStride", 0))
+
+    def count(self, index: object, user: str) -> int:
+        """How many entries an accessor has, without reading it."""
+        count = self.item("accessors", index, user).get("count")
+        if not isinstance(count, int) or not 0 <= count <= 3 * self.budget.allowed("triangles"):
+            expected = f"0 to {3 * self.budget.allowed('triangles')}"
+            raise self.error(f"accessors[{index}].count", repr(count)[:80], expected)
+        return count
+
+    def weight(self, primitive: dict[str, Any], user: str) -> int:
+        """Triangles that a primitive counts for, without reading it: three vertices count as one where it has
+        more of them. Its attributes must have an entry a vertex."""
+        attributes = primitive.get("attributes", {})
+        if "POSITION" not in attributes:
+            raise self.error(user, "no POSITION", "vertex positions")
+        num_vertices = self.count(attributes["POSITION"], user)
+        for name, index in attributes.items():
+            if name.startswith(("NORMAL", "TEXCOORD_")) and self.count(index, user) != num_vertices:
+                raise self.error(f"{user}: {name}", self.count(index, user), f"{num_vertices} entries")
+        corners = self.count(primitive["indices"], user) if "indices" in primitive else num_vertices
+        is_list = primitive.get("mode", 4) == 4
+        return max(corners // 3 if is_list else corners, -(-num_vertices // 3))
 
     def accessor(self, index: object, user: str) -> NDArray:
         """Values (count, width) of an accessor; normalised integers become floats."""
@@ -208,8 +248,7 @@ class GltfFile:
         if "bufferView" in entry:
             values = self._strided(entry, kind, width, count, f"accessors[{index}]")
         else:
-            if not 0 <= count <= _MAX_ZEROS:
-                raise self.error(f"accessors[{index}].count", count, f"at most {_MAX_ZEROS} without data")
+            self.count(index, user)  # zeros, which a file may claim for nothing
             values = np.zeros((count, width), kind)
         if "sparse" in entry:
             values = self._sparse(entry["sparse"], values, kind, width, f"accessors[{index}].sparse")
@@ -241,8 +280,9 @@ class GltfFile:
         index_kind = np.dtype(_COMPONENTS[part["componentType"]])
         indices = self._strided(part, index_kind, 1, count, user)[:, 0].astype(np.int64)
         replacement = self._strided(sparse["values"], kind, width, count, user)
-        if len(indices) and indices.max() >= len(values):
-            raise self.error(user, int(indices.max()), f"indices below {len(values)}")
+        if len(indices) and (indices.min() < 0 or indices.max() >= len(values)):
+            got = int(indices.min() if indices.min() < 0 else indices.max())
+            raise self.error(user, got, f"indices from 0 to {len(values) - 1}")
         values = np.array(values)
         values[indices] = replacement
         return values
@@ -255,7 +295,7 @@ class GltfFile:
             if isinstance(content, Path):
                 return content
         else:
-            content = self.view(entry.get("bufferView"))[0]
+            content = bytes(self.view(entry.get("bufferView"))[0])
         kind = str(entry.get("mimeType", ""))
         suffix = _IMAGE_SUFFIX.get(kind) or (".png" if content[:4] == b"\x89PNG" else ".jpg")
         if self._temporary is None:
@@ -272,27 +312,69 @@ class GltfFile:
 
     def placed_nodes(self) -> Iterator[PlacedNode]:
         """Nodes of the default scene, depth first. Raises :class:`InputError` for a node inside itself."""
+        nodes = self.items("nodes")
         scenes = self.items("scenes")
         if scenes:
-            roots = self.item("scenes", self.json.get("scene", 0), "scene").get("nodes", [])
+            roots = _indices(self.item("scenes", self.json.get("scene", 0), "scene").get("nodes", []))
         else:
-            inner = {c for n in self.items("nodes") for c in n.get("children", [])}
-            roots = [k for k in range(len(self.items("nodes"))) if k not in inner]
+            inner = {c for n in nodes for c in _indices(n.get("children", []))}
+            roots = [k for k in range(len(nodes)) if k not in inner]
         seen: set[int] = set()
         for root in roots:
-            yield from self._walk(root, root, np.eye(4), seen)
+            rest = [(root, np.eye(4), 1)]
+            while rest:
+                index, outer, depth = rest.pop()
+                node = self.item("nodes", index, "nodes")
+                if index in seen:  # forty nodes with two parents each would be a million million
+                    raise self.error(f"nodes[{index}]", "inside itself or two others", "a tree of nodes")
+                seen.add(index)
+                self.budget.spend("nodes", 1, f"nodes[{index}]")
+                self.budget.check_depth(depth, f"nodes[{index}]")
+                with np.errstate(over="ignore", invalid="ignore"):
+                    matrix = outer @ self._local_matrix(index, node)
+                if not np.isfinite(matrix).all():
+                    raise self.error(f"nodes[{index}]", "transforms without end", "finite transforms")
+                yield PlacedNode(index, root, node, matrix)
+                children = _indices(node.get("children", []))
+                rest.extend((child, matrix, depth + 1) for child in reversed(children))
 
-    def _walk(
-        self, index: int, root: int, outer: NDArray[np.float64], seen: set[int]
-    ) -> Iterator[PlacedNode]:
-        node = self.item("nodes", index, "nodes")
-        if index in seen:  # forty nodes with two parents each would be a million million
-            raise self.error(f"nodes[{index}]", "inside itself or two others", "a tree of nodes")
-        seen.add(index)
-        matrix = outer @ local_matrix(node)
-        yield PlacedNode(index, root, node, matrix)
-        for child in node.get("children", []):
-            yield from self._walk(child, root, matrix, seen)
+    def placed_primitives(self, nodes: Sequence[PlacedNode]) -> int:
+        """How many primitives the meshes of some nodes have, each counted as often as it is placed. What they
+        come to is spent, before any of them is read."""
+        for index, buffer in enumerate(self.items("buffers")):
+            content = self.resource(str(buffer.get("uri", "data:,")), f"buffers[{index}].uri")
+            if isinstance(content, Path) and content.is_file():
+                self.budget.hold_file(content)
+        weights: dict[object, tuple[int, int]] = {}  # of a mesh: primitives, triangles
+        total = 0
+        for placed in nodes:
+            if "mesh" not in placed.node:
+                continue
+            key = placed.node["mesh"]
+            if key not in weights:
+                primitives = self.item("meshes", key, f"node {placed.name!r}").get("primitives", [])
+                known = [p for p in primitives if p.get("mode", 4) in TRIANGLE_MODES]
+                weights[key] = len(known), sum(self.weight(p, f"meshes[{key}]") for p in known)
+            num_primitives, num_triangles = weights[key]
+            total += num_primitives
+            self.budget.spend("instances", num_primitives, f"node {placed.name!r}")
+            self.budget.spend("triangles", num_triangles, f"node {placed.name!r}")
+        return total
+
+    def _local_matrix(self, index: int, node: dict[str, Any]) -> NDArray[np.float64]:
+        for key, count in (("matrix", 16), ("rotation", 4), ("scale", 3), ("translation", 3)):
+            value = node.get(key, [0.0] * count)
+            is_list = isinstance(value, list) and len(value) == count
+            if not is_list or not all(isinstance(v, int | float) and abs(v) < 1e30 for v in value):
+                got = f"{len(value)} entries" if isinstance(value, list) and not is_list else repr(value)
+                raise self.error(f"nodes[{index}].{key}", got, f"{count} numbers")
+        return local_matrix(node)
+
+
+def _indices(value: object) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError(f"{value!r:.80} is no list of nodes")
+    return value
 
 
 def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:

@@ -25,6 +25,11 @@ class Mesh:
     normals: NDArray[np.float32] | None = None
     uv: NDArray[np.float32] | None = None
 
+    @property
+    def weight(self) -> int:
+        """Triangles that the mesh counts for: three vertices count as one where it has more of them."""
+        return max(len(self.faces), -(-len(self.positions) // 3))
+
     def transformed(self, target_from_source: NDArray[np.float64]) -> Mesh:
         """The mesh under an affine (4, 4) transform; normals go by the inverse transpose, winding stays."""
         linear = np.asarray(target_from_source, dtype=np.float64)[:3, :3]

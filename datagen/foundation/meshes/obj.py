@@ -11,13 +11,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
 
+_BLOCK = 1 << 16  # lines turned into numbers at once: words take ten times their file
 
-def read_obj(path: Path) -> Mesh:
+
+def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
     """An OBJ file; vertices are the distinct (position, uv, normal) triples. Raises :class:`InputError`."""
+    budget = budget or Budget(path)
     try:
+        budget.hold_file(path)
         data = path.read_bytes()
     except OSError as error:
         raise input_error(path, got=error.strerror or error, expected="a readable OBJ file") from None
@@ -35,6 +40,8 @@ def read_obj(path: Path) -> Mesh:
             uvs.append(line)
         elif head == b"vn":
             normals.append(line)
+    num_triangles = sum(len(face) for face in faces) - 2 * len(faces)
+    budget.spend("triangles", max(num_triangles, len(positions) // 3), path.name)
     try:
         tables = (_table(positions, 3), _table(uvs, 2), _table(normals, 3))
         corners = _corners(faces, tuple(len(t) for t in tables))
@@ -47,15 +54,18 @@ def read_obj(path: Path) -> Mesh:
 
 def _table(lines: list[bytes], width: int) -> NDArray[np.float64]:
     """Numbers after the keyword, the first ``width`` of each line, (K, width)."""
-    if not lines:
-        return np.zeros((0, width))
+    blocks = [_block(lines[k : k + _BLOCK], width) for k in range(0, len(lines), _BLOCK)]
+    return np.concatenate(blocks) if blocks else np.zeros((0, width))
+
+
+def _block(lines: list[bytes], width: int) -> NDArray[np.float64]:
     tokens = b" ".join(lines).split()
     per_line = len(lines[0].split())
-    if len(tokens) == per_line * len(lines):
-        table = np.array(tokens).reshape(len(lines), per_line)[:, 1 : width + 1]
-    else:  # rows of different lengths, such as colours on some vertices
-        table = np.array([line.split()[1 : width + 1] for line in lines])
-    return table.astype(np.float64)
+    if per_line > width and len(tokens) == per_line * len(lines):
+        columns = [np.fromiter(map(float, tokens[k::per_line]), np.float64) for k in range(1, width + 1)]
+        return np.stack(columns, axis=1)
+    # rows of different lengths, such as colours on some vertices
+    return np.array([[float(word) for word in line.split()[1 : width + 1]] for line in lines])
 
 
 def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.int64]:
@@ -71,7 +81,8 @@ def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.in
     slashes = triangles[0].count(b"/")
     joined = b" ".join(triangles)
     if slashes == 2 and b"//" not in joined and joined.count(b"/") == 2 * len(triangles):
-        indices = np.array(joined.replace(b"/", b" ").split()).astype(np.int64).reshape(-1, 3)
+        numbers = joined.replace(b"/", b" ").split()
+        indices = np.fromiter(map(int, numbers), np.int64).reshape(-1, 3)
     else:
         indices = np.zeros((len(triangles), 3), np.int64)
         for row, corner in enumerate(triangles):

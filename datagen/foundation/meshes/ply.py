@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.foundation.errors import input_error
+from datagen.foundation.budget import Budget
+from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.meshes.mesh import Mesh
 
 MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before a byte is read
@@ -46,21 +47,26 @@ def encode_ply(mesh: Mesh) -> bytes:
     return "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
 
 
-def read_ply(path: Path) -> Mesh:
+def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
     """Read a PLY file; see :func:`decode_ply`."""
+    budget = budget or Budget(path)
     try:
+        budget.hold_file(path)
         data = path.read_bytes()
     except OSError as error:
         raise input_error(path, got=error.strerror or error, expected="a readable PLY file") from None
-    return decode_ply(data, path)
+    return decode_ply(data, path, budget)
 
 
-def decode_ply(data: bytes, where: str | Path) -> Mesh:
+def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
     """A :class:`Mesh` from PLY bytes (little-endian binary or ASCII; polygons are split into fans).
 
-    Raises :class:`InputError` where the file is cut short, of another format or has no positions. Indices
-    and finiteness are for :func:`inspect_mesh`.
+    ``budget`` is of what the bytes are part of. Raises :class:`InputError` where the file is cut short, of
+    another format or has no positions. Indices and finiteness are for :func:`inspect_mesh`.
     """
+    if budget is None:
+        budget = Budget(where)
+        budget.hold(len(data))
     end = data.find(b"end_header", 0, _MAX_HEADER_BYTES)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
@@ -68,9 +74,9 @@ def decode_ply(data: bytes, where: str | Path) -> Mesh:
     form, elements = _parse_header(data[:end].decode("ascii", "replace"), where)
     body = memoryview(data)[newline + 1 :]
     if form == "binary_little_endian":
-        tables = _read_binary(body, elements, where)
+        tables = _read_binary(body, elements, where, budget)
     elif form == "ascii":
-        tables = _read_ascii(bytes(body), elements, where)
+        tables = _read_ascii(bytes(body), elements, where, budget)
     else:
         raise input_error(where, "format", form, "binary_little_endian", _PLY_REMEDY)
     vertex = tables.get("vertex", {})
@@ -86,7 +92,9 @@ def decode_ply(data: bytes, where: str | Path) -> Mesh:
             uv = np.stack([vertex[name] for name in names], axis=1).astype(np.float32)
             break
     positions = np.stack([vertex[name] for name in "xyz"], axis=1).astype(np.float32)
-    return Mesh(positions, faces.astype(np.int32).reshape(-1, 3), normals, uv)
+    mesh = Mesh(positions, faces.astype(np.int32).reshape(-1, 3), normals, uv)
+    budget.spend("triangles", mesh.weight, Path(where).name)
+    return mesh
 
 
 _Element = tuple[
@@ -125,7 +133,7 @@ def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
 
 
 def _read_binary(
-    body: memoryview, elements: list[_Element], where: str | Path
+    body: memoryview, elements: list[_Element], where: str | Path, budget: Budget
 ) -> dict[str, dict[str, NDArray]]:
     tables: dict[str, dict[str, NDArray]] = {}
     offset = 0
@@ -153,15 +161,21 @@ def _read_binary(
             raise input_error(
                 where, f"element {name}", "the file ends early", f"{count} entries", "export it again"
             )
-        tables[name], offset = _read_polygons(body, offset, count, properties, where)
+        tables[name], offset = _read_polygons(body, offset, count, properties, where, budget)
     return tables
 
 
 def _read_polygons(
-    body: memoryview, offset: int, count: int, properties: list[tuple[str, str, str]], where: str | Path
+    body: memoryview,
+    offset: int,
+    count: int,
+    properties: list[tuple[str, str, str]],
+    where: str | Path,
+    budget: Budget,
 ) -> tuple[dict[str, NDArray], int]:
     """Faces of mixed size, as fans of triangles. Slow path."""
     triangles: list[tuple[int, int, int]] = []
+    most = budget.allowed("triangles")
     try:
         for _ in range(count):
             for _, kind, size in properties:
@@ -175,6 +189,10 @@ def _read_polygons(
                 corners = np.frombuffer(body, f"<{kind}", num, offset).tolist()
                 offset += np.dtype(kind).itemsize * num
                 triangles += [(corners[0], corners[k], corners[k + 1]) for k in range(1, num - 1)]
+            if len(triangles) > most:
+                raise budget.exceeded("triangles", len(triangles), Path(where).name)
+    except InputError:
+        raise
     except ValueError:
         raise input_error(
             where, "element face", "the file ends early", f"{count} faces", "export it again"
@@ -182,18 +200,25 @@ def _read_polygons(
     return {"vertex_indices": np.array(triangles, np.int64).reshape(-1, 3)}, offset
 
 
-def _read_ascii(body: bytes, elements: list[_Element], where: str | Path) -> dict[str, dict[str, NDArray]]:
+def _read_ascii(
+    body: bytes, elements: list[_Element], where: str | Path, budget: Budget
+) -> dict[str, dict[str, NDArray]]:
     lines = iter(body.decode("ascii", "replace").splitlines())
     tables: dict[str, dict[str, NDArray]] = {}
     try:
         for name, count, properties in elements:
             rows = [next(lines).split() for _ in range(count)]
             if any(size for _, _, size in properties):
+                num_triangles = sum(max(0, int(r[0]) - 2) for r in rows)
+                if num_triangles > budget.allowed("triangles"):
+                    raise budget.exceeded("triangles", num_triangles, Path(where).name)
                 triangles = [(int(r[1]), int(r[k]), int(r[k + 1])) for r in rows for k in range(2, int(r[0]))]
                 tables[name] = {"vertex_indices": np.array(triangles, np.int64).reshape(-1, 3)}
             else:
                 table = np.array(rows, np.float64).reshape(count, len(properties))
                 tables[name] = {p: table[:, k] for k, (p, _, _) in enumerate(properties)}
+    except InputError:
+        raise
     except (StopIteration, ValueError, IndexError):
         raise input_error(
             where, "body", "numbers missing or unreadable", "the entries of the header"

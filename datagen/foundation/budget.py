@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: MIT
+"""What a file from elsewhere may make of itself: one budget an import, on which every reader draws.
+
+A small file can stand for a great deal: references that fan out, a mesh that is placed a million times, zeros
+that were compressed. Each limit is on what comes out; what a file really holds raises it, so that large files
+are not refused for being large. The defaults keep what a small file costs below 10 s and 1 GB. Whoever trusts
+a file raises a limit:
+
+    SCENE_MATERIALS_LIMITS=instances=50000,triangles=8000000 datagen import forest.gltf --library my-library
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Literal
+
+from datagen.foundation.errors import InputError, Problem, input_error
+
+LIMITS_VARIABLE = "SCENE_MATERIALS_LIMITS"
+"""Environment variable of limits, ``NAME=NUMBER`` with commas between."""
+LimitName = Literal[
+    "nodes", "depth", "references", "instances", "triangles", "pairs", "pixels", "bytes", "values",
+    "frames",
+]  # fmt: skip
+_MAX_DEPTH = 2000  # a level takes up to four calls, and the interpreter's own stack ends some time
+_CALLS_PER_LEVEL = 4
+_USUAL_CALLS = 1000
+_PER_BYTE: dict[LimitName, float] = {"triangles": 1 / 8, "pairs": 20.0, "pixels": 8.0, "bytes": 20.0}
+"""What each byte of the files themselves adds to a limit: no format holds more triangles in as many bytes,
+and hardly a picture more pixels or an archive more bytes."""
+_NOUNS: dict[LimitName, str] = {
+    "nodes": "elements or nodes, each counted as often as it is referred to",
+    "depth": "levels of elements, nodes or references inside each other",
+    "references": "references followed",
+    "instances": "meshes placed",
+    "triangles": "triangles placed",
+    "pairs": "pairs of triangles at a vertex, or of corners of a polygon",
+    "pixels": "pixels decoded",
+    "bytes": "bytes made of the file by unpacking or substitution",
+    "values": "values in a document",
+    "frames": "cameras or photographs",
+}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The most that an import may come to; see ``_NOUNS`` for what each counts. Three vertices count as a
+    triangle where a mesh has more of them."""
+
+    nodes: int = 200_000
+    depth: int = 128
+    references: int = 20_000
+    instances: int = 3_000
+    triangles: int = 750_000
+    pairs: int = 50_000_000
+    pixels: int = 32_000_000
+    bytes: int = 32 << 20
+    values: int = 2_000_000
+    frames: int = 10_000
+
+    def __post_init__(self) -> None:
+        problems = [
+            Problem(LIMITS_VARIABLE, item.name, str(getattr(self, item.name)), expected, "correct it")
+            for item in fields(self)
+            for expected in [f"at most {_MAX_DEPTH}" if item.name == "depth" else "a number above 0"]
+            if getattr(self, item.name) < 1 or (item.name == "depth" and self.depth > _MAX_DEPTH)
+        ]
+        if problems:
+            raise InputError(*problems)
+
+    @classmethod
+    def from_environment(cls) -> Limits:
+        """The defaults, with what ``LIMITS_VARIABLE`` says. Raises :class:`InputError` where it says what
+        cannot be."""
+        changes: dict[str, int] = {}
+        names = [item.name for item in fields(cls)]
+        for entry in filter(None, os.environ.get(LIMITS_VARIABLE, "").split(",")):
+            name, _, value = (part.strip() for part in entry.partition("="))
+            if name not in names or not value.isascii() or not value.isdigit():
+                expected = f"NAME=NUMBER with one of {', '.join(names)}"
+                raise input_error(LIMITS_VARIABLE, "", repr(entry[:80]), expected, "correct the variable")
+            changes[name] = int(value)
+        return replace(cls(), **changes)
+
+
+class Budget:
+    """How much of its limits an import has used. ``where`` is the file that is imported.
+
+    Readers tell what a file holds (:meth:`hold`) and, before they make anything of it, what that comes to
+    (:meth:`spend`), which raises :class:`InputError` beyond the limit.
+    """
+
+    def __init__(self, where: str | Path, limits: Limits | None = None):
+        self.where = where
+        self.limits = Limits.from_environment() if limits is None else limits
+        self._spent: dict[LimitName, int] = {}
+        self._held = 0
+        self._files: set[Path] = set()
+        if self.limits.depth > Limits.depth:  # readers of nested things call themselves
+            calls = _USUAL_CALLS + _CALLS_PER_LEVEL * self.limits.depth
+            sys.setrecursionlimit(max(sys.getrecursionlimit(), calls))
+
+    def hold(self, num_bytes: int) -> None:
+        """Bytes that there are: they raise the limits of what is made of them."""
+        self._held += num_bytes
+
+    def hold_file(self, path: Path) -> None:
+        """The bytes of a file that exists; each file counts once."""
+        real = path.resolve()
+        if real not in self._files:
+            self._files.add(real)
+            self.hold(real.stat().st_size)
+
+    def allowed(self, what: LimitName) -> int:
+        """The most of ``what`` that there may be."""
+        return int(getattr(self.limits, what) + _PER_BYTE.get(what, 0.0) * self._held)
+
+    def spend(self, what: LimitName, amount: int = 1, at: str = "") -> None:
+        """Count ``amount`` more of ``what``; ``at`` is the place in the file. Raises beyond the limit."""
+        total = self._spent.get(what, 0) + amount
+        self._spent[what] = total
+        if total > self.allowed(what):
+            raise self.exceeded(what, total, at)
+
+    def check_depth(self, depth: int, at: str = "") -> None:
+        """Raise where things are nested deeper than the limit."""
+        if depth > self.limits.depth:
+            raise self.exceeded("depth", depth, at)
+
+    def exceeded(self, what: LimitName, amount: int, at: str = "") -> InputError:
+        """The error of a limit that would be passed; ``amount`` is what there is at least."""
+        base, limit = getattr(self.limits, what), self.allowed(what)
+        # one and a half times what was seen: counting stops at the limit, so there may be more
+        needed = amount + amount // 2 - (limit - base)
+        share = f" ({base} and what the size of the files adds)" if limit > base else ""
+        remedy = f"if you trust the file, raise it by the environment: {LIMITS_VARIABLE}={what}={needed}"
+        if what == "depth" and amount > _MAX_DEPTH:
+            remedy = (
+                f"the limit can be raised by {LIMITS_VARIABLE}=depth={_MAX_DEPTH} at most: correct the file"
+            )
+        field = f"{at}: {what}" if at else what
+        expected = f"at most {limit} {_NOUNS[what]}{share}"
+        return input_error(self.where, field, f"{amount} or more", expected, remedy)

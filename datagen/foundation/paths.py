@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""Names of files in files from elsewhere: where they may lead. Every reader asks here.
+
+A name is relative to the folder of the file that names it and stays inside, also when links are followed.
+Absolute names and names that go up are for folders that the user allows by name.
+"""
+
+from __future__ import annotations
+
+import re
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+
+from datagen.foundation.errors import InputError, Problem
+
+_URI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|file:", re.I)
+_DRIVE = re.compile(r"[A-Za-z]:(/|$)")
+_SHORT = 200
+
+
+def fault_of(
+    folder: Path, name: str, allowed: Sequence[Path] = (), *, is_folder: bool = False
+) -> tuple[Path | None, str]:
+    """The file (or folder) behind a name in ``folder``, links followed, or None and why it is refused.
+
+    ``allowed`` are further folders into which names may lead. What is not there is no fault.
+    """
+    name = name.replace("\\", "/")
+    if not name:
+        return None, "no name"
+    if not name.isprintable():  # a zero byte ends a name for the system, not for Python
+        return None, "no name that a file can have"
+    if _URI.match(name):
+        return None, "a URI"
+    if _DRIVE.match(name):
+        return None, "a path of another system"
+    is_absolute = name.startswith("/")
+    if is_absolute and not allowed:
+        return None, "an absolute path"
+    roots = [*([] if is_absolute else [folder]), *allowed]
+    try:
+        real = (folder / name).resolve()
+        if not any(real.is_relative_to(root.resolve()) for root in roots):
+            is_link = ".." not in name and not is_absolute
+            return None, f"a symbolic link that leads to {real}" if is_link else "leads out of the folder"
+        mode = real.stat().st_mode if real.exists() else None
+    except (OSError, RuntimeError, ValueError) as error:
+        return None, getattr(error, "strerror", None) or str(error)[:_SHORT]
+    if mode is not None and not (stat.S_ISDIR(mode) if is_folder else stat.S_ISREG(mode)):
+        # a pipe would wait for ever, a device never end
+        return None, "no folder" if is_folder else "not a regular file"
+    return real, ""
+
+
+def named_file(
+    folder: Path,
+    name: str,
+    where: str | Path,
+    field: str,
+    allowed: Sequence[Path] = (),
+    remedy: str = "copy the file there",
+) -> Path:
+    """The file that ``field`` of the file ``where`` names; it may be absent. Raises :class:`InputError`."""
+    real, fault = fault_of(folder, name, allowed)
+    if real is None:
+        expected = f"a file inside {folder}"
+        raise InputError(Problem(where, field, f"{name[:_SHORT]!r} ({fault})", expected, remedy))
+    return real
+
+
+def inside(root: Path, path: Path) -> Path:
+    """``path``, which was found or made below ``root``, if it stays there when links are followed, and is no
+    pipe, device or folder.
+
+    A file that is not there is for its reader to report. Raises :class:`InputError`.
+    """
+    try:
+        name = str(path.relative_to(root))
+    except ValueError:
+        name = str(path)
+    real, fault = fault_of(root, name)
+    if real is None:
+        expected = "a regular file" if fault == "not a regular file" else f"a file in {root}"
+        raise InputError(Problem(path, "", fault, expected, "copy the file there"))
+    return path
