@@ -137,6 +137,10 @@ def import_command(
         Optional[list[str]],  # noqa: UP045
         typer.Option(help="NAME=VALUE for a $name of a Mitsuba scene, repeatable."),
     ] = None,
+    allow: Annotated[
+        Optional[list[Path]],  # noqa: UP045
+        typer.Option("--allow", help="Another folder that the source may name files in, repeatable."),
+    ] = None,
     as_zip: Annotated[bool, typer.Option("--zip", help="Write packages as zips.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace assets of the same id.")] = False,
     split: Annotated[
@@ -170,6 +174,7 @@ def import_command(
         missing=missing,
         annotations=annotations,
         defines=_pairs("--define", define),
+        allowed=tuple(allow or ()),
         as_zip=as_zip,
         overwrite=overwrite,
     )

@@ -313,7 +313,9 @@ def _log(folder: Path) -> Path:
 # ---------------------------------------------------------------------- the parent
 
 
-def attack(module: str, name: str, folder: Path, examples: int = EXAMPLES) -> Outcome:
+def attack(
+    module: str, name: str, folder: Path, examples: int = EXAMPLES, max_bytes: int = MAX_BYTES
+) -> Outcome:
     """Run a case ``examples`` times; a crash, a hang, too much memory or another fault fails the test."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(PRELOADED))
@@ -341,8 +343,8 @@ def attack(module: str, name: str, folder: Path, examples: int = EXAMPLES) -> Ou
             # starting, with its imports, may take longer than an input
             if watch.seconds() > (MAX_SECONDS if count else 120.0):
                 pytest.fail(f"{name}: over {MAX_SECONDS} s for one input; {again} {progress[1]}")
-            if watch.memory() > MAX_BYTES:
-                pytest.fail(f"{name}: over {MAX_BYTES >> 20} MB of memory; {again} {progress[1]}")
+            if watch.memory() > max_bytes:
+                pytest.fail(f"{name}: over {max_bytes >> 20} MB of memory; {again} {progress[1]}")
         try:
             outcome = ours.recv()
         except EOFError:
@@ -355,7 +357,7 @@ def attack(module: str, name: str, folder: Path, examples: int = EXAMPLES) -> Ou
         pytest.fail(f"{outcome}\n{name}: {again} {progress[1]}")
     assert outcome.accepted + outcome.refused >= examples, outcome
     assert examples < 60 or min(outcome.accepted, outcome.refused) > 0, f"{outcome}: one-sided"
-    assert outcome.peak_mb * 2**20 < MAX_BYTES, outcome
+    assert outcome.peak_mb * 2**20 < max_bytes, outcome
     print(
         f"{name}: {outcome.accepted + outcome.refused} inputs, {outcome.accepted} read, {outcome.refused} "
         f"refused, peak {outcome.peak_mb:.0f} MB, {outcome.cpu_s:.0f} s"

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from datagen.farm.folder import DatasetFolder, UnitManifest
 from datagen.farm.leftovers import remove_leftovers
-from datagen.formats.base import canonical_json, inside, sha256_file, write_bytes_atomically
+from datagen.formats.base import canonical_json, sha256_file, write_bytes_atomically
 from datagen.formats.configuration import Split
 from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
 from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.paths import inside
 
 
 def collect(

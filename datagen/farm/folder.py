@@ -32,7 +32,6 @@ from datagen.formats.base import (
     StrictModel,
     canonical_json,
     differences,
-    inside,
     read_json,
     read_yaml,
     sha256_hex,
@@ -41,6 +40,7 @@ from datagen.formats.configuration import Configuration, Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord
 from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.paths import inside
 
 
 class FolderRecord(StrictModel):

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.farm.folder import DatasetFolder, FailureRecord, PlannedUnit, UnitManifest
-from datagen.formats.base import inside
 from datagen.foundation.errors import InputError
+from datagen.foundation.paths import inside
 
 RUNNING_AGE_S = 600.0
 """A unit whose heartbeat is younger counts as running."""

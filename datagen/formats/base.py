@@ -158,23 +158,6 @@ def _read_text(path: Path) -> str:
         raise InputError(Problem(path, "", got, "a readable file", "check the path and its rights")) from None
 
 
-def inside(root: Path, path: Path) -> Path:
-    """``path``, if it stays below ``root`` when links are followed, and is no pipe, device or folder.
-
-    A file that is not there is for its reader to report. Raises :class:`InputError`.
-    """
-    try:
-        real, base = path.resolve(), root.resolve()
-        mode = real.stat().st_mode if real.exists() else stat.S_IFREG
-    except (OSError, RuntimeError, ValueError) as error:
-        raise InputError(Problem(path, "", str(error), "a regular file", "remove it")) from None
-    if not real.is_relative_to(base):
-        raise InputError(Problem(path, "", f"leads to {real}", f"a file in {base}", "copy the file there"))
-    if not stat.S_ISREG(mode):
-        raise InputError(Problem(path, "", "a folder, pipe or device", "a regular file", "remove it"))
-    return path
-
-
 def read_json(model: type[ModelT], path: Path) -> ModelT:
     """Read a JSON file as ``model``; raises :class:`InputError`."""
     text = _read_text(path)

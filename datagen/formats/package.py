@@ -13,10 +13,8 @@ import json
 import os
 import shutil
 import stat
-import struct
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -33,8 +31,11 @@ from datagen.formats.asset import (
 )
 from datagen.formats.base import MAX_TEXT_BYTES, canonical_json, parse_model, sha256_file, sha256_hex
 from datagen.formats.lights import EnvironmentLight
+from datagen.foundation.archives import ZIP_ERRORS, check_archive
+from datagen.foundation.budget import Budget
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.paths import fault_of
 
 AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset
 _MODELS: dict[str, type[AnyAsset]] = {
@@ -43,20 +44,6 @@ _MODELS: dict[str, type[AnyAsset]] = {
     "environment": EnvironmentAsset,
 }
 ZIP_SUFFIX = ".zip"
-MAX_MEMBERS = 100_000
-MAX_UNPACKED_BYTES = 16 << 30
-_BOMB_RATIO, _BOMB_BYTES = 500, 64 << 20  # a member of over 64 MB that shrinks 500-fold holds no real asset
-# All that zipfile raises on damaged archives; each was seen with fuzzed ones.
-ZIP_ERRORS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    OSError,
-)
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold: equal content, equal bytes
 _MESH_SUFFIXES = (".ply",)
 _TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
@@ -178,11 +165,12 @@ def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
     return found
 
 
-def open_package(path: str | Path) -> Package:
+def open_package(path: str | Path, budget: Budget | None = None) -> Package:
     """Open an asset package: a folder, a zip, or the ``asset.json`` inside a folder.
 
-    Checks the schema and that every named file is present, inside the package and of a known format. Raises
-    :class:`InputError` with all problems that were found.
+    ``budget`` is of the import that it is part of, if it is. Checks the schema and that every named file is
+    present, inside the package and of a known format. Raises :class:`InputError` with all problems that were
+    found.
     """
     path = Path(path)
     if path.name == ASSET_FILE:
@@ -190,7 +178,7 @@ def open_package(path: str | Path) -> Package:
     if path.is_dir():
         return _open_folder(path)
     if path.is_file():
-        return _open_zip(path)
+        return _open_zip(path, budget)
     raise input_error(
         path, got="nothing there", expected="an asset package (folder or zip)", remedy="check the path"
     )
@@ -261,16 +249,12 @@ def _open_folder(folder: Path) -> Package:
 
 def _folder_fault(folder: Path, name: str) -> str:
     """Why a member of a folder is refused; '' if it is a plain file reached without links."""
-    step = folder
-    for part in name.replace("\\", "/").split("/"):
-        step = step / part
-        try:
-            mode = step.lstat().st_mode
-        except OSError:
-            return "no such file"
-        if stat.S_ISLNK(mode):
-            return "a symbolic link"
-    return "" if stat.S_ISREG(mode) else "not a regular file"
+    real, fault = fault_of(folder, name)
+    if real is None:
+        return fault
+    if real != folder.resolve() / name.replace("\\", "/"):
+        return "a symbolic link"
+    return "" if real.is_file() else "no such file"
 
 
 def _find_prefix(names: list[str]) -> str | None:
@@ -279,64 +263,13 @@ def _find_prefix(names: list[str]) -> str | None:
     return hits[0].removesuffix(ASSET_FILE) if len(hits) == 1 else None
 
 
-def _zip_problems(archive: zipfile.ZipFile, where: Path) -> list[Problem]:
-    infos = archive.infolist()
-    if len(infos) > MAX_MEMBERS:
-        return [Problem(where, "members", str(len(infos)), f"at most {MAX_MEMBERS}", "do not use this file")]
-    problems, seen, total = [], set(), 0
-    for info in infos:
-        name, mode = info.filename, info.external_attr >> 16
-        parts = name.replace("\\", "/").rstrip("/").split("/")
-        fault = ""
-        if (
-            name.startswith(("/", "\\"))
-            or ":" in name
-            or "\\" in name
-            or any(p in ("", ".", "..") for p in parts)
-        ):
-            fault = "leaves the package"
-        elif stat.S_ISLNK(mode):
-            fault = "is a symbolic link"
-        elif stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
-            fault = "is a device or another special file"
-        elif info.flag_bits & 1:
-            fault = "is encrypted"
-        elif info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            fault = f"is compressed by method {info.compress_type}"
-        elif name in seen:
-            fault = "occurs twice"
-        elif info.file_size > _BOMB_BYTES and info.file_size > _BOMB_RATIO * max(info.compress_size, 1):
-            fault = f"unpacks to {info.file_size} bytes from {info.compress_size}"
-        seen.add(name)
-        total += info.file_size
-        if fault:
-            problems.append(
-                Problem(
-                    where, f"member {name!r}", fault, "plain files inside the package", "do not use this file"
-                )
-            )
-    if total > MAX_UNPACKED_BYTES:
-        problems.append(
-            Problem(
-                where,
-                "unpacked size",
-                str(total),
-                f"at most {MAX_UNPACKED_BYTES} bytes",
-                "do not use this file",
-            )
-        )
-    return problems
-
-
-def _open_zip(path: Path) -> Package:
+def _open_zip(path: Path, budget: Budget | None) -> Package:
     try:
         archive = zipfile.ZipFile(path)
     except ZIP_ERRORS as error:
         raise input_error(path, got=str(error), expected="an asset package (folder or zip)") from None
     try:
-        problems = _zip_problems(archive, path)
-        if problems:
-            raise InputError(*problems)
+        check_archive(archive, path, budget or Budget(path))
         members = {i.filename for i in archive.infolist() if not i.is_dir()}
         prefix = _find_prefix(sorted(members))
         if prefix is None:

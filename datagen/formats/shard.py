@@ -18,12 +18,13 @@ from typing import BinaryIO, Literal
 
 from numpy.typing import NDArray
 
-from datagen.formats.base import RelativePath, StrictModel, inside, parse_model, read_json
+from datagen.formats.base import RelativePath, StrictModel, parse_model, read_json
 from datagen.formats.configuration import Configuration, Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.view import ViewRecord
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
+from datagen.foundation.paths import inside
 
 CONFIGURATION_MEMBER = "__meta__/configuration.json"
 INDEX_FILE = "index.json"

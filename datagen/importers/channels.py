@@ -9,6 +9,7 @@ A *value* is a constant (float or colour), an :class:`ImageSource` (an image as 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +21,14 @@ from numpy.typing import NDArray
 from datagen.formats.asset import Texture
 from datagen.formats.package import FileSource
 from datagen.formats.textures import texture_values
+from datagen.foundation.budget import Budget
 from datagen.foundation.color import srgb_from_linear
-from datagen.foundation.images import IMAGE_SUFFIXES, encode_png, read_image
+from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.images import IMAGE_SUFFIXES, encode_png, image_size, read_image
 from datagen.foundation.naming import slug
 
 MAX_CHANNEL_SPREAD = 0.5 / 255  # a baked channel that varies less than half an 8-bit step is a constant
+_HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 ChannelName = Literal["rgb", "r", "g", "b", "a"]
 
 
@@ -66,11 +70,15 @@ def is_constant(value: Value) -> bool:
 class ImageCache:
     """Decoded images of one import: a texture that several materials use is read once."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
         self._pixels: dict[Path, NDArray] = {}
 
     def pixels(self, file: Path) -> NDArray:
         if file not in self._pixels:
+            if file.is_file():
+                self._budget.hold_file(file)
+                self._budget.spend("pixels", num_pixels(file), file.name)
             self._pixels[file] = read_any_image(file)
         return self._pixels[file]
 
@@ -83,6 +91,19 @@ class ImageCache:
         return np.asarray(value, dtype=np.float32)
 
 
+def num_pixels(file: Path) -> int:
+    """Pixels that an image's header claims; 0 where it cannot be read, which its decoder reports."""
+    if file.suffix.lower() in (".hdr", ".pic"):
+        with file.open("rb") as stream:
+            match = _HDR_SIZE.search(stream.read(4096))
+        return int(match[1]) * int(match[2]) if match else 0
+    try:
+        width, height = image_size(file, ("PNG", "JPEG", "TIFF", "BMP", "TGA", "WEBP"))
+    except InputError:
+        return 0
+    return width * height
+
+
 def read_any_image(file: Path) -> NDArray:
     """Like :func:`read_image`, also for BMP, TGA, TIFF and HDR, which packages do not hold."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
@@ -91,8 +112,6 @@ def read_any_image(file: Path) -> NDArray:
 
     pixels = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_UNCHANGED) if file.is_file() else None
     if pixels is None:
-        from datagen.foundation.errors import input_error
-
         raise input_error(file, got="unreadable", expected="an image", remedy="convert it to PNG or EXR")
     if pixels.ndim == 2:
         return pixels[..., None]

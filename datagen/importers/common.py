@@ -11,8 +11,10 @@ from typing import Literal
 
 from datagen.formats.asset import MaterialClass, Provenance
 from datagen.formats.base import Positive, Slug
+from datagen.foundation.budget import Limits
 from datagen.foundation.errors import input_error
 from datagen.foundation.findings import Findings
+from datagen.foundation.paths import inside
 
 DielectricPolicy = Literal["refuse", "replace"]
 DielectricStandIn = Literal["opaque", "remove"]
@@ -27,6 +29,7 @@ EVALUATION_SCENES = {
 """Test scenes of the method's paper, by folder name and title: always imported as ``evaluation_only``."""
 
 _LICENSE_FILES = ("LICENSE.txt", "LICENSE", "LICENSE.md", "license.txt", "README.txt", "README.md")
+_MAX_LICENSE_CHARACTERS = 1 << 20
 _LICENSE_PATTERNS = (
     (re.compile(r"creativecommons\.org/publicdomain/zero/1\.0|\bCC0\b", re.I), "CC0-1.0"),
     (re.compile(r"creativecommons\.org/licenses/by/3\.0", re.I), "CC-BY-3.0"),
@@ -48,7 +51,9 @@ class ImportOptions:
     ``dielectric``: see-through materials are refused, or replaced: flat panes and thin dielectrics are left
     out, bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent files are
     refused, or replaced by a grey or left out. ``unit_scale``: metres in a unit of the file. ``defines`` are
-    values for ``$names`` of a Mitsuba scene. Empty strings are detected or derived.
+    values for ``$names`` of a Mitsuba scene. Empty strings are detected or derived. ``allowed`` are folders
+    besides the source's own that it may name files in; ``limits``, by default those of the environment, hold
+    for each source.
     """
 
     kind: ImportKind = "auto"
@@ -68,6 +73,8 @@ class ImportOptions:
     missing: MissingPolicy = "refuse"
     annotations: Path | None = None
     defines: dict[str, str] = field(default_factory=dict)
+    allowed: tuple[Path, ...] = ()
+    limits: Limits | None = None
     as_zip: bool = False
     overwrite: bool = False
 
@@ -103,9 +110,11 @@ def detect_origin(folder: Path) -> Origin:
     """Read licence files and ``info.json`` beside a source. Nothing is assumed beyond what they say."""
     info = folder / "info.json"
     if info.is_file():
+        inside(folder, info)
         try:
-            data = json.loads(info.read_text(encoding="utf-8"))
-        except (ValueError, OSError):
+            with info.open(encoding="utf-8") as file:
+                data = json.loads(file.read(_MAX_LICENSE_CHARACTERS))
+        except (ValueError, OSError, RecursionError):
             data = {}
         if isinstance(data, dict) and str(data.get("creator", "")).lower() in _PUBLISHERS:
             license_id, author, source = _PUBLISHERS[str(data["creator"]).lower()]
@@ -114,7 +123,8 @@ def detect_origin(folder: Path) -> Origin:
         path = folder / name
         if not path.is_file():
             continue
-        text = path.read_text(encoding="utf-8", errors="replace")
+        with inside(folder, path).open(encoding="utf-8", errors="replace") as file:
+            text = file.read(_MAX_LICENSE_CHARACTERS)
         found = {spdx for pattern, spdx in _LICENSE_PATTERNS if pattern.search(text)}
         if len(found) == 1:
             title, link = _TITLE.search(text), _SOURCE.search(text)

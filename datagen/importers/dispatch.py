@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug
+from datagen.foundation.paths import fault_of, inside
 from datagen.importers.common import ImportedAsset, ImportOptions
 
 if TYPE_CHECKING:
@@ -45,7 +46,9 @@ def find_sources(path: Path) -> list[Source]:
     elif path.is_dir():
         sources = _in_folder(path)
         if not sources:
-            sources = [s for child in sorted(path.iterdir()) if child.is_dir() for s in _in_folder(child)]
+            sources = [
+                s for child in sorted(path.iterdir()) if _is_folder(path, child) for s in _in_folder(child)
+            ]
         if sources:
             return sources
     else:
@@ -58,18 +61,30 @@ def find_sources(path: Path) -> list[Source]:
     raise input_error(path, got=got, expected=expected, remedy="check the path")
 
 
+def _is_folder(path: Path, child: Path) -> bool:
+    """Whether ``child`` is a folder. Raises :class:`InputError` for a link that leads out of ``path``."""
+    if not child.is_dir():
+        return False
+    _, fault = fault_of(path, child.name, is_folder=True)
+    if fault:
+        raise input_error(
+            child, got=fault, expected=f"a folder in {path}", remedy="import it by its own path"
+        )
+    return True
+
+
 def _in_folder(folder: Path) -> list[Source]:
     from datagen.importers.material_folder import is_material_folder
 
     for name in _SCENE_FILES:
         if (folder / name).is_file():
-            return [Source(folder / name, "mitsuba")]
+            return [Source(inside(folder, folder / name), "mitsuba")]
     documents = sorted(p for p in folder.iterdir() if p.suffix.lower() in GLTF_SUFFIXES)
     if documents:
-        return [Source(p, "gltf") for p in documents]
+        return [Source(inside(folder, p), "gltf") for p in documents]
     libraries = sorted(p for p in folder.iterdir() if p.suffix.lower() == SWEET_HOME_SUFFIX)
     if libraries:
-        return [Source(p, "sweet_home") for p in libraries]
+        return [Source(inside(folder, p), "sweet_home") for p in libraries]
     return [Source(folder, "material")] if is_material_folder(folder) else []
 
 

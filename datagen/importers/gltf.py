@@ -26,9 +26,10 @@ from datagen.formats.asset import (
 from datagen.formats.base import IDENTITY4, matrix4, quantized, vector3
 from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight
 from datagen.foundation.axes import asset_from_source
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.findings import Findings
-from datagen.foundation.meshes.gltf import GltfFile, PlacedNode, triangles_of
+from datagen.foundation.meshes.gltf import TRIANGLE_MODES, GltfFile, PlacedNode, triangles_of
 from datagen.foundation.meshes.mesh import (
     Mesh,
     flat_shaded,
@@ -74,7 +75,7 @@ def import_gltf(
     where the policy is to refuse, an unknown licence.
     """
     options = options or ImportOptions()
-    with GltfFile(path) as file:
+    with GltfFile(path, Budget(path, options.limits), options.allowed) as file:
         importer = _GltfImporter(file, options)
         groups = importer.groups() if split else [importer.pieces]
         return [importer.write(group, out_library, is_alone=len(groups) == 1) for group in groups]
@@ -84,7 +85,7 @@ class _GltfImporter:
     def __init__(self, file: GltfFile, options: ImportOptions):
         self.file, self.options = file, options
         self.findings = Findings()
-        self.cache = ImageCache()
+        self.cache = ImageCache(file.budget)
         self.textures = TextureFiles(self.cache)
         self.materials = GltfMaterialConverter(file, options, self.findings, self.cache, self.textures)
         up: Literal["y", "z"] = "z" if options.up == "z" else "y"
@@ -92,6 +93,8 @@ class _GltfImporter:
         self.annotations = annotate.read_annotations(options.annotations)
         self.source, self.title = provenance(file.path, file.path.parent, options, self.findings)
         self.nodes = list(file.placed_nodes())
+        self.names = {placed.index: placed.name for placed in self.nodes}
+        file.placed_primitives(self.nodes)
         self.num_mended: list[int] = []  # normals, by primitive
         self.pieces = self._collect()
         if self.num_mended:
@@ -130,7 +133,7 @@ class _GltfImporter:
             raise self.file.error(
                 f"node {label!r}", "Draco compression", "uncompressed meshes", "export it without"
             )
-        if int(primitive.get("mode", 4)) not in (4, 5, 6):
+        if primitive.get("mode", 4) not in TRIANGLE_MODES:
             self.findings.approximate(f"{label}: points or lines left out")
             return None
         if primitive.get("targets"):
@@ -185,8 +188,12 @@ class _GltfImporter:
 
     def groups(self) -> list[list[_Piece]]:
         """Pieces by root node; roots whose bounding boxes touch (a pot and its lid) stay together."""
-        roots = list(dict.fromkeys(p.root for p in self.pieces))
-        boxes = {r: _bounds([p for p in self.pieces if p.root == r]) for r in roots}
+        by_root: dict[int, list[_Piece]] = {}
+        for piece in self.pieces:
+            by_root.setdefault(piece.root, []).append(piece)
+        roots = list(by_root)
+        boxes = [_bounds(by_root[r]) for r in roots]
+        low, high = (np.stack(side) for side in zip(*boxes, strict=True))
         leader = {r: r for r in roots}
 
         def find(root: int) -> int:
@@ -195,10 +202,9 @@ class _GltfImporter:
             return root
 
         for k, a in enumerate(roots):
-            for b in roots[k + 1 :]:
-                (low_a, high_a), (low_b, high_b) = boxes[a], boxes[b]
-                if (np.maximum(low_a, low_b) <= np.minimum(high_a, high_b) + _TOUCH_M).all():
-                    leader[find(b)] = find(a)
+            above, below = np.maximum(low[k], low[k + 1 :]), np.minimum(high[k], high[k + 1 :])
+            for other in np.flatnonzero((above <= below + _TOUCH_M).all(axis=1)):
+                leader[find(roots[k + 1 + other])] = find(a)
         found: dict[int, list[_Piece]] = {}
         for piece in self.pieces:
             found.setdefault(find(piece.root), []).append(piece)
@@ -208,7 +214,7 @@ class _GltfImporter:
 
     def write(self, pieces: list[_Piece], out_library: Path, *, is_alone: bool) -> ImportedAsset:
         stem = self.file.path.stem
-        first = next(n.name for n in self.nodes if n.index == pieces[0].root)
+        first = self.names[pieces[0].root]
         name = (self.options.asset_id if is_alone else "") or slug(stem if is_alone else first)
         title = (self.options.title if is_alone else "") or name.replace("_", " ").replace(
             "-", " "
@@ -365,6 +371,7 @@ class _GltfImporter:
         """KHR_lights_punctual: candela and lux become W/sr and W/m^2 by 683 lm/W; they shine along -Z."""
         entries = self.file.json.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
         found: list[Light] = []
+        names: set[str] = set()
         for placed in self.nodes:
             use = placed.node.get("extensions", {}).get("KHR_lights_punctual")
             if use is None:
@@ -379,7 +386,8 @@ class _GltfImporter:
             strength = float(entry.get("intensity", 1.0)) / LUMENS_PER_WATT
             red, green, blue = (float(c) * strength for c in entry.get("color", (1.0, 1.0, 1.0)))
             value = (red, green, blue)
-            name = unique(placed.name, {light.name for light in found})
+            name = unique(placed.name, names)
+            names.add(name)
             direction = vector3(-matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]))
             position = vector3(matrix[:3, 3])
             if entry.get("type") == "directional":

@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from datagen.formats.asset import Material, MaterialAsset, MaterialClass, Texture
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import Problem, input_error
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
 from datagen.foundation.naming import slug
+from datagen.foundation.paths import fault_of
 from datagen.importers.channels import ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
 from datagen.importers.classes import guess_class
 from datagen.importers.common import ImportedAsset, ImportOptions, provenance
@@ -57,10 +59,10 @@ def role_of(name: str) -> str:
 
 
 def find_maps(folder: Path) -> dict[str, list[Path]]:
-    """Images of a folder by role."""
+    """Images of a folder by role; links among them are followed by whoever reads them."""
     maps: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in _IMAGES and path.is_file():
+        if path.suffix.lower() in _IMAGES and (path.is_file() or path.is_symlink()):
             role = role_of(path.name)
             if role:
                 maps.setdefault(role, []).append(path)
@@ -98,13 +100,21 @@ class _MaterialImporter:
             )
         self.folder, self.options = folder, options
         self.findings = Findings()
-        self.cache = ImageCache()
+        self.cache = ImageCache(Budget(folder, options.limits))
         self.textures = TextureFiles(self.cache)
         self.maps = find_maps(folder)
         self.problems: list[Problem] = []
 
     def one(self, role: str) -> Path | None:
-        found = self.maps.get(role, [])
+        found = []
+        for path in self.maps.get(role, []):
+            file, fault = fault_of(self.folder, path.name, self.options.allowed)
+            if file is None:
+                expected = "an image in the folder"
+                remedy = "copy it there, or name its folder with --allow"
+                self.problems.append(Problem(path, role, fault, expected, remedy))
+            else:
+                found.append(path)
         if len(found) > 1:
             names = ", ".join(p.name for p in found)
             expected = "one image; put each resolution into a folder of its own"
@@ -114,7 +124,7 @@ class _MaterialImporter:
     def run(self, out_library: Path) -> ImportedAsset:
         source, title = provenance(self.folder, self.folder, self.options, self.findings)
         color = self.one("color")
-        if color is None:
+        if "color" not in self.maps:
             expected = "a colour map (..._Color, ..._diff)"
             self.problems.append(Problem(self.folder, "color", "none", expected, "check the folder"))
         scalars, normal, opacity = self.scalars(), self.normal(), self.one("opacity")

@@ -29,9 +29,10 @@ from datagen.foundation.axes import unit_vector
 from datagen.foundation.errors import Problem
 from datagen.foundation.findings import Findings
 from datagen.foundation.naming import unique
+from datagen.foundation.paths import fault_of
 from datagen.importers.channels import TextureFiles
 from datagen.importers.common import ImportOptions
-from datagen.importers.mitsuba_materials import scene_file
+from datagen.importers.mitsuba_materials import COPY_IT, INSIDE_SCENE
 
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -56,13 +57,16 @@ class LightConverter:
         self.findings = findings
         self.textures = textures
         self.lights: list[Light] = []
+        self._names: set[str] = set()
         self.problems: list[Problem] = []
 
     def _refuse(self, node: SceneNode, got: str, expected: str, remedy: str) -> None:
         self.problems.append(Problem(self.scene, node.where, got, expected, remedy))
 
     def _name(self, node: SceneNode) -> str:
-        return unique(node.id or node.type, {light.name for light in self.lights})
+        name = unique(node.id or node.type, self._names)
+        self._names.add(name)
+        return name
 
     def emission_of(self, shape: SceneNode) -> tuple[float, float, float] | None:
         """Radiance of a shape's area emitter; None if it has none."""
@@ -99,14 +103,17 @@ class LightConverter:
 
     def _envmap(self, node: SceneNode) -> None:
         name = str(node.get("filename", ""))
-        path = scene_file(self.scene.parent, name)
-        if path is None or not path.is_file():
-            if path is not None and self.options.missing == "replace":
+        path, fault = fault_of(self.scene.parent, name, self.options.allowed)
+        if path is None:
+            self._refuse(node, f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
+            return
+        if not path.is_file():
+            if self.options.missing == "replace":
                 self.findings.approximate(f"{name}: missing environment map replaced by constant radiance 1")
                 self.lights.append(EnvironmentLight(name=self._name(node)))
                 return
             remedy = "restore it, or import with --missing replace"
-            self._refuse(node, f"{name!r} (no such file in the scene's folder)", "an environment map", remedy)
+            self._refuse(node, f"{name!r} (no such file)", "an environment map", remedy)
             return
         rotation = self._place(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
         rigid = np.eye(4)
@@ -137,11 +144,12 @@ class LightConverter:
         matrix = self._place(node)
         cutoff = math.radians(float(node.get("cutoff_angle", 20.0)))
         beam = node.get("beam_width")
+        name = self._name(node)
         if node.child("texture") is not None:
-            self.findings.approximate(f"{self._name(node)}: texture of the spot left out")
+            self.findings.approximate(f"{name}: texture of the spot left out")
         self.lights.append(
             SpotLight(
-                name=self._name(node),
+                name=name,
                 position_m=vector3(matrix[:3, 3]),
                 direction=vector3(unit_vector(matrix[:3, 2])),
                 intensity=self._intensity(node.get("intensity", 1.0)),

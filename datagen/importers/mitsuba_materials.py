@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 from datagen.formats.asset import MaterialClass
 from datagen.formats.mitsuba.scene import SceneNode
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.findings import Findings
+from datagen.foundation.paths import fault_of
 from datagen.importers import fresnel
 from datagen.importers.channels import (
     BakedSource,
@@ -36,6 +38,8 @@ from datagen.importers.common import ImportOptions
 
 CHECKER_TILE_PX = 128  # a checker edge then blurs over 1/128 of a tile under bilinear filtering
 MISSING_GREY = 0.5
+INSIDE_SCENE = "a file inside the scene's folder"
+COPY_IT = "copy it there, or name its folder with --allow"
 _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 
@@ -74,9 +78,16 @@ class _Textures:
 class MaterialConverter:
     """Converts BSDF nodes of one scene; problems are collected in ``problems`` and raised by the caller."""
 
-    def __init__(self, scene_file: Path, options: ImportOptions, findings: Findings, cache: ImageCache):
+    def __init__(
+        self,
+        scene_file: Path,
+        options: ImportOptions,
+        findings: Findings,
+        cache: ImageCache,
+        budget: Budget | None = None,
+    ):
         self.scene_file = scene_file
-        self.folder = scene_file.parent
+        self.budget = budget or Budget(scene_file, options.limits)
         self.options = options
         self.findings = findings
         self.cache = cache
@@ -103,6 +114,7 @@ class MaterialConverter:
 
     def _convert(self, node: SceneNode, name: str) -> Draft:
         name = name or node.id
+        self.budget.spend("references", 1, node.where)
         method = getattr(self, f"_{node.type}", None)
         if node.tag != "bsdf" or method is None:
             self.problem(
@@ -336,7 +348,7 @@ class MaterialConverter:
             diffuse=mix(first.diffuse, second.diffuse, "diffuse_albedo"),
             specular=mix(first.specular, second.specular, "specular_albedo"),
             roughness=cast(ScalarValue, rough),
-            approximations=first.approximations + second.approximations,
+            approximations=tuple(dict.fromkeys(first.approximations + second.approximations)),
         ).with_note("blend of two BSDFs as one of blended channels")
 
     # parameters
@@ -425,12 +437,10 @@ class MaterialConverter:
 
     def _bitmap(self, node: SceneNode) -> Value:
         name = str(node.get("filename", ""))
-        path = scene_file(self.folder, name)
+        path, fault = fault_of(self.scene_file.parent, name, self.options.allowed)
         self._note_matrix(node)
         if path is None:
-            self.problem(
-                f"{node.where}: filename", repr(name), "a file inside the scene's folder", "copy it there"
-            )
+            self.problem(f"{node.where}: filename", f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
             return (MISSING_GREY,) * 3
         if not path.is_file():
             if self.options.missing == "refuse":
@@ -470,18 +480,6 @@ class MaterialConverter:
                 "bake them to one layout",
             )
         return matrices[0]
-
-
-def scene_file(folder: Path, name: str) -> Path | None:
-    """A file that a scene names, or None where the name leads out of the scene's folder."""
-    if not name:
-        return None
-    path = folder / name.replace("\\", "/")
-    try:
-        inside = path.resolve().is_relative_to(folder.resolve())
-    except OSError:
-        inside = False
-    return path if inside else None
 
 
 def checkerboard(color0: Color, color1: Color) -> BakedSource:

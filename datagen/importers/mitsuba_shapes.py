@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.mitsuba.scene import SceneNode
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, compacted, flat_shaded, with_sound_normals
 from datagen.foundation.meshes.obj import read_obj
@@ -25,7 +26,7 @@ FILE_SHAPES = ("obj", "ply")
 _ROUND_SEGMENTS = 64
 
 
-def shape_mesh(node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
+def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh, int]:
     """Mesh of a shape before its ``to_world`` and how many of its normals were mended.
 
     ``file`` is the mesh file of ``obj`` and ``ply`` shapes.
@@ -36,10 +37,11 @@ def shape_mesh(node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
     if node.type in FILE_SHAPES:
         if file is None:
             raise input_error(node.where, got="no file", expected="a mesh file")
-        mesh = read_obj(file) if node.type == "obj" else read_ply(file)
+        mesh = read_obj(file, budget) if node.type == "obj" else read_ply(file, budget)
         is_v_up = bool(node.get("flip_tex_coords", node.type == "obj"))
     else:
         mesh, is_v_up = _ANALYTIC[node.type](node), False
+        budget.spend("triangles", mesh.weight, node.where)
     uv = mesh.uv
     if uv is not None and not is_v_up:
         uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)

@@ -7,6 +7,8 @@ refused by name, or replaced because the options say so and then listed in the r
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,23 +29,26 @@ from datagen.formats.mitsuba.scene import MitsubaScene, SceneNode, parse_scene
 from datagen.formats.mitsuba.sensors import camera_of, guess_up
 from datagen.formats.package import FileSource
 from datagen.foundation.axes import asset_from_source
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
+from datagen.foundation.paths import fault_of
 from datagen.importers import annotate
 from datagen.importers.channels import ImageCache, ImageSource, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
 from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, provenance
 from datagen.importers.mitsuba_lights import LightConverter, emitter_shape_light
 from datagen.importers.mitsuba_materials import (
+    COPY_IT,
+    INSIDE_SCENE,
     Draft,
     MaterialConverter,
     normal_from_height,
     raise_problems,
-    scene_file,
 )
 from datagen.importers.mitsuba_shapes import (
     FILE_SHAPES,
@@ -90,15 +95,17 @@ class _SceneImporter:
     def __init__(self, path: Path, options: ImportOptions):
         self.path = path / "scene.xml" if path.is_dir() else path
         self.options = options
+        self.budget = Budget(self.path, options.limits)
         self.findings = Findings()
-        self.cache = ImageCache()
+        self.cache = ImageCache(self.budget)
         self.textures = TextureFiles(self.cache)
         self.files: dict[str, FileSource] = self.textures.files
         self.annotations = annotate.read_annotations(options.annotations)
-        self.scene: MitsubaScene = parse_scene(self.path, options.defines)
-        self.materials = MaterialConverter(self.path, options, self.findings, self.cache)
+        self.scene: MitsubaScene = parse_scene(self.path, options.defines, self.budget, options.allowed)
+        self.materials = MaterialConverter(self.path, options, self.findings, self.cache, self.budget)
         self.problems = self.materials.problems
         self.num_mended: list[int] = []  # normals, by shape
+        self.meshes: dict[Any, tuple[Mesh, int]] = {}
         up = guess_up(self.scene) if options.up == "auto" else options.up
         self.asset_from_source = asset_from_source(up, options.unit_scale)
         self.lights = LightConverter(self.path, self.asset_from_source, options, self.findings, self.textures)
@@ -143,6 +150,16 @@ class _SceneImporter:
 
     def collect_shapes(self) -> list[_Shape]:
         shapes: list[_Shape] = []
+        placed = list(self.placed_shapes())
+        self.budget.spend("instances", len(placed), "shapes")
+        for node, label, outer in placed:
+            self.collect(node, label, outer, shapes)
+        if not shapes and not self.problems:
+            self.materials.problem("shapes", "none", "at least one", "check the scene")
+        return shapes
+
+    def placed_shapes(self) -> Iterator[tuple[SceneNode, str, NDArray[np.float64]]]:
+        """Every shape with its label and the transform of the instance that places it."""
         for number, node in enumerate(self.scene.all_of("shape")):
             label = node.id or f"shape_{number:04d}"
             if node.type == "instance":
@@ -153,12 +170,9 @@ class _SceneImporter:
                     )
                     continue
                 for k, nested in enumerate(group.children_of("shape")):
-                    self.collect(nested, f"{label}_{k}", local_transform(node), shapes)
+                    yield nested, f"{label}_{k}", local_transform(node)
             elif node.type != "shapegroup":
-                self.collect(node, label, np.eye(4), shapes)
-        if not shapes and not self.problems:
-            self.materials.problem("shapes", "none", "at least one", "check the scene")
-        return shapes
+                yield node, label, np.eye(4)
 
     def collect(self, node: SceneNode, label: str, outer: NDArray[np.float64], shapes: list[_Shape]) -> None:
         if node.type not in SUPPORTED_SHAPES:
@@ -168,10 +182,10 @@ class _SceneImporter:
         file = None
         if node.type in FILE_SHAPES:
             name = str(node.get("filename", ""))
-            file = scene_file(self.path.parent, name)
+            file, fault = fault_of(self.path.parent, name, self.options.allowed)
             if file is None:
-                expected = "a file inside the scene's folder"
-                self.materials.problem(f"{node.where}: filename", repr(name), expected, "copy it there")
+                got = f"{name!r} ({fault})"
+                self.materials.problem(f"{node.where}: filename", got, INSIDE_SCENE, COPY_IT)
                 return
             if not file.is_file():
                 if self.options.missing == "replace":
@@ -191,7 +205,7 @@ class _SceneImporter:
         bsdfs = node.children_of("bsdf")
         draft = self.materials.draft(bsdfs[0]) if bsdfs else Draft("default")
         try:
-            mesh, num_mended = shape_mesh(node, file)
+            mesh, num_mended = self.mesh_of(node, file)
         except InputError as error:
             self.problems.extend(error.problems)
             return
@@ -202,6 +216,15 @@ class _SceneImporter:
         emission = self.lights.emission_of(node)
         bsdf = id(bsdfs[0]) if bsdfs else 0
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
+
+    def mesh_of(self, node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
+        """The mesh of a shape; one that several shapes name is read once, and counts each time."""
+        key = _source_of(node, file)
+        if key in self.meshes:
+            self.budget.spend("triangles", self.meshes[key][0].weight, node.where)
+        else:
+            self.meshes[key] = shape_mesh(node, file, self.budget)
+        return self.meshes[key]
 
     def apply_dielectric_policy(self, shapes: list[_Shape]) -> list[_Shape]:
         """Refuse see-through materials, or take out panes and turn bodies into opal glass, as asked."""
@@ -265,8 +288,9 @@ class _SceneImporter:
         parts: list[Part] = []
         placed: list[Mesh] = []
         taken: set[str] = set()
-        slots: dict[str, _SlotKey] = {}
+        slots: dict[_SlotKey, str] = {}
         keys = [self.mesh_key(shape) for shape in shapes]
+        uses = Counter(keys)
         stored: dict[Any, str] = {}
         kept: list[_Shape] = []
         for shape, key in zip(shapes, keys, strict=True):
@@ -277,7 +301,7 @@ class _SceneImporter:
                 continue
             name = unique(slug(shape.label), taken)
             taken.add(name)
-            is_shared = keys.count(key) > 1
+            is_shared = uses[key] > 1
             if key not in stored or not is_shared:
                 stored[key] = f"meshes/{name}.ply"
                 mesh = without_degenerate(shape.mesh if is_shared else in_place)
@@ -300,31 +324,31 @@ class _SceneImporter:
         return parts, placed
 
     def mesh_key(self, shape: _Shape) -> Any:
-        node = shape.node
         matrix = shape.draft.uv_matrix
+        place = None if shape.file else local_transform(shape.node).tobytes()
         return (
-            str(shape.file) if shape.file else (node.type, str(sorted(node.values.items(), key=str))),
-            bool(node.get("face_normals", False)),
-            node.get("flip_tex_coords"),
+            *_source_of(shape.node, shape.file),
+            place,
             None if matrix is None else matrix.tobytes(),
         )
 
-    def slot_name(self, shape: _Shape, slots: dict[str, _SlotKey]) -> str:
+    def slot_name(self, shape: _Shape, slots: dict[_SlotKey, str]) -> str:
         """Slot of a shape: one per BSDF and emission."""
         key = (shape.bsdf, shape.emission)
-        base = shape.draft.name + ("_emitter" if shape.emission else "")
-        for name, other in slots.items():
-            if other == key:
-                return name
-        name = unique(base, set(slots))
-        slots[name] = key
-        return name
+        if key not in slots:
+            base = shape.draft.name + ("_emitter" if shape.emission else "")
+            slots[key] = unique(base, set(slots.values()))
+        return slots[key]
 
     def build_materials(self, shapes: list[_Shape], parts: list[Part]) -> dict[str, SlotMaterial]:
         slots: dict[str, SlotMaterial] = {}
-        for shape, part in zip(shapes, parts, strict=True):
+        densities: dict[str, list[float]] = {}
+        for part in parts:
+            if part.uv_per_m:
+                densities.setdefault(part.material, []).append(part.uv_per_m)
+        for shape in shapes:
             if shape.slot not in slots:
-                density = [p.uv_per_m for p in parts if p.material == part.material and p.uv_per_m]
+                density = densities.get(shape.slot)
                 slots[shape.slot] = self.material(shape, float(np.median(density)) if density else None)
             for sentence in slots[shape.slot].approximations:
                 self.findings.approximate(sentence)
@@ -390,6 +414,16 @@ class _SceneImporter:
                 "places: no enclosed space found; give support surfaces and camera regions in a file"
             )
         return places
+
+
+def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
+    """What decides the mesh of a shape: two shapes with equal ones have equal meshes."""
+    return (
+        str(file) if file else node.type,
+        None if file else tuple(sorted((k, str(v)) for k, v in node.values.items() if k != "to_world")),
+        bool(node.get("face_normals", False)),
+        node.get("flip_tex_coords"),
+    )
 
 
 def is_pane(mesh: Mesh) -> bool:

@@ -23,6 +23,7 @@ from datagen.formats.asset import ObjectAsset, Part, Provenance, SupportKind
 from datagen.formats.base import IDENTITY4, quantized, vector3
 from datagen.formats.package import open_package
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import IMAGE_SUFFIXES
@@ -83,7 +84,7 @@ def import_sweet_home(
     """
     options = options or ImportOptions()
     _check_options(path, options)
-    with open_catalogue(path) as catalogue:
+    with open_catalogue(path, Budget(path, options.limits)) as catalogue:
         importer = _SweetHomeImporter(catalogue, Path(out_library), options)
         records: list[ImportedAsset] = []
         problems: list[Problem] = []
@@ -168,12 +169,22 @@ class _SweetHomeImporter:
     def _import(self, piece: Piece, asset_id: str, category: str) -> ImportedAsset:
         findings = Findings()
         source = self._provenance(piece)
-        model = read_obj_model(self.catalogue.read(piece.model), f"{self.catalogue.path}/{piece.model}")
+        budget = Budget(self._label(piece), self.options.limits)  # a piece is gone when the next one begins
+        budget.hold(self.catalogue.size_in_archive(piece.model))
+        data = self.catalogue.read(piece.model)
+        model = read_obj_model(data, f"{self.catalogue.path}/{piece.model}", budget)
+        budget.spend("instances", len(model.surfaces), piece.model)
         with tempfile.TemporaryDirectory(prefix="sh3f-") as scratch:
             find_image = _ImageFinder(self.catalogue, piece, Path(scratch))
             phongs = self._phong_materials(piece, model, findings)
             converter = PhongConverter(
-                self._label(piece), self.options, findings, find_image, self._hints(piece, model), self.known
+                self._label(piece),
+                self.options,
+                findings,
+                find_image,
+                self._hints(piece, model),
+                self.known,
+                budget,
             )
             pieces = self._surfaces(piece, model, phongs, converter, findings)
             meshes = [mesh for _, _, mesh in pieces]

@@ -16,12 +16,12 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.package import ZIP_ERRORS
+from datagen.foundation.archives import ZIP_ERRORS, check_archive
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
 MAX_SIDE_CM = 20_000.0  # a ship is less than 200 m long; more is a slip of the unit
-MAX_MEMBER_BYTES = 256 << 20  # far above any model seen (24 MB); a member that claims more is a bomb
 _KEY = re.compile(r"(?P<name>[A-Za-z]+)#(?P<number>\d+)$")
 _ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.S)
 _LICENSES = (
@@ -79,6 +79,7 @@ class Catalogue:
     origin: Origin
     pieces: list[Piece] = field(default_factory=list)
     problems: dict[str, InputError] = field(default_factory=dict)
+    _folders: dict[PurePosixPath, dict[str, str]] | None = None
 
     def __enter__(self) -> Catalogue:
         return self
@@ -87,21 +88,14 @@ class Catalogue:
         self.archive.close()
 
     def read(self, member: str) -> bytes:
-        """Content of a member. Raises :class:`InputError` where it is missing, damaged or too large."""
+        """Content of a member. Raises :class:`InputError` where it is missing or damaged."""
         where = f"{self.path}/{member}"
         try:
-            info = self.archive.getinfo(member)
-            if info.file_size > MAX_MEMBER_BYTES:
-                raise input_error(
-                    where, got=f"{info.file_size} bytes", expected=f"at most {MAX_MEMBER_BYTES}"
-                )
-            return self.archive.read(info)
+            return self.archive.read(member)
         except KeyError:
             raise input_error(
                 where, got="no such file in the catalogue", expected="the model", remedy="export it again"
             ) from None
-        except InputError:
-            raise
         except ZIP_ERRORS as error:
             raise input_error(
                 where, got=str(error), expected="a readable file", remedy="copy it again"
@@ -109,22 +103,32 @@ class Catalogue:
 
     def beside(self, model: str) -> dict[str, str]:
         """Files in the folder of a model: lower-case base name to member."""
-        folder = PurePosixPath(model).parent
-        return {
-            PurePosixPath(n).name.lower(): n
-            for n in self.archive.namelist()
-            if PurePosixPath(n).parent == folder and not n.endswith("/")
-        }
+        if self._folders is None:
+            self._folders = {}
+            for name in self.archive.namelist():
+                path = PurePosixPath(name)
+                if not name.endswith("/"):
+                    self._folders.setdefault(path.parent, {})[path.name.lower()] = name
+        return self._folders.get(PurePosixPath(model).parent, {})
+
+    def size_in_archive(self, member: str) -> int:
+        """Bytes that a member takes in the archive; 0 where it is missing."""
+        try:
+            return self.archive.getinfo(member).compress_size
+        except KeyError:
+            return 0
 
 
-def open_catalogue(path: Path) -> Catalogue:
-    """Open a .sh3f file and read its pieces. Raises :class:`InputError` where it is no catalogue."""
+def open_catalogue(path: Path, budget: Budget) -> Catalogue:
+    """Open a .sh3f file and read its pieces; ``budget`` is of the whole file. Raises :class:`InputError`
+    where it is no catalogue."""
     expected = f"a Sweet Home 3D furniture library: a zip that holds {CATALOGUE_FILE}"
     try:
         archive = zipfile.ZipFile(path)
     except ZIP_ERRORS as error:
         raise input_error(path, got=str(error), expected=expected, remedy="copy it again") from None
     try:
+        check_archive(archive, path, budget)
         if CATALOGUE_FILE not in archive.namelist():
             raise input_error(path, got=f"no {CATALOGUE_FILE}", expected=expected, remedy="check the file")
         catalogue = Catalogue(path, archive, Origin())

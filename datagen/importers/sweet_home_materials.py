@@ -15,6 +15,7 @@ from typing import Literal, cast
 import numpy as np
 
 from datagen.formats.asset import MaterialClass, SlotMaterial
+from datagen.foundation.budget import Budget
 from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.errors import Problem
 from datagen.foundation.findings import Findings
@@ -107,10 +108,11 @@ class PhongConverter:
         find_file: Callable[[str], Path | None],
         hints: tuple[str, ...],
         known: Annotations,
+        budget: Budget,
     ):
         self.where, self.options, self.findings = where, options, findings
         self.find_file, self.hints, self.known = find_file, hints, known
-        self.cache = ImageCache()
+        self.cache = ImageCache(budget)
         self.textures = TextureFiles(self.cache)
         self.problems: list[Problem] = []
         self._notes: list[str] = []

@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, compacted
 
 CREASE_COSINE = 0.5
 """Edges of less than 60 degrees are smooth within a smoothing group."""
 MIRROR_GROUP = "sweethome3d_window_mirror"
+_BLOCK = 1 << 16  # lines turned into numbers at once: words take ten times their file
 _MAX_PAIRS = 1 << 22  # corner pairs held at once
 _NORMAL_DIGITS = 5  # equal normals of shared corners must be equal bits, or no vertex would be shared
 
@@ -58,9 +60,10 @@ class _Statements:
     libraries: list[str] = field(default_factory=list)
 
 
-def read_obj_model(data: bytes, where: str | Path) -> ObjModel:
+def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
     """Parse an OBJ file. Lines and points are passed over. Raises :class:`InputError` where it is damaged."""
-    found = _sort_lines(data)
+    found = _sort_lines(data, budget)
+    budget.spend("triangles", max(sum(found.counts) - 2 * len(found.counts), len(found.positions) // 3))
     try:
         positions, uvs, normals = (
             _table(found.positions, 3),
@@ -68,7 +71,7 @@ def read_obj_model(data: bytes, where: str | Path) -> ObjModel:
             _table(found.normals, 3),
         )
         indices = _indices(found.corners, (len(positions), len(uvs), len(normals)))
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError) as error:
         raise input_error(
             where, got=str(error)[:200], expected="an intact OBJ file", remedy="export it again"
         ) from None
@@ -77,11 +80,11 @@ def read_obj_model(data: bytes, where: str | Path) -> ObjModel:
     if not np.isfinite(positions[indices[:, 0]]).all():
         raise input_error(where, got="NaN or infinite vertices", expected="finite numbers")
     counts = np.array(found.counts)
-    triangles, polygon = _triangulated(positions[indices[:, 0]], counts)
+    triangles, polygon = _triangulated(positions[indices[:, 0]], counts, budget)
     corner = indices[triangles]  # (M, 3, 3): position, uv, normal
     once = _first_of_each(corner[:, :, 0])
     corner, polygon = corner[once], polygon[once]
-    shading = _corner_normals(positions, normals, corner, np.array(found.smoothing)[polygon])
+    shading = _corner_normals(positions, normals, corner, np.array(found.smoothing)[polygon], budget)
     owner = np.array(found.owners)[polygon]
     surfaces = []
     for (material, is_mirror), number in found.keys.items():
@@ -92,8 +95,9 @@ def read_obj_model(data: bytes, where: str | Path) -> ObjModel:
     return ObjModel(tuple(surfaces), tuple(found.libraries))
 
 
-def _sort_lines(data: bytes) -> _Statements:
+def _sort_lines(data: bytes, budget: Budget) -> _Statements:
     found = _Statements()
+    most = 3 * budget.allowed("triangles")
     material, is_mirror, smoothing, owner = "", False, 0, -1
     for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
         head = line[:2]
@@ -106,6 +110,8 @@ def _sort_lines(data: bytes) -> _Statements:
             if len(corners) > 3:  # some files hold faces of two corners, which have no surface
                 found.corners += corners[1:]
                 found.counts.append(len(corners) - 1)
+                if len(found.corners) > most:
+                    break
                 found.smoothing.append(smoothing)
                 found.owners.append(owner)
         elif head == b"vt":
@@ -126,14 +132,18 @@ def _sort_lines(data: bytes) -> _Statements:
 
 def _table(lines: list[bytes], width: int) -> Floats:
     """The first ``width`` numbers after the keyword of each line, (K, width); missing ones are 0."""
-    if not lines:
-        return np.zeros((0, width))
+    blocks = [_block(lines[k : k + _BLOCK], width) for k in range(0, len(lines), _BLOCK)]
+    return np.concatenate(blocks) if blocks else np.zeros((0, width))
+
+
+def _block(lines: list[bytes], width: int) -> Floats:
     tokens = b" ".join(lines).split()
     per_line = len(lines[0].split())
     if len(tokens) == per_line * len(lines) and per_line > width:
-        return np.array(tokens).reshape(len(lines), per_line)[:, 1 : width + 1].astype(np.float64)
+        columns = [np.fromiter(map(float, tokens[k::per_line]), np.float64) for k in range(1, width + 1)]
+        return np.stack(columns, axis=1)
     rows = [(line.split()[1 : width + 1] + [b"0"] * width)[:width] for line in lines]
-    return np.array(rows).astype(np.float64)
+    return np.array([[float(word) for word in row] for row in rows])
 
 
 def _indices(corners: list[bytes], counts: tuple[int, int, int]) -> Ints:
@@ -150,7 +160,8 @@ def _indices(corners: list[bytes], counts: tuple[int, int, int]) -> Ints:
     else:
         is_even = False
     if is_even and not joined.endswith(b"/") and b"/ " not in joined:
-        indices[:, : per_corner + 1] = np.array(numbers).astype(np.int64).reshape(len(corners), -1)
+        found = np.fromiter(map(int, numbers), np.int64)
+        indices[:, : per_corner + 1] = found.reshape(len(corners), -1)
     else:
         for row, corner in enumerate(corners):
             for column, number in enumerate(corner.split(b"/")[:3]):
@@ -163,7 +174,7 @@ def _indices(corners: list[bytes], counts: tuple[int, int, int]) -> Ints:
     return indices - 1
 
 
-def _triangulated(points: Floats, counts: Ints) -> tuple[Ints, Ints]:
+def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, Ints]:
     """Triangles as corner numbers (M, 3) and the polygon of each (M,). ``points`` (C, 3) are the corners'."""
     starts = np.cumsum(counts) - counts
     threes, fours = np.flatnonzero(counts == 3), np.flatnonzero(counts == 4)
@@ -182,7 +193,7 @@ def _triangulated(points: Floats, counts: Ints) -> tuple[Ints, Ints]:
         polygons.append(np.repeat(fours, 2))
     for polygon in np.flatnonzero(counts > 4):
         start, count = int(starts[polygon]), int(counts[polygon])
-        ears = triangulate(points[start : start + count])
+        ears = triangulate(points[start : start + count], budget)
         parts.append(start + ears)
         polygons.append(np.full(len(ears), polygon))
     triangles, polygon_of = np.concatenate(parts), np.concatenate(polygons)
@@ -190,7 +201,7 @@ def _triangulated(points: Floats, counts: Ints) -> tuple[Ints, Ints]:
     return triangles[order], polygon_of[order]
 
 
-def triangulate(points: Floats) -> Ints:
+def triangulate(points: Floats, budget: Budget) -> Ints:
     """Triangles (K - 2, 3) of a plane polygon (K, 3) without holes, in its own winding, by cutting ears."""
     ring = list(range(len(points)))
     turned = np.roll(points, -1, axis=0)
@@ -206,7 +217,7 @@ def triangulate(points: Floats) -> Ints:
         return np.stack([np.zeros_like(k), k, k + 1], axis=1)
     ears: list[tuple[int, int, int]] = []
     while len(ring) > 3:
-        cut = next((k for k in range(len(ring)) if _is_ear(flat, ring, k)), None)
+        cut = next((k for k in range(len(ring)) if _is_ear(flat, ring, k, budget)), None)
         if cut is None:  # a ring that crosses itself has none: what is left becomes a fan
             break
         ears.append((ring[cut - 1], ring[cut], ring[(cut + 1) % len(ring)]))
@@ -215,7 +226,8 @@ def triangulate(points: Floats) -> Ints:
     return np.array(ears, dtype=np.int64)
 
 
-def _is_ear(flat: Floats, ring: list[int], k: int) -> bool:
+def _is_ear(flat: Floats, ring: list[int], k: int, budget: Budget) -> bool:
+    budget.spend("pairs", len(ring), "a concave polygon")
     a, b, c = flat[ring[k - 1]], flat[ring[k]], flat[ring[(k + 1) % len(ring)]]
 
     def side(p: Floats, q: Floats, r: Floats) -> Floats:
@@ -245,7 +257,9 @@ def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
     return is_new
 
 
-def _corner_normals(positions: Floats, normals: Floats, corner: Ints, smoothing: Ints) -> Floats:
+def _corner_normals(
+    positions: Floats, normals: Floats, corner: Ints, smoothing: Ints, budget: Budget
+) -> Floats:
     """Unit normals (M, 3, 3): the file's where a corner names one, else smooth within a smoothing group."""
     cross = _normal(positions[corner[:, :, 0]])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -260,11 +274,11 @@ def _corner_normals(positions: Floats, normals: Floats, corner: Ints, smoothing:
     else:
         given, size = np.zeros((*corner.shape[:2], 3)), np.ones((*corner.shape[:2], 1))
         sound = np.zeros(corner.shape[:2], dtype=bool)
-    made = _creased(positions, corner[:, :, 0], unit, smoothing)
+    made = _creased(positions, corner[:, :, 0], unit, smoothing, budget)
     return np.where(sound[..., None], given / np.maximum(size, 1e-300), made)
 
 
-def _creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints) -> Floats:
+def _creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
     """Normals (M, 3, 3): at each corner the angle-weighted mean of the faces there that lie within 60 degrees
     and in the same smoothing group; group 0 is flat."""
     made = np.repeat(unit[:, None], 3, axis=1)
@@ -279,6 +293,7 @@ def _creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints) -> F
     vertex = faces[chosen].ravel()
     order = np.argsort(vertex, kind="stable")
     _, first, count = np.unique(vertex[order], return_index=True, return_counts=True)
+    budget.spend("pairs", int((count.astype(np.int64) ** 2).sum()), "smooth normals")
     first, count = np.repeat(first, count), np.repeat(count, count)  # of each sorted corner's vertex
     normal, weight = np.repeat(unit[chosen], 3, axis=0)[order], angle.ravel()[order]
     group = np.repeat(smoothing[chosen], 3)[order]

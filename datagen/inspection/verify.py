@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
-from datagen.formats.base import inside, read_json
+from datagen.formats.base import read_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
 from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.paths import inside
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
 from datagen.inspection.shard_check import ShardJob, verify_shard
 

@@ -286,7 +286,7 @@ def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str) -> None:
     document = json.loads(path.read_text())
     document["buffers"][0]["uri"] = uri
     path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=r"in the document's folder|no such file"):
+    with pytest.raises(InputError, match=r"a file inside|no such file"):
         import_gltf(path, tmp_path / "library", LICENSED)
 
 
@@ -297,7 +297,7 @@ def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str) -> None:
             lambda d: d["nodes"].append({"children": [1]}) or d["scenes"][0].update(nodes=[1]),
             "inside itself",
         ),
-        (lambda d: d["accessors"][0].update(count=10_000), "bytes"),
+        (lambda d: d["accessors"][0].update(count=10_000), "10000 entries"),
         (lambda d: d["accessors"][0].update(bufferView=99), "an index below"),
         (lambda d: d["meshes"][0]["primitives"][0].update(material=7), "an index below 1 into materials"),
         (lambda d: d["asset"].update(version="1.0"), "2.0"),

@@ -13,6 +13,7 @@ from datagen.formats.asset import EnvironmentAsset, Texture
 from datagen.formats.lights import AreaLight, EnvironmentLight
 from datagen.formats.mitsuba.scene import SceneNode, parse_scene, snake_case
 from datagen.formats.package import open_package
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png, read_image
@@ -158,7 +159,7 @@ def test_obj_polygons_negative_indices_and_missing_parts(tmp_path: Path) -> None
 
 
 def converter(tmp_path: Path, options: ImportOptions = LICENSED) -> MaterialConverter:
-    return MaterialConverter(tmp_path / "scene.xml", options, Findings(), ImageCache())
+    return MaterialConverter(tmp_path / "scene.xml", options, Findings(), ImageCache(Budget("scene.xml")))
 
 
 def draft_of(tmp_path: Path, xml: str) -> Draft:
@@ -296,7 +297,7 @@ def test_textures_pass_through_and_only_products_are_baked(tmp_path: Path) -> No
     )
     assert isinstance(glossy.diffuse, BakedSource)
     assert glossy.diffuse.values.shape == (32, 32, 3)
-    cache = ImageCache()
+    cache = ImageCache(Budget("scene.xml"))
     linear = cache.values(ImageSource(tmp_path / "t.png", "srgb"), is_scalar=False)
     ior = 1.5046 / 1.000277
     expected = fresnel.plastic_diffuse_albedo(linear, ior, True) / (1 - fresnel.dielectric_f0(ior))
@@ -612,7 +613,7 @@ def test_largest_rectangle_against_brute_force() -> None:
 
 
 def test_open_space_has_no_places() -> None:
-    plate = shape_mesh(SceneNode("shape", "rectangle"), None)[0].triangles()
+    plate = shape_mesh(SceneNode("shape", "rectangle"), None, Budget("x"))[0].triangles()
     places = find_places(plate, np.zeros(len(plate), np.int64), set(), np.zeros((0, 3)))
     assert places.floor_m is None
     assert places.camera_regions == ()

@@ -15,6 +15,7 @@ import pytest
 
 from datagen.formats.asset import ObjectAsset, Texture
 from datagen.formats.package import Package, open_package
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
@@ -216,13 +217,13 @@ def test_concave_polygons_are_cut_inside_their_outline() -> None:
     for axes in ([0, 1, 2], [2, 0, 1], [0, 2, 1]):
         points = outline[:, axes]
         for turned in (points, points[::-1]):
-            cut = turned[triangulate(turned)]
+            cut = turned[triangulate(turned, Budget("x"))]
             crosses = np.cross(cut[:, 1] - cut[:, 0], cut[:, 2] - cut[:, 0])
             assert len(cut) == 4
             assert np.isclose(0.5 * np.linalg.norm(crosses, axis=1).sum(), 7)  # a fan would cover more
             assert np.isclose(0.5 * np.linalg.norm(crosses.sum(axis=0)), 7)  # all the same way round
     dart = b"v 0 0 0\nv 1 1 0\nv 0 3 0\nv -1 1 0\nv 0 2 0\nf 1 2 5 4\nf 2 5 4 1\n"
-    model = read_obj_model(dart.replace(b"f 2 5 4 1\n", b""), "dart.obj")
+    model = read_obj_model(dart.replace(b"f 2 5 4 1\n", b""), "dart.obj", Budget("x"))
     assert np.isclose(model.surfaces[0].mesh.areas().sum(), 2 * 0.5 * 1 * 2)
 
 
@@ -232,20 +233,26 @@ def test_normals_are_smooth_within_a_smoothing_group_and_creased_at_sharp_edges(
     lines = [f"v {x:.9f} {y} {z:.9f}" for x, y, z in ring]
     sides = [f"f {k + 1} {k + 13} {(k + 1) % 12 + 13} {(k + 1) % 12 + 1}" for k in range(12)]
     cap = ["f " + " ".join(str(k + 13) for k in range(12)[::-1])]
-    smooth = read_obj_model("\n".join([*lines, "s 1", *sides, *cap]).encode(), "can.obj").surfaces[0].mesh
+    smooth = (
+        read_obj_model("\n".join([*lines, "s 1", *sides, *cap]).encode(), "can.obj", Budget("x"))
+        .surfaces[0]
+        .mesh
+    )
     assert smooth.normals is not None
     radial = smooth.positions * [1, 0, 1]
     on_side = np.abs(smooth.normals[:, 1]) < 0.5
     assert np.allclose(smooth.normals[on_side], radial[on_side], atol=1e-4)
     assert np.allclose(smooth.normals[~on_side], [0, 1, 0], atol=1e-5)
     assert len(smooth.positions) == 36  # shared along the side, split at the rim
-    flat = read_obj_model("\n".join([*lines, "s off", *sides]).encode(), "can.obj").surfaces[0].mesh
+    flat = (
+        read_obj_model("\n".join([*lines, "s off", *sides]).encode(), "can.obj", Budget("x")).surfaces[0].mesh
+    )
     assert len(flat.positions) == 48
 
 
 def test_faces_held_twice_and_lines_are_passed_over() -> None:
     text = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nl 1 2\nf 1 2\nf 1 2 3\nf 3 2 1\nf -3 -2 -1\n"
-    assert len(read_obj_model(text, "x.obj").surfaces[0].mesh.faces) == 1
+    assert len(read_obj_model(text, "x.obj", Budget("x")).surfaces[0].mesh.faces) == 1
 
 
 # materials
@@ -415,7 +422,7 @@ def test_a_truncated_archive_names_the_pieces_it_lost(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "other.sh3f", "w") as archive:
         archive.writestr("a.txt", "no catalogue")
     with pytest.raises(InputError, match=f"no {CATALOGUE_FILE}"):
-        open_catalogue(tmp_path / "other.sh3f")
+        open_catalogue(tmp_path / "other.sh3f", Budget("x"))
 
 
 def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
@@ -505,7 +512,7 @@ def furniture() -> Path:
 
 def test_real_people_import_at_their_size(furniture: Path, tmp_path: Path) -> None:
     path = furniture / "Reallusion.sh3f"
-    with open_catalogue(path) as catalogue:
+    with open_catalogue(path, Budget("x")) as catalogue:
         sizes = {p.name: p.size_m for p in catalogue.pieces[:1]}
         whole = len(catalogue.pieces)
     steps: list[Step] = []

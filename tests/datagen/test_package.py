@@ -218,7 +218,7 @@ def special(kind: int) -> zipfile.ZipInfo:
 
 @pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a/../../evil", "c:evil", "a//b"])
 def test_zip_members_that_leave_the_package_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match="leaves the package"):
+    with pytest.raises(InputError, match="leaves the archive"):
         open_package(hostile_zip(tmp_path / "z.zip", name))
 
 
@@ -229,7 +229,7 @@ def test_zip_links_devices_duplicates_and_bombs_are_refused(tmp_path: Path) -> N
         open_package(hostile_zip(tmp_path / "b.zip", special(stat.S_IFCHR)))
     with pytest.warns(UserWarning), pytest.raises(InputError, match="occurs twice"):
         open_package(hostile_zip(tmp_path / "c.zip", "textures/c.png"))
-    with pytest.raises(InputError, match="unpacks to"):
+    with pytest.raises(InputError, match="unpacked members: bytes"):
         open_package(hostile_zip(tmp_path / "d.zip", "bomb", bytes(80 << 20)))
 
 

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
@@ -96,7 +97,7 @@ def test_colmap_poses_and_lens(tmp_path: Path, form: str) -> None:
     cameras = make_cameras()
     lens = [55.0, 57.0, 31.0, 21.5, -0.12, 0.03, 0.001, -0.002]
     write_colmap(tmp_path / "m", cameras, form, "OPENCV", lens)
-    posed = read_colmap(tmp_path / "m")
+    posed = read_colmap(tmp_path / "m", Budget("x"))
     assert [p.file for p in posed] == ["img0.png", "img1.png", "img2.png"]
     for expected, got in zip(cameras, posed, strict=True):
         np.testing.assert_allclose(got.camera.world_from_camera, expected.world_from_camera, atol=1e-9)
@@ -117,7 +118,7 @@ def test_colmap_poses_and_lens(tmp_path: Path, form: str) -> None:
 )
 def test_colmap_models(tmp_path: Path, model: str, parameters: list[float], expected: tuple | None) -> None:
     write_colmap(tmp_path / "m", make_cameras(1), "binary", model, parameters)
-    (posed,) = read_colmap(tmp_path / "m")
+    (posed,) = read_colmap(tmp_path / "m", Budget("x"))
     assert posed.camera.cx_px == 32 and posed.camera.cy_px == 20 and posed.camera.fx_px == 50
     got = posed.distortion
     assert (None if got is None else (got.model, got.coefficients)) == expected
@@ -126,13 +127,13 @@ def test_colmap_models(tmp_path: Path, model: str, parameters: list[float], expe
 def test_colmap_faults_are_named(tmp_path: Path) -> None:
     write_colmap(tmp_path / "fov", make_cameras(1), "text", "FOV", [50, 50, 32, 20, 0.5])
     with pytest.raises(InputError, match=r"FOV.*expected one of PINHOLE"):
-        read_colmap(tmp_path / "fov")
+        read_colmap(tmp_path / "fov", Budget("x"))
     write_colmap(tmp_path / "cut", make_cameras(2), "binary", "PINHOLE", [50, 51, 32, 20])
     images = tmp_path / "cut" / "images.bin"
     for keep in (0, 30, 100, len(images.read_bytes()) - 1):
         images.write_bytes(images.read_bytes()[:keep])
         with pytest.raises(InputError, match=r"ends early|an empty file"):
-            read_colmap(tmp_path / "cut")
+            read_colmap(tmp_path / "cut", Budget("x"))
         images.write_bytes(b"")
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="nothing known in it"):
@@ -144,7 +145,7 @@ def test_a_lens_that_is_not_supported_is_told_once(tmp_path: Path, form: str) ->
     """It had been blamed on ``images``, once a photograph."""
     write_colmap(tmp_path / "m", make_cameras(5), form, "FOV", [50, 50, 32, 20, 0.5])
     with pytest.raises(InputError) as caught:
-        read_colmap(tmp_path / "m")
+        read_colmap(tmp_path / "m", Budget("x"))
     cameras = tmp_path / "m" / ("cameras.txt" if form == "text" else "cameras.bin")
     assert len(caught.value.problems) == 1
     assert str(caught.value).startswith(f"{cameras}: camera 7 model = FOV; expected one of PINHOLE")
@@ -154,10 +155,10 @@ def test_a_lens_that_is_not_supported_is_told_once(tmp_path: Path, form: str) ->
 def test_a_lens_that_nobody_knows_is_told_as_such(tmp_path: Path) -> None:
     write_colmap(tmp_path / "m", make_cameras(3), "text", "RAD_TAN_THIN_PRISM_FISHEYE", [50.0] * 16)
     with pytest.raises(InputError, match=r"cameras\.txt: camera 7 model = RAD_TAN\w+; .*PINHOLE"):
-        read_colmap(tmp_path / "m")
+        read_colmap(tmp_path / "m", Budget("x"))
     write_colmap(tmp_path / "n", make_cameras(3), "text", "PINHOLE", [50, -50, 32, 20])
     with pytest.raises(InputError) as caught:
-        read_colmap(tmp_path / "n")
+        read_colmap(tmp_path / "n", Budget("x"))
     assert len(caught.value.problems) == 1 and "cameras.txt: camera 7 parameters" in str(caught.value)
 
 

@@ -3,7 +3,8 @@
 resolved, camelCase names of old files turned into today's, transforms as matrices.
 
 Nothing is interpreted here; what a plugin means is for the modules that use the tree. DOCTYPE and entities
-are refused, and so are includes that leave the scene's folder or include each other in a circle.
+are refused, and so are includes that leave the scene's folder or include each other in a circle. References
+make a graph of the tree: what it comes to where each is followed is counted before anyone follows them.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,14 +20,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.budget import Budget
+from datagen.foundation.documents import parse_xml
 from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.paths import fault_of
 
 PLUGIN_TAGS = (
     "bsdf", "emitter", "shape", "texture", "sensor", "film", "sampler", "rfilter", "integrator", "medium",
     "phase", "volume", "spectrum_plugin",
 )  # fmt: skip
+_DEFINITIONS = ("bsdf", "texture", "medium", "ref")
 MAX_XML_BYTES = 256 << 20
-_MAX_INCLUDE_DEPTH = 16
 
 
 @dataclass
@@ -68,9 +73,15 @@ class MitsubaScene:
         return [node for node in self.nodes if node.tag == tag]
 
 
-def parse_scene(path: Path, defines: dict[str, str] | None = None) -> MitsubaScene:
-    """Parse a scene file. Raises :class:`InputError` with every problem that was found."""
-    return _Parser(path, dict(defines or {})).parse()
+def parse_scene(
+    path: Path,
+    defines: dict[str, str] | None = None,
+    budget: Budget | None = None,
+    allowed: Sequence[Path] = (),
+) -> MitsubaScene:
+    """Parse a scene file; includes may come from its folder and from those that are ``allowed``. Raises
+    :class:`InputError` with every problem that was found."""
+    return _Parser(path, dict(defines or {}), budget or Budget(path), allowed).parse()
 
 
 def snake_case(name: str) -> str:
@@ -79,9 +90,11 @@ def snake_case(name: str) -> str:
 
 
 class _Parser:
-    def __init__(self, path: Path, defines: dict[str, str]):
+    def __init__(self, path: Path, defines: dict[str, str], budget: Budget, allowed: Sequence[Path]):
         self.path = path
-        self.root_folder = path.parent.resolve()
+        self.budget, self.allowed = budget, allowed
+        self.loaded: dict[Path, ElementTree.Element] = {}
+        self.depth = 0
         self.variables = defines
         self.given = frozenset(defines)
         self.problems: list[Problem] = []
@@ -98,8 +111,8 @@ class _Parser:
         except ValueError:
             raise input_error(self.path, "scene version", repr(text), "numbers such as 3.0.0") from None
         holder = SceneNode("scene", "scene", where="scene")
-        self.fill(holder, root, self.path, (self.path.resolve(),))
-        self.resolve_references()
+        self.fill(holder, root, (self.path.resolve(),))
+        self.resolve_references(holder)
         if self.problems:
             raise InputError(*self.problems)
         return MitsubaScene(self.path, self.version, [node for _, node in holder.children], self.by_id)
@@ -108,7 +121,12 @@ class _Parser:
         self.problems.append(Problem(self.path, field_, got, expected, remedy))
 
     def load(self, path: Path) -> ElementTree.Element:
+        if path in self.loaded:
+            return self.loaded[path]
         try:
+            if not path.is_file():  # a pipe would wait for ever
+                raise input_error(path, got="no such file", expected="a Mitsuba scene (XML)")
+            self.budget.hold_file(path)
             if path.stat().st_size > MAX_XML_BYTES:
                 raise input_error(path, got="over 256 MB", expected="a scene description")
             data = path.read_bytes()
@@ -117,23 +135,18 @@ class _Parser:
             raise input_error(path, got=error.strerror or error, expected="a Mitsuba scene (XML)") from None
         except UnicodeDecodeError:
             raise input_error(path, got="not UTF-8", expected="a Mitsuba scene (XML in UTF-8)") from None
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can read other files or fill the memory
-            raise input_error(path, got="a DOCTYPE or ENTITY", expected="plain XML", remedy="remove it")
-        try:
-            root = ElementTree.fromstring(text)
-        except ElementTree.ParseError as error:
-            raise input_error(
-                path, got=str(error), expected="well-formed XML", remedy="correct the file"
-            ) from None
+        root = parse_xml(text, path, self.budget, "correct the file")
         if root.tag != "scene":
             raise input_error(path, "root element", f"<{root.tag}>", "<scene>", "this is no Mitsuba scene")
+        self.loaded[path] = root
         return root
 
     # structure
 
-    def fill(
-        self, node: SceneNode, element: ElementTree.Element, file: Path, stack: tuple[Path, ...]
-    ) -> None:
+    def fill(self, node: SceneNode, element: ElementTree.Element, stack: tuple[Path, ...]) -> None:
+        """The contents of an element; ``stack`` are the files that include it, the outermost first."""
+        self.depth += 1
+        self.budget.check_depth(self.depth, node.where)
         for child in element:
             tag, attributes = child.tag, {k: self.substitute(v, node) for k, v in child.attrib.items()}
             name = snake_case(attributes.get("name", ""))
@@ -148,20 +161,20 @@ class _Parser:
                 node.children.append((name, SceneNode("ref", "ref")))
                 self.references.append((node, len(node.children) - 1, attributes.get("id", "")))
             elif tag in PLUGIN_TAGS:
-                node.children.append((name, self.plugin(child, tag, attributes, file, stack)))
+                node.children.append((name, self.plugin(child, tag, attributes, stack)))
             elif tag == "transform":
                 node.values[name] = self.transform(child, node)
             elif tag == "path":
                 self.problem(f"{node.where}: <path>", "a search path", "file names relative to the scene")
             else:
                 self.value(node, tag, name, attributes)
+        self.depth -= 1
 
     def plugin(
         self,
         element: ElementTree.Element,
         tag: str,
         attributes: dict[str, str],
-        file: Path,
         stack: tuple[Path, ...],
     ) -> SceneNode:
         number = self.counts.get(tag, 0)
@@ -171,7 +184,7 @@ class _Parser:
         node = SceneNode(
             tag, attributes.get("type", ""), identity, where=f"{tag} {label} ({attributes.get('type')})"
         )
-        self.fill(node, element, file, stack)
+        self.fill(node, element, stack)
         if identity:
             if identity in self.by_id:
                 self.problem(node.where, "an id that is taken", "ids that occur once")
@@ -179,13 +192,17 @@ class _Parser:
         return node
 
     def include(self, node: SceneNode, name: str, stack: tuple[Path, ...]) -> None:
-        target = (self.root_folder / name).resolve()
-        if not target.is_relative_to(self.root_folder):
-            self.problem("include", repr(name), "a file inside the scene's folder")
-        elif target in stack or len(stack) > _MAX_INCLUDE_DEPTH:
+        target, fault = fault_of(self.path.parent, name, self.allowed)
+        if target is None:
+            expected = "a file inside the scene's folder"
+            self.problem("include", f"{name!r} ({fault})", expected, "copy the file there")
+        elif target in stack:
             self.problem("include", repr(name), "includes that do not go round in a circle")
         else:
-            self.fill(node, self.load(target), target, (*stack, target))
+            self.budget.spend("references", 1, f"include {name!r}")
+            if target in self.loaded:
+                self.budget.spend("nodes", sum(1 for _ in self.loaded[target].iter()), f"include {name!r}")
+            self.fill(node, self.load(target), (*stack, target))
 
     def alias(self, attributes: dict[str, str]) -> None:
         source = self.by_id.get(attributes.get("id", ""))
@@ -194,21 +211,50 @@ class _Parser:
         else:
             self.by_id[attributes.get("as", "")] = source
 
-    def resolve_references(self) -> None:
+    def resolve_references(self, scene: SceneNode) -> None:
         for node, index, identity in self.references:
             target = self.by_id.get(identity)
             if target is None:
                 self.problem(f"{node.where}: ref", repr(identity), "the id of a node in the scene")
             else:
                 node.children[index] = (node.children[index][0], target)
-        for node in {id(n): n for n in self.by_id.values()}.values():
-            self.refuse_cycles(node, ())
+        self.check_graph(scene)
 
-    def refuse_cycles(self, node: SceneNode, above: tuple[int, ...]) -> None:
-        if id(node) in above:
-            raise input_error(self.path, node.where, "a reference to itself", "references without circles")
-        for _, child in node.children:
-            self.refuse_cycles(child, (*above, id(node)))
+    def check_graph(self, scene: SceneNode) -> None:
+        """Refuse circles, and graphs that come to too much where every reference is followed. Each node is
+        looked at once, however many refer to it."""
+        sizes: dict[int, int] = {}
+        depths: dict[int, int] = {}
+        for start in (scene, *self.by_id.values()):
+            if id(start) in sizes:
+                continue
+            path, above = [start], {id(start)}  # from the start to the node that is looked at
+            rest = [iter(start.children)]
+            while path:
+                node = path[-1]
+                child = next((c for _, c in rest[-1] if id(c) not in sizes), None)
+                if child is None:
+                    sizes[id(node)] = 1 + sum(sizes[id(c)] for _, c in node.children)
+                    depths[id(node)] = 1 + max((depths[id(c)] for _, c in node.children), default=0)
+                    above.remove(id(path.pop()))
+                    rest.pop()
+                elif id(child) in above:
+                    raise input_error(
+                        self.path, child.where, "a reference to itself", "references without circles"
+                    )
+                else:
+                    path.append(child)
+                    above.add(id(child))
+                    rest.append(iter(child.children))
+        # what only stands there to be referred to is followed nowhere
+        used = [
+            (sizes[id(node)], node.where)
+            for _, node in scene.children
+            if node.tag not in _DEFINITIONS and node.type != "shapegroup"
+        ]
+        deepest = max(scene.children, key=lambda entry: depths[id(entry[1])], default=("", scene))[1]
+        self.budget.check_depth(depths[id(scene)] - 1, deepest.where)
+        self.budget.spend("nodes", sum(size for size, _ in used), max(used, default=(0, ""))[1])
 
     # values
 
@@ -220,13 +266,15 @@ class _Parser:
                     f"{node.where}: ${name}", "undefined", "a <default> or a value given to the importer"
                 )
                 return ""
+            self.budget.spend("bytes", len(self.variables[name]), f"{node.where}: ${name}")
             return self.variables[name]
 
         return re.sub(r"\$([A-Za-z_][A-Za-z0-9_]*)", value, text) if "$" in text else text
 
     def numbers(self, node: SceneNode, name: str, text: str, counts: tuple[int, ...]) -> list[float]:
+        parts = re.split(r"[\s,]+", text.strip(), maxsplit=max(counts))  # a text may be of any length
         try:
-            numbers = [float(part) for part in re.split(r"[\s,]+", text.strip()) if part]
+            numbers = [float(part) for part in parts if part]
         except ValueError:
             numbers = []
         if len(numbers) not in counts or not all(map(math.isfinite, numbers)):

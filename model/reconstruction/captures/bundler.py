@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.photograph_files import photograph_size
@@ -38,9 +39,10 @@ def find(path: Path) -> Path | None:
     return found[0] if len(found) == 1 else None
 
 
-def read(path: Path, images: Path | None) -> Calibration:
+def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every camera that was placed. Raises :class:`InputError` with all faults."""
     names = _names(path)
+    budget.spend("frames", len(names), "images")
     try:
         words = [line for line in read_text(path).splitlines() if not line.startswith("#")]
         num_cameras = int(words[0].split()[0])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.posed import Calibration, PosedImage
@@ -52,23 +53,24 @@ def find(path: Path) -> Path | None:
     return None
 
 
-def read(path: Path, images: Path | None) -> Calibration:
+def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every registered image; photographs lie in ``images`` beside or above the model."""
     beside = (path / "images", path.parent / "images", path.parent.parent / "images")
     folder = images or next((f for f in beside if f.is_dir()), beside[0])
-    return Calibration(tuple(read_colmap(path)), folder)
+    return Calibration(tuple(read_colmap(path, budget)), folder)
 
 
-def read_colmap(folder: Path) -> list[PosedImage]:
+def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
     """Every registered image, by file name. Binary files are preferred where both forms lie in the folder."""
     if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
         lenses, poses = (
-            _read_binary_cameras(folder / "cameras.bin"),
-            _read_binary_images(folder / "images.bin"),
+            _read_binary_cameras(folder / "cameras.bin", budget),
+            _read_binary_images(folder / "images.bin", budget),
         )
         where, cameras = folder / "images.bin", folder / "cameras.bin"
     else:
-        lenses, poses = _read_text_cameras(folder / "cameras.txt"), _read_text_images(folder / "images.txt")
+        lenses = _read_text_cameras(folder / "cameras.txt", budget)
+        poses = _read_text_images(folder / "images.txt", budget)
         where, cameras = folder / "images.txt", folder / "cameras.txt"
     problems: list[Problem] = []
     found = []
@@ -153,10 +155,11 @@ def _lines(path: Path) -> list[str]:
     return [line.strip() for line in text.splitlines() if not line.startswith("#")]
 
 
-def _read_text_cameras(path: Path) -> dict[int, _Lens]:
+def _read_text_cameras(path: Path, budget: Budget) -> dict[int, _Lens]:
     lenses = {}
     counts = dict(MODELS)
     for line in filter(None, _lines(path)):
+        budget.spend("nodes", 1, "cameras")
         words = line.split()
         try:
             parameters = tuple(float(word) for word in words[4:])
@@ -171,7 +174,7 @@ def _read_text_cameras(path: Path) -> dict[int, _Lens]:
     return lenses
 
 
-def _read_text_images(path: Path) -> dict[str, tuple[int, NDArray, NDArray]]:
+def _read_text_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDArray, NDArray]]:
     lines = _lines(path)
     while lines and not lines[0]:
         lines.pop(0)
@@ -180,6 +183,7 @@ def _read_text_images(path: Path) -> dict[str, tuple[int, NDArray, NDArray]]:
         words = line.split(maxsplit=9)
         if not words:
             continue
+        budget.spend("frames", 1, "images")
         try:
             values = np.array([float(word) for word in words[1:8]])
             poses[words[9]] = (int(words[8]), values[:4], values[4:])
@@ -228,10 +232,11 @@ class _Cursor:
         return input_error(self.path, "", "the file ends early", "a whole file", _REMEDY)
 
 
-def _read_binary_cameras(path: Path) -> dict[int, _Lens]:
+def _read_binary_cameras(path: Path, budget: Budget) -> dict[int, _Lens]:
     cursor = _Cursor(path)
     lenses = {}
     for _ in range(cursor.take("Q")[0]):
+        budget.spend("nodes", 1, "cameras")
         lens_id, model, width, height = cursor.take("iiQQ")
         if not 0 <= model < len(MODELS):
             raise input_error(path, f"camera {lens_id} model", model, _UNSUPPORTED, _UNDISTORT)
@@ -240,10 +245,11 @@ def _read_binary_cameras(path: Path) -> dict[int, _Lens]:
     return lenses
 
 
-def _read_binary_images(path: Path) -> dict[str, tuple[int, NDArray, NDArray]]:
+def _read_binary_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDArray, NDArray]]:
     cursor = _Cursor(path)
     poses = {}
     for _ in range(cursor.take("Q")[0]):
+        budget.spend("frames", 1, "images")
         values = cursor.take("i7di")
         name = cursor.text()
         cursor.skip(cursor.take("Q")[0] * 24)  # x, y as doubles and a point id a feature

@@ -8,56 +8,30 @@ from typing import Any
 
 import numpy as np
 
-from datagen.foundation.errors import InputError, input_error
-from datagen.foundation.meshes.gltf import GltfFile, PlacedNode, triangles_of
+from datagen.foundation.budget import Budget
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.gltf import TRIANGLE_MODES, GltfFile, PlacedNode, triangles_of
 from datagen.foundation.meshes.mesh import Mesh, joined
 
-_TRIANGLE_MODES = (4, 5, 6)  # list, strip, fan
-# A file may place its meshes many times, but not without end; a primitive costs as much time as 200 corners.
-_FREE_CORNERS, _PRIMITIVE = 10_000_000, 200
 
-
-def read_gltf(path: Path) -> Mesh:
+def read_gltf(path: Path, budget: Budget) -> Mesh:
     """Every placed triangle in the document's frame, v upwards. Buffers must lie beside the document.
 
     Raises :class:`InputError`.
     """
-    try:
-        return _read(path)
-    except InputError:
-        raise
-    except (
-        OSError,
-        KeyError,
-        TypeError,
-        ValueError,
-        IndexError,
-        AttributeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        # the document is a tree of anything: what is missing or of another type shows here
-        raise input_error(path, "", repr(error)[:200], "a readable glTF file", "export it again") from None
-
-
-def _read(path: Path) -> Mesh:
     meshes: list[Mesh] = []
-    room = _FREE_CORNERS + path.stat().st_size
-    with GltfFile(path) as file:
-        for placed in file.placed_nodes():
+    with GltfFile(path, budget) as file:
+        nodes = list(file.placed_nodes())
+        file.placed_primitives(nodes)
+        for placed in nodes:
             if "mesh" not in placed.node:
                 continue
             for primitive in file.item("meshes", placed.node["mesh"], placed.name)["primitives"]:
-                if int(primitive.get("mode", 4)) not in _TRIANGLE_MODES:
-                    continue
-                meshes.append(_primitive(file, placed, primitive))
-                room -= _PRIMITIVE + 3 * len(meshes[-1].faces) + len(meshes[-1].positions)
-                if room < 0:
-                    got = f"over {_FREE_CORNERS} corners of a file of {path.stat().st_size} bytes"
-                    raise file.error("nodes", got, "a mesh that is placed a few times")
-    if not meshes:
-        raise input_error(path, "", "no triangles", "a mesh", "export the room's mesh")
-    return joined(meshes)
+                if primitive.get("mode", 4) in TRIANGLE_MODES:
+                    meshes.append(_primitive(file, placed, primitive))
+        if not meshes:
+            raise input_error(path, "", "no triangles", "a mesh", "export the room's mesh")
+        return joined(meshes)
 
 
 def _primitive(file: GltfFile, placed: PlacedNode, primitive: dict[str, Any]) -> Mesh:

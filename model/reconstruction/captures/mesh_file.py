@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.base import inside
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import read_ply
+from datagen.foundation.paths import inside
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
 _OTHER_SUFFIXES = (
@@ -61,8 +62,9 @@ def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> 
     return mesh.transformed(world_from_mesh), tuple(notes)
 
 
-def load_mesh(path: Path) -> Mesh:
-    """A mesh file in its own frame. Raises :class:`InputError`."""
+def load_mesh(path: Path, budget: Budget | None = None) -> Mesh:
+    """A mesh file in its own frame; ``budget`` is of what it is part of. Raises :class:`InputError`."""
+    budget = budget or Budget(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES or not path.is_file():
         got = (suffix or "no suffix") if path.is_file() else "no such file"
@@ -77,14 +79,14 @@ def load_mesh(path: Path) -> Mesh:
 
 def _decoded(path: Path, suffix: str) -> Mesh:
     if suffix == ".ply":
-        return read_ply(path)
+        return read_ply(path, budget)
     if suffix == ".obj":
         from datagen.foundation.meshes.obj import read_obj
 
-        return read_obj(path)
+        return read_obj(path, budget)
     from model.reconstruction.captures.gltf_mesh import read_gltf
 
-    return read_gltf(path)
+    return read_gltf(path, budget)
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:

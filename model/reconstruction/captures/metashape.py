@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.posed import (
@@ -56,9 +57,9 @@ def find(path: Path) -> Path | None:
     return found[0] if len(found) == 1 else None
 
 
-def read(path: Path, images: Path | None) -> Calibration:
+def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every aligned camera of the file's chunk. Raises :class:`InputError` with all faults."""
-    root = read_xml(path)
+    root = read_xml(path, budget)
     chunks = root.findall("chunk") + root.findall("chunks/chunk")
     if len(chunks) != 1:
         raise input_error(path, "chunk", len(chunks), "one chunk", "export the cameras of one chunk")
@@ -83,6 +84,7 @@ def read(path: Path, images: Path | None) -> Calibration:
     found: list[PosedImage] = []
     unaligned = 0
     for camera in chunk.iter("camera"):
+        budget.spend("frames", 1, "cameras")
         name, transform = camera.get("label", ""), camera.find("transform")
         if transform is None or camera.get("enabled") in ("false", "0"):
             unaligned += 1

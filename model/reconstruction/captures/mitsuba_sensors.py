@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
 
@@ -16,14 +17,15 @@ def find(path: Path) -> Path | None:
     return path if path.suffix == ".xml" and "<scene" in head_of(path) else None
 
 
-def read(path: Path, images: Path | None) -> Calibration:
+def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every sensor. Raises :class:`InputError` where there is none, or with the scene's faults."""
     from datagen.formats.mitsuba.scene import parse_scene
     from datagen.formats.mitsuba.sensors import camera_of
     from datagen.foundation.findings import Findings
 
     posed = []
-    for number, node in enumerate(parse_scene(path).all_of("sensor")):
+    for number, node in enumerate(parse_scene(path, budget=budget).all_of("sensor")):
+        budget.spend("frames", 1, node.where)
         try:
             made = camera_of(node, number, np.eye(4), Findings())
         except (ArithmeticError, TypeError) as error:

@@ -8,7 +8,6 @@ A pose is camera_from_world ``rotation`` (rows) and ``center``; cameras look alo
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
+from datagen.foundation.documents import parse_json
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
@@ -39,16 +40,17 @@ def find(path: Path) -> Path | None:
     return file if file.suffix == ".json" and '"sfm_data_version"' in head_of(file) else None
 
 
-def read(path: Path, images: Path | None) -> Calibration:
+def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every view with a pose. Raises :class:`InputError` with all faults."""
+    data = parse_json(read_text(path), path, budget, _REMEDY)
     try:
-        data = json.loads(read_text(path))
         views = [_payload(entry) for entry in data["views"]]
         intrinsics = {entry["key"]: _payload(entry) for entry in data["intrinsics"]}
         poses = {entry["key"]: entry["value"] for entry in data["extrinsics"]}
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
         expected = "views, intrinsics and extrinsics"
         raise input_error(path, "", repr(error)[:200], expected, _REMEDY) from None
+    budget.spend("frames", len(views), "views")
     found: list[PosedImage] = []
     problems: list[Problem] = []
     unposed = 0

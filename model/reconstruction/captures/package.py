@@ -14,6 +14,7 @@ from datagen.formats.base import IDENTITY4
 from datagen.formats.capture import Capture, CaptureView, Encoding
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import open_package
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
@@ -31,14 +32,17 @@ def is_package(path: Path) -> bool:
     return (path / ASSET_FILE).is_file() or path.suffix == ".zip"
 
 
-def read_package(path: Path, images: Path | None, encoding: Encoding, has_exposures: bool = False) -> Capture:
+def read_package(
+    path: Path, images: Path | None, encoding: Encoding, budget: Budget, has_exposures: bool = False
+) -> Capture:
     """The package's cameras for which there are photographs. Raises :class:`InputError` where none has one.
 
     They lie in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
     ``has_exposures``: even out the exposures that they recorded.
     """
-    with open_package(path) as package:
+    with open_package(path, budget) as package:
         asset = package.asset
+        budget.spend("frames", len(getattr(asset, "cameras", ())), "cameras")
         if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
             got = f"{asset.kind} with {len(getattr(asset, 'cameras', ()))} cameras"
             remedy = "export the scene with its cameras as an environment"

@@ -7,6 +7,7 @@ forward; pixel centres at +0.5; OpenCV's order of the coefficients.
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
+from datagen.foundation.documents import parse_xml
 from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.paths import fault_of
 from model.reconstruction.captures.photograph_files import (
     KNOWN_SUFFIXES,
     PHOTOGRAPH_SUFFIXES,
@@ -62,7 +66,6 @@ class ImageFinder:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self._base = folder.resolve()
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
@@ -75,7 +78,7 @@ class ImageFinder:
         if direct.suffix.lower() in suffixes:
             suffixes = ("", *suffixes)
         for suffix in suffixes:
-            image = self._admitted(Path(f"{direct}{suffix}"))
+            image = self._admitted(f"{name}{suffix}")
             if image is not None and can_read(image):
                 return image
         found = [image for image in self._named(name) if can_read(image)]
@@ -103,13 +106,13 @@ class ImageFinder:
         others = {name: [f for f in files if not can_read(f)] for name, files in named.items()}
         return {name: files[0] for name, files in others.items() if files}
 
-    def _admitted(self, path: Path) -> Path | None:
-        """The file behind ``path`` if it is one, and in the folder."""
-        try:
-            real = path.resolve()
-            return real if real.is_relative_to(self._base) and real.is_file() else None
-        except (OSError, RuntimeError):
-            return None  # a name that is too long, or links in a circle
+    def _admitted(self, name: str) -> Path | None:
+        """The file of this name if there is one, and in the folder; also by its absolute path, which tools
+        write."""
+        if not os.path.lexists(self.folder / name):
+            return None
+        real, _ = fault_of(self.folder, name, (self.folder,))
+        return real if real is not None and real.is_file() else None
 
     def _named(self, name: str) -> list[Path]:
         """Images of that name below the folder, of any form that is known."""
@@ -121,7 +124,8 @@ class ImageFinder:
             self._by_name = {}
             paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
             for path in paths:
-                image = self._admitted(path) if path.suffix.lower() in KNOWN_SUFFIXES else None
+                is_image = path.suffix.lower() in KNOWN_SUFFIXES
+                image = self._admitted(str(path.relative_to(self.folder))) if is_image else None
                 if image is not None:
                     for key in {path.name.lower(), path.stem.lower()}:
                         self._by_name.setdefault(key, []).append(image)
@@ -153,15 +157,9 @@ def head_of(path: Path, num_bytes: int = 4096) -> str:
         return ""
 
 
-def read_xml(path: Path) -> ElementTree.Element:
+def read_xml(path: Path, budget: Budget) -> ElementTree.Element:
     """The root of an XML file. Raises :class:`InputError`."""
-    text = read_text(path)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can read other files or fill the memory
-        raise input_error(path, "", "a DOCTYPE or ENTITY", "plain XML", "remove it")
-    try:
-        return ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise input_error(path, "", str(error), "valid XML", EXPORT_AGAIN) from None
+    return parse_xml(read_text(path), path, budget, EXPORT_AGAIN)
 
 
 def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np.float64]:

@@ -2,9 +2,9 @@
 """Recognises the form of a capture and reads it.
 
 A form of calibration is a row of ``FORMS`` and a module with two functions: ``find(path)`` gives the file or
-folder that it would read, or None; ``read(found, images)`` gives a :class:`Calibration`. A new one needs
-nothing else. Photographs come with a mesh file; ``CaptureOptions`` says how either differs from metres with Z
-up.
+folder that it would read, or None; ``read(found, images, budget)`` gives a :class:`Calibration`. A new one
+needs nothing else. Photographs come with a mesh file; ``CaptureOptions`` says how either differs from metres
+with Z up.
 """
 
 from __future__ import annotations
@@ -32,10 +32,12 @@ from datagen.formats.capture import (
     PhotographRecord,
 )
 from datagen.formats.configuration import ViewCamera
+from datagen.foundation.budget import Budget, Limits
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.naming import slug, unique
+from datagen.foundation.paths import fault_of
 from model.reconstruction.captures import (
     bundler,
     colmap,
@@ -68,7 +70,7 @@ class Form:
 
     name: str
     find: Callable[[Path], Path | None]
-    read: Callable[[Path, Path | None], Calibration]
+    read: Callable[[Path, Path | None, Budget], Calibration]
 
 
 FORMS = (
@@ -92,7 +94,7 @@ class CaptureOptions:
     ``up`` is the up axis of the cameras' world, ``unit_m`` its unit, "auto" and None judge them
     (``frames``); ``mesh_up`` is the mesh's up axis where it differs. Views wider than ``max_width_px`` are
     shrunk: the networks learn from views of 640 pixels. ``exposure`` "exif" evens out exposures that the
-    cameras recorded.
+    cameras recorded. ``limits`` are those of the environment if left out.
     """
 
     mesh: Path | None = None
@@ -104,6 +106,7 @@ class CaptureOptions:
     exposure: Literal["common", "exif"] = "common"
     max_width_px: int = DEFAULT_MAX_WIDTH_PX
     library: tuple[Path, ...] = ()
+    limits: Limits | None = None
 
 
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
@@ -113,19 +116,21 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
     package with cameras; and ``FORMS``.
     """
     options = options or CaptureOptions()
+    budget = Budget(path, options.limits)
     if path.suffix == ".tar" or (path / "shards").is_dir():
         return _shrunk(_read_rendered(path, options), options.max_width_px)
     if (path / CAPTURE_FILE).is_file() or (path.is_file() and path.name.endswith(CAPTURE_FILE)):
         file = path if path.is_file() else path / CAPTURE_FILE
         record = read_json(CaptureFile, file)
+        budget.spend("frames", len(record.photographs), "photographs")
         given = [folder.resolve() for folder in (file.parent, options.images, options.mesh) if folder]
         _check_paths(record, file, given)
-        return open_capture(record, file.parent, options.max_width_px)
+        return open_capture(record, file.parent, options.max_width_px, budget=budget)
     if is_package(path):
-        capture = read_package(path, options.images, options.encoding, options.exposure == "exif")
+        capture = read_package(path, options.images, options.encoding, budget, options.exposure == "exif")
         return _shrunk(capture, options.max_width_px)
-    record, notes, mesh = _calibrated(path, options)
-    capture = open_capture(record, Path(), options.max_width_px, mesh)
+    record, notes, mesh = _calibrated(path, options, budget)
+    capture = open_capture(record, Path(), options.max_width_px, mesh, budget)
     return replace(capture, notes=notes + capture.notes)
 
 
@@ -136,15 +141,11 @@ def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None
         *((f"photographs[{k}].image", p.image) for k, p in enumerate(record.photographs)),
         ("mesh.file", record.mesh.file),
     ]:
-        try:
-            real = (file.parent / name).resolve()
-            real.is_file()  # which raises for names that no file can have
-        except (OSError, RuntimeError, ValueError) as error:
-            problems.append(Problem(file, field, str(error), "a path", "correct it"))
-            continue
-        if not any(real.is_relative_to(root) for root in given):
+        _, fault = fault_of(file.parent, name, given)
+        if fault:
             remedy = "copy it there, or name where it is with --images or --mesh"
-            problems.append(Problem(file, field, name[:200], "a file in the capture's folder", remedy))
+            got = f"{name[:200]!r} ({fault})"
+            problems.append(Problem(file, field, got, "a file in the capture's folder", remedy))
     if problems:
         raise InputError(*problems)
 
@@ -166,15 +167,17 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
 def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
     """A calibration of photographs as ``capture.json`` has it, paths absolute, and notes on what was found
     and judged."""
-    record, notes, _ = _calibrated(path, options)
+    record, notes, _ = _calibrated(path, options, Budget(path, options.limits))
     return record, notes
 
 
-def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
+def _calibrated(
+    path: Path, options: CaptureOptions, budget: Budget
+) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
     """The above, and the mesh where it had to be read for them."""
     form, found = _form_of(path)
     try:
-        calibration = form.read(found, options.images)
+        calibration = form.read(found, options.images, budget)
     except ValidationError as error:  # cameras or lenses that cannot be
         raise InputError(*problems_of(found, error)) from None
     if options.images is None and calibration.folder.is_symlink():
@@ -190,7 +193,7 @@ def _calibrated(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple
         up, said = judged_up([image.camera for image in calibration.images])
         notes.append(said)
     if unit_m is None:
-        loaded = load_mesh(mesh)
+        loaded = load_mesh(mesh, budget)
         size = np.ptp(loaded.positions, axis=0) if len(loaded.positions) else np.zeros(3)
         unit_m, said = judged_unit(float(np.linalg.norm(size)))
         notes.append(said)
@@ -267,6 +270,7 @@ def open_capture(
     base: Path,
     max_width_px: int = DEFAULT_MAX_WIDTH_PX,
     mesh_in_its_frame: Mesh | None = None,
+    budget: Budget | None = None,
 ) -> Capture:
     """A capture of photographs, its mesh read unless it is given, its images checked to be there."""
     problems = [
@@ -288,7 +292,7 @@ def open_capture(
         )
         views.append(CaptureView(photograph.camera.name, calibrated, source))
     file = base / record.mesh.file
-    raw = load_mesh(file) if mesh_in_its_frame is None else mesh_in_its_frame
+    raw = load_mesh(file, budget) if mesh_in_its_frame is None else mesh_in_its_frame
     mesh, notes = sound_mesh(raw, np.asarray(record.mesh.world_from_mesh), file)
     geometry = CaptureGeometry(mesh, (GeometryPart("mesh", 0, len(mesh.faces)),))
     capture = Capture(

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.photograph_files import photograph_size
@@ -73,7 +74,7 @@ def _columns(text: str) -> list[str] | None:
     return None
 
 
-def read_csv(path: Path, images: Path | None) -> Calibration:
+def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every row whose image is found. Raises :class:`InputError` with all faults."""
     text = read_text(path)
     names = _columns(text)
@@ -85,6 +86,7 @@ def read_csv(path: Path, images: Path | None) -> Calibration:
     problems: list[Problem] = []
     missing: list[str] = []
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    budget.spend("frames", len(lines), "rows")
     for number, row in enumerate(csv.reader(lines), start=1):
         if [word.strip().lower() for word in row] == names:
             continue
@@ -148,7 +150,7 @@ def _camera(
     return Camera(size[0], size[1], focal, focal * aspect, cx, cy, pose)
 
 
-def read_xmp(folder: Path, images: Path | None) -> Calibration:
+def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every sidecar with a pose; the image has the sidecar's name. Raises :class:`InputError`."""
     images = images or folder
     finder = ImageFinder(images)
@@ -157,8 +159,9 @@ def read_xmp(folder: Path, images: Path | None) -> Calibration:
     missing: list[str] = []
     unposed = 0
     for path in sorted(folder.glob("*.xmp")):
+        budget.spend("frames", 1, path.name)
         try:
-            posed = _from_sidecar(path, finder)
+            posed = _from_sidecar(path, finder, Budget(path, budget.limits))
         except ImageMissing as error:
             missing.append(str(error))
             continue
@@ -178,9 +181,9 @@ def read_xmp(folder: Path, images: Path | None) -> Calibration:
     return Calibration(tuple(found), images, notes)
 
 
-def _from_sidecar(path: Path, finder: ImageFinder) -> PosedImage | None:
+def _from_sidecar(path: Path, finder: ImageFinder, budget: Budget) -> PosedImage | None:
     values: dict[str, str] = {}  # attributes and elements: the software has written either
-    for element in read_xml(path).iter():
+    for element in read_xml(path, budget).iter():
         values.update({k[len(_XCR) :]: v for k, v in element.attrib.items() if k.startswith(_XCR)})
         if element.tag.startswith(_XCR) and element.text:
             values[element.tag[len(_XCR) :]] = element.text

@@ -7,7 +7,6 @@ top or with a frame, in pixels with centres at +0.5, or as ``camera_angle_x``.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,9 @@ from typing import Any
 import numpy as np
 
 from datagen.formats.capture import Distortion
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
+from datagen.foundation.documents import parse_json
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
@@ -42,25 +43,23 @@ def find(path: Path) -> Path | None:
     return file if file.suffix == ".json" and file.is_file() else None
 
 
-def read(path: Path, images: Path | None) -> Calibration:
+def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every frame."""
     folder = images or path.parent
-    return Calibration(tuple(read_transforms(path, folder)), folder)
+    return Calibration(tuple(read_transforms(path, budget, folder)), folder)
 
 
-def read_transforms(path: Path, folder: Path | None = None) -> list[PosedImage]:
+def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> list[PosedImage]:
     """Every frame; image paths are made absolute and lie beside the file or in ``folder``. Raises
     :class:`InputError` with all faults of the file."""
     finders = [ImageFinder(f) for f in dict.fromkeys((path.parent, folder or path.parent))]
-    try:
-        data = json.loads(read_text(path))
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise input_error(path, "", str(error), "valid JSON", "export it again") from None
+    data = parse_json(read_text(path), path, budget)
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not frames:
-        raise input_error(path, "frames", frames, "a list of at least one frame", "export it again")
+        raise input_error(
+            path, "frames", repr(frames)[:80], "a list of at least one frame", "export it again"
+        )
+    budget.spend("frames", len(frames), "frames")
     found: list[PosedImage] = []
     problems: list[Problem] = []
     missing: list[str] = []
