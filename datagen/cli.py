@@ -10,6 +10,7 @@ import typer
 
 from datagen.farm.commands import farm
 from datagen.foundation.command_line import run_command
+from datagen.new_recipe import recipe as recipe_verbs
 from datagen.tradeoff.command import tradeoff
 
 if TYPE_CHECKING:
@@ -547,6 +548,7 @@ def schema(
 
 app.command()(tradeoff)
 app.add_typer(farm, name="farm")
+app.add_typer(recipe_verbs, name="recipe")
 
 
 def main() -> None:

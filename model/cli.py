@@ -126,6 +126,21 @@ def fetch_weights(
 
 
 @app.command()
+def schema(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the schemas.")] = Path("docs/schemas"),
+) -> None:
+    """Write the JSON Schemas of suites and of settings of training, which editors complete by.
+
+    Example: materials schema --out docs/schemas
+    """
+    from datagen.formats.schemas import write_schemas
+    from model.schemas import json_schemas
+
+    for path in write_schemas(out, json_schemas()):
+        typer.echo(path)
+
+
+@app.command()
 def publish(
     checkpoint: Annotated[Path, typer.Argument(help="Weights of a run (.safetensors).")],
     out: Annotated[Path, typer.Option("--out", help="File to write (.safetensors), its card beside it.")],

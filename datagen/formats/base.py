@@ -9,6 +9,7 @@ import math
 import os
 import reprlib
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
 
@@ -17,6 +18,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from datagen.formats.yaml_places import YamlPlaces, syntax_error
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem
 
@@ -92,6 +94,8 @@ Matrix4 = Annotated[tuple[_Row, _Row, _Row, _Row], AfterValidator(_check_rigid)]
 IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+Location = tuple[int | str, ...]
+"""Keys and indices that lead to a field."""
 
 
 # Bounded: the repr of a small file with nested aliases could fill the memory.
@@ -106,17 +110,18 @@ def _field_path(location: tuple[int | str, ...]) -> str:
     return text
 
 
-def problems_of(where: str | Path, error: ValidationError) -> list[Problem]:
-    """What a model says against ``where``, in words."""
+def problems_of(where: str | Path | Callable[[Location], str], error: ValidationError) -> list[Problem]:
+    """What a model says against ``where``, in words: a file, or what tells where each field stands."""
     problems = []
     for entry in error.errors(include_url=False):
+        place = where(entry["loc"]) if callable(where) else where
         got = "" if entry["type"] == "missing" else _SHORT.repr(entry.get("input"))
         expected = entry["msg"].removeprefix("Value error, ")
         expected = expected[0].lower() + expected[1:]
         expected = expected.removeprefix("expected ").removeprefix("input should be ")
         if entry["loc"] == ("format",) and entry["type"] == "literal_error":
             # A file of another kind: what else differs says nothing.
-            return [Problem(where, "format", got, expected, "this is another kind of file; check the path")]
+            return [Problem(place, "format", got, expected, "this is another kind of file; check the path")]
         if entry["type"] == "extra_forbidden":
             expected, remedy = "no such key", "correct its spelling or remove it"
         elif entry["type"] == "model_type":
@@ -125,7 +130,7 @@ def problems_of(where: str | Path, error: ValidationError) -> list[Problem]:
             expected, remedy = "this key to be present", "add it"
         else:
             remedy = "correct the value"
-        problems.append(Problem(where, _field_path(entry["loc"]), got, expected, remedy))
+        problems.append(Problem(place, _field_path(entry["loc"]), got, expected, remedy))
     return problems
 
 
@@ -169,17 +174,19 @@ def read_json(model: type[ModelT], path: Path) -> ModelT:
 
 
 def read_yaml(model: type[ModelT], path: Path) -> ModelT:
-    """Read a YAML file as ``model``; raises :class:`InputError`."""
+    """Read a YAML file as ``model``; raises :class:`InputError` with line and column of every problem."""
     text = _read_text(path)
     if len(text) > _MAX_YAML_BYTES:
         raise InputError(Problem(path, "", f"{len(text)} characters", "a YAML file of at most 512 kB"))
     try:
         data = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
-        raise InputError(
-            Problem(path, "", " ".join(str(error).split()), "valid YAML", "correct the file")
-        ) from None
-    return parse_model(model, data if data is not None else {}, path)
+        where, got = syntax_error(path, error) if isinstance(error, yaml.YAMLError) else (path, str(error))
+        raise InputError(Problem(where, "", got, "valid YAML", "correct the file")) from None
+    try:
+        return model.model_validate(data if data is not None else {})
+    except ValidationError as error:
+        raise InputError(*problems_of(YamlPlaces(path, text), error)) from None
 
 
 def differences(old: Any, new: Any, field: str = "") -> list[tuple[str, str, str]]:

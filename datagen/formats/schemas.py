@@ -15,6 +15,7 @@ from datagen.formats.recipe import Recipe
 from datagen.formats.shard import DatasetIndex
 from datagen.formats.view import ViewRecord
 
+DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
 _ADAPTERS: dict[str, TypeAdapter] = {
     "asset": TypeAdapter(Asset),
     "configuration": TypeAdapter(Configuration),
@@ -26,17 +27,14 @@ _ADAPTERS: dict[str, TypeAdapter] = {
 
 def json_schemas() -> dict[str, dict]:
     """JSON Schema (2020-12) of each format, by name."""
-    return {
-        name: {"$schema": "https://json-schema.org/draft/2020-12/schema", **adapter.json_schema()}
-        for name, adapter in _ADAPTERS.items()
-    }
+    return {name: {**DIALECT, **adapter.json_schema()} for name, adapter in _ADAPTERS.items()}
 
 
-def write_schemas(folder: Path) -> list[Path]:
-    """Write ``<name>.schema.json`` for each format; returns the files."""
+def write_schemas(folder: Path, schemas: dict[str, dict] | None = None) -> list[Path]:
+    """Write ``<name>.schema.json`` for each format (those of ``datagen`` by default); returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, schema in json_schemas().items():
+    for name, schema in (schemas or json_schemas()).items():
         path = folder / f"{name}.schema.json"
         write_bytes_atomically(path, (json.dumps(schema, indent=2, sort_keys=True) + "\n").encode())
         written.append(path)

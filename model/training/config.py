@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from datagen.formats.base import StrictModel, parse_model
-from datagen.foundation.errors import input_error
+from datagen.formats.base import StrictModel, problems_of
+from datagen.formats.yaml_places import YamlPlaces, syntax_error
+from datagen.foundation.errors import InputError, input_error
 from model.bilateral_solver import SolverConfig
 from model.networks import NetworkConfig, TrackName
 from model.training.losses import LossConfig
@@ -144,8 +145,8 @@ def _read_mapping(path: Path) -> dict[str, Any]:
         got = (error.strerror or str(error)).lower()
         raise input_error(path, "", got, "a readable YAML file", "check the path") from None
     except (UnicodeDecodeError, yaml.YAMLError) as error:
-        got = " ".join(str(error).split())
-        raise input_error(path, "", got, "a readable YAML file", "correct the file") from None
+        where, got = syntax_error(path, error) if isinstance(error, yaml.YAMLError) else (path, str(error))
+        raise input_error(where, "", got, "a readable YAML file", "correct the file") from None
     if not isinstance(data, dict):
         raise input_error(path, "", type(data).__name__, "keys and values", "see model/training/presets/")
     return data
@@ -165,7 +166,12 @@ def resolve_config(
         data, where = _merge(data, _read_mapping(file)), file
     if overrides:
         data, where = _merge(data, overrides), f"{where} with the given options"
-    return parse_model(TrainingConfig, data, where)
+    try:
+        return TrainingConfig.model_validate(data)
+    except ValidationError as error:
+        if isinstance(where, Path):
+            raise InputError(*problems_of(YamlPlaces(where, where.read_text("utf-8")), error)) from None
+        raise InputError(*problems_of(where, error)) from None
 
 
 def parse_overrides(items: list[str]) -> dict[str, Any]:

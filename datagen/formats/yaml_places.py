@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""Where in a YAML file a field stands: line and column, as editors open them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+from yaml.nodes import MappingNode, Node, SequenceNode
+
+_MERGE = "<<"
+
+
+class YamlPlaces:
+    """Places of the fields of one document, by the paths that a model's errors have."""
+
+    def __init__(self, path: Path, text: str):
+        self.path = path
+        self._root: Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
+
+    def __call__(self, location: tuple[int | str, ...]) -> str:
+        """``FILE:LINE:COLUMN`` of a field; of what holds it, where it is not there.
+
+        A part that names no key is passed over: models put the kind of a choice into their paths.
+        """
+        mark, node = (self._root.start_mark if self._root is not None else None), self._root
+        for part in location:
+            found = _entry(node, part)
+            if found is not None:
+                mark, node = found
+        return f"{self.path}:{mark.line + 1}:{mark.column + 1}" if mark is not None else str(self.path)
+
+
+def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
+    """(where, what) of a file that is no YAML."""
+    mark = getattr(error, "problem_mark", None)
+    what = getattr(error, "problem", None)
+    if mark is None or what is None:
+        return str(path), " ".join(str(error).split())
+    context = getattr(error, "context", None)
+    return f"{path}:{mark.line + 1}:{mark.column + 1}", f"{what} {context}" if context else what
+
+
+def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
+    """Where an entry begins (a key, an item), and its value."""
+    if isinstance(node, SequenceNode):
+        if isinstance(part, int) and 0 <= part < len(node.value):
+            return node.value[part].start_mark, node.value[part]
+        return None
+    if not isinstance(node, MappingNode):
+        return None
+    for key, value in node.value:
+        if key.value == str(part):
+            return key.start_mark, value
+    for merged in _merged(node):
+        found = _entry(merged, part)
+        if found is not None:
+            return found
+    return None
+
+
+def _merged(node: MappingNode) -> Iterator[Node]:
+    """The mappings that ``<<`` brings in."""
+    for key, value in node.value:
+        if key.value == _MERGE:
+            yield from value.value if isinstance(value, SequenceNode) else (value,)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""``datagen recipe new``: four questions, one recipe, and its schema beside it for editors."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+recipe = typer.Typer(
+    name="recipe", help="Recipes: what dataset to make.", no_args_is_help=True, rich_markup_mode=None
+)
+SCHEMA_FILE = "recipe.schema.json"
+_TEXT = """\
+# yaml-language-server: $schema={schema}
+# {images} images. Every key that a recipe knows: datagen run {file} --out DATASET --dry-run
+format: scene-materials/recipe
+version: 1
+name: {name}
+seed: {seed}
+configurations: {configurations}  # rooms, each furnished, dressed and lit anew
+views: {views}  # cameras in each
+resolution: [{width}, {height}]
+library: [bundled]  # folders of assets, relative to this file
+render: {{quality: {quality}}}  # draft, standard or reference
+"""
+
+
+@recipe.callback()
+def _recipe() -> None:
+    """Recipes: what dataset to make."""
+
+
+@recipe.command()
+def new(
+    file: Annotated[Path, typer.Argument(help="Recipe to write (YAML); its name names the dataset.")],
+    configurations: Annotated[int, typer.Option(prompt="How many rooms", min=1, help="Configurations.")] = 10,
+    views: Annotated[int, typer.Option(prompt="How many views of each", min=1, help="Views of each.")] = 12,
+    resolution: Annotated[
+        str, typer.Option(prompt="Width x height in pixels", help="WIDTHxHEIGHT.")
+    ] = "320x192",
+    quality: Annotated[
+        str, typer.Option(prompt="Quality: draft, standard or reference", help="Of the light.")
+    ] = "draft",
+    seed: Annotated[int, typer.Option(min=0, help="Seed: another one, other rooms.")] = 0,
+) -> None:
+    """Ask four questions and write a recipe; options answer them beforehand.
+
+    Example: datagen recipe new rooms.yaml --configurations 4 --views 8 --resolution 320x192 --quality draft
+    """
+    typer.echo(f"{write_recipe(file, configurations, views, resolution, quality, seed)}")
+    typer.echo(f"next: datagen run {file} --out {file.stem}")
+
+
+def write_recipe(
+    file: Path, configurations: int, views: int, resolution: str, quality: str, seed: int = 0
+) -> Path:
+    """Write a recipe and the schema beside it. Raises :class:`InputError` for answers that cannot be."""
+    import yaml
+
+    from datagen.formats.base import parse_model, write_bytes_atomically
+    from datagen.formats.recipe import Recipe
+    from datagen.formats.schemas import json_schemas
+    from datagen.foundation.errors import input_error
+    from datagen.foundation.naming import slug
+
+    if file.suffix.lower() not in (".yaml", ".yml"):
+        raise input_error(file, "", file.suffix or "no suffix", ".yaml", "name it so")
+    if file.exists():
+        raise input_error(file, "", "a file that is there", "a new one", "choose another name, or remove it")
+    size = re.fullmatch(r"\s*(\d{1,6})\s*[x×, ]\s*(\d{1,6})\s*", resolution)
+    if size is None:
+        raise input_error("--resolution", "", resolution, "WIDTHxHEIGHT, such as 320x192", "write it so")
+    text = _TEXT.format(
+        schema=SCHEMA_FILE,
+        images=f"{configurations * views:,}",
+        file=file.name,
+        name=slug(file.stem),
+        seed=seed,
+        configurations=configurations,
+        views=views,
+        width=int(size[1]),
+        height=int(size[2]),
+        quality=json.dumps(quality) if not quality.isalpha() else quality,
+    )
+    parse_model(Recipe, yaml.safe_load(text), "the answers")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    schema = json.dumps(json_schemas()["recipe"], indent=2, sort_keys=True) + "\n"
+    write_bytes_atomically(file.parent / SCHEMA_FILE, schema.encode())
+    write_bytes_atomically(file, text.encode())
+    return file
