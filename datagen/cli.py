@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from datagen.farm.commands import farm
+from datagen.farm.new_recipe import recipe as recipe_verbs
 from datagen.foundation.command_line import run_command
-from datagen.new_recipe import recipe as recipe_verbs
 from datagen.tradeoff.command import tradeoff
 
 if TYPE_CHECKING:

@@ -74,6 +74,7 @@ MATRIX = {
         "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.reconstruction",
         "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "
         "model.checkpoint model.training model.reconstruction",
+        "model.schemas": f"{_GROUND} model.evaluation model.training",
         "model.cli": f"{_GROUND} model",
         "oracles": f"{_RENDER} model.reconstruction.geometry",
         "benchmarks": "datagen mitsuba_plugins model blender_addon scenes oracles",

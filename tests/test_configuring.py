@@ -11,10 +11,10 @@ import yaml
 from typer.testing import CliRunner
 
 from datagen.cli import app
+from datagen.farm.new_recipe import SCHEMA_FILE, write_recipe
 from datagen.formats.base import read_yaml
 from datagen.formats.recipe import Recipe
 from datagen.foundation.errors import InputError
-from datagen.new_recipe import SCHEMA_FILE, write_recipe
 from model.evaluation.suite import Suite
 from model.training.config import resolve_config
 from tests.conftest import REPOSITORY

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -37,20 +37,24 @@ def _recipe() -> None:
 @recipe.command()
 def new(
     file: Annotated[Path, typer.Argument(help="Recipe to write (YAML); its name names the dataset.")],
-    configurations: Annotated[int, typer.Option(prompt="How many rooms", min=1, help="Configurations.")] = 10,
-    views: Annotated[int, typer.Option(prompt="How many views of each", min=1, help="Views of each.")] = 12,
-    resolution: Annotated[
-        str, typer.Option(prompt="Width x height in pixels", help="WIDTHxHEIGHT.")
-    ] = "320x192",
-    quality: Annotated[
-        str, typer.Option(prompt="Quality: draft, standard or reference", help="Of the light.")
-    ] = "draft",
+    configurations: Annotated[Optional[int], typer.Option(min=1, help="How many rooms.")] = None,  # noqa: UP045
+    views: Annotated[Optional[int], typer.Option(min=1, help="How many views of each.")] = None,  # noqa: UP045
+    resolution: Annotated[Optional[str], typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,  # noqa: UP045
+    quality: Annotated[Optional[str], typer.Option(help="draft, standard or reference.")] = None,  # noqa: UP045
     seed: Annotated[int, typer.Option(min=0, help="Seed: another one, other rooms.")] = 0,
 ) -> None:
     """Ask four questions and write a recipe; options answer them beforehand.
 
     Example: datagen recipe new rooms.yaml --configurations 4 --views 8 --resolution 320x192 --quality draft
     """
+    if configurations is None:
+        configurations = typer.prompt("How many rooms", default=10, type=int)
+    if views is None:
+        views = typer.prompt("How many views of each", default=12, type=int)
+    if resolution is None:
+        resolution = typer.prompt("Width x height in pixels", default="320x192")
+    if quality is None:
+        quality = typer.prompt("Quality: draft, standard or reference", default="draft")
     typer.echo(f"{write_recipe(file, configurations, views, resolution, quality, seed)}")
     typer.echo(f"next: datagen run {file} --out {file.stem}")
 
