@@ -266,13 +266,17 @@ def _print_recipe(recipe: Recipe) -> None:
 
 
 def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    from datagen.farm.planning import create_plan
+    from datagen.farm.planning import create_plan, read_configurations
     from datagen.foundation.progress import ProgressBar
+    from datagen.inspection.plan_summary import plan_summary
 
     opened = _open_library(recipe, base)
     with ProgressBar("assembling", recipe.configurations, "configurations") as progress:
         created = create_plan(recipe, opened, out, workers, lambda done, total: progress.set(done))
     typer.echo(f"{out}: {len(created.units)} units, {sum(u.num_views for u in created.units)} views planned")
+    summary = plan_summary(read_configurations(out, created))
+    if summary:
+        typer.echo(summary)
 
 
 @app.command()

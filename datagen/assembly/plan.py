@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from datagen.assembly.coverage import Shell, measure
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import AssetGeometry, GeometryCache, WorldScene
 from datagen.assembly.light_levels import light_room
@@ -158,7 +159,8 @@ def _assemble_once(
     lighting = light_room(to_light, recipe.lights, library, key, rejections)
     lit = [p.model_copy(update={"emission": e}) for p, e in zip(placed, lighting.emission, strict=True)]
 
-    finder = ViewFinder(scene, space, lighting, recipe.cameras, recipe.resolution, key, rejections)
+    shell = Shell(scene, caches.surfaces_of(environment))
+    finder = ViewFinder(scene, shell, space, lighting, recipe.cameras, recipe.resolution, key, rejections)
     cameras = finder.find(recipe.views)
     return Configuration(
         id=configuration_id(recipe, index),
@@ -170,6 +172,7 @@ def _assemble_once(
         lights=lighting.lights,
         cameras=tuple(ViewCamera.from_camera(f"view-{k:03d}", camera) for k, camera in enumerate(cameras)),
         assets=_hashes(lit, lighting.lights, library),
+        coverage=measure(scene, shell, worn, cameras),
     )
 
 

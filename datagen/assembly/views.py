@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.assembly.coverage import Shell, preview_of, sees
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
 from datagen.assembly.light_levels import Lighting
@@ -26,7 +27,6 @@ from datagen.formats.recipe import CameraRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.random import Draws
 
-PREVIEW_WIDTH_PX = 64
 MAX_NEAR_PIXELS = 0.02  # share of the image that may be nearer than min_distance_m
 MAX_OPEN_PIXELS = 0.4  # share of the image that may show nothing, or a light itself
 MIN_THING_PIXELS = 0.04  # share of the image that things (not walls and floor) must fill
@@ -40,9 +40,14 @@ _MAX_PITCH_RAD = math.radians(38.0)
 _ROLL_RAD = math.radians(1.2)  # a hand is not a tripod
 _SHELL_SPAN = 0.7  # a part this long compared with the room is wall, floor or ceiling
 _OVERLAP_POINTS = 400
-_DEPTH_SLACK = 2e-3  # of the distance: the point itself must not hide it
 _NUM_COMPARED = 12  # eligible candidates among which the most different one is taken
 _MIN_NOVELTY = 0.04
+_NUM_HEADINGS = 24
+_FARTHEST_M = 8.0
+_DEPTH_POWER = 3  # how much more often the deep direction is looked into than a wall
+_ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
+_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.6, 0.25  # in overlap; beyond it different is different enough
+_ROOM_SHARE = 0.75  # of the chosen views that show the room itself, where there are enough
 
 
 @dataclass
@@ -57,6 +62,7 @@ class Candidate:
     distance_m: Floats
     points: Floats
     luminance: float = 0.0
+    is_room: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,6 +110,7 @@ class ViewFinder:
     """Finds the cameras of one configuration; ``key`` seeds every draw."""
 
     scene: WorldScene
+    shell: Shell
     space: FreeSpace
     lighting: Lighting
     recipe: CameraRecipe
@@ -120,6 +127,8 @@ class ViewFinder:
         pool: list[Candidate] = []
         overlap = np.zeros((0, 0))
         wanted = count + max(8, count // 2)
+        if self.recipe.subject == "room":
+            wanted = 2 * count + 8  # to choose among
         while True:
             pool += self._extend(subject, wanted, limit)
             overlap = overlap_matrix(pool, self.scene.rays, overlap)
@@ -127,7 +136,11 @@ class ViewFinder:
             among = overlap[np.ix_(lit, lit)]
             least = self.recipe.min_overlap
             bright = [pool[k] for k in lit]
-            chosen, num_lonely = choose_views(bright, among, count, least, Draws(*self.key, "choose"))
+            draws = Draws(*self.key, "choose")
+            if self.recipe.subject == "room":
+                chosen, num_lonely = choose_overlapping(bright, among, count, least)
+            else:
+                chosen, num_lonely = choose_views(bright, among, count, least, draws)
             if len(chosen) == count or self.num_drawn >= limit:
                 self.rejections["camera.too_dark"] += len(pool) - len(lit)
             if len(chosen) == count:
@@ -188,7 +201,10 @@ class ViewFinder:
         fault = self.space.fault(position, 0.5 * self.recipe.min_distance_m)
         if fault:
             return fault
-        camera = self._aim(position, subject.draw(draws), draws)
+        if self.recipe.subject == "room":
+            camera = self._aim_across(position, draws)
+        else:
+            camera = self._aim(position, subject.draw(draws), draws)
         preview = preview_of(camera)
         directions = preview.ray_directions().reshape(-1, 3)
         hits = self.scene.rays.cast(position, directions)
@@ -213,7 +229,8 @@ class ViewFinder:
         seen = seen[:: max(1, len(seen) // _OVERLAP_POINTS)]
         points = position + hits.distance_m[seen, None] * directions[seen]
         shape = (preview.height_px, preview.width_px)
-        return Candidate(camera, preview, hits.distance_m.reshape(shape), points)
+        is_room = self.shell.is_room(hits.face[hits.hit_mask], len(directions))
+        return Candidate(camera, preview, hits.distance_m.reshape(shape), points, is_room=is_room)
 
     def _shows_enough(self, faces: NDArray[np.int64], num_pixels: int, subject: Subject) -> bool:
         pixels = np.bincount(self.scene.instance_of_face[faces], minlength=self.scene.num_instances)
@@ -236,12 +253,29 @@ class ViewFinder:
         """A camera at ``position`` with the target somewhere in the middle of its image, held level."""
         width, height = self.resolution
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
-        focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         offset = target - position
         azimuth = math.atan2(offset[1], offset[0]) + draws.uniform(-0.28, 0.28) * fov
         pitch = math.atan2(offset[2], math.hypot(offset[0], offset[1]))
         pitch += draws.uniform(-0.22, 0.22) * fov * height / width
         pitch = min(max(pitch, -_MAX_PITCH_RAD), _MAX_PITCH_RAD)
+        return self._held(position, fov, azimuth, pitch, draws)
+
+    def _aim_across(self, position: Floats, draws: Draws) -> Camera:
+        """A camera that looks into the depth of the room, as a person does who shows it, a little down."""
+        fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
+        headings = draws.unit() * 2 * math.pi + np.arange(_NUM_HEADINGS) * 2 * math.pi / _NUM_HEADINGS
+        level = np.stack([np.cos(headings), np.sin(headings), np.zeros(_NUM_HEADINGS)], axis=1)
+        reach = np.minimum(self.scene.rays.cast(position, level).distance_m, _FARTHEST_M)
+        window = np.cos(np.subtract.outer(headings, headings)) >= math.cos(0.5 * fov)
+        depth = (window * reach).sum(axis=1) / window.sum(axis=1)
+        azimuth = float(headings[draws.weighted(range(_NUM_HEADINGS), (depth**_DEPTH_POWER).tolist())])
+        pitch = _ROOM_PITCH_RAD + min(max(draws.normal(), -2.0), 2.0) * _ROOM_PITCH_SPREAD_RAD
+        return self._held(position, fov, azimuth, pitch, draws)
+
+    def _held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
+        """The camera of a person's hands, level within a few degrees."""
+        width, height = self.resolution
+        focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD
         forward = np.array(
             [math.cos(azimuth) * math.cos(pitch), math.sin(azimuth) * math.cos(pitch), math.sin(pitch)]
@@ -276,12 +310,6 @@ class ViewFinder:
         return np.flatnonzero(luminance >= least).tolist()
 
 
-def preview_of(camera: Camera) -> Camera:
-    """The camera at the resolution of the checks."""
-    width = min(PREVIEW_WIDTH_PX, camera.width_px)
-    return camera.scaled(width, max(8, round(width * camera.height_px / camera.width_px)))
-
-
 def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None = None) -> Floats:
     """Share of the points of view i that view j sees too, by traced rays, (C, C); the diagonal is 0.
 
@@ -296,24 +324,11 @@ def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None =
         sources = [i for i in range(count) if i != j and (i >= start or j >= start)]
         if not sources:
             continue
-        seen = _sees(target.preview, np.concatenate([pool[i].points for i in sources]), rays)
+        seen = sees(target.preview, np.concatenate([pool[i].points for i in sources]), rays)
         sizes = [len(pool[i].points) for i in sources]
         for i, end, size in zip(sources, np.cumsum(sizes).tolist(), sizes, strict=True):
             overlap[i, j] = float(seen[end - size : end].mean()) if size else 0.0
     return overlap
-
-
-def _sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
-    """Which points (P, 3) of surfaces lie inside the camera's image with nothing in front of them."""
-    pixels, depth = camera.project(points)
-    limits = [camera.width_px, camera.height_px]
-    with np.errstate(invalid="ignore"):
-        seen = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= limits).all(axis=1)
-    towards = points[seen] - camera.position_m
-    distance = np.linalg.norm(towards, axis=1)
-    reach = distance * (1 - _DEPTH_SLACK)
-    seen[seen] = ~rays.occluded(camera.position_m, towards / distance[:, None], reach)
-    return seen
 
 
 def choose_views(
@@ -347,6 +362,36 @@ def choose_views(
             return chosen, len(lonely)
         compared = draws.shuffled(eligible)[:_NUM_COMPARED]
         chosen.append(max(compared, key=lambda k: (float(novelty[k, chosen].min()), -k)))
+    return chosen, 0
+
+
+def choose_overlapping(
+    pool: list[Candidate], overlap: Floats, count: int, min_overlap: float
+) -> tuple[list[int], int]:
+    """As :func:`choose_views`, for views that show a room: each next one is seen most by those chosen.
+
+    A view's worth is the mean overlap with the chosen ones, both ways, and a little for being different;
+    views that show no walls are taken once :data:`_ROOM_SHARE` of the others stand.
+    """
+    if count == 1 or len(pool) < 2:
+        return choose_views(pool, overlap, count, min_overlap, Draws("one"))
+    novelty = _difference_matrix(pool)
+    both = 0.5 * (overlap + overlap.T)
+    is_room = np.array([candidate.is_room for candidate in pool])
+    chosen = [int(np.argmax(both.mean(axis=1) + is_room))]
+    while len(chosen) < count:
+        fresh = novelty[:, chosen].min(axis=1)
+        eligible = (fresh >= _MIN_NOVELTY) & (overlap[:, chosen].max(axis=1) >= min_overlap)
+        eligible[chosen] = False
+        if len(chosen) == 1:
+            eligible &= overlap[chosen[0]] >= min_overlap
+        if not eligible.any():
+            lonely = (overlap[:, chosen].max(axis=1) < min_overlap) & ~np.isin(np.arange(len(pool)), chosen)
+            return chosen, int(lonely.sum())
+        wants_room = is_room[chosen].sum() < _ROOM_SHARE * (len(chosen) + 1)
+        worth = both[:, chosen].mean(axis=1) + _NOVELTY_WORTH * np.minimum(fresh, _ENOUGH_NOVELTY)
+        worth = np.where(eligible, worth + (is_room & wants_room), -1.0)
+        chosen.append(int(np.argmax(worth)))
     return chosen, 0
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -94,6 +94,13 @@ def create_plan(
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
     return write_plan(folder, recipe, library)
+
+
+def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:
+    """The configurations of a plan, in its order."""
+    folder = DatasetFolder(root)
+    for unit in plan.units:
+        yield read_json(Configuration, folder.configuration_path(unit.id))
 
 
 def _is_assembled(folder: DatasetFolder, recipe: Recipe, index: int) -> bool:

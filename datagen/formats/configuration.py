@@ -15,10 +15,12 @@ from datagen.formats.base import (
     IDENTITY4,
     ClipRange,
     Matrix4,
+    NonNegative,
     Positive,
     Radiometric3,
     Slug,
     StrictModel,
+    Unit,
 )
 from datagen.formats.lights import Light
 from datagen.foundation.cameras import Camera
@@ -101,12 +103,29 @@ class ViewCamera(StrictModel):
         )
 
 
+class ViewCoverage(StrictModel):
+    """What the views show, from rays at low resolution.
+
+    ``median_observations``: how many views see the median surface pixel, its own included; ``thin_share`` of
+    the surface pixels are seen by two or fewer. ``room_share`` of the views show two walls or a wall and the
+    ceiling. ``metal_share`` and ``gloss_share`` of the surface pixels have S > 0.3 and R < 0.3 (means of
+    their materials).
+    """
+
+    median_observations: NonNegative
+    thin_share: Unit
+    room_share: Unit
+    metal_share: Unit
+    gloss_share: Unit
+
+
 class Configuration(StrictModel):
     """Everything that rendering needs. ``lights`` is the complete list besides emissive parts.
 
     ``assets`` maps every asset id in use (environment, objects, materials, images of lights) to the SHA-256
     of its package; rendering refuses a library whose packages differ. ``rejections`` counts why candidate
     placements and cameras were thrown away, by stage and reason (``camera.too_close``).
+    ``coverage`` says what the views show; None in configurations from elsewhere.
     ``seed`` seeds the renderer's sampler.
     """
 
@@ -122,6 +141,7 @@ class Configuration(StrictModel):
     cameras: Annotated[tuple[ViewCamera, ...], Field(min_length=1)]
     assets: dict[Slug, str]
     rejections: dict[str, int] = {}
+    coverage: ViewCoverage | None = None
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Configuration:

@@ -103,8 +103,12 @@ class CameraRecipe(StrictModel):
     share of the image nearer than twice that. ``min_content``: least number of distinct instances seen.
     ``min_overlap``: least share of a view's points that another view sees too. ``min_luminance`` is relative
     to the configuration's median view.
+
+    ``subject``: ``things`` are looked at wherever they stand, floors and tables seen from above among them;
+    ``room`` looks across the room, nearly level, and prefers views that show what others see too.
     """
 
+    subject: Literal["things", "room"] = "things"
     height_m: PositiveRange = (0.8, 1.9)
     fov_x_deg: PositiveRange = (50.0, 75.0)
     min_distance_m: Positive = 0.3

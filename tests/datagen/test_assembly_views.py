@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from datagen.assembly import plan
+from datagen.assembly.coverage import preview_of
 from datagen.assembly.geometry import RayScene, WorldScene
-from datagen.assembly.views import Candidate, Subject, ViewFinder, choose_views, overlap_matrix, preview_of
+from datagen.assembly.views import Candidate, Subject, ViewFinder, choose_views, overlap_matrix
 from datagen.formats.asset import AssetCamera, Box
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import Recipe

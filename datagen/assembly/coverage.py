@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: MIT
+"""What the views of a configuration show, from rays at low resolution: rooms or corners, and how often.
+
+Letters: V views, P points of a view, M triangles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.assembly.geometry import Floats, Hits, RayScene, WorldScene
+from datagen.assembly.materials import MeanMaterial
+from datagen.formats.asset import Surface
+from datagen.formats.configuration import ViewCoverage
+from datagen.foundation.cameras import Camera
+
+PREVIEW_WIDTH_PX = 64
+METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3  # S above and R below which a pixel counts as metal and as gloss
+MIN_SHELL_PIXELS = 0.03  # of the image: less of a wall is not a wall that is seen
+_WALLS: tuple[Surface, ...] = ("wall", "tiles")
+_POINTS = 400
+_DEPTH_SLACK = 2e-3  # of the distance: the point itself must not hide it
+_QUADRANTS = 4
+
+
+def preview_of(camera: Camera) -> Camera:
+    """The camera at the resolution of the checks."""
+    width = min(PREVIEW_WIDTH_PX, camera.width_px)
+    return camera.scaled(width, max(8, round(width * camera.height_px / camera.width_px)))
+
+
+@dataclass(frozen=True)
+class Shell:
+    """Walls and ceiling of a scene's room: ``surfaces`` says what each slot of the room is."""
+
+    scene: WorldScene
+    surfaces: dict[str, Surface]
+
+    @cached_property
+    def _label_of_face(self) -> NDArray[np.int64]:
+        """0 for what is no shell, 1 for the ceiling, 2 to 5 for walls by the quarter that they face."""
+        scene = self.scene
+        parts = scene.geometries[0].asset.parts
+        kinds = np.array([self.surfaces.get(part.material, "small") for part in parts])
+        in_room = scene.item_of_face == 0
+        kind = np.where(in_room, kinds[np.where(in_room, scene.part_of_face, 0)], "")
+        normals = scene.rays.normals
+        quarter = np.round(np.arctan2(normals[:, 1], normals[:, 0]) / (0.5 * np.pi)).astype(int) % _QUADRANTS
+        is_wall = np.isin(kind, _WALLS) & (np.abs(normals[:, 2]) < 0.5)
+        return np.where(kind == "ceiling", 1, np.where(is_wall, 2 + quarter, 0))
+
+    def is_room(self, faces: NDArray[np.int64], num_pixels: int) -> bool:
+        """Whether the faces that an image's pixels hit hold two walls, or a wall and the ceiling."""
+        pixels = np.bincount(self._label_of_face[faces], minlength=2 + _QUADRANTS)[1:]
+        seen = pixels >= MIN_SHELL_PIXELS * num_pixels
+        return bool(seen[1:].any() and seen.sum() >= 2)
+
+
+def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
+    """Which points (P, 3) of surfaces lie inside the camera's image with nothing in front of them."""
+    pixels, depth = camera.project(points)
+    limits = [camera.width_px, camera.height_px]
+    with np.errstate(invalid="ignore"):
+        seen = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= limits).all(axis=1)
+    towards = points[seen] - camera.position_m
+    distance = np.linalg.norm(towards, axis=1)
+    reach = distance * (1 - _DEPTH_SLACK)
+    seen[seen] = ~rays.occluded(camera.position_m, towards / distance[:, None], reach)
+    return seen
+
+
+def measure(
+    scene: WorldScene,
+    shell: Shell,
+    worn: tuple[dict[str, MeanMaterial], ...],
+    cameras: list[Camera],
+) -> ViewCoverage:
+    """What views of a scene show; ``worn`` are the averages that room and things wear, by slot."""
+    previews = [preview_of(camera) for camera in cameras]
+    hits: list[Hits] = []
+    points: list[Floats] = []
+    rooms = 0
+    for preview in previews:
+        directions = preview.ray_directions().reshape(-1, 3)
+        found = scene.rays.cast(preview.position_m, directions)
+        seen = np.flatnonzero(found.hit_mask)
+        rooms += shell.is_room(found.face[seen], len(directions))
+        seen = seen[:: max(1, len(seen) // _POINTS)]
+        points.append(preview.position_m + found.distance_m[seen, None] * directions[seen])
+        hits.append(found)
+    everywhere = np.concatenate(points)
+    counts = np.sum([sees(preview, everywhere, scene.rays) for preview in previews], axis=0)
+    faces = np.concatenate([found.face[found.hit_mask] for found in hits])
+    specular, rough = _of_faces(scene, worn)
+    size = max(len(counts), 1)
+    return ViewCoverage(
+        median_observations=float(np.median(counts)) if len(counts) else 0.0,
+        thin_share=_share(int((counts <= 2).sum()), size),
+        room_share=_share(rooms, max(len(cameras), 1)),
+        metal_share=_share(int((specular[faces] > METAL_SPECULAR).sum()), max(len(faces), 1)),
+        gloss_share=_share(int((rough[faces] < GLOSSY_ROUGHNESS).sum()), max(len(faces), 1)),
+    )
+
+
+def _share(count: int, of: int) -> float:
+    return round(count / of, 4)
+
+
+def _of_faces(scene: WorldScene, worn: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
+    """Brightest channel of mean S and mean R of every triangle, (M,) each."""
+    tables = [
+        np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
+        for g, w in zip(scene.geometries, worn, strict=True)
+    ]
+    starts = np.cumsum([0] + [len(table) for table in tables[:-1]])
+    found = np.concatenate(tables)[starts[scene.item_of_face] + scene.part_of_face]
+    return found[:, 0], found[:, 1]
