@@ -119,6 +119,10 @@ class Library:
         where = ", ".join(str(p) for p in self.paths) or "empty library"
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 
+    def root_of(self, package: Package) -> Path:
+        """The folder of :attr:`paths` in which a package was found."""
+        return next(root for root in self.paths if package.path.is_relative_to(root))
+
     def select(
         self,
         kind: AssetKind,

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -235,10 +236,13 @@ def place_things(
     recipe: ObjectRecipe,
     key: tuple[int | str, ...],
     rejections: Counter[str],
+    weight_of_library: Mapping[str, tuple[str, float]] | None = None,
 ) -> list[PlacedThing]:
     """Choose things by category weight and place them, large ones first.
 
-    ``key`` seeds the draws. Raises :class:`InputError` when fewer than ``count[0]`` can be placed.
+    ``weight_of_library`` gives the library of each object's id and its weight: the library of a thing is
+    drawn first. ``key`` seeds the draws. Raises :class:`InputError` when fewer than ``count[0]`` can be
+    placed.
     """
     draws = Draws(*key, "objects")
     target = draws.integer(*recipe.count)
@@ -247,23 +251,19 @@ def place_things(
     fitting = [t for t in things if surfaces_for(t.asset, room.asset) and t.can_stand(CONTACT_TOLERANCE_M)]
     cannot_stand = sum(not t.can_stand(CONTACT_TOLERANCE_M) for t in things)
     rejections["placement.cannot_stand"] += cannot_stand
-    by_category: dict[str, list[Thing]] = {}
-    for thing in sorted(fitting, key=lambda t: t.asset.id):
-        by_category.setdefault(thing.asset.category, []).append(thing)
-    categories = sorted(by_category)
-    weights = [recipe.category_weights.get(c, 1.0) for c in categories]
-    if not any(w > 0 for w in weights):
+    shelves = _shelves(fitting, recipe, weight_of_library or {})
+    if not shelves:
         if recipe.count[0] == 0:
             return []
         _raise_nothing_fits(room, things)
     placer = Placer(room, recipe, rejections)
-    chosen = [draws.choice(by_category[draws.weighted(categories, weights)]) for _ in range(target)]
+    chosen = [_draw_thing(shelves, draws) for _ in range(target)]
     order = sorted(range(target), key=lambda k: (-_bulk(chosen[k].asset), k))
     for k in order:
         placer.place(chosen[k], Draws(*key, "place", k))
     extra = 0
     while len(placer.placed) < target and extra < target:  # what found no room is replaced by something else
-        other = draws.choice(by_category[draws.weighted(categories, weights)])
+        other = _draw_thing(shelves, draws)
         placer.place(other, Draws(*key, "replace", extra))
         extra += 1
     if len(placer.placed) < recipe.count[0]:
@@ -276,6 +276,37 @@ def place_things(
             "lower objects.count, raise objects.max_attempts, or add support surfaces or smaller objects",
         )
     return placer.placed
+
+
+@dataclass(frozen=True)
+class _Shelf:
+    """The things of one library by category; weights of the library and of its categories."""
+
+    weight: float
+    by_category: dict[str, list[Thing]]
+    category_weights: list[float]
+
+
+def _shelves(
+    things: list[Thing], recipe: ObjectRecipe, weight_of_library: Mapping[str, tuple[str, float]]
+) -> list[_Shelf]:
+    """Libraries of positive weight that hold something of positive weight, by name; one without weights."""
+    libraries: dict[tuple[str, float], dict[str, list[Thing]]] = {}
+    for thing in sorted(things, key=lambda t: (t.asset.category, t.asset.id)):
+        of_library = libraries.setdefault(weight_of_library.get(thing.asset.id, ("", 1.0)), {})
+        of_library.setdefault(thing.asset.category, []).append(thing)
+    shelves = []
+    for (_, weight), by_category in sorted(libraries.items(), key=lambda entry: entry[0]):
+        weights = [recipe.category_weights.get(category, 1.0) for category in by_category]
+        if weight > 0 and any(weights):
+            shelves.append(_Shelf(weight, by_category, weights))
+    return shelves
+
+
+def _draw_thing(shelves: list[_Shelf], draws: Draws) -> Thing:
+    """A library where there are several, then a category, then a thing."""
+    shelf = shelves[0] if len(shelves) == 1 else draws.weighted(shelves, [s.weight for s in shelves])
+    return draws.choice(shelf.by_category[draws.weighted(list(shelf.by_category), shelf.category_weights)])
 
 
 def _bulk(asset: ObjectAsset) -> float:

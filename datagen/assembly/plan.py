@@ -145,7 +145,8 @@ def _assemble_once(
     caches = _process_caches()
     room = caches.room(environment)
     things = [caches.thing(package) for package in pools.objects]
-    placed_things = place_things(room, things, recipe.objects, key, rejections)
+    weights = _library_weights(recipe, library, pools)
+    placed_things = place_things(room, things, recipe.objects, key, rejections, weights)
     placed, packages = _dress(recipe, key, environment, placed_things, pools, library, caches)
 
     geometries = [caches.geometry.get(package) for package in packages]
@@ -221,6 +222,18 @@ def _dress(
             )
         )
     return placed, packages
+
+
+def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
+    """Library and weight of each object's id; empty where the recipe weighs none."""
+    wanted = recipe.objects.library_weights
+    if not wanted or len(recipe.library) != len(library.paths):
+        return {}
+    found = {}
+    for package in pools.objects:
+        name = recipe.library[library.paths.index(library.root_of(package))]
+        found[package.id] = (name, wanted.get(name, 1.0))
+    return found
 
 
 def _likely_dresser(

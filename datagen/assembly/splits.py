@@ -74,6 +74,12 @@ def split_counts(recipe: Recipe) -> dict[Split, int]:
     return {"train": rest - validation, "validation": validation, "test": tests}
 
 
+def splits_in_use(recipe: Recipe) -> list[Split]:
+    """The splits that get configurations."""
+    counts = split_counts(recipe)
+    return [split for split in SPLITS if counts[split] > 0]
+
+
 _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDictionary()
 
 

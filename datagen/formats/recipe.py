@@ -35,10 +35,16 @@ class AssetFilter(StrictModel):
 
 
 class ObjectRecipe(AssetFilter):
-    """Things to place. ``count`` a configuration; ``category_weights`` default to 1 a category."""
+    """Things to place. ``count`` a configuration; ``category_weights`` default to 1 a category.
+
+    ``library_weights``: how often each folder of ``library``, as it is named there, gives the next thing (1
+    for one that is not named), so that a few objects of one's own do not drown among many. Empty: all
+    folders are one.
+    """
 
     count: CountRange = (8, 20)
     category_weights: dict[Slug, NonNegative] = {}
+    library_weights: dict[str, NonNegative] = {}
     min_gap_m: NonNegative = 0.005
     max_attempts: Annotated[int, Field(ge=1, le=10000)] = 60
 
@@ -286,3 +292,13 @@ class Recipe(StrictModel):
     statistics: StatisticsRecipe = StatisticsRecipe()
     splits: SplitRecipe = SplitRecipe()
     output: OutputRecipe = OutputRecipe()
+
+    @model_validator(mode="after")
+    def _weighs_libraries_that_it_has(self) -> Recipe:
+        unknown = [name for name in self.objects.library_weights if name not in self.library]
+        if unknown:
+            raise ValueError(
+                f"expected objects.library_weights to name folders of library ({', '.join(self.library)}), "
+                f"got {', '.join(unknown)}"
+            )
+        return self

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: MIT
+"""Objects that no configuration of a recipe can hold: said before work starts, not dropped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen.assembly.geometry import load_geometry
+from datagen.assembly.placement import CONTACT_TOLERANCE_M, surfaces_for
+from datagen.assembly.splits import pools_of_split, splits_in_use
+from datagen.assembly.things import Thing
+from datagen.asset_check import size_fault
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.recipe import Recipe
+from datagen.library import Library
+
+
+@dataclass(frozen=True)
+class Unplaceable:
+    """An object that is never placed; ``why`` ends with what to change."""
+
+    asset: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.asset} is never placed: {self.why}"
+
+
+def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
+    """Objects on offer whose size their category hardly has, in words, in the order of ids."""
+    found: dict[str, str] = {}
+    for split in splits_in_use(recipe):
+        for package in pools_of_split(recipe, library, split).objects:
+            assert isinstance(package.asset, ObjectAsset)
+            fault = size_fault(package.asset)
+            if fault:
+                found[package.id] = f"{package.id} {fault}"
+    return [found[name] for name in sorted(found)]
+
+
+def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
+    """The objects that the recipe offers but that can stand in none of its rooms, in the order of ids.
+
+    An object counts as placeable if the rooms of any split that offers it have a surface for it.
+    """
+    if recipe.objects.count[1] == 0:
+        return []
+    reasons: dict[str, str] = {}
+    placeable: set[str] = set()
+    for split in splits_in_use(recipe):
+        pools = pools_of_split(recipe, library, split)
+        rooms = [p.asset for p in pools.environments if isinstance(p.asset, EnvironmentAsset)]
+        for package in pools.objects:
+            asset = package.asset
+            assert isinstance(asset, ObjectAsset)
+            if asset.id in placeable:
+                continue
+            why = _why_no_surface(asset, rooms)
+            if not why and not Thing(asset, load_geometry(package)).can_stand(CONTACT_TOLERANCE_M):
+                why = "it would topple on level ground; give it feet, or turn it upright"
+            if why:
+                reasons[asset.id] = why
+            else:
+                placeable.add(asset.id)
+    return [Unplaceable(name, reasons[name]) for name in sorted(reasons.keys() - placeable)]
+
+
+def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
+    """Why no room has a surface for it; "" if one has."""
+    if any(surfaces_for(asset, room) for room in rooms):
+        return ""
+    if not asset.supports:
+        return "it stands on nothing (supports is empty), as what hangs or is built in"
+    surfaces = [s for room in rooms for s in room.support_surfaces if s.kind in asset.supports]
+    kinds = ", ".join(asset.supports)
+    if not surfaces:
+        return f"it stands on {kinds}, which no room has; widen its supports, or mark such surfaces"
+    size = (np.array(asset.maximum_m) - np.array(asset.minimum_m)) * asset.scale_range[0]
+    tallest = max(s.clearance_m for s in surfaces)
+    if size[2] > tallest:
+        return f"it is {size[2]:.2f} m tall, at most {tallest:.2f} m are free; check its unit or scale"
+    largest = max(
+        (sorted(float(np.linalg.norm(e)) for e in (s.edge_u_m, s.edge_v_m)) for s in surfaces), key=math.prod
+    )
+    return (
+        f"its foot is {size[0]:.2f} x {size[1]:.2f} m, the largest surface {largest[1]:.2f} x "
+        f"{largest[0]:.2f} m; check its unit or scale"
+    )
