@@ -57,3 +57,23 @@ def exposure_for(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> floa
         return 1.0
     reference = float(np.percentile(values, 95))
     return 0.9 / reference if reference > 0 else 1.0
+
+
+MAX_CLIPPED_SHARE = 0.025
+
+
+def photographic_exposure(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> float:
+    """Factor by which a photographer shows an image: that of :func:`exposure_for`, but less where more than
+    :data:`MAX_CLIPPED_SHARE` of the pixels would have a channel above 1, as under a warm lamp or in the sun.
+
+    ``linear_rgb`` (..., 3); ``valid_mask`` (...) leaves pixels out, as lamps and windows.
+    """
+    exposure = exposure_for(linear_rgb, valid_mask)
+    brightest = np.asarray(linear_rgb, dtype=np.float64).max(axis=-1)
+    if valid_mask is not None:
+        brightest = brightest[valid_mask]
+    brightest = brightest[np.isfinite(brightest)]
+    if brightest.size == 0:
+        return exposure
+    highlight = float(np.quantile(brightest, 1 - MAX_CLIPPED_SHARE, method="higher"))
+    return min(exposure, 1.0 / highlight) if highlight > 0 else exposure

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Contact sheets: one picture a configuration that shows what its views hold.
 
-Rows are views, columns are buffers. Radiance is brought to the screen with one exposure for the whole sheet
-and sRGB-encoded; albedos are sRGB-encoded as they are; normals are mapped from [-1, 1]; roughness, depth and
-count use cividis, a colour map that colour-blind readers see as others do, with a scale beneath. Pixels
-without a value (background, emitters) are hatched.
+Rows are views, columns are buffers. Radiance is brought to the screen with an exposure for each view, written
+under its name: that of a photographer, who lets highlights clip in few pixels; then it is sRGB-encoded;
+albedos are sRGB-encoded as they are; normals are mapped from [-1, 1]; roughness, depth and count use cividis,
+a colour map that colour-blind readers see as others do, with a scale beneath. Pixels without a value
+(background, emitters) are hatched.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import CONFIGURATION_MEMBER, INDEX_FILE, Dataset, ShardReader
 from datagen.foundation.buffers import MATERIAL_MAPS
-from datagen.foundation.color import exposure_for, srgb_from_linear
+from datagen.foundation.color import photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
 
@@ -41,7 +42,7 @@ COLUMNS = (
     ("observation_count", "count"),
 )
 MAX_ROWS = 6
-_CELL_WIDTH_PX = 256
+_CELL_WIDTH_PX = 320
 _MARGIN_PX = 8
 _TITLE_PX, _LABEL_PX = 32, 20
 _INK, _PAPER, _FAINT = (235, 235, 235), (24, 24, 26), (150, 150, 155)
@@ -50,7 +51,7 @@ _NEEDS_SURFACE = (*MATERIAL_MAPS, "normal_world")
 
 @dataclass(frozen=True)
 class Scales:
-    """What the sheet's numbers are brought to the screen with."""
+    """What the sheet's numbers are brought to the screen with; ``exposure`` is the default of its views."""
 
     exposure: float
     farthest_m: float
@@ -65,7 +66,7 @@ def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
 
 
 def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
-    """Exposure (95th percentile of surface luminance to 0.9), 98th percentile of depth, largest count."""
+    """Exposure (:func:`photographic_exposure` of surfaces), 98th percentile of depth, largest count."""
     colors, depths, counts = [np.zeros((0, 3))], [np.zeros(0)], [1.0]
     for view in views:
         if "beauty" in view:
@@ -79,7 +80,12 @@ def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
             counts.append(float(np.nan_to_num(view["observation_count"]).max(initial=0)))
     depth = np.concatenate(depths)
     farthest = float(np.percentile(depth, 98)) if depth.size else 1.0
-    return Scales(exposure_for(np.concatenate(colors)), farthest, int(max(counts)))
+    return Scales(photographic_exposure(np.concatenate(colors)), farthest, int(max(counts)))
+
+
+def exposure_of(view: Mapping[str, NDArray]) -> float:
+    """The exposure at which a view is shown."""
+    return choose_scales([view]).exposure
 
 
 def screen_image(name: str, view: Mapping[str, NDArray], scales: Scales) -> NDArray[np.uint8]:
@@ -129,11 +135,13 @@ def make_contact_sheet(
     if not views or any("beauty" not in view for view in views):
         got = "no views" if not views else "a view without beauty"
         raise InputError(Problem("contact sheet", "views", got, "at least one view, each with beauty"))
+    exposures = [scales.exposure if scales is not None else exposure_of(view) for view in views]
     scales = scales or choose_scales(views)
     columns = [(name, label) for name, label in COLUMNS if any(name in view for view in views)]
     heights = [_cell_size(view)[1] for view in views]
     column_width = max(_cell_size(view)[0] for view in views)
-    left = 2 * _MARGIN_PX + max(_text_width(name, _LABEL_PX) for name in names)
+    notes = [f"exposure x {exposure:.3g}" for exposure in exposures]
+    left = 2 * _MARGIN_PX + max(_text_width(text, _LABEL_PX) for text in (*names, *notes))
     head = _TITLE_PX + _LABEL_PX + 5 * _MARGIN_PX
     width = left + len(columns) * (column_width + _MARGIN_PX)
     foot = 3 * _LABEL_PX + 2 * _MARGIN_PX
@@ -145,12 +153,15 @@ def make_contact_sheet(
         x = left + index * (column_width + _MARGIN_PX)
         draw.text((x, head - _LABEL_PX - 2 * _MARGIN_PX), label, _INK, _font(_LABEL_PX))
     y = head - _MARGIN_PX
-    for view, name, cell_height in zip(views, names, heights, strict=True):
-        draw.text((_MARGIN_PX, y + (cell_height - _LABEL_PX) // 2), name, _INK, _font(_LABEL_PX))
+    for view, name, note, exposure, cell_height in zip(views, names, notes, exposures, heights, strict=True):
+        middle = y + cell_height // 2
+        draw.text((_MARGIN_PX, middle - _LABEL_PX), name, _INK, _font(_LABEL_PX))
+        draw.text((_MARGIN_PX, middle + 4), note, _FAINT, _font(_LABEL_PX))
+        shown = replace(scales, exposure=exposure)
         for index, (buffer, _) in enumerate(columns):
             x = left + index * (column_width + _MARGIN_PX)
             if buffer in view:
-                sheet.paste(_cell(screen_image(buffer, view, scales)), (x, y))
+                sheet.paste(_cell(screen_image(buffer, view, shown)), (x, y))
             else:
                 draw.text((x, y), "not in this view", _FAINT, _font(_LABEL_PX))
         y += cell_height + _MARGIN_PX
@@ -197,7 +208,7 @@ def _draw_foot(
         "normal_world": "x y z as R G B",
     }
     if name not in ends:
-        text = texts.get(name, f"exposure x {scales.exposure:.3g}, sRGB")
+        text = texts.get(name, "exposed by view, sRGB")
         draw.text((x, y), text, _FAINT, font)
         return
     ramp = _color_map()(np.tile(np.linspace(0, 1, width), (_LABEL_PX, 1)))

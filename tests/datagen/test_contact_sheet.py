@@ -10,13 +10,14 @@ import pytest
 
 from datagen.formats.base import canonical_json
 from datagen.formats.shard import write_shard
-from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.color import exposure_for, photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.inspection.contact_sheet import (
     COLUMNS,
     Scales,
     choose_rows,
     choose_scales,
+    exposure_of,
     make_contact_sheet,
     screen_image,
     shard_sheet,
@@ -88,6 +89,35 @@ def test_scales_ignore_background_and_non_finite_values():
     assert scales.exposure == pytest.approx(0.45)
     assert scales.farthest_m == pytest.approx(3.0)
     assert scales.most_views == 5
+
+
+def test_a_photographer_lets_few_highlights_clip():
+    rng = np.random.default_rng(3)
+    warm = rng.lognormal(0.0, 0.8, (60, 80, 1)) * np.array([1.9, 1.0, 0.35])
+    at_95 = exposure_for(warm)
+    exposure = photographic_exposure(warm)
+    assert ((warm * at_95).max(axis=-1) > 1).mean() > 0.1
+    clipped = ((warm * exposure).max(axis=-1) > 1).mean()
+    assert 0.02 < clipped <= 0.025
+    grey = np.full((60, 80, 3), 0.3)
+    assert photographic_exposure(grey) == pytest.approx(exposure_for(grey))
+    window = np.zeros((60, 80), dtype=bool)
+    window[:20] = True
+    bright = np.where(window[..., None], 500.0, warm)
+    assert photographic_exposure(bright, ~window) == pytest.approx(photographic_exposure(warm[20:]))
+    assert photographic_exposure(np.zeros((4, 4, 3))) == 1.0
+
+
+def test_every_view_of_a_sheet_has_its_exposure():
+    dark, bright = (dict(make_buffers(96, 160, seed=1)) for _ in range(2))
+    for name in ("beauty", "color_min", "color_median", "color_max"):
+        bright[name] = 8 * bright[name]
+    sheet = np.asarray(make_contact_sheet([dark, bright], ["same", "same"], "title"))
+    half = np.asarray(make_contact_sheet([dark, dark], ["same", "same"], "title"))
+    assert exposure_of(dark) == pytest.approx(8 * exposure_of(bright))
+    pictures = slice(-10 * 328, None)  # the written exposures, at the left, have other lengths
+    np.testing.assert_array_equal(sheet[:, pictures], half[:, pictures])
+    assert sheet.shape != half.shape or (sheet != half).any()
 
 
 @pytest.mark.parametrize("size", [(24, 40), (96, 160), (300, 500)])
