@@ -21,6 +21,7 @@ from datagen.assembly.coverage import Shell, preview_of, sees
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
 from datagen.assembly.light_levels import Lighting
+from datagen.assembly.light_probe import Rectangle
 from datagen.assembly.shortfall import shortfall
 from datagen.formats.base import quantized
 from datagen.formats.recipe import CameraRecipe
@@ -44,9 +45,11 @@ _NUM_COMPARED = 12  # eligible candidates among which the most different one is 
 _MIN_NOVELTY = 0.04
 _NUM_HEADINGS = 24
 _FARTHEST_M = 8.0
+_WINDOW_DEPTH_M = 1.0  # a window counts as a wall so near: few views are of windows
 _DEPTH_POWER = 3  # how much more often the deep direction is looked into than a wall
 _ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
-_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.6, 0.25  # in overlap; beyond it different is different enough
+_ENOUGH_OVERLAP = 0.42  # more of it makes views alike: then the one that differs most is worth most
+_NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6
 _ROOM_SHARE = 0.75  # of the chosen views that show the room itself, where there are enough
 
 
@@ -266,6 +269,9 @@ class ViewFinder:
         headings = draws.unit() * 2 * math.pi + np.arange(_NUM_HEADINGS) * 2 * math.pi / _NUM_HEADINGS
         level = np.stack([np.cos(headings), np.sin(headings), np.zeros(_NUM_HEADINGS)], axis=1)
         reach = np.minimum(self.scene.rays.cast(position, level).distance_m, _FARTHEST_M)
+        for opening in self.space.environment.openings:  # what lies behind a window is not the room's depth
+            origins = np.broadcast_to(position, level.shape)
+            reach[Rectangle.of(opening).is_crossed(origins, level, reach)] = _WINDOW_DEPTH_M
         window = np.cos(np.subtract.outer(headings, headings)) >= math.cos(0.5 * fov)
         depth = (window * reach).sum(axis=1) / window.sum(axis=1)
         azimuth = float(headings[draws.weighted(range(_NUM_HEADINGS), (depth**_DEPTH_POWER).tolist())])
@@ -389,7 +395,8 @@ def choose_overlapping(
             lonely = (overlap[:, chosen].max(axis=1) < min_overlap) & ~np.isin(np.arange(len(pool)), chosen)
             return chosen, int(lonely.sum())
         wants_room = is_room[chosen].sum() < _ROOM_SHARE * (len(chosen) + 1)
-        worth = both[:, chosen].mean(axis=1) + _NOVELTY_WORTH * np.minimum(fresh, _ENOUGH_NOVELTY)
+        shared = np.minimum(both[:, chosen].mean(axis=1), _ENOUGH_OVERLAP)
+        worth = shared + _NOVELTY_WORTH * np.minimum(fresh, _ENOUGH_NOVELTY)
         worth = np.where(eligible, worth + (is_room & wants_room), -1.0)
         chosen.append(int(np.argmax(worth)))
     return chosen, 0

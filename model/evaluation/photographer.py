@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from datagen.assembly.coverage import Shell
 from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, GeometryCache, RayScene, WorldScene
 from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
 from datagen.assembly.materials import MeanMaterials, worn_materials
 from datagen.assembly.plan import NUM_EYES
+from datagen.assembly.surfaces import surfaces_of
 from datagen.assembly.views import ViewFinder, preview_of
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.configuration import PlacedAsset, ViewCamera
@@ -64,7 +66,8 @@ def choose_cameras(
     worn = worn_materials(placed, library, MeanMaterials())
     room = RoomToLight(asset, scene, (placed,), (asset,), (worn,), eyes, space.trusts_winding)
     lighting = light_room(room, _OWN_LIGHTS, library, key, rejections)
-    cameras = ViewFinder(scene, space, lighting, recipe, resolution, key, rejections).find(num_views)
+    shell = Shell(scene, surfaces_of(geometry))
+    cameras = ViewFinder(scene, shell, space, lighting, recipe, resolution, key, rejections).find(num_views)
     walk = _walk(cameras, num_novel, space, recipe.min_distance_m)
     named = {f"view-{k:03d}": camera for k, camera in enumerate(cameras)}
     named |= {f"path-{k:03d}": camera for k, camera in enumerate(walk)}

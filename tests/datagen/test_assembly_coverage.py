@@ -116,6 +116,13 @@ def test_views_of_rooms_overlap_more_than_views_of_things(library: Library) -> N
     assert rooms > 1.3 * things
 
 
+def test_few_views_of_rooms_are_of_windows(library: Library) -> None:
+    """The window is at +Y: were it the room's depth, most views would look that way."""
+    made = assemble(recipe("room", 10), 0, library)
+    towards = [view.camera().forward[1] > 0.8 for view in made.cameras]
+    assert sum(towards) <= 4
+
+
 def test_plan_states_coverage(library: Library, tmp_path: Path) -> None:
     asked = recipe("room", 4)
     create_plan(asked, library, tmp_path / "made")
