@@ -21,6 +21,7 @@ from datagen.formats.asset import (
     Part,
     Texture,
 )
+from datagen.formats.category_sizes import size_fault
 from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
 from datagen.foundation.errors import InputError, Problem
@@ -29,17 +30,6 @@ from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, lying_normals
 from datagen.foundation.meshes.ply import decode_ply
 
 BOUNDS_TOLERANCE_M = 2e-3  # declared bounds are rounded when written; a larger difference is a mistake
-CATEGORY_SIZES_M: dict[str, tuple[float, float]] = {
-    "book": (0.08, 0.9), "bottle": (0.04, 0.7), "box": (0.04, 1.5), "candle": (0.02, 0.9),
-    "clock": (0.03, 2.4),
-    "crockery": (0.02, 0.7), "cushion": (0.15, 1.2), "electronics": (0.02, 1.6), "frame": (0.04, 2.0),
-    "fruit": (0.01, 0.6), "kitchenware": (0.02, 1.0), "lamp": (0.05, 2.3), "plant": (0.03, 3.0),
-    "shoe": (0.08, 0.5), "statuette": (0.02, 2.2), "tool": (0.03, 1.8), "toy": (0.01, 1.5),
-    "vase": (0.03, 1.5),
-    "cup": (0.03, 0.3), "mug": (0.03, 0.3), "plate": (0.05, 0.6), "seat": (0.25, 3.5), "chair": (0.25, 1.6),
-    "sofa": (0.6, 4.0), "table": (0.2, 4.0), "bed": (0.5, 2.6),
-}  # fmt: skip
-"""Longest side of things by category, least and most: generous, to find a wrong unit and not an odd vase."""
 _REEXPORT = "re-export the asset"
 
 
@@ -248,21 +238,6 @@ class _Checker:
             else:
                 self.check_regions(asset)
         return CheckReport(tuple(self.errors), tuple(self.warnings))
-
-
-def size_fault(asset: ObjectAsset) -> str:
-    """What is unlikely about an object's longest side; "" for nothing, or a category that is not known."""
-    limits = CATEGORY_SIZES_M.get(asset.category)
-    if limits is None:
-        return ""
-    longest = float((np.asarray(asset.maximum_m) - np.asarray(asset.minimum_m)).max())
-    least, most = longest * asset.scale_range[0], longest * asset.scale_range[1]
-    if most >= limits[0] and least <= limits[1]:
-        return ""
-    return (
-        f"is {longest:.3g} m long; things of category {asset.category} are {limits[0]:g} to {limits[1]:g} m; "
-        "correct its unit or its category"
-    )
 
 
 def check_package(package: Package) -> CheckReport:

@@ -266,13 +266,12 @@ def _print_recipe(recipe: Recipe) -> None:
 
 
 def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    from datagen.assembly.unplaceable import implausible_sizes, unplaceable
-    from datagen.farm.planning import create_plan, read_configurations
+    from datagen.farm.planning import create_plan, notes_before, read_configurations
     from datagen.foundation.progress import ProgressBar
     from datagen.inspection.plan_summary import plan_summary
 
     opened = _open_library(recipe, base)
-    for note in (*unplaceable(recipe, opened), *implausible_sizes(recipe, opened)):
+    for note in notes_before(recipe, opened):
         typer.echo(f"note: {note}", err=True)
     with ProgressBar("assembling", recipe.configurations, "configurations") as progress:
         created = create_plan(recipe, opened, out, workers, lambda done, total: progress.set(done))

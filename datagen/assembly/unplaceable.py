@@ -12,8 +12,8 @@ from datagen.assembly.geometry import load_geometry
 from datagen.assembly.placement import CONTACT_TOLERANCE_M, surfaces_for
 from datagen.assembly.splits import pools_of_split, splits_in_use
 from datagen.assembly.things import Thing
-from datagen.asset_check import size_fault
 from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.category_sizes import size_fault
 from datagen.formats.recipe import Recipe
 from datagen.library import Library
 

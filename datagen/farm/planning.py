@@ -11,6 +11,7 @@ from pathlib import Path
 import yaml
 
 from datagen.assembly.plan import assemble, check_recipe, configuration_id
+from datagen.assembly.unplaceable import implausible_sizes, unplaceable
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, unit_key
 from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
@@ -94,6 +95,11 @@ def create_plan(
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
     return write_plan(folder, recipe, library)
+
+
+def notes_before(recipe: Recipe, library: Library) -> list[str]:
+    """What a person would want to know before a plan is made, though nothing is wrong with it."""
+    return [*map(str, unplaceable(recipe, library)), *implausible_sizes(recipe, library)]
 
 
 def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:
