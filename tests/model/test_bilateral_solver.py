@@ -138,12 +138,12 @@ def test_guide_is_scaled_by_its_maximum():
 
 
 def test_scaling_the_target_scales_the_result():
-    """Also where its square would pass for a solution."""
+    """However small it is."""
     guide, target, confidence = _images(24, 32)
     grid = build_grid(guide)
     whole = bilateral_solve(target, confidence, grid)
-    small = bilateral_solve(1e-7 * target, confidence, grid)
-    torch.testing.assert_close(1e7 * small, whole, rtol=0, atol=1e-6)
+    small = bilateral_solve(1e-12 * target, confidence, grid)
+    torch.testing.assert_close(1e12 * small, whole, rtol=0, atol=1e-6)
 
 
 def test_what_confident_pixels_sum_to_is_kept():

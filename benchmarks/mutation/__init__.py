@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Mutates modules and asks which of their tests notice."""

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: MIT
+"""Mutates modules, one change at a time, and counts the changes that their tests notice.
+
+    python -m benchmarks.mutation [TARGET ...] [--number N] [--seed S] [--again] [--work DIR] [--out FILE]
+
+For each target (targets.py) the tests run once while their lines are recorded; then a seeded sample of the
+mutants on those lines is tried, each by the tests that run its line, fastest first, until one fails. All of
+it happens in a copy of the project below ``--work``. Results are written after each mutant to ``--out``;
+the same command goes on after them, and ``--again`` tries those once more that survived. A mutant is known by
+its statement and its function, so that results outlast changes elsewhere.
+
+``--list`` prints the survivors, ``--table`` the counts in Markdown; both try nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from benchmarks.mutation.mutants import Mutant, find_mutants
+from benchmarks.mutation.targets import TARGETS, Target
+
+PROJECT = Path(__file__).resolve().parents[2]
+EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
+LEAST_TIMEOUT_S, PATIENCE = 60.0, 6.0  # of a mutant's tests: at least, and of what they take unmutated
+SURVIVED = 0  # exit code of pytest
+
+
+class Copy:
+    """A copy of the project that mutants are tried in, with caches of its own."""
+
+    def __init__(self, work: Path):
+        self.root, self.work = work / "project", work
+        self._warm: subprocess.Popen[str] | None = None
+        if self.root.exists():
+            shutil.rmtree(self.root)
+        command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        names = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=True).stdout
+        for name in names.split("\0"):
+            if name and (PROJECT / name).is_file():
+                (self.root / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(PROJECT / name, self.root / name)
+        start = "from benchmarks.mutation.lines import trace_child\n\ntrace_child()\n"
+        (self.root / "sitecustomize.py").write_text(start)
+        for name in ("home", "numba", "children"):
+            (work / name).mkdir(exist_ok=True)
+
+    def environment(self, **more: str) -> dict[str, str]:
+        """Of processes that run in the copy."""
+        own = {
+            "PYTHONPATH": str(self.root),
+            "HOME": str(self.work / "home"),
+            "NUMBA_CACHE_DIR": str(self.work / "numba"),
+            "PYTHONPYCACHEPREFIX": str(self.work / "bytecode"),
+        }
+        return {**os.environ, **own, **more}
+
+    def run_once(self, tests: tuple[str, ...], **more: str) -> None:
+        """Tests in a process of their own; ends this one where they fail."""
+        command = [sys.executable, "-m", "pytest", *self._arguments(tests)]
+        if more:
+            command += ["-p", "benchmarks.mutation.tracing"]
+        done = subprocess.run(
+            command, cwd=self.root, env=self.environment(**more), capture_output=True, text=True
+        )
+        if done.returncode != 0:
+            sys.exit(f"the tests fail without any mutant:\n{done.stdout[-3000:]}{done.stderr[-1000:]}")
+
+    def run(self, tests: list[str], timeout_s: float) -> tuple[int, str]:
+        """Exit code of pytest, negative where it died or took too long, and what it printed."""
+        if self._warm is None:
+            command = [sys.executable, "-m", "benchmarks.mutation.warm"]
+            self._warm = subprocess.Popen(
+                command, cwd=self.root, env=self.environment(PYTHONDONTWRITEBYTECODE="1"), text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            )  # fmt: skip
+        assert self._warm.stdin is not None and self._warm.stdout is not None
+        output = self.work / "output.txt"
+        request = {"arguments": self._arguments(tests), "environment": {}, "timeout_s": timeout_s,
+                   "output": str(output)}  # fmt: skip
+        print(json.dumps(request), file=self._warm.stdin, flush=True)
+        return int(self._warm.stdout.readline()), output.read_text(errors="replace")
+
+    def _arguments(self, tests: Sequence[str]) -> list[str]:
+        return [
+            "-q",
+            "-x",
+            "--no-header",
+            "-p",
+            "no:cacheprovider",
+            f"--basetemp={self.work / 'tests'}",
+            *tests,
+        ]
+
+
+def trace(copy: Copy, target: Target) -> dict[str, Any]:
+    """What each test of a target runs, by :mod:`benchmarks.mutation.tracing`."""
+    for path in (copy.work / "children").iterdir():
+        path.unlink()
+    found = copy.work / "trace.json"
+    files = ":".join(str(copy.root / module) for module in target.modules)
+    more = {"MUTATION_FILES": files, "MUTATION_TRACE": str(found)}
+    copy.run_once(target.tests, **more, MUTATION_CHILDREN=str(copy.work / "children"))
+    tests: dict[str, Any] = json.loads(found.read_text())
+    for test in tests.values():
+        test["lines"] = {
+            str(Path(file).relative_to(copy.root)): set(lines) for file, lines in test["lines"].items()
+        }
+    return tests
+
+
+def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
+    """Tests that run a mutant's line, fastest first: all where importing runs it, or where it is compiled
+    and cannot be watched."""
+    lines = set(range(mutant.first_line, mutant.last_line + 1))
+    chosen = [name for name, test in tests.items() if lines & test["lines"].get(module, set())]
+    return sorted(chosen, key=lambda name: tests[name]["seconds"])
+
+
+def draw(
+    root: Path, target: Target, tests: dict[str, Any], number: int, seed: int
+) -> list[tuple[str, Mutant, list[str]]]:
+    """A sample of a target's mutants on lines that tests run, with those tests: at most one a statement,
+    kinds in turn."""
+    by_kind: dict[str, list[tuple[str, str, Mutant, list[str]]]] = defaultdict(list)
+    for module in target.modules:
+        source = (root / module).read_text()
+        compiled = _unwatched_lines(source)
+        for mutant in find_mutants(module, source):
+            if not mutant.function or mutant.first_line in compiled or _is_signature(mutant):
+                names = sorted(tests, key=lambda name: tests[name]["seconds"])
+            else:
+                names = covering(mutant, module, tests)
+            if names:
+                order = hashlib.sha256(f"{seed} {mutant.key}".encode()).hexdigest()
+                by_kind[mutant.kind].append((order, module, mutant, names))
+    queues = [sorted(found, key=lambda row: row[0]) for _, found in sorted(by_kind.items())]
+    taken: set[tuple[str, int]] = set()
+    drawn: list[tuple[str, Mutant, list[str]]] = []
+    while len(drawn) < number and any(queues):
+        for queue in queues:
+            while queue:
+                _, module, mutant, names = queue.pop(0)
+                if (module, mutant.first_line) not in taken:
+                    taken.add((module, mutant.first_line))
+                    drawn.append((module, mutant, names))
+                    break
+    return drawn[:number]
+
+
+def _is_signature(mutant: Mutant) -> bool:
+    """Whether it is a default of a parameter, which importing evaluates."""
+    return mutant.statement.startswith(("def ", "async def "))
+
+
+def _unwatched_lines(source: str) -> set[int]:
+    """Lines of functions that become machine code as a whole."""
+    import ast
+
+    lines: set[int] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef):
+            names = {ast.unparse(decorator) for decorator in node.decorator_list}
+            if names & {"compiled", "dr.syntax"}:
+                lines.update(range(node.lineno, (node.end_lineno or 0) + 1))
+    return lines
+
+
+def attempt(
+    copy: Copy, module: str, mutant: Mutant, names: list[str], tests: dict[str, Any]
+) -> dict[str, Any]:
+    """Try one mutant: its verdict, and which test noticed."""
+    path = copy.root / module
+    source, times = path.read_text(), path.stat()
+    usual = sum(tests[name]["seconds"] for name in names)
+    if "@compiled" in source:  # what other functions have taken into their machine code is not renewed
+        shutil.rmtree(copy.work / "numba", ignore_errors=True)
+        usual += 30.0
+    start = time.perf_counter()
+    try:
+        path.write_text(mutant.apply(source))
+        code, output = copy.run(names, max(LEAST_TIMEOUT_S, PATIENCE * usual))
+    finally:
+        path.write_text(source)
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    if code > SURVIVED and not failed:  # no test has said so: something else is wrong
+        sys.exit(f"pytest ended with {code}:\n{output[-2000:]}")
+    return {
+        "verdict": "survived" if code == SURVIVED else "killed",
+        "by": "" if code == SURVIVED else (failed[-1][:160] if failed else f"exit code {code}"),
+        "seconds": round(time.perf_counter() - start, 1),
+        "tests": len(names),
+    }
+
+
+def equivalents() -> dict[str, str]:
+    """Reasons why mutants change nothing that could be noticed, by key."""
+    return {row["key"]: row["why"] for row in yaml.safe_load(EQUIVALENT.read_text())}
+
+
+def table(results: dict[str, dict[str, Any]]) -> str:
+    """Counts by target, Markdown."""
+    known = equivalents()
+    rows = ["| part | mutants | killed | equivalent | survived | killed of those that matter |",
+            "|---|---|---|---|---|---|"]  # fmt: skip
+    sums = [0, 0, 0]
+    for name in [*TARGETS, "all"]:
+        own = [key for key, row in results.items() if row["target"] == name]
+        killed = sum(results[key]["verdict"] == "killed" for key in own)
+        same = sum(results[key]["verdict"] != "killed" and key in known for key in own)
+        counts = [len(own), killed, same] if name != "all" else sums
+        if name != "all":
+            sums = [total + count for total, count in zip(sums, counts, strict=True)]
+        left = counts[0] - counts[1] - counts[2]
+        share = counts[1] / max(counts[0] - counts[2], 1)
+        rows.append(f"| {name} | {counts[0]} | {counts[1]} | {counts[2]} | {left} | {share:.0%} |")
+    return "\n".join(rows)
+
+
+def survivors(results: dict[str, dict[str, Any]]) -> str:
+    """Those that no test noticed, with the reason where one is known."""
+    known, lines = equivalents(), []
+    for key, row in results.items():
+        if row["verdict"] == "survived":
+            lines.append(f"{key} {row['module']}:{row['line']} {row['function']} [{row['kind']}] "
+                         f"{row['text']!r} -> {row['new']!r}\n    {row['statement']}")  # fmt: skip
+            if key in known:
+                lines.append(f"    equivalent: {known[key]}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("targets", nargs="*", help=f"of {', '.join(TARGETS)}; none for all")
+    parser.add_argument("--number", type=int, help="mutants of each target, instead of the target's own")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--again", action="store_true", help="try those once more that survived")
+    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "mutation")
+    parser.add_argument("--out", type=Path, default=Path("mutation.json"))
+    parser.add_argument("--list", action="store_true", help="print the survivors")
+    parser.add_argument("--table", action="store_true", help="print the counts")
+    options = parser.parse_args()
+    unknown = set(options.targets) - set(TARGETS)
+    if unknown:
+        parser.error(f"no target {', '.join(sorted(unknown))}: expected some of {', '.join(TARGETS)}")
+    results: dict[str, dict[str, Any]] = json.loads(options.out.read_text()) if options.out.exists() else {}
+    if options.list or options.table:
+        print(survivors(results) if options.list else table(results))
+        return
+    os.nice(19)
+    options.work.mkdir(parents=True, exist_ok=True)
+    copy = Copy(options.work.resolve())
+    for name in options.targets or TARGETS:
+        target = TARGETS[name]
+        tests = trace(copy, target)
+        drawn = draw(copy.root, target, tests, options.number or target.number, options.seed)
+        for module, mutant, names in drawn:
+            before = results.get(mutant.key)
+            if before and not (options.again and before["verdict"] == "survived"):
+                continue
+            found = attempt(copy, module, mutant, names, tests)
+            results[mutant.key] = {
+                "target": name,
+                "module": module,
+                "line": mutant.first_line,
+                "function": mutant.function,
+                "kind": mutant.kind,
+                "text": mutant.text,
+                "new": mutant.new,
+                "statement": mutant.statement,
+                **found,
+            }
+            partial = options.out.with_suffix(".partial")
+            partial.write_text(json.dumps(results, indent=1))
+            partial.replace(options.out)
+            print(f"{found['verdict']:8} {found['seconds']:6.1f} s  {module}:{mutant.first_line}  "
+                  f"{mutant.text!r} -> {mutant.new!r}", flush=True)  # fmt: skip
+    print(table(results))
+
+
+if __name__ == "__main__":
+    main()

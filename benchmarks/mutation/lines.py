@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""Which lines of some files a process runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+Lines = set[tuple[str, int]]
+
+
+class Tracer:
+    """Collects the lines of some files in ``lines``."""
+
+    def __init__(self, files: list[str]):
+        self.files = set(files)
+        self.lines: Lines = set()
+        self.new: Any = None
+
+    def start(self) -> None:
+        threading.settrace(self._enter)
+        sys.settrace(self._enter)
+
+    def _enter(self, frame: FrameType, event: str, _: Any) -> Any:
+        if frame.f_code.co_filename not in self.files:
+            return None
+        self._note(frame)
+        return self._line
+
+    def _line(self, frame: FrameType, event: str, _: Any) -> Any:
+        self._note(frame)
+        return self._line
+
+    def _note(self, frame: FrameType) -> None:
+        place = (frame.f_code.co_filename, frame.f_lineno)
+        if place not in self.lines:
+            self.lines.add(place)
+            if self.new is not None:
+                self.new(place)
+
+
+def trace_child() -> None:
+    """For a process that a test started: each line is written when it is first run, whatever ends it."""
+    folder = os.environ.get("MUTATION_CHILDREN")
+    if folder:
+        file = (Path(folder) / f"{os.getpid()}.txt").open("a")
+        tracer = Tracer(os.environ["MUTATION_FILES"].split(":"))
+
+        def write(place: tuple[str, int]) -> None:
+            file.write(f"{place[1]}:{place[0]}\n")
+            file.flush()
+
+        tracer.new = write
+        tracer.start()

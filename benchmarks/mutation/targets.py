@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""What is mutated, and by which tests each part is covered: the smallest files that do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Target:
+    """Modules that are mutated, the tests that shall notice, and how many mutants are drawn."""
+
+    modules: tuple[str, ...]
+    tests: tuple[str, ...]
+    number: int = 25
+
+
+TARGETS = {
+    "statistics": Target(
+        (
+            "datagen/multiview/statistics.py",
+            "datagen/multiview/view_selection.py",
+            "datagen/multiview/visibility.py",
+        ),
+        ("tests/datagen/test_multiview_statistics.py", "tests/datagen/test_multiview_visibility.py"),
+        30,
+    ),
+    "merge": Target(
+        (
+            "model/reconstruction/merge/merger.py",
+            "model/reconstruction/merge/medians.py",
+            "model/reconstruction/merge/lane_sort.py",
+        ),
+        ("tests/model/test_reconstruction_merge.py",),
+    ),
+    "irradiance cache": Target(
+        ("datagen/rendering/irradiance_cache.py",), ("tests/datagen/test_rendering_irradiance.py",), 30
+    ),
+    "sky guide": Target(("datagen/rendering/sky_guide.py",), ("tests/datagen/test_rendering_sky.py",)),
+    "light choice": Target(
+        ("datagen/rendering/light_choice.py",), ("tests/datagen/test_rendering_light_choice.py",), 20
+    ),
+    "albedo level": Target(
+        ("model/reconstruction/level/albedo_level.py",),
+        ("tests/model/test_albedo_gains.py",),
+    ),
+    "bilateral solver": Target(("model/bilateral_solver.py",), ("tests/model/test_bilateral_solver.py",)),
+    "BSDF": Target(
+        ("mitsuba_plugins/beckmann.py", "mitsuba_plugins/cook_torrance.py"),
+        ("tests/mitsuba_plugins/test_beckmann.py", "tests/mitsuba_plugins/test_cook_torrance.py"),
+        30,
+    ),
+    "farm": Target(
+        (
+            "datagen/farm/work_unit.py",
+            "datagen/farm/folder.py",
+            "datagen/farm/collect.py",
+            "datagen/farm/status.py",
+            "datagen/farm/slurm.py",
+        ),
+        (
+            "tests/datagen/test_farm_unit.py",
+            "tests/datagen/test_farm_submit.py",
+        ),
+        30,
+    ),
+}
