@@ -70,14 +70,14 @@ def load_mesh(path: Path, budget: Budget | None = None) -> Mesh:
         got = (suffix or "no suffix") if path.is_file() else "no such file"
         remedy = _CONVERT if path.is_file() else "name it with --mesh"
         raise input_error(path, "", got, f"a mesh ({', '.join(MESH_SUFFIXES)})", remedy)
-    mesh = _decoded(path, suffix)
+    mesh = _decoded(path, suffix, budget)
     if not len(mesh.faces):
         got = "points without triangles" if len(mesh.positions) else "no triangles"
         raise input_error(path, "", got, "a mesh", "export the surface, not the point cloud")
     return mesh
 
 
-def _decoded(path: Path, suffix: str) -> Mesh:
+def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
     if suffix == ".ply":
         return read_ply(path, budget)
     if suffix == ".obj":
