@@ -7,12 +7,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.color import LUMINANCE_WEIGHTS
 from model.reconstruction.light.surfels import weighted_medians
 
 GAIN_SURFELS = 20.0
 """Confident surfels that weigh as much as what is known of the surroundings."""
 MIN_RATIO_ALBEDO = 0.02
 """Albedo below which a ratio says nothing."""
+IMPOSSIBLE = (0.1, 0.25)
+"""Impossible share up to which the light counts fully, and from which it does not count."""
 D_EVIDENCE, S_EVIDENCE = (0.5, 0.8), (0.2, 0.5)
 """Share of a surfel's hemisphere that photographs show: below the first number the network's map stays, above
 the second the light's replaces it."""
@@ -24,6 +27,18 @@ def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
     of_d = _ramp(photographed, D_EVIDENCE)
     of_s = _ramp(photographed, S_EVIDENCE)
     return np.stack([of_d, of_s, of_s], axis=1).astype(np.float32)
+
+
+def impossible_share(radiance: NDArray, diffuse: NDArray, confidence: NDArray) -> float:
+    """Share of the surfels, by ``confidence`` (N,), that reflect more than arrives: ``radiance`` (N, 3) above
+    ``diffuse`` (N, 3). Lamps that no photograph shows make it large."""
+    excess = (radiance - diffuse) @ LUMINANCE_WEIGHTS > 0
+    return float((confidence * excess).sum() / max(float(confidence.sum()), 1e-9))
+
+
+def trust_of(share: float) -> float:
+    """Factor of all confidences, out of :func:`impossible_share`."""
+    return 1.0 - float(_ramp(np.array(share), IMPOSSIBLE))
 
 
 def propagated_gain(

@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.confidence import propagated_gain, surfel_confidence
+from model.reconstruction.light.confidence import (
+    impossible_share,
+    propagated_gain,
+    surfel_confidence,
+    trust_of,
+)
 from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
@@ -114,9 +119,12 @@ def _solved_surfels(
     confidence, gain = np.ones_like(albedo), np.ones_like(albedo)
     if options.has_prior:
         confidence = surfel_confidence(lit.irradiance.photographed)
+        share = impossible_share(surfels.radiance, lit.diffuse, confidence[:, 0])
+        confidence *= trust_of(share)
         if not options.is_leveled:
             predicted = segmentation.prior[:, :3]
             gain = propagated_gain(albedo, predicted, confidence[:, 0], segment, segmentation.region)
+            gain **= trust_of(share)
     return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, confidence, gain), albedo
 
 
