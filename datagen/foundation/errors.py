@@ -46,6 +46,8 @@ class Problem:
 
 def _said_of_empty(problem: Problem) -> Problem:
     """What a parser misses in an empty file says nothing; that it is empty does."""
+    if isinstance(problem, str):  # torch passes an error of a loader's process on as its text
+        return problem
     try:
         is_empty = (
             isinstance(problem.where, Path)

@@ -106,12 +106,12 @@ def test_zipped_packages_give_the_same_bytes(
 def test_bad_draws_are_drawn_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     library, place, calls = Library([root]), plan.place_things, []
 
-    def unlucky(room: Any, things: Any, recipe: Any, key: Any, rejections: Any) -> Any:
+    def unlucky(room: Any, things: Any, recipe: Any, key: Any, rejections: Any, weights: Any) -> Any:
         calls.append(key)
         rejections["placement.unstable"] += 3
         if len(calls) < 3:
             raise shortfall("environment", "objects", "0 placed", "more", "")
-        return place(room, things, recipe, key, rejections)
+        return place(room, things, recipe, key, rejections, weights)
 
     first = assemble(recipe(), 1, library)
     monkeypatch.setattr(plan, "place_things", unlucky)

@@ -16,6 +16,7 @@ from model.reconstruction import infer as infer_module
 from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.infer import InferOptions, infer, map_stages
 from model.reconstruction.level.stage import leveled
+from model.reconstruction.light.map_stage import lit
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps, GivenMaps
 from model.reconstruction.stages import Maps, Run
 from oracles.textured_room import room_capture
@@ -29,8 +30,10 @@ def _diffuse(out: Path) -> NDArray:
 
 
 def test_only_predictions_are_corrected() -> None:
-    assert map_stages(CheckpointMaps(Path("weights.safetensors")), OPTIONS) == [leveled]
-    assert map_stages(CheckpointMaps(Path("weights.safetensors")), replace(OPTIONS, is_leveled=False)) == []
+    source = CheckpointMaps(Path("weights.safetensors"))
+    assert map_stages(source, OPTIONS) == [leveled, lit]
+    assert map_stages(source, replace(OPTIONS, materials="network")) == [leveled]
+    assert map_stages(source, replace(OPTIONS, is_leveled=False)) == [lit]
     assert map_stages(TRUTH, OPTIONS) == []
 
 

@@ -121,6 +121,7 @@ def _solved_surfels(
         confidence = surfel_confidence(lit.irradiance.photographed)
         share = impossible_share(surfels.radiance, lit.diffuse, confidence[:, 0])
         confidence *= trust_of(share)
+        confidence[lit.diffuse.max(axis=1) <= 0] = 0  # nothing is known where nothing arrives
         if not options.is_leveled:
             predicted = segmentation.prior[:, :3]
             gain = propagated_gain(albedo, predicted, confidence[:, 0], segment, segmentation.region)

@@ -26,6 +26,8 @@ SIMILAR = 0.35
 """Difference of the logarithm of reflectance at which a surfel's S and R count exp(-1/2)."""
 _MIN_SHADING = 1e-3  # of the room's median: below it nothing is known of a diffuse albedo
 
+_DARK = 1e-12  # keeps 0 / 0 out of the reflectance of a room without light
+
 
 @dataclass(frozen=True)
 class SolvedSurfels:
@@ -60,7 +62,7 @@ def view_materials(
     height, width = view.color.shape[:2]
     names = ("diffuse_albedo", "specular_albedo", "roughness")
     prior = np.concatenate([predicted[name].reshape(height * width, -1) for name in names], axis=1)
-    floor = _MIN_SHADING * float(np.median(solved.diffuse)) if len(solved.diffuse) else 0.0
+    floor = max(_MIN_SHADING * float(np.median(solved.diffuse)), _DARK)
     packed = _pixels(
         np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
         view.geometry.depth_z_m.ravel(),
