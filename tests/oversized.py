@@ -266,9 +266,10 @@ def run(
             stderr=subprocess.STDOUT,
             preexec_fn=limit,
         )
-        deadline = time.monotonic() + 4 * most_seconds
+        deadline, peak_bytes = time.monotonic() + 4 * most_seconds, 0
         try:
             while True:
+                peak_bytes = _peak_bytes(process.pid) or peak_bytes
                 done, status, usage = os.wait4(process.pid, os.WNOHANG)
                 if done:
                     break
@@ -280,7 +281,18 @@ def run(
         log.seek(0)
         text = log.read().decode("utf-8", "replace")
     code = os.waitstatus_to_exitcode(status)
-    return Reading(code, text, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
+    return Reading(code, text, usage.ru_utime + usage.ru_stime, peak_bytes or usage.ru_maxrss * 1024)
+
+
+def _peak_bytes(pid: int) -> int:
+    """Greatest resident memory of a process since its program began, 0 where the system does not say: that of
+    ``wait4`` counts the memory of the parent that it was forked from."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0
+    found = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
+    return 1024 * int(found[0]) if found else 0
 
 
 def main() -> None:
