@@ -132,7 +132,7 @@ class _GlobalLink(nn.Module):
     def __init__(self, global_channels: int, layer_channels: int, has_update: bool):
         super().__init__()
         self.add = nn.Linear(global_channels, layer_channels, bias=False)
-        nn.init.normal_(self.add.weight, 0.0, 0.01 / math.sqrt(global_channels))
+        _draw_normal(self.add.weight, 0.01 / math.sqrt(global_channels))
         self.update: nn.Linear | None = None
         if has_update:
             self.update = _selu_linear(global_channels + layer_channels, global_channels)
@@ -144,16 +144,23 @@ class _GlobalLink(nn.Module):
         return F.selu(self.update(torch.cat([g, mean.to(g.dtype)], dim=1)))
 
 
+def _draw_normal(weights: Tensor, deviation: float, mean: float = 0.0) -> None:
+    # on the meta device, where a checkpoint is checked, drawing would only import torch's compiler (1 s),
+    # which makes a folder in the system's temporary one
+    if not weights.is_meta:
+        nn.init.normal_(weights, mean, deviation)
+
+
 def _selu_linear(num_in: int, num_out: int) -> nn.Linear:
     layer = nn.Linear(num_in, num_out)
-    nn.init.normal_(layer.weight, 0.0, 1.0 / math.sqrt(num_in))  # what SELU needs to keep unit variance
-    nn.init.normal_(layer.bias, 0.0, 0.002)
+    _draw_normal(layer.weight, 1.0 / math.sqrt(num_in))  # the deviation at which SELU keeps unit variance
+    _draw_normal(layer.bias, 0.002)
     return layer
 
 
 def _conv(num_in: int, num_out: int, stride: int) -> nn.Conv2d:
     layer = nn.Conv2d(num_in, num_out, 4, stride=stride, padding=1 if stride == 2 else 0, bias=False)
-    nn.init.normal_(layer.weight, 0.0, 0.02)
+    _draw_normal(layer.weight, 0.02)
     return layer
 
 
@@ -166,7 +173,8 @@ class _Layer(nn.Module):
         self.scale: nn.Parameter | None = None
         self.shift: nn.Parameter | None = None
         if has_norm:
-            self.scale = nn.Parameter(torch.empty(num_out).normal_(1.0, 0.02))
+            self.scale = nn.Parameter(torch.empty(num_out))
+            _draw_normal(self.scale, 0.02, mean=1.0)
             self.shift = nn.Parameter(torch.zeros(num_out))
 
     def modulate(self, x: Tensor, g: Tensor, valid: tuple[int, int]) -> tuple[Tensor, Tensor]:

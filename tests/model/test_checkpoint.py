@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import pickle
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -61,6 +63,15 @@ def test_round_trip(tmp_path, card, with_confidence):
     assert read_card(path) == loaded.card
     assert json.loads(path.with_suffix(".json").read_text())["loss"] == "l1+gradient-ssim-3"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["best.json", "best.safetensors"]
+
+
+def test_a_checkpoint_is_read_without_the_compiler_of_torch(tmp_path, card):
+    save_checkpoint(tmp_path / "best.safetensors", card, MaterialNetwork(TINY))
+    code = (
+        "import sys; from pathlib import Path; from model.checkpoint import load_checkpoint;"
+        "load_checkpoint(Path(sys.argv[1])); sys.exit('torch._dynamo' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "best.safetensors")], check=True)
 
 
 def test_a_published_checkpoint_is_half_as_large_and_names_no_path(tmp_path, card):
