@@ -21,11 +21,12 @@ from typing import Any
 
 import torch
 
+from datagen.formats.view_places import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.checkpoint import load_checkpoint
 from model.networks import TrackName
 from model.training.config import TrainingConfig, parse_overrides, resolve_config
-from model.training.dataset import ViewPlace, buffer_names
+from model.training.dataset import buffer_names
 from model.training.run_log import read_log
 from model.training.sources import TrainingData, open_data, spread
 from model.training.train import Trainer

@@ -22,8 +22,9 @@ import Imath
 import numpy as np
 import OpenEXR
 
+from datagen.formats.view_places import ViewPlace, read_member
 from model.training.config import resolve_config
-from model.training.dataset import ViewPlace, buffer_names, load_view, read_member
+from model.training.dataset import buffer_names, load_view
 from model.training.sources import open_data, spread
 
 BLOCK_ROWS = 16

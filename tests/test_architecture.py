@@ -48,6 +48,7 @@ MATRIX = {
         "model.bilateral_solver": _GROUND,
         "model.confidence": "model.bilateral_solver",
         "model.checkpoint": f"{_GROUND} {_NETWORKS}",
+        "model.loading": _GROUND,
         "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.shading",
         "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder",
         "model.reconstruction.atlas": "datagen.foundation",

@@ -2,8 +2,9 @@
 """Shards: WebDataset tar files with deterministic bytes, one configuration each, and the dataset's index.
 
 A shard holds ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order,
-after ``__meta__/configuration.json`` (WebDataset skips names of that form). Headers are USTAR with fixed
-owner, mode and time.
+after ``__meta__/configuration``: WebDataset skips names in such folders, Hugging Face's `datasets` names
+without a suffix. Headers are USTAR with fixed owner, mode and time. Before result revision 8 that member was
+called ``__meta__/configuration.json``; such shards are read, too.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
 from datagen.foundation.paths import inside
 
-CONFIGURATION_MEMBER = "__meta__/configuration.json"
+CONFIGURATION_MEMBER = "__meta__/configuration"
+CONFIGURATION_MEMBERS = (CONFIGURATION_MEMBER, "__meta__/configuration.json")
+"""The member as it is written, and as older shards have it."""
 INDEX_FILE = "index.json"
 MAX_MEMBER_BYTES = 2 << 30
 _REMEDY = "make the shard again (remove it and rerun), or restore the file"
@@ -136,14 +139,14 @@ class ShardReader:
     def configuration(self) -> Configuration:
         """The configuration that the shard was made from."""
         for name, data in self.members():
-            if name == CONFIGURATION_MEMBER:
+            if name in CONFIGURATION_MEMBERS:
                 return parse_model(Configuration, _json(data, f"{self.path}:{name}"), f"{self.path}:{name}")
         raise InputError(Problem(self.path, CONFIGURATION_MEMBER, "missing", "this member", _REMEDY))
 
     def records(self) -> Iterator[ViewRecord]:
         """The views' records without decoding pixels."""
         for name, data in self.members():
-            if name.endswith(".json") and name != CONFIGURATION_MEMBER:
+            if name.endswith(".json") and name not in CONFIGURATION_MEMBERS:
                 where = f"{self.path}:{name}"
                 yield parse_model(ViewRecord, _json(data, where), where)
 
@@ -153,7 +156,7 @@ class ShardReader:
             stem, _, suffix = name.rpartition(".")
             if suffix == "exr":
                 images[stem] = data
-            elif suffix == "json" and name != CONFIGURATION_MEMBER:
+            elif suffix == "json" and name not in CONFIGURATION_MEMBERS:
                 where = f"{self.path}:{stem}"
                 record = parse_model(ViewRecord, _json(data, where), where)
                 if stem not in images:

@@ -7,12 +7,49 @@ wherever it is made; timings are in the unit's manifest.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 from datagen.formats.base import NonNegative, Slug, StrictModel, Unit
 from datagen.formats.configuration import Split, ViewCamera
+
+
+def _names_from_file(value: Any) -> Any:
+    """A file's list of ids and names as a dictionary; files of version 1 hold the dictionary itself."""
+    if not isinstance(value, list | tuple):
+        return value
+    names: dict[str, str] = {}
+    for entry in value:
+        if not isinstance(entry, dict) or entry.keys() != {"id", "name"} or type(entry["id"]) is not int:
+            raise ValueError('expected entries of the form {"id": 1, "name": "environment/wall"}')
+        if str(entry["id"]) in names:
+            raise ValueError(f"expected every id once, not {entry['id']} twice")
+        names[str(entry["id"])] = entry["name"]
+    return names
+
+
+def _names_to_file(names: dict[str, str]) -> list[dict[str, Any]]:
+    return [{"id": int(key), "name": names[key]} for key in sorted(names, key=int)]
+
+
+_NAMED_ID = {
+    "additionalProperties": False,
+    "properties": {"id": {"minimum": 1, "type": "integer"}, "name": {"type": "string"}},
+    "required": ["id", "name"],
+    "type": "object",
+}
+NamesOfIds = Annotated[
+    dict[Annotated[str, Field(pattern="^[1-9][0-9]*$")], str],
+    BeforeValidator(_names_from_file),
+    PlainSerializer(_names_to_file),
+    WithJsonSchema({"items": _NAMED_ID, "type": "array"}),
+]
+"""Id to name. In files a list of ``{"id": 1, "name": "..."}``, so that all views have one type, whatever ids
+they hold: libraries of columns (Arrow, on which Hugging Face's `datasets` stand) take keys as columns."""
+_T = TypeVar("_T")
+_IfAny = Annotated[_T | None, Field(exclude_if=lambda value: value is None)]
+"""A value that is not written where there is none: a column that begins with nulls would have no type."""
 
 
 class RenderRecord(StrictModel):
@@ -36,13 +73,13 @@ class RenderRecord(StrictModel):
     russian_roulette_depth: int
     denoiser: str
     clipped_pixels: int = 0
-    most_path_samples: Annotated[int, Field(ge=1)] | None = None
-    estimated_rel_mse: NonNegative | None = None
+    most_path_samples: _IfAny[Annotated[int, Field(ge=1)]] = None
+    estimated_rel_mse: _IfAny[NonNegative] = None
     at_ceiling: bool = False
-    firefly_clamp_radiance: NonNegative | None = None
+    firefly_clamp_radiance: _IfAny[NonNegative] = None
     clamped_energy: Unit = 0.0
-    max_energy_left: Unit | None = None
-    irradiance_cell_m: NonNegative | None = None
+    max_energy_left: _IfAny[Unit] = None
+    irradiance_cell_m: _IfAny[NonNegative] = None
 
 
 class StatisticsRecord(StrictModel):
@@ -59,11 +96,12 @@ class ViewRecord(StrictModel):
 
     ``instances`` and ``materials`` map the ids of the id buffers to names (``object/part``, ``slot`` or
     material id). ``exposure`` brings the 95th percentile of luminance to 0.9. ``exr_sha256`` is the hash of
-    the view's EXR file; ``versions`` those of the software that decides pixels.
+    the view's EXR file; ``versions`` those of the software that decides pixels. Version 1, whose names of
+    ids were dictionaries, is read too.
     """
 
     format: Literal["scene-materials/view"] = "scene-materials/view"
-    version: Literal[1] = 1
+    version: Annotated[Literal[2], BeforeValidator(lambda value: 2 if value == 1 else value)] = 2
     configuration: Slug
     name: Slug
     index: Annotated[int, Field(ge=0)]
@@ -71,9 +109,9 @@ class ViewRecord(StrictModel):
     camera: ViewCamera
     exposure: NonNegative
     buffers: tuple[str, ...]
-    instances: dict[str, str]
-    materials: dict[str, str]
+    instances: NamesOfIds
+    materials: NamesOfIds
     render: RenderRecord
-    statistics: StatisticsRecord | None = None
+    statistics: _IfAny[StatisticsRecord] = None
     versions: dict[str, str]
     exr_sha256: str

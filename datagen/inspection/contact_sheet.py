@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
-from datagen.formats.shard import CONFIGURATION_MEMBER, INDEX_FILE, Dataset, ShardReader
+from datagen.formats.shard import INDEX_FILE, Dataset, ShardReader
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import InputError, Problem
@@ -238,7 +238,7 @@ def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
     for member, data in reader.members():
         stem, _, suffix = member.rpartition(".")
         view = stem.rpartition("/")[2]
-        if suffix == "exr" and view in wanted and member != CONFIGURATION_MEMBER:
+        if suffix == "exr" and view in wanted:
             buffers[view] = decode_view(data)
     missing = [Problem(f"{shard}:{name}.exr", "", "missing", "a view") for name in wanted - buffers.keys()]
     if missing:

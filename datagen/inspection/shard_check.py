@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import ModelT, parse_model, sha256_file, sha256_hex
 from datagen.formats.configuration import Configuration
-from datagen.formats.shard import CONFIGURATION_MEMBER, ShardReader, ShardRecord
+from datagen.formats.shard import CONFIGURATION_MEMBER, CONFIGURATION_MEMBERS, ShardReader, ShardRecord
 from datagen.formats.view import ViewRecord
 from datagen.foundation.buffers import STATISTICS_BUFFERS
 from datagen.foundation.errors import InputError
@@ -107,7 +107,7 @@ class _ShardVerifier:
     def read_member(self, name: str, data: bytes) -> None:
         where = f"{self.where}:{name}"
         stem, _, suffix = name.rpartition(".")
-        if name == CONFIGURATION_MEMBER:
+        if name in CONFIGURATION_MEMBERS:
             self.configuration = self.parse(Configuration, data, where)
         elif suffix == "exr":
             self.images[stem] = data

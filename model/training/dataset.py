@@ -15,11 +15,9 @@ scalars.
 from __future__ import annotations
 
 import json
-import tarfile
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -28,8 +26,8 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from datagen.formats.base import parse_model
-from datagen.formats.shard import CONFIGURATION_MEMBER
 from datagen.formats.view import ViewRecord
+from datagen.formats.view_places import ViewPlace, read_member
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.exr import decode_view
@@ -47,54 +45,6 @@ def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
     """Buffers that training reads from a view."""
     statistics = COLOR_STATISTICS if network.uses_statistics else ()
     return ("beauty", *statistics, *MATERIAL_MAPS, *_GEOMETRY_BUFFERS)
-
-
-@dataclass(frozen=True)
-class ViewPlace:
-    """Where a view's two members lie in a tar: offsets and sizes in bytes."""
-
-    shard: Path
-    name: str
-    exr: tuple[int, int]
-    record: tuple[int, int]
-
-
-def index_shard(path: Path) -> list[ViewPlace]:
-    """The views of a shard, from the tar's headers alone. ``InputError`` where the tar is damaged."""
-    members: dict[str, dict[str, tuple[int, int]]] = {}
-    try:
-        with tarfile.open(path, mode="r:") as tar:
-            for info in tar:
-                if info.name == CONFIGURATION_MEMBER or not info.isreg():
-                    continue
-                stem, _, suffix = info.name.rpartition(".")
-                members.setdefault(stem, {})[suffix] = (info.offset_data, info.size)
-    except (tarfile.TarError, EOFError, OSError, ValueError) as error:
-        raise input_error(path, "", str(error), "an intact shard (.tar)", "make the shard again") from None
-    size = path.stat().st_size
-    places, problems = [], []
-    for stem, parts in members.items():
-        if set(parts) != {"exr", "json"}:
-            problems.append(Problem(path, stem, ", ".join(sorted(parts)), "one .exr and one .json", _REMEDY))
-        elif max(offset + length for offset, length in parts.values()) > size:
-            problems.append(Problem(path, stem, "cut off", "a whole member", "make the shard again"))
-        else:
-            places.append(ViewPlace(path, stem, parts["exr"], parts["json"]))
-    if not members:
-        problems.append(Problem(path, "", "no views", "at least one", "make the shard again"))
-    if problems:
-        raise InputError(*problems)
-    return places
-
-
-def read_member(place: ViewPlace, part: tuple[int, int]) -> bytes:
-    """The bytes of one member (offset, size) of a view."""
-    with place.shard.open("rb") as file:
-        file.seek(part[0])
-        data = file.read(part[1])
-    if len(data) != part[1]:
-        raise input_error(place.shard, place.name, "cut off", "a whole member", _REMEDY)
-    return data
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ from datagen.formats.configuration import Split
 from datagen.formats.shard import INDEX_FILE
 from datagen.formats.shard import Dataset as DatasetFolder
 from datagen.formats.view import ViewRecord
+from datagen.formats.view_places import ViewPlace, index_shard, read_member
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.checkpoint import DataRecord
 from model.networks import NetworkConfig
-from model.training.dataset import ViewPlace, buffer_names, index_shard, read_member
+from model.training.dataset import buffer_names
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from datagen.formats.view_places import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.bilateral_solver import SolverConfig
 from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
 from model.networks import MaterialNetwork, TrackName, encode_color
-from model.training.dataset import ViewPlace, load_view, view_sample
+from model.training.dataset import load_view, view_sample
 
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 """From a batch of buffers to maps by name."""

@@ -109,17 +109,6 @@ def test_shard_bytes_are_deterministic_and_read_back(tmp_path: Path) -> None:
         assert all(m.mtime == 0 and m.uid == 0 and m.uname == "" for m in tar)
 
 
-def test_webdataset_reads_a_shard(tmp_path: Path) -> None:
-    import webdataset
-
-    configuration = make_configuration(num_views=2)
-    path = tmp_path / "shard.tar"
-    with path.open("wb") as file:
-        write_shard(file, canonical_json(configuration), make_view_files(tmp_path, configuration))
-    samples = list(webdataset.WebDataset(str(path), shardshuffle=False))
-    assert [sorted(k for k in s if not k.startswith("__")) for s in samples] == [["exr", "json"]] * 2
-
-
 def test_truncated_shard_is_refused(tmp_path: Path) -> None:
     configuration = make_configuration(num_views=2)
     path = tmp_path / "shard.tar"

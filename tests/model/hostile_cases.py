@@ -19,6 +19,7 @@ from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.capture import CaptureFile, MeshRecord, PhotographRecord
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.package import write_package
+from datagen.formats.view_places import index_shard
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.exr import encode_view
 from datagen.foundation.images import encode_png
@@ -28,7 +29,7 @@ from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.captures.mesh_file import load_mesh, sound_mesh
 from model.reconstruction.captures.photographs import PhotographSource, relative_exposure
-from model.training.dataset import index_shard, load_view
+from model.training.dataset import load_view
 from model.training.run_state import RunProgress, load_state, save_state
 from tests.datagen.small_library import box, with_uv
 from tests.hostile import (

@@ -9,6 +9,7 @@ import torch
 
 from datagen.formats.base import read_json
 from datagen.formats.shard import DatasetIndex, ShardReader
+from datagen.formats.view_places import index_shard
 from datagen.foundation.errors import InputError
 from model.networks import NetworkConfig
 from model.training.config import DataConfig
@@ -17,7 +18,6 @@ from model.training.dataset import (
     CropDataset,
     CropOrder,
     flip_sample,
-    index_shard,
     load_view,
     make_loader,
     view_sample,

@@ -217,7 +217,7 @@ REPORT.viewer = (() => {
     document.title = `${id} / ${name}: ${REPORT.summary.name}`;
     tellExposure();
     const { render } = view, { number } = REPORT.charts;
-    ui.facts.textContent = [`${width} × ${height} pixels`, `${render.path_samples} light paths a pixel`, render.estimated_rel_mse === null ? null : `estimated error ${number(render.estimated_rel_mse)}`,
+    ui.facts.textContent = [`${width} × ${height} pixels`, `${render.path_samples} light paths a pixel`, render.estimated_rel_mse == null ? null : `estimated error ${number(render.estimated_rel_mse)}`,
       `${number(render.clipped_pixels)} clipped pixels`, `exposure ${number(view.exposure)}`].filter(Boolean).join(", ");
     await load(cursor);
   }

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: MIT
+"""Views a second that one core decodes for training: three buffers of each, as stored and as tensors.
+
+    python -m benchmarks.bench_decoding DATASET [--buffers beauty diffuse_albedo roughness] [--views 40]
+
+Processor time with one thread; medians over views, after a first pass that fills the file cache. ``decode``
+is EXR bytes to arrays, ``view`` adds reading and checking the view's JSON, ``crop`` adds a crop of 128 pixels
+as tensors (half of the shorter side where that is less).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from datagen.formats.view_places import read_member
+from datagen.foundation.exr import decode_view
+from model.loading import ViewStream, read_view
+
+
+def processor_ms(action: Callable[[], object]) -> float:
+    """Of one call."""
+    start = time.process_time()
+    action()
+    return (time.process_time() - start) * 1e3
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--buffers", nargs="+", default=["beauty", "diffuse_albedo", "roughness"])
+    parser.add_argument("--views", type=int, default=40)
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    import torch
+
+    torch.set_num_threads(1)
+    places = ViewStream([args.dataset], args.buffers, split=None).places[: args.views]
+    camera = read_view(places[0], args.buffers)[0].camera
+    stream = ViewStream([args.dataset], args.buffers, split=None, shuffle=False)
+    stream.crop_px = min(128, min(camera.width_px, camera.height_px) // 2)
+    members = [read_member(place, place.exr) for place in places]
+    result: dict[str, object] = {"size_px": [camera.width_px, camera.height_px], "buffers": args.buffers}
+    crops = iter(stream)
+    for name, times in {
+        "decode": [processor_ms(lambda m=m: decode_view(m, args.buffers, num_threads=1)) for m in members],  # type: ignore[misc]
+        "view": [processor_ms(lambda p=p: read_view(p, args.buffers)) for p in places],  # type: ignore[misc]
+        "crop": [sum(processor_ms(lambda: next(crops)) for _ in places) / len(places)],
+    }.items():
+        each = statistics.median(times)
+        result[name] = {"ms": round(each, 2), "views_per_second": round(1e3 / each, 1)}
+        print(f"{name:7} {each:6.2f} ms a view, {1e3 / each:6.0f} views/s a core")
+    if args.out:
+        args.out.write_text(json.dumps(result, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

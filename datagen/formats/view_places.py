@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""Where the views of a shard lie in its tar: any view is read without those before it."""
+
+from __future__ import annotations
+
+import tarfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.formats.shard import CONFIGURATION_MEMBERS
+from datagen.foundation.errors import InputError, Problem, input_error
+
+_REMEDY = "make the shard again"
+
+
+@dataclass(frozen=True)
+class ViewPlace:
+    """Where a view's two members lie in a tar: offsets and sizes in bytes."""
+
+    shard: Path
+    name: str
+    exr: tuple[int, int]
+    record: tuple[int, int]
+
+
+def index_shard(path: Path) -> list[ViewPlace]:
+    """The views of a shard, from the tar's headers alone. ``InputError`` where the tar is damaged."""
+    members: dict[str, dict[str, tuple[int, int]]] = {}
+    try:
+        with tarfile.open(path, mode="r:") as tar:
+            for info in tar:
+                if info.name in CONFIGURATION_MEMBERS or not info.isreg():
+                    continue
+                stem, _, suffix = info.name.rpartition(".")
+                members.setdefault(stem, {})[suffix] = (info.offset_data, info.size)
+    except (tarfile.TarError, EOFError, OSError, ValueError) as error:
+        raise input_error(path, "", str(error), "an intact shard (.tar)", _REMEDY) from None
+    size = path.stat().st_size
+    places, problems = [], []
+    for stem, parts in members.items():
+        if set(parts) != {"exr", "json"}:
+            problems.append(Problem(path, stem, ", ".join(sorted(parts)), "one .exr and one .json", _REMEDY))
+        elif max(offset + length for offset, length in parts.values()) > size:
+            problems.append(Problem(path, stem, "cut off", "a whole member", _REMEDY))
+        else:
+            places.append(ViewPlace(path, stem, parts["exr"], parts["json"]))
+    if not members:
+        problems.append(Problem(path, "", "no views", "at least one", _REMEDY))
+    if problems:
+        raise InputError(*problems)
+    return places
+
+
+def read_member(place: ViewPlace, part: tuple[int, int]) -> bytes:
+    """The bytes of one member (offset, size) of a view."""
+    with place.shard.open("rb") as file:
+        file.seek(part[0])
+        data = file.read(part[1])
+    if len(data) != part[1]:
+        raise input_error(place.shard, place.name, "cut off", "a whole member", _REMEDY)
+    return data
