@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from datagen.exports.command import export
 from datagen.farm.commands import farm
 from datagen.farm.new_recipe import recipe as recipe_verbs
 from datagen.foundation.command_line import run_command
@@ -553,6 +554,7 @@ def schema(
 
 
 app.command()(tradeoff)
+app.command()(export)
 app.add_typer(farm, name="farm")
 app.add_typer(recipe_verbs, name="recipe")
 

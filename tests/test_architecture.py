@@ -38,7 +38,9 @@ MATRIX = {
         "datagen.farm": f"{_RENDER} datagen.assembly",
         "datagen.inspection": f"{_RENDER} datagen.farm",
         "datagen.tradeoff": f"{_RENDER} datagen.farm",
-        "datagen.cli": f"{_LIBRARY} datagen.farm datagen.importers datagen.inspection datagen.tradeoff",
+        "datagen.exports": f"{_LIBRARY} datagen.farm.folder",
+        "datagen.cli": f"{_LIBRARY} datagen.exports datagen.farm datagen.importers datagen.inspection "
+        "datagen.tradeoff",
         "datagen.__main__": "datagen.cli",
         "mitsuba_plugins": "datagen.foundation",
         "blender_addon": "",

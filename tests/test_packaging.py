@@ -24,6 +24,7 @@ else:  # pytest brings it there
     import tomli as tomllib
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+USER_EXTRAS = ("train", "heic", "export", "blender")
 PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
 MODULES = {
     "opencv-contrib-python-headless": "cv2", "Pillow": "PIL", "PyYAML": "yaml", "python-fcl": "fcl",
@@ -65,16 +66,14 @@ def _module_of(distribution: str) -> str:
 def test_the_packages_import_every_dependency() -> None:
     """What only tests, benchmarks or the documentation import is in their extras."""
     imported = _imported()
-    user_extras = [PROJECT["optional-dependencies"][extra] for extra in ("train", "heic", "blender")]
+    user_extras = [PROJECT["optional-dependencies"][extra] for extra in USER_EXTRAS]
     for distribution in _names([*PROJECT["dependencies"], *(r for extra in user_extras for r in extra)]):
         assert _module_of(distribution) in imported, f"nothing imports {distribution}"
 
 
 def test_every_import_is_a_dependency() -> None:
     extras = PROJECT["optional-dependencies"]
-    declared = _names(
-        [*PROJECT["dependencies"], *(r for e in ("train", "heic", "blender") for r in extras[e])]
-    )
+    declared = _names([*PROJECT["dependencies"], *(r for e in USER_EXTRAS for r in extras[e])])
     modules = {_module_of(distribution).split(".")[0] for distribution in declared}
     for name, path in _imported().items():
         top = name.split(".")[0]
@@ -89,7 +88,7 @@ def test_the_doctor_looks_for_what_is_required() -> None:
 
 def test_users_extras_pin_nothing() -> None:
     """A pin conflicts with environments that have another version; constraints.txt pins for the tests."""
-    for extra in ("train", "heic", "blender"):
+    for extra in USER_EXTRAS:
         for requirement in PROJECT["optional-dependencies"][extra]:
             assert "==" not in requirement.split(";")[0], requirement
     assert not any("==" in requirement for requirement in PROJECT["dependencies"])

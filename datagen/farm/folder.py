@@ -260,3 +260,12 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
         "versions": versions,
     }
     return sha256_hex(canonical_json(parts))
+
+
+def library_of(path: Path) -> list[Path] | None:
+    """Library folders that a dataset folder was made from, or None where they are not there any more."""
+    try:
+        paths = [Path(p) for p in DatasetFolder(path).read_record().library_paths]
+    except InputError:
+        return None
+    return paths if all(p.exists() for p in paths) else None

@@ -24,6 +24,7 @@ REQUIRED = (
 OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
+    "export": ("exports to Hypersim's layout", ("h5py",)),
     "blender": ("the exporter, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
 }
 """Extras: what for, and the packages that tell whether they are there."""

@@ -218,6 +218,8 @@ def verify_command(
     from datagen.library import Library
 
     if library_paths is None:
+        from datagen.farm.folder import library_of
+
         library_paths = library_of(path)
     if not library_paths:
         report = _verify_with_progress(path, None, workers, as_json)
@@ -229,17 +231,6 @@ def verify_command(
     else:
         print_report(report)
     return report.exit_code(strict)
-
-
-def library_of(path: Path) -> list[Path] | None:
-    """Library folders that a dataset folder was made from, or None where they are not there any more."""
-    from datagen.farm.folder import DatasetFolder
-
-    try:
-        paths = [Path(p) for p in DatasetFolder(path).read_record().library_paths]
-    except InputError:
-        return None
-    return paths if all(p.exists() for p in paths) else None
 
 
 def _verify_with_progress(path: Path, library: Library | None, workers: int, is_quiet: bool) -> Report:

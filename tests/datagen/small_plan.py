@@ -21,8 +21,15 @@ from tests.datagen.small_library import write_small_library
 SIZE = (64, 48)
 
 
-def plan_small(root: Path, library_root: Path, num_units: int = 3, num_views: int = 3) -> DatasetFolder:
-    """Write library (once) and plan; the same arguments give the same units."""
+def plan_small(
+    root: Path,
+    library_root: Path,
+    num_units: int = 3,
+    num_views: int = 3,
+    objects: tuple[PlacedAsset, ...] = (),
+) -> DatasetFolder:
+    """Write library (once) and plan; the same arguments give the same units. With ``objects`` all cameras
+    look at their middle."""
     if not library_root.exists():
         write_small_library(library_root)
     library = Library([library_root])
@@ -49,6 +56,9 @@ def plan_small(root: Path, library_root: Path, num_units: int = 3, num_views: in
         cameras = []
         for view in range(num_views):
             eye, target = rng.uniform(region.minimum_m, region.maximum_m, (2, 3))
+            if objects:
+                places = [np.array(p.world_from_asset)[:3, 3] for p in objects]
+                target = np.mean(places, axis=0) + np.array([0, 0, 0.5])
             camera = Camera(*SIZE, 40.0, 40.0, SIZE[0] / 2, SIZE[1] / 2, look_at(eye, target))
             cameras.append(ViewCamera.from_camera(f"view-{view:03d}", camera))
         middle = np.mean([region.minimum_m, region.maximum_m], axis=0)
@@ -60,7 +70,8 @@ def plan_small(root: Path, library_root: Path, num_units: int = 3, num_views: in
             environment=PlacedAsset(name="environment", asset=room.id),
             lights=(lamp,),
             cameras=tuple(cameras),
-            assets={room.id: room.sha256},
+            objects=objects,
+            assets={p: library.package(p).sha256 for p in sorted({room.id, *(o.asset for o in objects)})},
         )
         path = folder.configuration_path(configuration.id)
         write_bytes_atomically(path, canonical_json(configuration))

@@ -36,7 +36,7 @@ def report_command(
     is_dry_run: bool = False,
 ) -> int:
     """Write the report with a progress bar and say where it is; returns the exit code."""
-    from datagen.inspection.verify import library_of
+    from datagen.farm.folder import library_of
     from datagen.library import Library
 
     index = Dataset(folder).index

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: MIT
+"""3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` and so on.
+
+Millimetres, camera x right, y down, z forward, as here. BOP's poses are rigid: an object that was placed at
+another scale is a model of its own. ``boxes3d.json`` beside holds every object's box in the world, in metres,
+seen or not. ``mask_visib`` and ``bbox_visib`` are of visible pixels, ``bbox_obj`` of the whole silhouette.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.exports.rooms import Export, Room, RoomView
+from datagen.formats.asset import EnvironmentAsset, ObjectAsset
+from datagen.formats.configuration import PlacedAsset
+from datagen.foundation.errors import input_error
+from datagen.foundation.images import encode_png
+from datagen.foundation.meshes.mesh import Mesh, joined
+from datagen.foundation.meshes.ply import decode_ply, encode_ply
+
+ModelKey = tuple[str, tuple[float, float, float]]
+"""Asset and scale along its axes."""
+
+
+def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
+    """(4, 4) rigid world_from_object, and the scale that the object has along its own axes. Raises
+    :class:`InputError` for a sheared or mirrored object."""
+    matrix = np.asarray(placed.world_from_asset, dtype=np.float64)
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    pose = matrix.copy()
+    pose[:3, :3] /= scale
+    if not np.allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-6) or np.linalg.det(pose) < 0:
+        raise input_error(placed.name, "world_from_asset", "sheared or mirrored", "rotation, scale and place")
+    return pose, tuple(round(float(s), 6) for s in scale)  # type: ignore[return-value]
+
+
+class BopFiles:
+    """Numbers the models of an export, then writes a scene a room; :meth:`finish` writes the models."""
+
+    def __init__(self, export: Export):
+        self.export = export
+        self.library = export.need_library("bop")
+        keys = {self.key(placed) for room in export for placed in room.objects().values()}
+        self.numbers: dict[ModelKey, int] = {key: k for k, key in enumerate(sorted(keys), start=1)}
+        self.meshes: dict[str, Mesh] = {}
+        self.num_scenes: dict[str, int] = {}
+
+    def key(self, placed: PlacedAsset) -> ModelKey:
+        return placed.asset, pose_and_scale(placed)[1]
+
+    def mesh(self, key: ModelKey) -> Mesh:
+        """A model in metres at its scale, in the asset's frame."""
+        asset_id, scale = key
+        if asset_id not in self.meshes:
+            package = self.library.package(asset_id)
+            assert isinstance(package.asset, ObjectAsset | EnvironmentAsset)
+            parts = []
+            for part in package.asset.parts:
+                mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
+                bare = Mesh(mesh.positions, mesh.faces, None, None)
+                parts.append(bare.transformed(np.asarray(part.asset_from_part, dtype=np.float64)))
+            self.meshes[asset_id] = joined(parts)
+        return self.meshes[asset_id].transformed(np.diag([*scale, 1.0]))
+
+    def add(self, room: Room) -> None:
+        """A scene: pictures, depth, masks, poses and boxes."""
+        number = self.num_scenes.get(room.split, 0)
+        self.num_scenes[room.split] = number + 1
+        folder = f"{room.split}/{number:06d}"
+        objects = {
+            name: (*pose_and_scale(placed), self.key(placed)) for name, placed in room.objects().items()
+        }
+        corners = {name: self.mesh(key).positions.astype(np.float64) for name, (_, _, key) in objects.items()}
+        boxes = []
+        for name, (pose, scale, key) in objects.items():
+            low, high = corners[name].min(0), corners[name].max(0)
+            boxes.append(
+                {
+                    "instance": name,
+                    "asset": key[0],
+                    "obj_id": self.numbers[key],
+                    "scale": scale,
+                    "world_from_object": pose.tolist(),
+                    "center_m": (pose[:3, :3] @ ((low + high) / 2) + pose[:3, 3]).tolist(),
+                    "size_m": (high - low).tolist(),
+                    "rotation": pose[:3, :3].tolist(),
+                }
+            )
+        self.export.write_json(
+            f"{folder}/boxes3d.json", {"configuration": room.configuration.id, "boxes": boxes}
+        )
+        tables: dict[str, dict[str, Any]] = {"scene_camera": {}, "scene_gt": {}, "scene_gt_info": {}}
+        for image, view in enumerate(room.views):
+            camera_entry, poses, infos = self.view(folder, image, view, objects, corners)
+            for table, entry in zip(tables.values(), (camera_entry, poses, infos), strict=True):
+                table[str(image)] = entry
+        for name, table in tables.items():
+            self.export.write_json(f"{folder}/{name}.json", table)
+
+    def view(
+        self,
+        folder: str,
+        image: int,
+        view: RoomView,
+        objects: dict[str, tuple[NDArray[np.float64], tuple[float, float, float], ModelKey]],
+        corners: dict[str, NDArray[np.float64]],
+    ) -> tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]:
+        """Write a view's images; returns its entries of the three tables."""
+        camera = view.camera
+        buffers = view.read("beauty", "depth_z_m", "instance_id")
+        depth_mm = buffers["depth_z_m"][..., 0].astype(np.float64) * 1e3
+        unit_mm = max(0.1, float(depth_mm.max()) / 65535)
+        self.export.write_picture(f"{folder}/rgb/{image:06d}.png", buffers["beauty"], view.record.exposure)
+        stored = np.clip(depth_mm / unit_mm + 0.5, 0, 65535).astype(np.uint16)
+        self.export.write(f"{folder}/depth/{image:06d}.png", encode_png(stored))
+        ids = buffers["instance_id"][..., 0]
+        id_of = {name: int(key) for key, name in view.record.instances.items()}
+        poses: list[dict[str, Any]] = []
+        infos: list[dict[str, Any]] = []
+        for name, (pose, _, key) in objects.items():
+            mask = ids == id_of.get(name, 0)
+            if name not in id_of or not mask.any():
+                continue
+            camera_from_object = camera.camera_from_world @ pose
+            label = f"{folder}/mask_visib/{image:06d}_{len(poses):06d}.png"
+            self.export.write(label, encode_png(np.where(mask, 255, 0).astype(np.uint8)))
+            poses.append(
+                {
+                    "cam_R_m2c": camera_from_object[:3, :3].ravel().tolist(),
+                    "cam_t_m2c": (1e3 * camera_from_object[:3, 3]).tolist(),
+                    "obj_id": self.numbers[key],
+                }
+            )
+            pixels, depth = camera.project(corners[name] @ pose[:3, :3].T + pose[:3, 3])
+            infos.append(
+                {
+                    "bbox_obj": _box(pixels[:, 0], pixels[:, 1]) if depth.min() > 0 else [-1, -1, -1, -1],
+                    "bbox_visib": _box_of(mask),
+                    "px_count_visib": int(mask.sum()),
+                    "px_count_valid": int((mask & (depth_mm > 0)).sum()),
+                }
+            )
+        rotation, place = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+        lens = [camera.fx_px, 0.0, camera.cx_px, 0.0, camera.fy_px, camera.cy_px, 0.0, 0.0, 1.0]
+        lens[2], lens[5] = lens[2] - 0.5, lens[5] - 0.5  # BOP counts from the centre of the first pixel
+        entry = {"cam_K": lens, "depth_scale": unit_mm}
+        entry |= {"cam_R_w2c": rotation.ravel().tolist(), "cam_t_w2c": (1e3 * place).tolist()}
+        return entry, poses, infos
+
+    def finish(self) -> None:
+        """Write the models in millimetres, and what is known of each."""
+        infos: dict[str, Any] = {}
+        for key, number in self.numbers.items():
+            mesh = self.mesh(key).transformed(np.diag([1e3, 1e3, 1e3, 1.0]))
+            low, high = mesh.positions.min(0), mesh.positions.max(0)
+            infos[str(number)] = {
+                "diameter": float(np.linalg.norm(high - low)),
+                **{f"min_{axis}": float(low[k]) for k, axis in enumerate("xyz")},
+                **{f"size_{axis}": float(high[k] - low[k]) for k, axis in enumerate("xyz")},
+                "asset": key[0],
+                "scale": key[1],
+            }
+            self.export.write(f"models/obj_{number:06d}.ply", encode_ply(mesh))
+        self.export.write_json("models/models_info.json", infos)
+
+
+def _box(x: NDArray, y: NDArray) -> list[int]:
+    left, top = int(np.floor(x.min())), int(np.floor(y.min()))
+    return [left, top, int(np.ceil(x.max())) - left, int(np.ceil(y.max())) - top]
+
+
+def _box_of(mask: NDArray[np.bool_]) -> list[int]:
+    rows, columns = np.nonzero(mask)
+    return _box(np.array([columns.min(), columns.max() + 1]), np.array([rows.min(), rows.max() + 1]))

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: MIT
+"""The verb ``datagen export``; heavy imports happen in the body."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional
+
+import typer
+
+if TYPE_CHECKING:
+    from datagen.exports.rooms import Export
+
+FORMATS = {
+    "hypersim": "folders like Hypersim's: HDF5 for each frame and quantity (extra `export`)",
+    "nerfstudio": "a folder a room with transforms.json, pictures, depth and points",
+    "coco": "boxes and masks of objects",
+    "bop": "3D boxes, poses and meshes of objects (needs the library)",
+    "flow": "optical flow between views that overlap, with masks of what is visible",
+}
+
+
+def export(
+    layout: Annotated[str, typer.Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
+    folder: Annotated[Path, typer.Argument(help="Dataset folder.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    split: Annotated[Optional[str], typer.Option(help="train, validation or test; all if left out.")] = None,  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
+    configuration: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--configuration", help="Id of a configuration, repeatable; all if left out."),
+    ] = None,
+    library: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--library", help="Library folder, repeatable; the dataset's own if left out."),
+    ] = None,
+    neighbours: Annotated[int, typer.Option(min=1, help="Flow: views that each view flows to.")] = 2,
+    min_overlap: Annotated[
+        float, typer.Option(min=0, max=1, help="Flow: least share of a view that the other sees.")
+    ] = 0.2,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be written and stop.")] = False,
+) -> None:
+    """Write a dataset in the layout of another tool: Hypersim, nerfstudio, COCO, BOP, or optical flow.
+
+    Example: datagen export coco rooms --out rooms-coco
+    """
+    from datagen.exports.rooms import Export, claim_folder, open_rooms
+    from datagen.formats.configuration import Split
+    from datagen.foundation.command_line import check_choices
+    from datagen.foundation.progress import ProgressBar
+    from datagen.library import Library
+
+    check_choices({"FORMAT": (layout, tuple(FORMATS))})
+    if split is not None:
+        check_choices({"--split": (split, tuple(Split.__args__))})  # type: ignore[attr-defined]
+    rooms = open_rooms(folder, split, configuration or ())  # type: ignore[arg-type]
+    typer.echo(f"{out}: {len(rooms)} configurations as {layout}: {FORMATS[layout]}")
+    if dry_run:
+        return
+    with ExitStack() as stack:
+        paths = _library_paths(folder, library)
+        opened = stack.enter_context(Library(paths)) if paths else None
+        job = Export(rooms, out, opened, neighbours, min_overlap)
+        write = _writer(layout, job)
+        claim_folder(out, layout, folder, {"split": split or "all"})
+        with ProgressBar(f"exporting to {layout}", len(rooms), "configurations") as bar:
+            for number, room in enumerate(rooms, start=1):
+                write.add(room)
+                bar.set(number)
+        write.finish()
+    typer.echo(f"{out}: {job.num_files} files written")
+
+
+class _RoomByRoom:
+    """Formats without files over all rooms."""
+
+    def __init__(self, job: Export, function: Any):
+        self.job, self.function = job, function
+
+    def add(self, room: Any) -> None:
+        self.function(self.job, room)
+
+    def finish(self) -> None:
+        """Nothing is left to write."""
+
+
+def _writer(layout: str, job: Export) -> Any:
+    if layout == "hypersim":
+        from datagen.exports.hypersim import HypersimFiles
+
+        return HypersimFiles(job)
+    if layout == "coco":
+        from datagen.exports.coco import CocoFiles
+
+        return CocoFiles(job)
+    if layout == "bop":
+        from datagen.exports.bop import BopFiles
+
+        return BopFiles(job)
+    if layout == "nerfstudio":
+        from datagen.exports.nerfstudio import export_nerfstudio
+
+        return _RoomByRoom(job, export_nerfstudio)
+    from datagen.exports.flow import export_flow
+
+    return _RoomByRoom(job, export_flow)
+
+
+def _library_paths(folder: Path, library: list[str] | None) -> list[Path]:
+    from datagen.farm.folder import library_of
+    from datagen.library import resolve_library_paths
+
+    if library:
+        return list(resolve_library_paths(library, Path.cwd()))
+    return library_of(folder) or []

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+"""Optical flow between views of a room, exact, from depth and cameras: Middlebury ``.flo`` and masks.
+
+flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel of ``a`` that shows a surface
+in front of ``b``; 1e10 elsewhere, which the format calls unknown. A mask beside says where ``b`` sees the
+point: the pixel there shows the same instance, and the point lies in the plane of its surface.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.exports.rooms import Export, Room
+from datagen.foundation.cameras import Camera
+from datagen.foundation.images import encode_png
+
+UNKNOWN = 1e10
+_COARSE = 8
+_PLANE_TOLERANCE = 4e-3  # of the distance: half floats hold normals to 1e-3, and pixels are 1e-3 to 3e-3 wide
+_NAMES = ("depth_z_m", "normal_world", "instance_id")
+
+
+def flow_between(
+    camera_a: Camera,
+    buffers_a: dict[str, NDArray],
+    camera_b: Camera,
+    buffers_b: dict[str, NDArray],
+    step: int = 1,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Flow (h, w, 2) of every ``step``-th pixel of ``a`` and whether ``b`` sees its point, (h, w)."""
+    depth = buffers_a["depth_z_m"][::step, ::step, 0].astype(np.float64)
+    pixels = camera_a.pixel_centers()[::step, ::step]
+    points = camera_a.unproject(pixels, depth)
+    ends, depth_b = camera_b.project(points)
+    known = (depth > 0) & (depth_b > 1e-6)
+    flow = np.where(known[..., None], ends - pixels, UNKNOWN)
+    column, row = (np.floor(np.where(known, ends[..., k], -1.0)).astype(np.int64) for k in (0, 1))
+    inside = known & (column >= 0) & (row >= 0) & (column < camera_b.width_px) & (row < camera_b.height_px)
+    column, row = np.where(inside, column, 0), np.where(inside, row, 0)
+    seen_depth = buffers_b["depth_z_m"][row, column, 0].astype(np.float64)
+    seen = camera_b.unproject(np.stack([column, row], axis=-1) + 0.5, seen_depth)
+    normal = buffers_b["normal_world"][row, column].astype(np.float64)
+    distance = np.linalg.norm(points - camera_b.position_m, axis=-1)
+    is_in_plane = np.abs(((points - seen) * normal).sum(-1)) < _PLANE_TOLERANCE * distance
+    same = buffers_b["instance_id"][row, column, 0] == buffers_a["instance_id"][::step, ::step, 0]
+    near = np.linalg.norm(points - seen, axis=-1) < 0.05 * distance  # the plane's other end is another place
+    is_seen = inside & (seen_depth > 0) & is_in_plane & same & near
+    return flow.astype(np.float32), is_seen
+
+
+def encode_flo(flow: NDArray[np.float32]) -> bytes:
+    """Middlebury's format: "PIEH", width, height, then u and v of each pixel in rows."""
+    height, width = flow.shape[:2]
+    return b"PIEH" + struct.pack("<ii", width, height) + flow.astype("<f4").tobytes()
+
+
+def decode_flo(data: bytes) -> NDArray[np.float32]:
+    """Flow (H, W, 2) of a ``.flo`` file."""
+    if data[:4] != b"PIEH":
+        raise ValueError("not a .flo file")
+    width, height = struct.unpack_from("<ii", data, 4)
+    return np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2)
+
+
+def export_flow(export: Export, room: Room) -> None:
+    """Each view's flow to the ``neighbours`` views that see most of it, if that is ``min_overlap``."""
+    name, views = room.configuration.id, room.views
+    read = [view.read(*_NAMES) for view in views]
+    cameras = [view.camera for view in views]
+    pairs = []
+    for a, view in enumerate(views):
+        shares = []
+        for b in range(len(views)):
+            if a != b:
+                _, is_seen = flow_between(cameras[a], read[a], cameras[b], read[b], _COARSE)
+                shares.append((-float(is_seen.mean()), b))
+        export.write_picture(
+            f"{name}/images/{view.record.name}.png", view.read("beauty")["beauty"], room.exposure
+        )
+        for share, b in sorted(shares)[: export.neighbours]:
+            if -share < export.min_overlap:
+                continue
+            flow, is_seen = flow_between(cameras[a], read[a], cameras[b], read[b])
+            stem = f"{view.record.name}_to_{views[b].record.name}"
+            export.write(f"{name}/flow/{stem}.flo", encode_flo(flow))
+            export.write(f"{name}/visible/{stem}.png", encode_png(np.where(is_seen, 255, 0).astype(np.uint8)))
+            pairs.append(
+                {
+                    "from": view.record.name,
+                    "to": views[b].record.name,
+                    "flow": f"flow/{stem}.flo",
+                    "visible": f"visible/{stem}.png",
+                    "visible_share": round(float(is_seen.mean()), 4),
+                }
+            )
+    export.write_json(f"{name}/pairs.json", {"configuration": name, "pairs": pairs})

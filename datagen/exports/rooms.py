@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: MIT
+"""What every export reads: rooms of a dataset with their views, and how it writes: files of one folder.
+
+A room is a configuration with its shard. Buffers are read view by view, where they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.base import parse_model, write_bytes_atomically
+from datagen.formats.configuration import Configuration, PlacedAsset, Split
+from datagen.formats.shard import Dataset, ShardReader
+from datagen.formats.view import ViewRecord
+from datagen.formats.view_places import ViewPlace, index_shard, read_member
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.errors import input_error
+from datagen.foundation.exr import decode_view
+from datagen.foundation.images import encode_png
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+MARKER = "export.json"
+
+
+@dataclass(frozen=True)
+class RoomView:
+    """One view of a room."""
+
+    place: ViewPlace
+    record: ViewRecord
+
+    @property
+    def camera(self) -> Camera:
+        return self.record.camera.camera()
+
+    def read(self, *names: str) -> dict[str, NDArray]:
+        """Buffers as stored, (H, W, C)."""
+        return decode_view(read_member(self.place, self.place.exr), names, num_threads=1)
+
+
+@dataclass(frozen=True)
+class Room:
+    """A configuration and where its views are."""
+
+    shard: Path
+    split: Split
+
+    @cached_property
+    def configuration(self) -> Configuration:
+        return ShardReader(self.shard).configuration()
+
+    @cached_property
+    def views(self) -> tuple[RoomView, ...]:
+        found = []
+        for place in index_shard(self.shard):
+            data = json.loads(read_member(place, place.record))
+            found.append(RoomView(place, parse_model(ViewRecord, data, f"{place.shard}:{place.name}")))
+        return tuple(found)
+
+    @cached_property
+    def exposure(self) -> float:
+        """One for all views of the room: the median of theirs."""
+        return float(np.median([view.record.exposure for view in self.views]))
+
+    def objects(self) -> dict[str, PlacedAsset]:
+        """Objects by the name that their instance has in the views' records."""
+        return {placed.name: placed for placed in self.configuration.objects}
+
+
+@dataclass
+class Export:
+    """One run of ``datagen export``: where it reads and writes, and what it was asked for."""
+
+    rooms: Sequence[Room]
+    out: Path
+    library: Library | None = None
+    neighbours: int = 2
+    min_overlap: float = 0.2
+    num_files: int = 0
+
+    def __iter__(self) -> Iterator[Room]:
+        yield from self.rooms
+
+    def write(self, name: str, data: bytes) -> None:
+        """A file of the export, whole or not at all."""
+        path = self.out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes_atomically(path, data)
+        self.num_files += 1
+
+    def write_json(self, name: str, value: Any) -> None:
+        """JSON on one line a key of the top level, as such files are often long."""
+        if isinstance(value, dict):
+            lines = (f"{json.dumps(key)}: {json.dumps(item)}" for key, item in value.items())
+            text = "{\n" + ",\n".join(lines) + "\n}\n"
+        else:
+            text = json.dumps(value, indent=1) + "\n"
+        self.write(name, text.encode())
+
+    def write_picture(self, name: str, beauty: NDArray, exposure: float) -> None:
+        """A PNG of 8 bits: the linear image times ``exposure``, clipped, in sRGB."""
+        self.write(name, encode_png(picture(beauty, exposure)))
+
+    def need_library(self, format_name: str) -> Library:
+        """The library; raises :class:`InputError` where there is none."""
+        if self.library is None:
+            remedy = "name the folders of its assets with --library"
+            raise input_error(format_name, got="no library", expected="the objects' meshes", remedy=remedy)
+        return self.library
+
+
+def picture(beauty: NDArray, exposure: float) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB of linear radiance at an exposure."""
+    shown = srgb_from_linear(np.clip(beauty.astype(np.float32) * exposure, 0.0, 1.0))
+    return (255.0 * shown + 0.5).astype(np.uint8)
+
+
+def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[Room]:
+    """Rooms of a dataset folder. Raises :class:`InputError` for unknown configurations and for no rooms."""
+    opened = Dataset(dataset)
+    known = {shard.configuration: shard for shard in opened.index.shards}
+    for name in only:
+        if name not in known:
+            expected = f"one of {', '.join(sorted(known)[:8])}" + (" ..." if len(known) > 8 else "")
+            raise input_error(dataset, "--configuration", name, expected, "correct it")
+    chosen = [
+        s for s in opened.index.shards if split in (None, s.split) and (not only or s.configuration in only)
+    ]
+    if not chosen:
+        raise input_error(dataset, "--split", split, "a split that has configurations", "correct it")
+    paths = dict(zip((s.configuration for s in opened.index.shards), opened.shard_paths(), strict=True))
+    return [Room(paths[s.configuration], s.split) for s in chosen]
+
+
+def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
+    """Make ``out`` a folder of this export; one of the same format may be written again. Raises
+    :class:`InputError` for a folder that holds something else."""
+    marker = out / MARKER
+    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_ours(marker, format_name)):
+        expected = f"a new or empty folder, or an earlier export to {format_name}"
+        raise input_error(out, "--out", "something else", expected, "choose another --out")
+    out.mkdir(parents=True, exist_ok=True)
+    note = {"format": "scene-materials/export", "layout": format_name, "dataset": dataset.name, **command}
+    write_bytes_atomically(marker, (json.dumps(note, indent=2) + "\n").encode())
+
+
+def _is_ours(marker: Path, format_name: str) -> bool:
+    try:
+        return json.loads(marker.read_text(encoding="utf-8")).get("layout") == format_name
+    except (OSError, ValueError, AttributeError):
+        return False
