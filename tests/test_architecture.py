@@ -57,23 +57,28 @@ MATRIX = {
         "model.reconstruction.geometry": f"{_GROUND} datagen.multiview mitsuba_plugins",
         "model.reconstruction.check": f"{_GROUND} mitsuba_plugins model.reconstruction.captures "
         "model.reconstruction.geometry",
-        "model.reconstruction.stages": "model.reconstruction.geometry model.reconstruction.infer_options",
+        "model.reconstruction.found_lights": "",
+        "model.reconstruction.stages": "model.reconstruction.geometry model.reconstruction.infer_options "
+        "model.reconstruction.found_lights",
         "model.reconstruction.predict": f"{_GROUND} datagen.multiview {_NETWORKS} model.checkpoint "
         f"model.devices {_ATLAS} model.reconstruction.infer_options model.reconstruction.stages",
         "model.reconstruction.level": f"{_GROUND} datagen.multiview model.reconstruction.captures "
         "model.reconstruction.geometry model.reconstruction.stages",
         "model.reconstruction.light": f"{_RENDER} {_NETWORKS} model.checkpoint model.reconstruction.captures "
-        f"{_ATLAS} model.reconstruction.level model.reconstruction.stages",
+        f"{_ATLAS} model.reconstruction.level model.reconstruction.found_lights model.reconstruction.stages",
         "model.reconstruction.unwrap": f"{_GROUND} {_ATLAS}",
         "model.reconstruction.merge": f"{_GROUND} datagen.multiview {_ATLAS} model.reconstruction.unwrap",
-        "model.reconstruction.export": f"{_GROUND} {_ATLAS}",
+        "model.reconstruction.export": f"{_GROUND} {_ATLAS} model.reconstruction.found_lights",
+        "model.reconstruction.report_page": "datagen.foundation model.reconstruction.infer_options "
+        "model.reconstruction.stages",
         "model.reconstruction.atlas_page": f"{_GROUND} model.reconstruction.export",
         "model.reconstruction.render": f"{_LIBRARY} datagen.rendering model.reconstruction.atlas_page",
-        "model.reconstruction.infer_options": f"{_GROUND} datagen.multiview model.reconstruction.merge",
+        "model.reconstruction.infer_options": f"{_GROUND} datagen.multiview model.reconstruction.merge "
+        "model.reconstruction.found_lights",
         "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins {_ATLAS} "
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.unwrap model.reconstruction.merge model.reconstruction.export "
-        "model.reconstruction.infer_options model.reconstruction.stages",
+        "model.reconstruction.infer_options model.reconstruction.report_page model.reconstruction.stages",
         "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.reconstruction",
         "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "
         "model.checkpoint model.training model.reconstruction",

@@ -23,6 +23,7 @@ from datagen.formats.base import sha256_file
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
+from datagen.foundation.peak_memory import forget_peak, peak_mb
 from model.checkpoint import read_card
 from model.evaluation.baselines import given_maps, maps_files
 from model.evaluation.camera_faults import CameraFaults, as_taken
@@ -41,7 +42,6 @@ from model.evaluation.opened_scene import (
     open_scene,
     told,
 )
-from model.evaluation.peak_memory import forget_peak, peak_mb
 from model.evaluation.rendering import JudgedView, render_scenery
 from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene

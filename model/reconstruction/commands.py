@@ -74,6 +74,9 @@ def infer(
     no_check: Annotated[
         bool, typer.Option("--no-check", help="Do not compare the mesh with the photographs first.")
     ] = False,
+    punctual: Annotated[
+        bool, typer.Option("--punctual", help="Small lamps in the GLB as point lights, too.")
+    ] = False,
     truth: Annotated[
         bool, typer.Option("--truth", help="Merge a rendered capture's ground truth; no checkpoint.")
     ] = False,
@@ -111,6 +114,7 @@ def infer(
         is_leveled=not no_level,
         device=device,
         is_checked=not no_check,
+        has_punctual=punctual,
         **doing,
     )
     try:
@@ -142,6 +146,7 @@ def infer(
     )
     typer.echo(report.table())
     typer.echo(str(out / "asset"))
+    typer.echo(str(out / "report.html"))
 
 
 def check(

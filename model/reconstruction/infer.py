@@ -6,7 +6,8 @@ OUT/views/          predicted maps, one EXR a view; a run that was stopped conti
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 seen, 128 filled in, 0 no surface)
 OUT/asset/          the asset package; OUT/NAME.glb and OUT/mitsuba/scene.xml for others
 OUT/check/          what the check of mesh against photographs found, with pictures
-OUT/report.json     unwrap, size, coverage, warnings, seconds by stage
+OUT/report.html     the report for people
+OUT/report.json     unwrap, size, coverage, warnings, seconds and memory by stage, lights
 
 Everything appears whole or not at all, and ``report.json`` last. A stage returns what later ones need; the
 rest of what it held, and its input, go when it returns: photographs before the maps are packed, maps before
@@ -32,6 +33,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
+from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
 from model.reconstruction.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
@@ -42,6 +44,7 @@ from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import MapSource, MapStage, Run
 from model.reconstruction.unwrap.uv import unwrapped
 
@@ -105,6 +108,7 @@ def infer(
                 fill_unseen(merged.atlas, merged.mesh)
             with report.stage("export"):
                 _export(capture, merged, run)
+        write_bytes_atomically(out / "report.html", report_html(report, run.found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
         if error.filename is None and error.errno:  # a full disk does not say which file it was
@@ -198,22 +202,26 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
 
 def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
     """Merged, in memory or in files that last as long as ``files``."""
-    atlas = files.enter_context(_atlas_memory(packed.size, run.out))
+    confidence_at = run.found.confidence_at
+    has_confidence = confidence_at is not None
+    atlas = files.enter_context(_atlas_memory(packed.size, run.out, has_confidence=has_confidence))
     with run.report.stage("merge"):
         surface = TexelSurface(packed.mesh, packed.normals, packed.size)
         packed.merger.merge(surface, atlas, lambda done, total: run.tell("merge", done, total))
+        if confidence_at is not None:
+            put_confidence(atlas, surface, confidence_at)
         run.report.seen_share = _seen_share(atlas)
     return MergedAtlas(atlas, packed.mesh)
 
 
 @contextmanager
-def _atlas_memory(size: int, out: Path) -> Iterator[Atlas]:
+def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atlas]:
     """Room for an atlas, in memory or in files that are removed afterwards."""
     if size <= MEMORY_ATLAS:
-        yield empty_atlas(size)
+        yield empty_atlas(size, has_confidence=has_confidence)
         return
     with tempfile.TemporaryDirectory(prefix=".atlas-", dir=out) as folder:
-        yield empty_atlas(size, Path(folder))
+        yield empty_atlas(size, Path(folder), has_confidence=has_confidence)
 
 
 def _seen_share(atlas: Atlas) -> float:
@@ -225,15 +233,18 @@ def _seen_share(atlas: Atlas) -> float:
 
 
 def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
-    from model.reconstruction.export.asset import Reconstruction, write_asset, write_mitsuba_scene
+    from model.reconstruction.export.asset import write_asset
     from model.reconstruction.export.atlas_images import write_atlas_images
     from model.reconstruction.export.gltf import write_glb
+    from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
+    from model.reconstruction.export.slots import Reconstruction
 
     geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
     capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
     out, atlas = run.out, merged.atlas
-    reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas")
+    reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
     write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr)
     write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
-    run.report.gltf_error = asdict(write_glb(out / f"{capture.name}.glb", reconstruction))
+    error = write_glb(out / f"{capture.name}.glb", reconstruction, has_punctual=run.options.has_punctual)
+    run.report.gltf_error = asdict(error)
     write_mitsuba_scene(out / "mitsuba", reconstruction)

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from datagen.foundation.errors import input_error
+from datagen.foundation.peak_memory import peak_mb
+from model.reconstruction.found_lights import lights_text
 from model.reconstruction.merge.merger import Weights
 
 Progress = Callable[[str, int, int], None]
@@ -23,7 +25,8 @@ class InferOptions:
     :class:`MergeOptions`; confidence takes the checkpoint's. ``is_leveled``:
     whether predicted diffuse albedo takes its level from the light between the surfaces
     (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
-    alone, or both, the network's as the prior (``light``)."""
+    alone, or both, the network's as the prior (``light``). ``has_punctual``: whether the GLB has small lamps
+    as point lights, too."""
 
     atlas: int | Literal["auto"] = "auto"
     visibility: Literal["depth", "trace"] = "depth"
@@ -37,6 +40,7 @@ class InferOptions:
     weights: Weights = "none"
     is_leveled: bool = True
     materials: Materials = "both"
+    has_punctual: bool = False
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
@@ -45,7 +49,9 @@ class InferOptions:
 
 @dataclass
 class InferReport:
-    """What was done. ``seconds`` by stage; ``warnings`` name views where they concern one;
+    """What was done. ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up to
+    the end of each; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the lights
+    that were found, empty where none were sought; ``warnings`` name views where they concern one;
     ``albedo_level`` is a :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was
     sought."""
 
@@ -64,6 +70,7 @@ class InferReport:
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    memory_mb: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -73,11 +80,27 @@ class InferReport:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self.memory_mb[name] = round(peak_mb(), 1)
 
     def table(self) -> str:
-        """The stages and their seconds, for the end of a run."""
+        """The stages, their seconds and the memory, those of the light stage by step, and the lights that
+        were found, for the end of a run."""
+        lines = []
+        for name, seconds, share, memory in self.costs():
+            lines.append(f"{name:<14}{seconds:>8.1f} s{share:>8.0%}{memory:>10.0f} MB")
+        if "lights" in self.light:
+            lines += ["", lights_text(self.light["lights"])]
+        return "\n".join(lines)
+
+    def costs(self) -> list[tuple[str, float, float, float]]:
+        """(name, seconds, share of all, peak memory in MB so far) of every stage, of the steps of the light
+        stage, indented, and of all."""
         total = sum(self.seconds.values())
-        rows = [*self.seconds.items(), ("total", total)]
-        return "\n".join(
-            f"{name:<12}{seconds:>9.1f} s{seconds / max(total, 1e-9):>8.0%}" for name, seconds in rows
-        )
+        memory = max(self.memory_mb.values(), default=0.0)
+        rows = []
+        for name, seconds in [*self.seconds.items(), ("total", total)]:
+            rows.append((name, seconds, seconds / max(total, 1e-9), self.memory_mb.get(name, memory)))
+            if name == "light":
+                steps, of_step = self.light.get("seconds", {}), self.light.get("memory_mb", {})
+                rows += [(f"  {k}", v, v / max(total, 1e-9), of_step[k]) for k, v in steps.items()]
+        return rows

@@ -5,12 +5,14 @@ what may happen to them before they are merged."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
+from model.reconstruction.found_lights import FoundLights
 from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 
@@ -19,13 +21,36 @@ Maps = dict[str, NDArray]
 
 
 @dataclass(frozen=True)
+class ViewPicture:
+    """A view for the report: its photograph, D, and the confidence of D (H, W, 3), 8 bits."""
+
+    name: str
+    photograph: NDArray[np.uint8]
+    diffuse_albedo: NDArray[np.uint8]
+    confidence: NDArray[np.uint8]
+
+
+@dataclass
+class Found:
+    """What stages find beside maps: ``lights``, the ``confidence_at`` points of the surface on the side of
+    normals (both (..., 3), the result in bytes of D, S and R), and ``pictures`` of views. None and empty
+    where no stage sought them."""
+
+    lights: FoundLights | None = None
+    confidence_at: Callable[[NDArray, NDArray], NDArray[np.uint8]] | None = None
+    pictures: list[ViewPicture] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
 class Run:
-    """One run: its folder, what it is told, what it reports, and ``tell(stage, done, total)``."""
+    """One run: its folder, what it is told, what it reports, ``tell(stage, done, total)``, and what its
+    stages found beside maps."""
 
     out: Path
     options: InferOptions
     report: InferReport
     tell: Progress
+    found: Found = field(default_factory=Found)
 
 
 class MapSource(Protocol):

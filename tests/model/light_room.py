@@ -5,14 +5,14 @@ photographed by Mitsuba's path tracer."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.capture import CaptureGeometry, GeometryPart
+from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.geometry.traced import TracedGeometry
@@ -144,3 +144,27 @@ def photographed_room(samples: int = 64) -> tuple[TracedView, ...]:
         valid = np.ones(SIZE[::-1], dtype=bool)
         views.append(TracedView(camera, color.astype(np.float32), traced.trace_view(camera), valid))
     return tuple(views)
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """What a view of the room shows."""
+
+    color: NDArray[np.float32]
+
+    def read(self, camera: Camera) -> ColorImage:
+        return ColorImage(self.color, np.ones(self.color.shape[:2], bool))
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        raise NotImplementedError("a photograph has no maps")
+
+
+def room_capture(lamp: Color = LAMP) -> Capture:
+    """The room as `materials infer` reads it; its geometry claims that the lamp's radiance is ``lamp``."""
+    geometry = room_geometry()
+    parts = tuple(part if part.emission is None else replace(part, emission=lamp) for part in geometry.parts)
+    views = tuple(
+        CaptureView(f"view-{k:03d}", view.camera, Photograph(view.color))
+        for k, view in enumerate(photographed_room())
+    )
+    return Capture("box", views, CaptureGeometry(geometry.mesh, parts))

@@ -57,7 +57,7 @@ def test_atlas_has_the_walls_albedos_whatever_was_predicted(tmp_path: Path) -> N
     assert walls_found(found) > 0.7
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"]) > 0.95
-    assert written["num_surfels"] > 1000 and len(written["emitters"]) == 1
+    assert written["num_surfels"] > 1000 and len(written["lights"]) == 1
     assert "light" in report.seconds and set(written["seconds"]) >= {"surfels", "irradiance", "solve", "maps"}
     _, other = inferred(tmp_path, 4, "both")
     assert np.median(np.abs(found - other)) < 0.02

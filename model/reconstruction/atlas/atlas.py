@@ -22,11 +22,13 @@ ATLAS_DTYPE = np.float16
 class Atlas:
     """A merged atlas: ``maps`` by name (N, N, 3 or 1) in [0, 1], ``count`` (N, N) how many views each
     texel's medians are over, ``face`` (N, N) its triangle or -1. Row 0 is at v = 1. Texels of count 0 hold 0
-    until they are filled."""
+    until they are filled. ``confidence`` (N, N, 3) of D, S and R, 255 for 1, where it is known: how far they
+    come from the light of the photographs rather than from a network."""
 
     maps: dict[str, NDArray]
     count: NDArray[np.uint16]
     face: NDArray[np.int32]
+    confidence: NDArray[np.uint8] | None = None
 
     @property
     def size(self) -> int:
@@ -41,8 +43,9 @@ class Atlas:
     def release(self) -> None:
         """Let go of what lies in files; the next access reads it again. Else a large atlas that is walked
         through from end to end would fill the memory with what is not needed any more."""
-        for array in (*self.maps.values(), self.count, self.face):
-            let_go(array)
+        for array in (*self.maps.values(), self.count, self.face, self.confidence):
+            if array is not None:
+                let_go(array)
 
 
 def let_go(array: NDArray) -> None:
@@ -51,12 +54,14 @@ def let_go(array: NDArray) -> None:
         array.base.madvise(mmap.MADV_DONTNEED)
 
 
-def empty_atlas(size: int, folder: Path | None = None) -> Atlas:
+def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool = False) -> Atlas:
     """An atlas in memory or, given a ``folder``, in files there that are mapped into memory."""
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {
         name: ((size, size, channels), ATLAS_DTYPE) for name, channels in MAP_CHANNELS.items()
     }
     shapes["count"], shapes["face"] = ((size, size), np.uint16), ((size, size), np.int32)
+    if has_confidence:
+        shapes["confidence"] = ((size, size, 3), np.uint8)
     if folder is None:
         arrays: dict[str, NDArray] = {name: np.zeros(*shape) for name, shape in shapes.items()}
     else:
@@ -66,4 +71,5 @@ def empty_atlas(size: int, folder: Path | None = None) -> Atlas:
             for name, (shape, dtype) in shapes.items()
         }
     arrays["face"][...] = -1
-    return Atlas({name: arrays[name] for name in MAP_CHANNELS}, arrays["count"], arrays["face"])
+    maps = {name: arrays[name] for name in MAP_CHANNELS}
+    return Atlas(maps, arrays["count"], arrays["face"], arrays.get("confidence"))

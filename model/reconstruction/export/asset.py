@@ -1,20 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as an asset package (an environment, so that it can go back into ``datagen``) and as a
-Mitsuba scene. glTF is in ``gltf_export``.
+"""A reconstruction as an asset package: an environment, so that it can go back into ``datagen``.
 
-All surface is one part with one material of three textures; every lamp of a rendered capture is a part of
-its own with its radiance.
+All surface is one part with one material of three textures; every lamp is a part of its own with its
+radiance. Windows are area lights, or the sky is an image (``found_lights``).
 """
 
 from __future__ import annotations
 
-import shutil
-import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.formats.asset import (
     AssetCamera,
@@ -25,101 +20,84 @@ from datagen.formats.asset import (
     SlotMaterial,
     Texture,
 )
-from datagen.formats.base import matrix4, quantized, write_bytes_atomically
-from datagen.formats.capture import Capture
-from datagen.formats.lights import EnvironmentLight, Light, PointLight
+from datagen.formats.base import matrix4, quantized
+from datagen.formats.lights import AreaLight, EnvironmentLight, Light
 from datagen.formats.package import FileSource, Package, write_package
 from datagen.foundation.cameras import Camera
-from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
-from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
-from model.reconstruction.geometry.crease_normals import with_normals
+from model.reconstruction.atlas.atlas import MAP_CHANNELS
+from model.reconstruction.export.slots import Reconstruction, Slot, environment_exr, export_slots
+from model.reconstruction.found_lights import ENVIRONMENT_FILE, FoundLights
 
-SURFACE = "surface"
 _REGION_MARGIN_M = 0.05  # a capture of one camera has a region of no size
-
-
-@dataclass(frozen=True)
-class Reconstruction:
-    """What is exported: the unwrapped mesh in the capture's face order, its atlas, filled, and the folder in
-    which ``write_atlas_images`` has put the maps as ``NAME.png``."""
-
-    capture: Capture
-    mesh: Mesh
-    atlas: Atlas
-    images: Path
-
-
-def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
-    """The chosen triangles (M,) with the vertices they use; normals are made where the mesh has none."""
-    mesh = with_normals(mesh)
-    assert mesh.normals is not None
-    faces = mesh.faces[chosen]
-    used, compact = np.unique(faces, return_inverse=True)
-    return Mesh(
-        mesh.positions[used],
-        compact.reshape(-1, 3).astype(np.int32),
-        mesh.normals[used],
-        None if mesh.uv is None else mesh.uv[used],
-    )
-
-
-def split_by_emission(
-    reconstruction: Reconstruction,
-) -> dict[str, tuple[Mesh, tuple[float, float, float] | None]]:
-    """Slot -> triangles and radiance: ``surface``, then ``lamp-0``, ``lamp-1``, ... ."""
-    mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry
-    emits = geometry.emitter_mask()
-    parts: dict[str, tuple[Mesh, tuple[float, float, float] | None]] = {}
-    if not emits.all():
-        parts[SURFACE] = (submesh(mesh, ~emits), None)
-    for part in geometry.parts:
-        if part.emission is not None:
-            chosen = np.zeros(len(mesh.faces), dtype=bool)
-            chosen[part.first_face : part.first_face + part.num_faces] = True
-            parts[f"lamp-{len([n for n in parts if n != SURFACE])}"] = (submesh(mesh, chosen), part.emission)
-    return parts
 
 
 def write_asset(
     path: Path, reconstruction: Reconstruction, asset_id: str, *, license_id: str = "LicenseRef-unstated"
 ) -> Package:
-    """The reconstruction as an environment package with the capture's cameras and lights.
+    """The reconstruction as an environment package with the capture's cameras and the lights that were found,
+    or the capture's where none were.
 
-    Lights whose image lies in another package are left out, as the package would not be whole without it.
+    Of the latter, those whose image lies in another package are left out, as the package would not be whole
+    without it.
     """
     capture = reconstruction.capture
     files: dict[str, FileSource] = {
         f"{name}.png": reconstruction.images / f"{name}.png" for name in MAP_CHANNELS
     }
     materials, parts = {}, []
-    for slot, (mesh, emission) in split_by_emission(reconstruction).items():
-        files[f"{slot}.ply"] = encode_ply(mesh)
-        materials[slot] = _surface_material() if emission is None else SlotMaterial(emission=emission)
-        parts.append(Part(name=slot, mesh=f"{slot}.ply", material=slot))
+    for name, slot in export_slots(reconstruction).items():
+        files[f"{name}.ply"] = encode_ply(slot.mesh)
+        materials[name] = _material(slot)
+        parts.append(Part(name=name, mesh=f"{name}.ply", material=name))
+    found = reconstruction.shining_lights
+    if found is not None and found.environment is not None:
+        files[ENVIRONMENT_FILE] = environment_exr(found.environment)
     asset = EnvironmentAsset(
         id=asset_id,
         title=f"Reconstruction of {capture.name}",
         provenance=Provenance(license=license_id, source=f"materials infer, {len(capture.views)} views"),
         materials=materials,
         parts=tuple(parts),
-        lights=tuple(light for light in capture.lights if not _needs_other_package(light)),
+        lights=_known_lights(capture.lights) if found is None else _found_lights(found),
         camera_regions=(_camera_region(capture.cameras),),
         cameras=tuple(_asset_camera(view.name, view.camera) for view in capture.views),
     )
     return write_package(path, asset, files, overwrite=True)
 
 
-def _needs_other_package(light: Light) -> bool:
-    return isinstance(light, EnvironmentLight) and light.image is not None
+def _known_lights(lights: tuple[Light, ...]) -> tuple[Light, ...]:
+    return tuple(
+        light for light in lights if not (isinstance(light, EnvironmentLight) and light.image is not None)
+    )
 
 
-def _surface_material() -> SlotMaterial:
+def _found_lights(found: FoundLights) -> tuple[Light, ...]:
+    """The sky, or the windows' rectangles."""
+    if found.environment is not None:
+        return (EnvironmentLight(name="sky", image=ENVIRONMENT_FILE),)
+    return tuple(
+        AreaLight(
+            name=f"{window.slot}-{number}",
+            origin_m=rectangle.origin_m,
+            edge_u_m=rectangle.edge_u_m,
+            edge_v_m=rectangle.edge_v_m,
+            radiance=rectangle.radiance,
+        )
+        for window in found.windows
+        for number, rectangle in enumerate(window.rectangles)
+    )
+
+
+def _material(slot: Slot) -> SlotMaterial:
+    if not slot.has_material:
+        return SlotMaterial(emission=slot.emission)
     return SlotMaterial(
         classes=("other",),
         diffuse_albedo=Texture(texture="diffuse_albedo.png", encoding="srgb"),
         specular_albedo=Texture(texture="specular_albedo.png", encoding="srgb"),
         roughness=Texture(texture="roughness.png", encoding="linear", channel="r"),
+        emission=slot.emission,
     )
 
 
@@ -143,90 +121,3 @@ def _asset_camera(name: str, camera: Camera) -> AssetCamera:
         cy_px=camera.cy_px,
         asset_from_camera=matrix4(camera.world_from_camera),
     )
-
-
-def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
-    """``scene.xml`` with meshes and textures beside it; its BSDF needs ``mitsuba_plugins.register()``.
-
-    Sensors are the capture's cameras (square pixels: the mean focal length). Point lights and the constant
-    sky are written; lights of other kinds are not, and a scene without any light gets a white sky.
-    """
-    textures = folder / "textures"
-    textures.mkdir(parents=True, exist_ok=True)
-    for name in MAP_CHANNELS:
-        shutil.copyfile(reconstruction.images / f"{name}.png", textures / f"{name}.png")
-    scene = ElementTree.Element("scene", version="3.0.0")
-    _add(scene, "integrator", "path", ("integer", "max_depth", 8))
-    for view in reconstruction.capture.views:
-        _add_sensor(scene, view.name, view.camera)
-    bsdf = _add(scene, "bsdf", "cook_torrance")
-    bsdf.set("id", SURFACE)
-    for name in MAP_CHANNELS:
-        texture = _add(
-            bsdf,
-            "texture",
-            "bitmap",
-            ("string", "filename", f"textures/{name}.png"),
-            ("boolean", "raw", "true" if name == "roughness" else "false"),
-        )
-        texture.set("name", name)
-    for slot, (mesh, emission) in split_by_emission(reconstruction).items():
-        assert mesh.uv is not None
-        downward = Mesh(mesh.positions, mesh.faces, mesh.normals, mesh.uv * [1, -1] + [0, 1])
-        write_bytes_atomically(folder / f"{slot}.ply", encode_ply(downward))
-        shape = _add(scene, "shape", "ply", ("string", "filename", f"{slot}.ply"))
-        if emission is None:
-            ElementTree.SubElement(shape, "ref", id=SURFACE)
-        else:
-            _add(shape, "emitter", "area", ("rgb", "radiance", _numbers(emission)))
-    _add_lights(scene, reconstruction.capture.lights)
-    ElementTree.indent(scene)
-    path = folder / "scene.xml"
-    write_bytes_atomically(path, ElementTree.tostring(scene) + b"\n")
-    return path
-
-
-def _add(
-    parent: ElementTree.Element, tag: str, kind: str, *values: tuple[str, str, object]
-) -> ElementTree.Element:
-    node = ElementTree.SubElement(parent, tag, type=kind)
-    for value_tag, name, value in values:
-        ElementTree.SubElement(node, value_tag, name=name, value=str(value))
-    return node
-
-
-def _numbers(values: object) -> str:
-    return " ".join(repr(float(v)) for v in np.ravel(np.asarray(values, dtype=np.float64)))
-
-
-def _add_sensor(scene: ElementTree.Element, name: str, camera: Camera) -> None:
-    focal = 0.5 * (camera.fx_px + camera.fy_px)
-    fov = np.degrees(2 * np.arctan(0.5 * camera.width_px / focal))
-    sensor = _add(
-        scene,
-        "sensor",
-        "perspective",
-        ("float", "fov", repr(float(fov))),
-        ("string", "fov_axis", "x"),
-        ("float", "principal_point_offset_x", repr(camera.cx_px / camera.width_px - 0.5)),
-        ("float", "principal_point_offset_y", repr(camera.cy_px / camera.height_px - 0.5)),
-    )
-    sensor.set("id", name)
-    transform = ElementTree.SubElement(sensor, "transform", name="to_world")
-    matrix = camera.world_from_camera @ np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba: x left, y up
-    ElementTree.SubElement(transform, "matrix", value=_numbers(matrix))
-    size = (("integer", "width", camera.width_px), ("integer", "height", camera.height_px))
-    _add(sensor, "film", "hdrfilm", *size)
-
-
-def _add_lights(scene: ElementTree.Element, lights: tuple[Light, ...]) -> None:
-    for light in lights:
-        if isinstance(light, PointLight):
-            emitter = _add(scene, "emitter", "point", ("rgb", "intensity", _numbers(light.intensity)))
-            x, y, z = (repr(float(v)) for v in light.position_m)
-            ElementTree.SubElement(emitter, "point", name="position", x=x, y=y, z=z)
-        elif isinstance(light, EnvironmentLight) and light.image is None:
-            radiance = np.asarray(light.radiance) * light.scale
-            _add(scene, "emitter", "constant", ("rgb", "radiance", _numbers(radiance)))
-    if scene.find(".//emitter") is None:
-        _add(scene, "emitter", "constant", ("rgb", "radiance", "1 1 1"))

@@ -26,6 +26,7 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 from model.reconstruction.atlas.compiled import num_threads
 
 _BAND = 1024
+CONFIDENCE = "confidence"
 SEEN, FILLED, EMPTY = 255, 128, 0
 """Values of the mask: observed, surface that was filled in, no surface."""
 
@@ -59,25 +60,36 @@ def mask_png(atlas: Atlas) -> bytes:
 
 
 def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
-    """``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``."""
+    """``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; ``confidence.png`` and
+    ``.exr`` of D, S and R in R, G and B where it is known."""
     folder.mkdir(parents=True, exist_ok=True)
 
     def write(name: str) -> Path:
         path = folder / name
         if path.suffix == ".exr":
-            _write_exr(path, np.asarray(atlas.maps[path.stem], np.float16))
+            _write_exr(path, _half(atlas, path.stem))
+        elif path.stem == "mask":
+            write_bytes_atomically(path, mask_png(atlas))
+        elif path.stem == CONFIDENCE:
+            write_bytes_atomically(path, encode_png(np.asarray(atlas.confidence)))
         else:
-            is_mask = path.stem == "mask"
-            data = mask_png(atlas) if is_mask else encode_png(map_bytes(path.stem, atlas.maps[path.stem]))
-            write_bytes_atomically(path, data)
+            write_bytes_atomically(path, encode_png(map_bytes(path.stem, atlas.maps[path.stem])))
         atlas.release()
         return path
 
-    names = [f"{name}.png" for name in (*atlas.maps, "mask")]
+    values = [*atlas.maps, *([CONFIDENCE] if atlas.confidence is not None else [])]
+    names = [f"{name}.png" for name in (*values, "mask")]
     if has_exr:
-        names += [f"{name}.exr" for name in atlas.maps]
+        names += [f"{name}.exr" for name in values]
     with ThreadPoolExecutor(num_threads()) as pool:
         return list(pool.map(write, names))
+
+
+def _half(atlas: Atlas, name: str) -> NDArray[np.float16]:
+    if name != CONFIDENCE:
+        return np.asarray(atlas.maps[name], np.float16)
+    table = (np.arange(256) / 255).astype(np.float16)
+    return table[np.asarray(atlas.confidence)]
 
 
 def _write_exr(path: Path, half: NDArray) -> None:

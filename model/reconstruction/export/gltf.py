@@ -21,8 +21,10 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.images import encode_png
-from model.reconstruction.export.asset import Reconstruction, split_by_emission
+from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.export.atlas_images import quantized_bytes
+from model.reconstruction.export.gltf_lights import PUNCTUAL, emissive, punctual_lights
+from model.reconstruction.export.slots import Reconstruction, export_slots, window_meshes
 
 DIELECTRIC_F0 = 0.04
 MAX_DIELECTRIC_F0 = 0.16
@@ -69,37 +71,47 @@ def as_read(base: NDArray, metallic: NDArray, tint: NDArray) -> tuple[NDArray, N
     return base * (1 - m), np.minimum(MAX_DIELECTRIC_F0 * tint, 1.0) * (1 - m) + base * m
 
 
-def write_glb(path: Path, reconstruction: Reconstruction) -> ConversionError:
-    """One GLB with geometry (turned to Y up) and textures inside; returns what the conversion costs."""
+def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
+    """One GLB with geometry (turned to Y up) and textures inside; returns what the conversion costs.
+
+    Lamps and windows that were found are emissive surfaces; ``has_punctual`` adds point lights where lamps
+    are small. glTF has no sky.
+    """
     images, error = _encode_textures(reconstruction)
     writer = _Glb()
     textures = [writer.image(data) for data in images]
     materials: list[dict[str, Any]] = []
     primitives = []
-    for slot, (mesh, emission) in split_by_emission(reconstruction).items():
-        assert mesh.normals is not None and mesh.uv is not None
-        turn = Z_UP_FROM_Y_UP[:3, :3]  # rows times this is the inverse rotation: Y up from Z up
-        attributes = {
-            "POSITION": writer.array(mesh.positions @ turn, "VEC3", has_bounds=True),
-            "NORMAL": writer.array(_unit(mesh.normals @ turn), "VEC3"),
-            "TEXCOORD_0": writer.array(mesh.uv * [1, -1] + [0, 1], "VEC2"),
-        }
-        indices = writer.array(mesh.faces.reshape(-1, 1), "SCALAR")
-        primitives.append({"attributes": attributes, "indices": indices, "material": len(materials)})
-        materials.append(_material(slot, textures) if emission is None else _lamp(slot, emission))
+
+    def add(mesh: Mesh, material: dict[str, Any]) -> None:
+        primitives.append({**writer.mesh(mesh), "material": len(materials)})
+        materials.append(material)
+
+    for name, slot in export_slots(reconstruction).items():
+        material = _material(name, textures) if slot.has_material else _black(name)
+        add(slot.mesh, material if slot.emission is None else emissive(material, slot.emission))
+    found = reconstruction.shining_lights
+    for name, (mesh, radiance) in {} if found is None else window_meshes(found).items():
+        add(mesh, emissive(_black(name), radiance))
+    nodes: list[dict[str, Any]] = [{"mesh": 0, "name": reconstruction.capture.name}]
+    lights, light_nodes = punctual_lights(reconstruction) if has_punctual else ([], [])
     used = {name for material in materials for name in material.get("extensions", {})}
+    used |= {PUNCTUAL} if lights else set()
+    nodes += light_nodes
     document = {
         "asset": {"version": "2.0", "generator": "scene-materials"},
         "extensionsUsed": sorted(used),
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": reconstruction.capture.name}],
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": nodes,
         "meshes": [{"primitives": primitives, "name": reconstruction.capture.name}],
         "materials": materials,
         "textures": [{"source": k, "sampler": 0} for k in range(len(images))],
         "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
         **writer.tables(),
     }
+    if lights:
+        document["extensions"] = {PUNCTUAL: {"lights": lights}}
     if not used:
         del document["extensionsUsed"]
     write_bytes_atomically(path, writer.encode(document))
@@ -162,14 +174,8 @@ def _material(name: str, textures: list[int]) -> dict[str, Any]:
     }
 
 
-def _lamp(name: str, emission: tuple[float, float, float]) -> dict[str, Any]:
-    peak = max(emission)
-    return {
-        "name": name,
-        "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1], "metallicFactor": 0},
-        "emissiveFactor": [c / peak for c in emission],
-        "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": peak}},
-    }
+def _black(name: str) -> dict[str, Any]:
+    return {"name": name, "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1], "metallicFactor": 0}}
 
 
 def _unit(vectors: NDArray) -> NDArray:
@@ -207,6 +213,19 @@ class _Glb:
             accessor["min"], accessor["max"] = stored.min(axis=0).tolist(), stored.max(axis=0).tolist()
         self.accessors.append(accessor)
         return len(self.accessors) - 1
+
+    def mesh(self, mesh: Mesh) -> dict[str, Any]:
+        """Attributes and indices of a primitive."""
+        assert mesh.normals is not None and mesh.uv is not None
+        turn = Z_UP_FROM_Y_UP[:3, :3]  # rows times this is the inverse rotation: Y up from Z up
+        return {
+            "attributes": {
+                "POSITION": self.array(mesh.positions @ turn, "VEC3", has_bounds=True),
+                "NORMAL": self.array(_unit(mesh.normals @ turn), "VEC3"),
+                "TEXCOORD_0": self.array(mesh.uv * [1, -1] + [0, 1], "VEC2"),
+            },
+            "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR"),
+        }
 
     def image(self, png: bytes) -> int:
         """An image; its index is its texture's."""

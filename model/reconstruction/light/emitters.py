@@ -74,30 +74,6 @@ def photographed_emitters(
     return Emitters(of_face, radiance, sides, triangles, vertices, power.astype(np.float32))
 
 
-def described(emitters: Emitters) -> list[dict[str, Any]]:
-    """For a report: middle, area and radiance of each emitter that photographs show."""
-    found = []
-    cross = np.cross(
-        emitters.vertices[:, 1] - emitters.vertices[:, 0], emitters.vertices[:, 2] - emitters.vertices[:, 0]
-    )
-    area = 0.5 * np.linalg.norm(cross, axis=1)
-    middle = emitters.vertices.mean(axis=1)
-    for which, radiance in enumerate(emitters.radiance):
-        mine = emitters.of_face[emitters.triangles] == which
-        total = float(area[mine].sum())
-        if total <= 0 or not radiance.any():
-            continue
-        place = (middle[mine] * area[mine, None]).sum(axis=0) / total
-        found.append(
-            {
-                "place_m": [round(float(v), 4) for v in place],
-                "area_m2": round(total, 6),
-                "radiance": [round(float(v), 5) for v in radiance],
-            }
-        )
-    return found
-
-
 class EmitterSampler:
     """Draws points of emitters by power, on the device."""
 

@@ -16,7 +16,7 @@ from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.light.background import photographed_background
 from model.reconstruction.light.bake import Baker, Irradiance
-from model.reconstruction.light.emitters import described, photographed_emitters
+from model.reconstruction.light.emitters import photographed_emitters
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.radiance_field import RadianceField, cell_keys
 from model.reconstruction.light.surfels import CELLS_ACROSS, Surfels, build_surfels
@@ -57,7 +57,6 @@ def light_surfels(
     with report.step("field"):
         emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
         grid = surfels.grid
-        report.emitters = described(emitters)
         background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
         scene_field = RadianceField(traced.scene, surfels, emitters, background)
         size_m = surfels.grid.cell_m * CELLS_ACROSS

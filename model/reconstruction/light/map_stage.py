@@ -8,7 +8,10 @@ from dataclasses import asdict
 from model.reconstruction.geometry.traced import smooth_regions
 from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.level.albedo_level import MAX_CLIPPED, clipped_share
+from model.reconstruction.light.found import found_lights
+from model.reconstruction.light.pictures import view_pictures
 from model.reconstruction.light.stage import LightOptions, materials_from_light
+from model.reconstruction.light.surfel_confidence import SurfelConfidence
 from model.reconstruction.stages import Maps, Run
 
 
@@ -35,5 +38,10 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
             run.report.exposure,
             options,
         )
-    run.report.light = asdict(found.report)
+        with found.report.step("lights"):
+            lights = found_lights(found.lit, traced.views, traced.geometry, traced.capture.geometry)
+    run.report.light = {**asdict(found.report), "lights": lights.described()}
+    run.found.lights = lights
+    run.found.confidence_at = SurfelConfidence.of(found.lit.surfels, found.solved.confidence).at
+    run.found.pictures = view_pictures(traced.views, found.maps, run.report.exposure)
     return found.maps

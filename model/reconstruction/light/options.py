@@ -7,8 +7,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
 
+from datagen.foundation.peak_memory import peak_mb
 from model.reconstruction.light.solve import PriorWeights
 
 
@@ -34,8 +34,8 @@ class LightOptions:
 @dataclass
 class LightReport:
     """What was found. ``photographed_share``: mean share of the surfels' hemispheres that photographs show;
-    ``confidence`` means over surfels for D, S and R; ``emitters`` with their middle (``place_m``),
-    ``area_m2`` and ``radiance``; ``seconds`` by step."""
+    ``confidence`` means over surfels for D, S and R; ``seconds`` by step, and ``memory_mb``, the peak of the
+    process's resident memory up to the end of each."""
 
     num_surfels: int = 0
     num_observations: int = 0
@@ -43,8 +43,8 @@ class LightReport:
     num_metal: int = 0
     photographed_share: float = 0.0
     confidence: tuple[float, ...] = (0.0, 0.0, 0.0)
-    emitters: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    memory_mb: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
@@ -52,3 +52,4 @@ class LightReport:
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        self.memory_mb[name] = round(peak_mb(), 1)

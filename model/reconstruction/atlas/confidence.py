@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: MIT
+"""The confidence of an atlas: how far each texel's D, S and R rest on evidence rather than on a guess."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.reconstruction.atlas.atlas import Atlas
+from model.reconstruction.atlas.compiled import num_threads
+from model.reconstruction.atlas.texels import TexelSurface
+
+ConfidenceAt = Callable[[NDArray, NDArray], NDArray[np.uint8]]
+"""Confidence (..., 3) of D, S and R, 255 for 1, at points and normals (..., 3)."""
+TILE = 512
+
+
+def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
+    """Fill the atlas's ``confidence``, which must be there; 0 where no view has seen a texel."""
+    target = atlas.confidence
+    if target is None:
+        raise ValueError("expected an atlas with confidence")
+
+    def put(top: int) -> None:
+        for left in range(0, atlas.size, TILE):
+            window = (slice(top, top + TILE), slice(left, left + TILE))
+            face, seen = atlas.face[window], atlas.count[window] > 0
+            if seen.any():
+                points, normals = surface.points(np.ascontiguousarray(face), left, top)
+                target[window][seen] = confidence_at(points[seen], normals[seen])
+
+    tops = range(0, atlas.size, TILE)
+    with ThreadPoolExecutor(num_threads()) as pool:
+        deque(pool.map(put, tops), maxlen=0)
+    atlas.release()

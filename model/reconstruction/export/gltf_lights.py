@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""Lights in glTF: surfaces that shine (KHR_materials_emissive_strength) and small lamps as points
+(KHR_lights_punctual).
+
+An emissive surface lights nothing in viewers that rasterise, but everything in path tracers, which would
+count a lamp twice that is a point as well: points are written on demand.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from datagen.foundation.axes import Z_UP_FROM_Y_UP
+from model.reconstruction.export.slots import Reconstruction, export_slots
+from model.reconstruction.found_lights import Color
+
+PUNCTUAL, STRENGTH = "KHR_lights_punctual", "KHR_materials_emissive_strength"
+SMALL_M = 0.5
+"""Largest side of the box about a lamp that a point stands for."""
+LUMENS_A_WATT = 683.0
+"""Of a channel: Blender and other programs write and read glTF's candela so."""
+
+
+def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
+    """``material`` with emission; factors are at most 1, the strength holds the rest."""
+    peak = max(radiance)
+    if peak <= 0:
+        return material
+    extensions = {**material.get("extensions", {}), STRENGTH: {"emissiveStrength": peak}}
+    return {**material, "emissiveFactor": [c / peak for c in radiance], "extensions": extensions}
+
+
+def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Point lights and their nodes for small lamps. A convex lamp of area A and radiance L has an intensity
+    of L A / 4 on average: its shadow has a quarter of its area."""
+    lights: list[dict[str, Any]] = []
+    nodes: list[dict[str, Any]] = []
+    for name, slot in export_slots(reconstruction).items():
+        if slot.emission is None or max(slot.emission) <= 0:
+            continue
+        positions, area = slot.mesh.positions.astype(np.float64), slot.mesh.areas()
+        if float(np.ptp(positions, axis=0).max()) > SMALL_M or area.sum() <= 0:
+            continue
+        middle = (slot.mesh.triangles().mean(axis=1) * area[:, None]).sum(axis=0) / area.sum()
+        peak = max(slot.emission)
+        light = {
+            "type": "point",
+            "name": name,
+            "color": [c / peak for c in slot.emission],
+            "intensity": LUMENS_A_WATT * peak * float(area.sum()) / 4,
+        }
+        place = [float(v) for v in middle @ Z_UP_FROM_Y_UP[:3, :3]]
+        nodes.append({"name": name, "translation": place, "extensions": {PUNCTUAL: {"light": len(lights)}}})
+        lights.append(light)
+    return lights, nodes

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""A reconstruction as a Mitsuba scene that renders alone."""
+
+from __future__ import annotations
+
+import shutil
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+
+from datagen.formats.base import write_bytes_atomically
+from datagen.formats.lights import EnvironmentLight, Light, PointLight
+from datagen.foundation.cameras import Camera
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import encode_ply
+from model.reconstruction.atlas.atlas import MAP_CHANNELS
+from model.reconstruction.export.slots import (
+    SURFACE,
+    Reconstruction,
+    environment_exr,
+    export_slots,
+    window_meshes,
+)
+from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color, FoundLights
+
+# columns: Mitsuba's frame of a sky (Y up, centre column along +Z) in ours (Z up, centre column along +Y)
+_WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
+    """``scene.xml`` with meshes and textures beside it; its BSDF needs ``mitsuba_plugins.register()``.
+
+    Sensors are the capture's cameras (square pixels: the mean focal length). Lights are those that were
+    found; where none were, the capture's point lights and constant sky, and a scene without any light gets a
+    white sky.
+    """
+    textures = folder / "textures"
+    textures.mkdir(parents=True, exist_ok=True)
+    for name in MAP_CHANNELS:
+        shutil.copyfile(reconstruction.images / f"{name}.png", textures / f"{name}.png")
+    scene = ElementTree.Element("scene", version="3.0.0")
+    _add(scene, "integrator", "path", ("integer", "max_depth", 8))
+    for view in reconstruction.capture.views:
+        _add_sensor(scene, view.name, view.camera)
+    bsdf = _add(scene, "bsdf", "cook_torrance")
+    bsdf.set("id", SURFACE)
+    for name in MAP_CHANNELS:
+        texture = _add(
+            bsdf,
+            "texture",
+            "bitmap",
+            ("string", "filename", f"textures/{name}.png"),
+            ("boolean", "raw", "true" if name == "roughness" else "false"),
+        )
+        texture.set("name", name)
+    for name, slot in export_slots(reconstruction).items():
+        shape = _add_mesh(scene, folder, name, slot.mesh)
+        if slot.has_material:
+            ElementTree.SubElement(shape, "ref", id=SURFACE)
+        _add_emission(shape, slot.emission)
+    found = reconstruction.shining_lights
+    if found is None:
+        _add_lights(scene, reconstruction.capture.lights)
+    else:
+        _add_found(scene, folder, found)
+    ElementTree.indent(scene)
+    path = folder / "scene.xml"
+    write_bytes_atomically(path, ElementTree.tostring(scene) + b"\n")
+    return path
+
+
+def _add_mesh(scene: ElementTree.Element, folder: Path, name: str, mesh: Mesh) -> ElementTree.Element:
+    """A shape; Mitsuba's row 0 of a texture is at v = 0."""
+    assert mesh.uv is not None
+    downward = Mesh(mesh.positions, mesh.faces, mesh.normals, mesh.uv * [1, -1] + [0, 1])
+    write_bytes_atomically(folder / f"{name}.ply", encode_ply(downward))
+    return _add(scene, "shape", "ply", ("string", "filename", f"{name}.ply"))
+
+
+def _add_emission(shape: ElementTree.Element, emission: Color | None) -> None:
+    if emission is not None and max(emission) > 0:
+        _add(shape, "emitter", "area", ("rgb", "radiance", _numbers(emission)))
+
+
+def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> None:
+    """The sky, or the windows' rectangles, which reflect nothing."""
+    if found.environment is None:
+        for name, (mesh, radiance) in window_meshes(found).items():
+            shape = _add_mesh(scene, folder, name, mesh)
+            _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))
+            _add_emission(shape, radiance)
+        return
+    write_bytes_atomically(folder / ENVIRONMENT_FILE, environment_exr(found.environment))
+    emitter = _add(scene, "emitter", "envmap", ("string", "filename", ENVIRONMENT_FILE))
+    transform = ElementTree.SubElement(emitter, "transform", name="to_world")
+    ElementTree.SubElement(transform, "matrix", value=_numbers(_WORLD_FROM_SKY))
+
+
+def _add(
+    parent: ElementTree.Element, tag: str, kind: str, *values: tuple[str, str, object]
+) -> ElementTree.Element:
+    node = ElementTree.SubElement(parent, tag, type=kind)
+    for value_tag, name, value in values:
+        ElementTree.SubElement(node, value_tag, name=name, value=str(value))
+    return node
+
+
+def _numbers(values: object) -> str:
+    return " ".join(repr(float(v)) for v in np.ravel(np.asarray(values, dtype=np.float64)))
+
+
+def _add_sensor(scene: ElementTree.Element, name: str, camera: Camera) -> None:
+    focal = 0.5 * (camera.fx_px + camera.fy_px)
+    fov = np.degrees(2 * np.arctan(0.5 * camera.width_px / focal))
+    sensor = _add(
+        scene,
+        "sensor",
+        "perspective",
+        ("float", "fov", repr(float(fov))),
+        ("string", "fov_axis", "x"),
+        ("float", "principal_point_offset_x", repr(camera.cx_px / camera.width_px - 0.5)),
+        ("float", "principal_point_offset_y", repr(camera.cy_px / camera.height_px - 0.5)),
+    )
+    sensor.set("id", name)
+    transform = ElementTree.SubElement(sensor, "transform", name="to_world")
+    matrix = camera.world_from_camera @ np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba: x left, y up
+    ElementTree.SubElement(transform, "matrix", value=_numbers(matrix))
+    size = (("integer", "width", camera.width_px), ("integer", "height", camera.height_px))
+    _add(sensor, "film", "hdrfilm", *size)
+
+
+def _add_lights(scene: ElementTree.Element, lights: tuple[Light, ...]) -> None:
+    for light in lights:
+        if isinstance(light, PointLight):
+            emitter = _add(scene, "emitter", "point", ("rgb", "intensity", _numbers(light.intensity)))
+            x, y, z = (repr(float(v)) for v in light.position_m)
+            ElementTree.SubElement(emitter, "point", name="position", x=x, y=y, z=z)
+        elif isinstance(light, EnvironmentLight) and light.image is None:
+            radiance = np.asarray(light.radiance) * light.scale
+            _add(scene, "emitter", "constant", ("rgb", "radiance", _numbers(radiance)))
+    if scene.find(".//emitter") is None:
+        _add(scene, "emitter", "constant", ("rgb", "radiance", "1 1 1"))

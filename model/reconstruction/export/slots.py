@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""What is exported, by slots: the surface with the atlas's materials, and every lamp apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.capture import Capture
+from datagen.foundation.exr import encode_view
+from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.atlas.atlas import Atlas
+from model.reconstruction.found_lights import Color, FoundLights
+from model.reconstruction.geometry.crease_normals import with_normals
+
+SURFACE = "surface"
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What is exported: the unwrapped mesh in the capture's face order, its atlas, filled, and the folder in
+    which ``write_atlas_images`` has put the maps as ``NAME.png``; ``lights`` that were found, None where they
+    were not sought."""
+
+    capture: Capture
+    mesh: Mesh
+    atlas: Atlas
+    images: Path
+    lights: FoundLights | None = None
+
+    @property
+    def shining_lights(self) -> FoundLights | None:
+        """The lights that were found, if any shines: they leave in place of those that the capture knows."""
+        return None if self.lights is None or self.lights.is_dark else self.lights
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Triangles of one material; ``emission`` is a lamp's radiance, ``has_material`` whether the atlas's maps
+    are on it."""
+
+    mesh: Mesh
+    emission: Color | None
+    has_material: bool
+
+
+def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
+    """The chosen triangles (M,) with the vertices they use; normals are made where the mesh has none."""
+    mesh = with_normals(mesh)
+    assert mesh.normals is not None
+    faces = mesh.faces[chosen]
+    used, compact = np.unique(faces, return_inverse=True)
+    return Mesh(
+        mesh.positions[used],
+        compact.reshape(-1, 3).astype(np.int32),
+        mesh.normals[used],
+        None if mesh.uv is None else mesh.uv[used],
+    )
+
+
+def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
+    """Slot by name: ``surface``, then ``lamp-0``, ``lamp-1``, ..., the emissive parts that the geometry
+    names, with the radiance that was found where lights were, and ``found-0``, ... (``found_lights``)."""
+    mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry
+    found = reconstruction.shining_lights
+    lamps: dict[str, Slot] = {}
+    is_surface = ~geometry.emitter_mask()
+    if found is None:
+        for part in geometry.parts:
+            if part.emission is not None:
+                chosen = np.zeros(len(mesh.faces), dtype=bool)
+                chosen[part.first_face : part.first_face + part.num_faces] = True
+                lamps[f"lamp-{len(lamps)}"] = Slot(submesh(mesh, chosen), part.emission, False)
+    else:
+        for lamp in found.lamps:
+            chosen = np.zeros(len(mesh.faces), dtype=bool)
+            chosen[lamp.faces] = True
+            is_surface &= ~chosen
+            shape = submesh(mesh, chosen)
+            lamps[lamp.slot] = Slot(
+                turned(shape) if lamp.side < 0 else shape, lamp.radiance, not lamp.is_named
+            )
+    slots = {SURFACE: Slot(submesh(mesh, is_surface), None, True)} if is_surface.any() else {}
+    return {**slots, **lamps}
+
+
+def turned(mesh: Mesh) -> Mesh:
+    """The mesh with its other side outwards."""
+    faces = np.ascontiguousarray(mesh.faces[:, [0, 2, 1]])
+    return Mesh(mesh.positions, faces, None if mesh.normals is None else -mesh.normals, mesh.uv)
+
+
+def window_meshes(found: FoundLights) -> dict[str, tuple[Mesh, Color]]:
+    """Rectangles of the windows as meshes, with their radiance, by name."""
+    meshes = {}
+    for window in found.windows:
+        for number, rectangle in enumerate(window.rectangles):
+            normal = np.cross(rectangle.edge_u_m, rectangle.edge_v_m)
+            normals = np.repeat((normal / np.linalg.norm(normal))[None], 4, axis=0).astype(np.float32)
+            positions = rectangle.corners().astype(np.float32)
+            faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+            quad = Mesh(positions, faces, normals, np.zeros((4, 2), np.float32))
+            meshes[f"{window.slot}-{number}"] = (quad, rectangle.radiance)
+    return meshes
+
+
+def environment_exr(environment: NDArray[np.float32]) -> bytes:
+    """The sky's image as a file."""
+    return encode_view({"beauty": environment})

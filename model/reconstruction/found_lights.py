@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""The lights of a photographed room as they were found, for exports and reports.
+
+Letters: M triangles of the capture's mesh, K triangles of a lamp. A *lamp* is surface that shines. Light from
+outside comes in by *windows*, parts of the box about the room through which rays leave its mesh. It is near
+(panels, buildings), and then rectangles on the box send it, or far, and then an image of the *sky* does.
+Radiance is in the photographs' unit; power is that times m^2 sr, hence W where radiance is in W/(m^2 sr).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Color = tuple[float, float, float]
+ENVIRONMENT_FILE = "environment.exr"
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """``origin_m + s edge_u_m + t edge_v_m`` with s and t in [0, 1]; it shines along edge_u x edge_v."""
+
+    origin_m: Color
+    edge_u_m: Color
+    edge_v_m: Color
+    radiance: Color
+
+    @property
+    def area_m2(self) -> float:
+        """Its area."""
+        return float(np.linalg.norm(np.cross(self.edge_u_m, self.edge_v_m)))
+
+    def corners(self) -> NDArray[np.float64]:
+        """Corners (4, 3), counter-clockwise seen from where it shines to."""
+        origin, u, v = (np.array(part) for part in (self.origin_m, self.edge_u_m, self.edge_v_m))
+        return np.stack([origin, origin + u, origin + u + v, origin + v])
+
+
+@dataclass(frozen=True)
+class FoundLamp:
+    """Triangles ``faces`` (K,) that shine on ``side`` 1, that of their winding, or -1. ``radiance`` is 0
+    where no photograph shows the lamp. ``is_named``: whether the capture's geometry names it as a lamp; else
+    it is a surface with a material that was found to shine."""
+
+    slot: str
+    faces: NDArray[np.int32]
+    side: int
+    radiance: Color
+    place_m: Color
+    area_m2: float
+    is_named: bool
+
+    @property
+    def is_lit(self) -> bool:
+        """Whether any light of it was found."""
+        return max(self.radiance) > 0
+
+
+@dataclass(frozen=True)
+class FoundWindow:
+    """An opening with the ``rectangles`` that cover it; ``radiance`` is their mean by area."""
+
+    slot: str
+    rectangles: tuple[Rectangle, ...]
+    place_m: Color
+    area_m2: float
+    radiance: Color
+
+
+@dataclass(frozen=True)
+class FoundLights:
+    """``environment`` (H, W, 3): the sky where light from outside is far, in the convention of
+    :class:`~datagen.formats.lights.EnvironmentLight`; None where the windows' rectangles send it."""
+
+    lamps: tuple[FoundLamp, ...] = ()
+    windows: tuple[FoundWindow, ...] = ()
+    environment: NDArray[np.float32] | None = None
+
+    @property
+    def is_dark(self) -> bool:
+        """Whether nothing shines."""
+        return not self.windows and not any(lamp.is_lit for lamp in self.lamps)
+
+    def described(self) -> list[dict[str, Any]]:
+        """For a report: ``kind`` (lamp, window, sky), ``slot`` in exports, ``place_m``, ``area_m2``,
+        ``radiance``, and ``power`` = pi area radiance, what a surface or an opening sends into the room at
+        that radiance in all directions. The sky's power is that of the windows."""
+        rows = [
+            _row("lamp", lamp.slot, lamp.place_m, lamp.area_m2, lamp.radiance)
+            for lamp in self.lamps
+            if lamp.is_lit
+        ]
+        rows += [_row("window", w.slot, w.place_m, w.area_m2, w.radiance) for w in self.windows]
+        if self.environment is not None and self.windows:
+            area = sum(window.area_m2 for window in self.windows)
+            mean = sum(window.area_m2 * np.array(window.radiance) for window in self.windows) / area
+            rows.append({"kind": "sky", "slot": "sky", "radiance": _rounded(mean, 5)})
+        return rows
+
+
+def _row(
+    kind: Literal["lamp", "window"], slot: str, place: Color, area: float, radiance: Color
+) -> dict[str, Any]:
+    return {
+        "kind": kind,
+        "slot": slot,
+        "place_m": _rounded(place, 4),
+        "area_m2": round(area, 6),
+        "radiance": _rounded(radiance, 5),
+        "power": _rounded(np.pi * area * np.array(radiance), 5),
+    }
+
+
+def _rounded(values: Any, digits: int) -> list[float]:
+    return [round(float(value), digits) for value in values]
+
+
+def lights_text(rows: list[dict[str, Any]]) -> str:
+    """The lights of :meth:`FoundLights.described` as lines of a table."""
+    if not rows:
+        return "no light was found"
+    lines = [f"{'light':<12}{'place (m)':>24}{'area (m2)':>12}{'radiance (R G B)':>26}{'power (R G B)':>28}"]
+    for row in rows:
+        place = " ".join(f"{v:.2f}" for v in row["place_m"]) if "place_m" in row else ""
+        area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
+        radiance, power = (" ".join(f"{v:.3g}" for v in row.get(key, ())) for key in ("radiance", "power"))
+        lines.append(f"{row['slot']:<12}{place:>24}{area:>12}{radiance:>26}{power:>28}")
+    return "\n".join(lines)

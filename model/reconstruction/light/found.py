@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+"""The lights of a room that was solved, so that they can leave (docs/light.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from datagen.formats.capture import CaptureGeometry
+from datagen.foundation.color import luminance
+from model.reconstruction.found_lights import FoundLights
+from model.reconstruction.geometry.traced import TracedGeometry
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.lamps import found_lamps
+from model.reconstruction.light.lighting import Lit
+from model.reconstruction.light.openings import found_windows, leaving_rays
+from model.reconstruction.light.sky import is_far, sky_image, sky_pixels
+
+
+def found_lights(
+    lit: Lit, views: Sequence[TracedView], traced: TracedGeometry, geometry: CaptureGeometry
+) -> FoundLights:
+    """Lamps, windows and, where light from outside is far, the sky, as the photographs show them."""
+    field = lit.baker.field
+    lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
+    rays = leaving_rays(field, lit.surfels)
+    median = float(np.median(luminance(lit.surfels.radiance.astype(np.float64))))
+    windows = found_windows(rays, field.background, median)
+    pixels = sky_pixels(views)
+    is_sky = bool(windows) and is_far(pixels, field.background)
+    return FoundLights(lamps, windows, sky_image(pixels, rays) if is_sky else None)

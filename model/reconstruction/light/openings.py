@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: MIT
+"""Windows: where rays from a room's surfaces leave its mesh, as rectangles with the radiance that they bring
+in.
+
+Rays that leave the box of the background through one part of a face belong to one opening. It lies where they
+are closest together: in the plane, parallel to the face, that they cross in the smallest area. A ray from a
+surfel is drawn by the cosine, so that the mean over those that leave through a rectangle is the radiance that
+counts for what the rectangle lights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.multiview.visibility import vectors_from_rows
+from model.reconstruction.found_lights import Color, FoundWindow, Rectangle
+from model.reconstruction.light.background import Background
+from model.reconstruction.light.radiance_field import RadianceField
+from model.reconstruction.light.rectangles import cover, cut
+from model.reconstruction.light.surfels import Surfels
+
+FINE = 96
+"""Squares along both sides of a face of the box."""
+RAYS = 600_000
+MIN_RAYS, MIN_OPEN = 2, 0.4
+"""Rays through a square that is open, and their least number in that of the median one: at its edge a window
+covers squares in part."""
+PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
+"""Planes that are tried from a face of the box inwards, the depth of the last in sides of the box, and the
+share of the rays that must begin inside of a plane."""
+MIN_SIDE = 1 / 60
+"""Side of the smallest window, in diagonals of the box: meshes have cracks."""
+MAX_BLOCK = FINE // 6
+"""Squares along the longest side of a rectangle: longer ones are cut, so that a gradient is kept."""
+DARK = 1e-3
+"""Of the surfels' median luminance: windows below it send nothing in."""
+_GAP = 1e-3  # diagonals between the plane and the rectangles, which else may lie in that of a wall
+
+
+@dataclass(frozen=True)
+class LeavingRays:
+    """Rays (N, 3) that leave the mesh: ``origin``, ``direction``, the ``face`` of the box (N,), axis times 2
+    and 1 for the upper one, ``radiance`` (N, 3) and whether it ``is_known``."""
+
+    origin: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    face: NDArray[np.int64]
+    radiance: NDArray[np.float32]
+    is_known: NDArray[np.bool_]
+
+    def chosen(self, which: NDArray) -> LeavingRays:
+        """Some of them."""
+        return LeavingRays(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def leaving_rays(field: RadianceField, surfels: Surfels) -> LeavingRays:
+    """Rays of surfels, by the cosine, that meet nothing."""
+    import mitsuba as mi
+
+    random = np.random.default_rng(0x77696E64)
+    count = max(1, RAYS // len(surfels))
+    step = max(1, len(surfels) // RAYS)
+    normal = np.repeat(surfels.normal[::step], count, axis=0).astype(np.float64)
+    gap = _GAP * float(np.linalg.norm(field.background.high - field.background.low))
+    origin = np.repeat(surfels.position_m[::step], count, axis=0) + normal * gap
+    sphere = random.normal(size=normal.shape)
+    direction = normal + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)  # by the cosine
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    ray = mi.Ray3f(mi.Point3f(vectors_from_rows(origin)), vectors_from_rows(direction))
+    left = ~np.asarray(field.scene.ray_test(ray).numpy(), dtype=bool)
+    return _gathered(field.background, origin[left], direction[left])
+
+
+def _gathered(background: Background, origin: NDArray, direction: NDArray) -> LeavingRays:
+    import mitsuba as mi
+
+    face, _ = box_squares(origin, direction, background.low, background.high)
+    if not len(origin):
+        return LeavingRays(origin, direction, face, np.zeros((0, 3), np.float32), np.zeros(0, bool))
+    at = background.bin_of(mi.Point3f(vectors_from_rows(origin)), vectors_from_rows(direction))
+    bins = np.asarray(at.numpy()).astype(np.int64)
+    return LeavingRays(origin, direction, face, background.radiance[bins], background.is_known[bins])
+
+
+def box_squares(
+    origin: NDArray, direction: NDArray, low: NDArray, high: NDArray, across: int = FINE
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Face (N,) of the box that rays from its inside cross, and the square (N, 2) of it."""
+    safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
+    leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
+    axis = leaves.argmin(axis=1)
+    rows = np.arange(len(axis))
+    place = (origin + leaves[rows, axis][:, None] * direction - low) / (high - low)
+    first, second = np.where(axis == 0, 1, 0), np.where(axis == 2, 1, 2)
+    part = np.stack([place[rows, first], place[rows, second]], axis=1)
+    return 2 * axis + (direction[rows, axis] > 0), np.clip(part * across, 0, across - 1).astype(np.int64)
+
+
+def found_windows(
+    rays: LeavingRays, background: Background, median_luminance: float
+) -> tuple[FoundWindow, ...]:
+    """The windows that ``rays`` leave through, brightest power first; dark ones are left out."""
+    windows = []
+    for face in range(6):
+        mine = rays.chosen(rays.face == face)
+        for whole in _parts(_Squares.of(mine, _Plane(background, face, 0.0))):
+            bundle = mine.chosen(whole)
+            plane = _narrowest(bundle, background, face)
+            seen = _Squares.of(bundle, plane)
+            for part in _components(seen):
+                window = _window(part, seen, plane)
+                if window is not None:
+                    windows.append(window)
+    floor = DARK * median_luminance
+    windows = [window for window in windows if np.array(window.radiance) @ LUMINANCE_WEIGHTS > floor]
+    windows.sort(key=lambda window: -window.area_m2 * float(np.array(window.radiance) @ LUMINANCE_WEIGHTS))
+    return tuple(replace(window, slot=f"window-{number}") for number, window in enumerate(windows))
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """Parallel to a face of the box, ``depth_m`` inwards, in squares as the face is."""
+
+    box: Background
+    face: int
+    depth_m: float
+
+    @property
+    def axis(self) -> int:
+        return self.face // 2
+
+    @property
+    def at_m(self) -> float:
+        """Its coordinate."""
+        if self.face % 2:
+            return float(self.box.high[self.axis]) - self.depth_m
+        return float(self.box.low[self.axis]) + self.depth_m
+
+    @property
+    def across(self) -> tuple[int, int]:
+        """The other axes."""
+        first, second = (axis for axis in range(3) if axis != self.axis)
+        return first, second
+
+    @property
+    def square_m(self) -> NDArray[np.float64]:
+        """Sides (2,) of a square."""
+        return (self.box.high - self.box.low)[list(self.across)] / FINE
+
+    def crossed(self, rays: LeavingRays) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Which rays (N,) begin inside of it, and the square (N,) that each crosses."""
+        along = rays.direction[:, self.axis]
+        along = np.where(np.abs(along) < 1e-9, np.where(self.face % 2, 1e-9, -1e-9), along)
+        distance = (self.at_m - rays.origin[:, self.axis]) / along
+        across = list(self.across)
+        place = rays.origin[:, across] + distance[:, None] * rays.direction[:, across]
+        square = np.clip((place - self.box.low[across]) / self.square_m, 0, FINE - 1).astype(np.int64)
+        return distance >= 0, square[:, 0] * FINE + square[:, 1]
+
+
+@dataclass(frozen=True)
+class _Squares:
+    """Of the squares (FINE, FINE) of a plane: rays through them, those of known radiance, and its ``sums``
+    (FINE, FINE, 3); ``of_ray`` (N,) square of each ray, -1 for those that begin outside."""
+
+    num: NDArray[np.int64]
+    known: NDArray[np.int64]
+    sums: NDArray[np.float64]
+    of_ray: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, rays: LeavingRays, plane: _Plane) -> _Squares:
+        is_inside, square = plane.crossed(rays)
+        shape = (FINE, FINE)
+        known = is_inside & rays.is_known
+        sums = [np.bincount(square[known], rays.radiance[known, c], FINE * FINE) for c in range(3)]
+        return cls(
+            np.bincount(square[is_inside], minlength=FINE * FINE).reshape(shape),
+            np.bincount(square[known], minlength=FINE * FINE).reshape(shape),
+            np.stack(sums, axis=-1).reshape(*shape, 3),
+            np.where(is_inside, square, -1),
+        )
+
+
+def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which squares (FINE, FINE) are open, from the rays through them."""
+    crossed = num[num > 0]
+    if not len(crossed):
+        return np.zeros((FINE, FINE), dtype=bool)
+    enough = max(MIN_RAYS, MIN_OPEN * float(np.median(crossed)))
+    padded = np.pad(num.reshape(FINE, FINE) >= enough, 2)
+    return ndimage.binary_closing(padded, np.ones((3, 3)))[2:-2, 2:-2]
+
+
+def _components(seen: _Squares) -> list[NDArray[np.bool_]]:
+    """Connected parts (FINE, FINE) of what is open."""
+    labels, count = ndimage.label(_is_open(seen.num))
+    return [labels == label for label in range(1, count + 1)]
+
+
+def _parts(seen: _Squares) -> list[NDArray[np.bool_]]:
+    """The rays (N,) of each connected part."""
+    return [
+        np.where(seen.of_ray >= 0, part.ravel()[np.maximum(seen.of_ray, 0)], False)
+        for part in _components(seen)
+    ]
+
+
+def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
+    """The plane that the rays cross in the smallest area."""
+    best, least = _Plane(background, face, 0.0), np.inf
+    side = float((background.high - background.low)[face // 2])
+    for depth in np.linspace(0, MAX_DEPTH * side, PLANES):
+        plane = _Plane(background, face, float(depth))
+        is_inside, square = plane.crossed(rays)
+        if is_inside.mean() < MIN_INSIDE:
+            break
+        num_open = int(_is_open(np.bincount(square[is_inside], minlength=FINE * FINE)).sum())
+        if num_open < least:
+            best, least = plane, num_open
+    return best
+
+
+def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundWindow | None:
+    """A part of what is open as a window; None where it is too small, or all of it unknown. Its rectangles,
+    which cover most of it, send what all of it does."""
+    area_m2 = float(part.sum() * plane.square_m.prod())
+    diagonal = float(np.linalg.norm(plane.box.high - plane.box.low))
+    if area_m2 < (MIN_SIDE * diagonal) ** 2 or not seen.known[part].any():
+        return None
+    mean = seen.sums[part].sum(axis=0) / seen.known[part].sum()
+    blocks = [block for whole in cover(part) for block in cut(whole, MAX_BLOCK)]
+    rectangles = [_rectangle(block, plane, seen, mean) for block in blocks]
+    area = np.array([rectangle.area_m2 for rectangle in rectangles])
+    share = area / area.sum()
+    place = share @ np.stack([rectangle.corners().mean(axis=0) for rectangle in rectangles])
+    radiance = share @ np.array([rectangle.radiance for rectangle in rectangles])
+    scale = area_m2 / float(area.sum())
+    sending = tuple(replace(r, radiance=_color(scale * np.array(r.radiance))) for r in rectangles)
+    return FoundWindow("", sending, _color(place), area_m2, _color(radiance))
+
+
+def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:
+    """A block of squares of a plane, shining inwards."""
+    row, column, rows, columns = block
+    window = (slice(row, row + rows), slice(column, column + columns))
+    known = int(seen.known[window].sum())
+    radiance = seen.sums[window].sum(axis=(0, 1)) / known if known else mean
+    first, second = plane.across
+    is_upper = plane.face % 2 == 1
+    gap = _GAP * float(np.linalg.norm(plane.box.high - plane.box.low))
+    origin, u, v = plane.box.low.astype(np.float64), np.zeros(3), np.zeros(3)
+    origin[plane.axis] = plane.at_m + (gap if is_upper else -gap)
+    origin[first] += row * plane.square_m[0]
+    origin[second] += column * plane.square_m[1]
+    u[first], v[second] = rows * plane.square_m[0], columns * plane.square_m[1]
+    if (np.cross(u, v)[plane.axis] > 0) == is_upper:  # it must point inwards
+        u, v = v, u
+    return Rectangle(_color(origin), _color(u), _color(v), _color(radiance))
+
+
+def _color(values: NDArray) -> Color:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: MIT
+"""Pictures of views for the report: the photograph, D, and how far it is to be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.color_maps import cividis
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.stages import Maps, ViewPicture
+
+NUM_VIEWS, WIDTH_PX = 6, 320
+NO_SURFACE = 128
+"""Grey of pixels without a confidence."""
+
+
+def view_pictures(views: Sequence[TracedView], maps: Sequence[Maps], exposure: float) -> list[ViewPicture]:
+    """Up to :data:`NUM_VIEWS` of the views, evenly spread, at most :data:`WIDTH_PX` wide."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, NUM_VIEWS).round().astype(int))
+    pictures = []
+    for index in chosen:
+        view, view_maps = views[index], maps[index]
+        step = max(1, -(-view.camera.width_px // WIDTH_PX))
+        thin = (slice(None, None, step), slice(None, None, step))
+        scale = np.array(cividis(), np.uint8)
+        confidence = scale[_bytes(view_maps["confidence"][thin][..., 0].astype(np.float32))]
+        confidence[view.geometry.surface_mask[thin][..., 0] == 0] = NO_SURFACE
+        pictures.append(
+            ViewPicture(
+                view.name,
+                _bytes(srgb_from_linear(view.color[thin] * exposure)),
+                _bytes(srgb_from_linear(view_maps["diffuse_albedo"][thin].astype(np.float32))),
+                confidence,
+            )
+        )
+    return pictures
+
+
+def _bytes(values: NDArray) -> NDArray[np.uint8]:
+    return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

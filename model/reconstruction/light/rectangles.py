@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""Masks as few rectangles."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+COVERED, MAX_RECTANGLES = 0.95, 8
+"""Share of a mask that its rectangles cover at least, or how many there are at most."""
+
+
+def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
+    """Rectangles (row, column, rows, columns) of a mask, largest first, that cover :data:`COVERED` of it and
+    do not overlap, at most :data:`MAX_RECTANGLES`."""
+    rest = mask.copy()
+    found = []
+    while rest.sum() > (1 - COVERED) * mask.sum() and len(found) < MAX_RECTANGLES:
+        row, column, rows, columns = largest_rectangle(rest)
+        rest[row : row + rows, column : column + columns] = False
+        found.append((row, column, rows, columns))
+    return found
+
+
+def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """The largest rectangle (row, column, rows, columns) of True: of each row as its lowest, by heights."""
+    best, size = (0, 0, 0, 0), 0
+    heights = np.zeros(mask.shape[1] + 1, np.int64)  # the last one ends all that is open
+    for row, line in enumerate(mask):
+        heights[:-1] = np.where(line, heights[:-1] + 1, 0)
+        stack: list[int] = []
+        for column, height in enumerate(heights):
+            start = column
+            while stack and heights[stack[-1]] >= height:
+                tall = int(heights[stack.pop()])
+                start = stack[-1] + 1 if stack else 0
+                if tall * (column - start) > size:
+                    size = tall * (column - start)
+                    best = (row - tall + 1, start, tall, column - start)
+            stack.append(column)
+    return best
+
+
+def cut(block: tuple[int, int, int, int], most: int) -> list[tuple[int, int, int, int]]:
+    """A rectangle in pieces of at most ``most`` squares along a side."""
+    row, column, rows, columns = block
+    down, along = -(-rows // most), -(-columns // most)
+    tops = np.linspace(row, row + rows, down + 1).round().astype(int)
+    lefts = np.linspace(column, column + columns, along + 1).round().astype(int)
+    return [
+        (int(top), int(left), int(bottom - top), int(right - left))
+        for top, bottom in pairwise(tops)
+        for left, right in pairwise(lefts)
+    ]

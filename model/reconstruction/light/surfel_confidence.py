@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: MIT
+"""Confidence of D, S and R anywhere on a room's surface, from that of the surfels, in little memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.reconstruction.atlas.compiled import compiled
+from model.reconstruction.light.surfels import Surfels, cell_of
+
+_STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int64)
+_NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1), kind="stable")])
+
+
+@dataclass(frozen=True)
+class SurfelConfidence:
+    """``cell`` (N,) ascending, the cells and sides of the surfels; ``confidence`` (N, 3) of D, S and R, 255
+    for 1; ``low``, ``cell_m`` and ``shape`` of the grid."""
+
+    low: NDArray[np.float64]
+    cell_m: float
+    shape: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    confidence: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, surfels: Surfels, confidence: NDArray) -> SurfelConfidence:
+        """From the surfels' ``confidence`` (N, 3) in [0, 1]."""
+        grid = surfels.grid
+        stored = np.round(255 * np.clip(confidence, 0, 1)).astype(np.uint8)
+        return cls(grid.low, grid.cell_m, grid.shape, np.flatnonzero(grid.surfel >= 0), stored)
+
+    def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
+        """Confidence (..., 3) of surface at ``points`` (..., 3) on the side of ``normals``: that of the
+        surfel there, else of the nearest of the cells around; 0 where there is none."""
+        flat = points.reshape(-1, 3).astype(np.float64)
+        side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)
+        found = _look_up(
+            flat, side, self.low, self.cell_m, self.shape, self.cell, self.confidence, _NEAREST_FIRST
+        )
+        return found.reshape(points.shape)
+
+
+@compiled
+def _look_up(points, normals, low, cell_m, shape, cells, confidence, steps):
+    found = np.zeros((len(points), 3), np.uint8)
+    place = np.zeros(3)
+    for index in range(len(points)):
+        for step in range(len(steps)):
+            for axis in range(3):
+                place[axis] = points[index, axis] + steps[step, axis] * cell_m
+            cell = cell_of(place, normals[index], low, cell_m, shape)
+            if cell < 0:
+                continue
+            row = np.searchsorted(cells, cell)
+            if row < len(cells) and cells[row] == cell:
+                found[index] = confidence[row]
+                break
+    return found

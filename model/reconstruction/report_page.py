@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""The report of ``materials infer`` for people: one page that needs nothing beside it.
+
+What was done, the lights that were found, how far the maps are to be trusted, and what each step cost.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.color_maps import cividis
+from datagen.foundation.images import encode_png
+from model.reconstruction.infer_options import InferReport
+from model.reconstruction.stages import ViewPicture
+
+KINDS = {"lamp": "lamp surface", "window": "window opening", "sky": "sky background"}
+_STYLE = """
+:root { color-scheme: light dark; }
+body { font: 15px/1.55 system-ui, sans-serif; max-width: 66rem; margin: 0 auto; padding: 2rem 1.25rem 4rem; }
+h1 { font-size: 1.8rem; margin: 0 0 .3rem; } h2 { font-size: 1.2rem; margin: 2.4rem 0 .4rem; }
+p { max-width: 70ch; } .wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 13.5px; font-variant-numeric: tabular-nums; }
+th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #8884; white-space: pre; }
+th:first-child, td:first-child { text-align: left; }
+.views { display: grid; grid-template-columns: repeat(3, 1fr); gap: .4rem; max-width: 62rem; }
+.views img { width: 100%; display: block; border-radius: 4px; image-rendering: auto; }
+.scale { display: flex; gap: .5rem; align-items: center; margin: .5rem 0; }
+.scale img { width: 12rem; height: .8rem; } i { display: inline-block; width: 1.6rem; height: .9em;
+  vertical-align: -.1em; border-radius: 3px; border: 1px solid #8886; }
+"""
+
+
+def report_html(report: InferReport, pictures: Sequence[ViewPicture]) -> str:
+    """The page."""
+    title = html.escape(f"{report.name}: materials")
+    done = (
+        f"{report.num_views} views, {report.num_triangles} triangles, an atlas of {report.atlas_size} x "
+        f"{report.atlas_size} texels; {report.seen_share:.0%} of the surface was seen."
+    )
+    parts = [
+        f"<h1>{title}</h1><p>{done}</p>",
+        _remarks(report),
+        _lights(report.light),
+        _confidence(report.light, pictures),
+        _costs(report),
+    ]
+    return (
+        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{title}</title>"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
+    )
+
+
+def _remarks(report: InferReport) -> str:
+    texts = [*(f"warning: {text}" for text in report.warnings), *(f"note: {text}" for text in report.notes)]
+    items = "".join(f"<li>{html.escape(text)}</li>" for text in texts)
+    return f"<ul>{items}</ul>" if items else ""
+
+
+def _lights(light: dict[str, Any]) -> str:
+    if "lights" not in light:
+        return ""
+    rows = []
+    for row in light["lights"]:
+        color = np.array(row["radiance"])
+        shown = np.round(255 * srgb_from_linear(color / max(float(color.max()), 1e-12))).astype(int)
+        swatch = f'<i style="background:rgb({",".join(map(str, shown))})"></i>'
+        area = f"{row['area_m2']:.3f}" if "area_m2" in row else ""
+        numbers = [_numbers(row.get("place_m", ()), 2), area]
+        numbers += [_numbers(row.get(key, ()), 3) for key in ("radiance", "power")]
+        name = f"{html.escape(row['slot'])} {swatch}"
+        rows.append((name, KINDS[row["kind"]], *numbers))
+    heads = ("light", "kind", "middle x y z (m)", "area (m2)", "radiance R G B", "power R G B")
+    found = _table(heads, rows) if rows else "<p>None was found.</p>"
+    return (
+        "<h2>Lights</h2><p>What shines into the room, as the photographs show it. Radiance is in their unit; "
+        "power is pi times area and radiance, in W where radiance is in W/(m2 sr). The exports hold these "
+        f"lights.</p>{found}"
+    )
+
+
+def _numbers(values: Iterable[float], digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" if digits == 2 else f"{value:.3g}" for value in values)
+
+
+def _confidence(light: dict[str, Any], pictures: Sequence[ViewPicture]) -> str:
+    if not pictures:
+        return ""
+    means = " ".join(f"{name} {value:.2f}" for name, value in zip("DSR", light["confidence"], strict=True))
+    bar = np.array(cividis(), np.uint8)[None].repeat(8, axis=0)
+    cells = "".join(
+        f'<img alt="{html.escape(f"{picture.name}: {text}", quote=True)}" src="{_address(pixels)}">'
+        for picture in pictures
+        for text, pixels in (
+            ("photograph", picture.photograph),
+            ("diffuse albedo", picture.diffuse_albedo),
+            ("confidence of D", picture.confidence),
+        )
+    )
+    return (
+        "<h2>Confidence</h2><p>How far a surface's materials come from the light of the photographs rather "
+        f"than from the network: means over the surface {means}. Photograph, diffuse albedo, and confidence "
+        "of D; <code>atlas/confidence.png</code> has D, S and R by texel.</p>"
+        f'<div class="scale">0, network <img alt="" src="{_address(bar)}"> 1, light</div>'
+        f'<div class="views">{cells}</div>'
+    )
+
+
+def _costs(report: InferReport) -> str:
+    rows = [
+        (html.escape(name), f"{seconds:.1f}", f"{share:.0%}", f"{memory:.0f}")
+        for name, seconds, share, memory in report.costs()
+    ]
+    heads = ("step", "seconds", "share", "peak memory so far (MB)")
+    return f"<h2>Cost</h2>{_table(heads, rows)}"
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Cells are HTML."""
+    head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
+
+
+def _address(pixels: NDArray[np.uint8]) -> str:
+    return f"data:image/png;base64,{base64.b64encode(encode_png(pixels)).decode()}"
