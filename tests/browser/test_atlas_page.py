@@ -81,7 +81,15 @@ def make_quad(root: Path, side: int = SIDE, seed: int = 5) -> Quad:
     mask[: side // 2] = 128
     (root / "atlas").mkdir()
     (root / "atlas" / "mask.png").write_bytes(encode_png(mask))
+    (root / "atlas" / "confidence.png").write_bytes(encode_png(confidence_of(side)))
     return Quad(images, normals, root)
+
+
+def confidence_of(side: int) -> np.ndarray:
+    """D's falls from left to right in steps of the patches; S and R are surer."""
+    steps = np.linspace(230, 20, PATCHES).astype(np.uint8).repeat(side // PATCHES)
+    of_d = np.broadcast_to(steps, (side, side))
+    return np.stack([of_d, np.full_like(of_d, 240), np.full_like(of_d, 250)], axis=-1)
 
 
 @pytest.fixture(scope="module")
@@ -240,11 +248,28 @@ def test_channels_are_the_textures(page: Page, quad: Quad) -> None:
         ("3", quad.images["specular_albedo"][row, column]),
         ("4", colors[quad.images["roughness"][row, column, 0]]),
         ("5", colors[np.where(row < SIDE // 2, 38, 242)]),
+        ("7", colors[confidence_of(SIDE)[row, column, 0]]),
     ):
         page.keys(key, to="#picture")
         difference = np.abs(read(page)[is_seen].astype(int) - expected)
         assert difference.max() <= 2, key
-    assert "filled in" in page.run("return document.getElementById('legend').innerText")
+        if key in LEGENDS:
+            assert LEGENDS[key] in page.run("return document.getElementById('legend').innerText")
+
+
+LEGENDS = {"4": "R 0", "5": "filled in", "7": "light"}
+
+
+def test_assets_without_confidence_do_not_offer_it(browser: Page, tmp_path: Path) -> None:
+    plain = make_quad(tmp_path / "plain")
+    (plain.asset / "atlas" / "confidence.png").unlink()
+    write_view(plain.asset, tmp_path / "page")
+    browser.driver.get("about:blank")
+    browser.open(tmp_path / "page" / "index.html")
+    browser.keys("7", to="#picture")
+    assert browser.run("return VIEW.state().shown") == 0
+    browser.keys("5", to="#picture")  # the twin: what there is can be chosen
+    assert browser.run("return VIEW.state().shown") == 4
 
 
 def page_data(page: Page) -> Path:

@@ -2,7 +2,8 @@
 """Material channels as images for the page: PNG, 8 bits, at most ``max_side`` texels a side.
 
 Three images a material: D and S sRGB-encoded; R in red with, in green, what was seen of the atlas (255 seen,
-128 filled in; 255 where nothing is known about it). Row 0 is at v = 1. Larger images are averaged down.
+128 filled in; 255 where nothing is known about it) and, in blue, its confidence: the least of D, S and R (0
+where nothing is known about it). Row 0 is at v = 1. Larger images are averaged down.
 """
 
 from __future__ import annotations
@@ -50,24 +51,34 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
     return small.reshape(size[1], size[0], -1).astype(np.uint8, copy=False)
 
 
-def material_images(
-    package: Package, material: Material, mask: NDArray[np.uint8] | None, max_side: int
-) -> Iterator[PageImage]:
-    """The images of a material; ``mask`` (N, N) belongs to its roughness texture.
+@dataclass(frozen=True)
+class AtlasState:
+    """What is known of an atlas beside its maps, each (N, N) and None where it is not: ``mask`` of what was
+    seen, and ``confidence``."""
 
-    Raises :class:`InputError` where an image cannot be read or differs from the mask in size.
+    mask: NDArray[np.uint8] | None = None
+    confidence: NDArray[np.uint8] | None = None
+
+
+def material_images(
+    package: Package, material: Material, state: AtlasState, max_side: int
+) -> Iterator[PageImage]:
+    """The images of a material; ``state`` belongs to its roughness texture.
+
+    Raises :class:`InputError` where an image cannot be read or differs from the state's in size.
     """
     for kind, channel in (("diffuse", material.diffuse_albedo), ("specular", material.specular_albedo)):
         pixels, side = _color_bytes(package, channel, max_side)
         yield PageImage(kind, pixels, side)
     rough, side = _rough_bytes(package, material.roughness)
-    if mask is None:
-        mask = np.full(rough.shape, SEEN, np.uint8)
-    elif mask.shape != rough.shape:
-        got, expected = (" x ".join(map(str, array.shape)) for array in (mask, rough))
-        raise input_error("mask.png", "size", got, expected, "write both by one `materials infer`")
-    packed = np.stack([rough, mask, np.zeros_like(rough)], axis=-1)
-    yield PageImage("rough", shrunk(packed, max_side), side)
+    packed = [rough]
+    for name, values, unknown in (("mask", state.mask, SEEN), ("confidence", state.confidence, 0)):
+        if values is not None and values.shape != rough.shape:
+            got, expected = (" x ".join(map(str, array.shape)) for array in (values, rough))
+            remedy = "write both by one `materials infer`"
+            raise input_error(f"{name}.png", "size", got, expected, remedy)
+        packed.append(np.full(rough.shape, unknown, np.uint8) if values is None else values)
+    yield PageImage("rough", shrunk(np.stack(packed, axis=-1), max_side), side)
 
 
 def _pixels(package: Package, texture: Texture) -> NDArray:
@@ -96,9 +107,18 @@ def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], 
     return values, max(values.shape)
 
 
-def read_mask(path: Path) -> NDArray[np.uint8]:
-    """The mask (N, N) that ``materials infer`` writes; raises :class:`InputError`."""
+def read_state(folder: Path) -> AtlasState:
+    """What `materials infer` writes beside the maps of an atlas; raises :class:`InputError`."""
+    mask, confidence = (_bytes_of(folder / name) for name in ("mask.png", "confidence.png"))
+    return AtlasState(
+        None if mask is None else mask[..., 0], None if confidence is None else confidence.min(axis=2)
+    )
+
+
+def _bytes_of(path: Path) -> NDArray[np.uint8] | None:
+    if not path.is_file():
+        return None
     pixels = read_image(path)
     if pixels.dtype != np.uint8:
         raise input_error(path, "", str(pixels.dtype), "8 bits", "write it by `materials infer`")
-    return pixels[..., 0]
+    return pixels

@@ -27,7 +27,7 @@ from datagen.foundation.color_maps import cividis
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, joined, vertex_normals
 from datagen.foundation.meshes.ply import read_ply
-from model.reconstruction.atlas_page.textures import material_images, read_mask
+from model.reconstruction.atlas_page.textures import AtlasState, material_images, read_state
 
 MAX_SIDE = 4096
 """Longest side of an image: more is beyond many GPUs, and 4096 takes 256 MB of theirs already."""
@@ -49,11 +49,10 @@ class ViewResult:
 def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
     """Write the page of an asset package, or of a folder that ``materials infer`` has written, into ``out``.
 
-    The mask of seen texels is taken from ``atlas/mask.png`` beside the package, where it is. Raises
-    :class:`InputError` for other input, and where ``out`` holds other files.
+    What was seen and how sure it is are taken from ``atlas/mask.png`` and ``confidence.png`` beside the
+    package, where they are. Raises :class:`InputError` for other input, and where ``out`` holds other files.
     """
     package_path = source / "asset" if is_package(source / "asset") else source
-    mask_path = package_path.parent / "atlas" / "mask.png"
     _check_out(out)
     package = open_package(package_path)
     (out / "data").mkdir(parents=True, exist_ok=True)
@@ -65,24 +64,26 @@ def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
             expected = "an environment or an object"
             raise input_error(package_path, "kind", asset.kind, expected, "name another package")
         slots = _meshes_by_material(package, asset)
-        has_atlas = sum(bool(asset.materials[slot].textures()) for slot in slots) == 1
-        mask = read_mask(mask_path) if has_atlas and mask_path.is_file() else None
+        shown = [asset.materials[slot] for slot in slots if asset.materials[slot].emission is None]
+        has_atlas = sum(bool(material.textures()) for material in shown) == 1
+        state = read_state(package_path.parent / "atlas") if has_atlas else AtlasState()
         materials = []
         for number, (slot, mesh) in enumerate(slots.items()):
             material = asset.materials[slot]
             described: dict[str, Any] = {"slot": slot, "emission": material.emission, "images": []}
-            own_mask = mask if material.textures() else None
-            described["hasMask"] = own_mask is not None
+            own = state if material.textures() and material.emission is None else AtlasState()
+            described["hasMask"] = own.mask is not None
+            described["hasConfidence"] = own.confidence is not None
             if material.emission is None:
-                for image in material_images(package, material, own_mask, max_side):
+                for image in material_images(package, material, own, max_side):
                     name = f"{number}-{image.kind}"
                     described["images"].append([name, image.kind, *image.pixels.shape[1::-1]])
                     previews[name] = _text(image.png(PREVIEW_SIDE))
                     if max(image.pixels.shape) > PREVIEW_SIDE:
                         _write_script(out / "data" / f"{name}.js", f'images["{name}"]', _text(image.png()))
                     if image.original_side > max_side:
-                        shown = f"{max_side} of {image.original_side} texels a side"
-                        notes.append(f"{slot}: {image.kind} is shown at {shown}")
+                        texels = f"{max_side} of {image.original_side} texels a side"
+                        notes.append(f"{slot}: {image.kind} is shown at {texels}")
                 if material.normal is not None or material.opacity is not None:
                     notes.append(f"{slot}: its normal map and opacity are not shown")
             materials.append({**described, **_encode_mesh(mesh)})

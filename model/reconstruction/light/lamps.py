@@ -25,7 +25,8 @@ def found_lamps(emitters: Emitters, mesh: Mesh, parts: Sequence[GeometryPart]) -
     shown = np.zeros((len(mesh.faces), 3))
     lit = emitters.of_face >= 0
     shown[lit] = emitters.radiance[emitters.of_face[lit]]
-    lamps, free = [], lit.copy()
+    lamps: list[FoundLamp] = []
+    free = lit.copy()
     for part in parts:
         faces = np.arange(part.first_face, part.first_face + part.num_faces, dtype=np.int32)
         if part.emission is None:

@@ -5,7 +5,8 @@ in.
 Rays that leave the box of the background through one part of a face belong to one opening. It lies where they
 are closest together: in the plane, parallel to the face, that they cross in the smallest area. A ray from a
 surfel is drawn by the cosine, so that the mean over those that leave through a rectangle is the radiance that
-counts for what the rectangle lights.
+counts for what the rectangle lights. All rays through an opening are its own, whichever face of the box they
+leave through behind it.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ covers squares in part."""
 PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
 """Planes that are tried from a face of the box inwards, the depth of the last in sides of the box, and the
 share of the rays that must begin inside of a plane."""
+MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
+"""Openings that are looked for, the largest first, and the share of all rays that leave that one needs."""
 MIN_SIDE = 1 / 60
 """Side of the smallest window, in diagonals of the box: meshes have cracks."""
 MAX_BLOCK = FINE // 6
@@ -105,17 +108,19 @@ def found_windows(
     rays: LeavingRays, background: Background, median_luminance: float
 ) -> tuple[FoundWindow, ...]:
     """The windows that ``rays`` leave through, brightest power first; dark ones are left out."""
-    windows = []
-    for face in range(6):
-        mine = rays.chosen(rays.face == face)
-        for whole in _parts(_Squares.of(mine, _Plane(background, face, 0.0))):
-            bundle = mine.chosen(whole)
-            plane = _narrowest(bundle, background, face)
-            seen = _Squares.of(bundle, plane)
-            for part in _components(seen):
-                window = _window(part, seen, plane)
-                if window is not None:
-                    windows.append(window)
+    windows: list[FoundWindow] = []
+    rest = rays
+    for _ in range(MAX_BUNDLES):
+        bundle, face = _largest_bundle(rest, background)
+        if bundle.sum() < max(MIN_RAYS, MIN_BUNDLE * len(rays.face)):
+            break
+        plane = _narrowest(rest.chosen(bundle), background, face)
+        is_open = _is_open(_Squares.of(rest.chosen(bundle), plane).num)
+        through = rest.chosen(plane.within(rest, is_open))
+        seen = _Squares.of(through, plane)
+        found = (_window(part, seen, plane) for part in _components(_is_open(seen.num)))
+        windows += [window for window in found if window is not None]
+        rest = rest.chosen(~(bundle | plane.within(rest, is_open)))
     floor = DARK * median_luminance
     windows = [window for window in windows if np.array(window.radiance) @ LUMINANCE_WEIGHTS > floor]
     windows.sort(key=lambda window: -window.area_m2 * float(np.array(window.radiance) @ LUMINANCE_WEIGHTS))
@@ -162,28 +167,32 @@ class _Plane:
         square = np.clip((place - self.box.low[across]) / self.square_m, 0, FINE - 1).astype(np.int64)
         return distance >= 0, square[:, 0] * FINE + square[:, 1]
 
+    def within(self, rays: LeavingRays, is_open: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which rays (N,) cross it in squares that are open."""
+        is_inside, square = self.crossed(rays)
+        return is_inside & is_open.ravel()[square]
+
 
 @dataclass(frozen=True)
 class _Squares:
     """Of the squares (FINE, FINE) of a plane: rays through them, those of known radiance, and its ``sums``
-    (FINE, FINE, 3); ``of_ray`` (N,) square of each ray, -1 for those that begin outside."""
+    (FINE, FINE, 3)."""
 
     num: NDArray[np.int64]
     known: NDArray[np.int64]
     sums: NDArray[np.float64]
-    of_ray: NDArray[np.int64]
 
     @classmethod
     def of(cls, rays: LeavingRays, plane: _Plane) -> _Squares:
         is_inside, square = plane.crossed(rays)
         shape = (FINE, FINE)
         known = is_inside & rays.is_known
-        sums = [np.bincount(square[known], rays.radiance[known, c], FINE * FINE) for c in range(3)]
+        radiance = rays.radiance[known].astype(np.float64)
+        sums = [np.bincount(square[known], radiance[:, c], FINE * FINE) for c in range(3)]
         return cls(
             np.bincount(square[is_inside], minlength=FINE * FINE).reshape(shape),
             np.bincount(square[known], minlength=FINE * FINE).reshape(shape),
-            np.stack(sums, axis=-1).reshape(*shape, 3),
-            np.where(is_inside, square, -1),
+            np.stack(sums, axis=-1).reshape(*shape, 3).astype(np.float64),
         )
 
 
@@ -197,18 +206,25 @@ def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
     return ndimage.binary_closing(padded, np.ones((3, 3)))[2:-2, 2:-2]
 
 
-def _components(seen: _Squares) -> list[NDArray[np.bool_]]:
+def _components(is_open: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
     """Connected parts (FINE, FINE) of what is open."""
-    labels, count = ndimage.label(_is_open(seen.num))
+    labels, count = ndimage.label(is_open)
     return [labels == label for label in range(1, count + 1)]
 
 
-def _parts(seen: _Squares) -> list[NDArray[np.bool_]]:
-    """The rays (N,) of each connected part."""
-    return [
-        np.where(seen.of_ray >= 0, part.ravel()[np.maximum(seen.of_ray, 0)], False)
-        for part in _components(seen)
-    ]
+def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[np.bool_], int]:
+    """Most rays (N,) that leave through one connected part of a face of the box, and the face."""
+    best, of_face, most = np.zeros(len(rays.face), dtype=bool), 0, 0
+    for face in range(6):
+        mine = rays.face == face
+        if mine.sum() <= most:
+            continue
+        plane = _Plane(background, face, 0.0)
+        for part in _components(_is_open(_Squares.of(rays.chosen(mine), plane).num)):
+            bundle = mine & plane.within(rays, part)
+            if bundle.sum() > most:
+                best, of_face, most = bundle, face, int(bundle.sum())
+    return best, of_face
 
 
 def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:

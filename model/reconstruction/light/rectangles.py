@@ -16,7 +16,7 @@ def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
     """Rectangles (row, column, rows, columns) of a mask, largest first, that cover :data:`COVERED` of it and
     do not overlap, at most :data:`MAX_RECTANGLES`."""
     rest = mask.copy()
-    found = []
+    found: list[tuple[int, int, int, int]] = []
     while rest.sum() > (1 - COVERED) * mask.sum() and len(found) < MAX_RECTANGLES:
         row, column, rows, columns = largest_rectangle(rest)
         rest[row : row + rows, column : column + columns] = False

@@ -24,7 +24,7 @@ VIEW.shader = {
     uniform sampler2D diffuseMap, specularMap, roughMap, colorMap;
     uniform vec3 cameraPosition, lightPosition, lightIntensity, emission;
     uniform float exposure, fill; // fill: radiance from all around, an approximation
-    uniform int shown; // 0 lit, 1 D, 2 S, 3 R, 4 seen, 5 normal
+    uniform int shown; // 0 lit, 1 D, 2 S, 3 R, 4 seen, 5 normal, 6 confidence
     uniform bool isLamp;
     in vec3 point, shadingNormal;
     in vec2 at;
@@ -63,10 +63,12 @@ VIEW.shader = {
       return mix(1.055 * pow(linear, vec3(1.0 / 2.4)) - 0.055, 12.92 * linear, lessThanEqual(linear, vec3(0.0031308)));
     }
 
+    vec3 scale(float value) { return texture(colorMap, vec2(value * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb; }
+
     void main() {
       if (isLamp) { color = vec4(shown == 0 ? screen(emission * exposure) : vec3(0.2), 1.0); return; }
       vec3 D = texture(diffuseMap, at).rgb, S = texture(specularMap, at).rgb;
-      vec2 rough = texture(roughMap, at).rg;
+      vec3 rough = texture(roughMap, at).rgb;
       vec3 o = normalize(cameraPosition - point), n = normalize(shadingNormal);
       if (dot(n, o) < 0.0) n = -n; // seen from behind, a surface is its own mirror image
       if (shown == 0) {
@@ -77,8 +79,9 @@ VIEW.shader = {
         color = vec4(screen(radiance * exposure), 1.0);
       } else if (shown == 1) color = vec4(screen(D), 1.0);
       else if (shown == 2) color = vec4(screen(S), 1.0);
-      else if (shown == 3) color = vec4(texture(colorMap, vec2(rough.r * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, 1.0);
+      else if (shown == 3) color = vec4(scale(rough.r), 1.0);
       else if (shown == 4) color = vec4(texture(colorMap, vec2(rough.g > 0.75 ? 0.95 : 0.15, 0.5)).rgb, 1.0);
-      else color = vec4(0.5 + 0.5 * n, 1.0);
+      else if (shown == 5) color = vec4(0.5 + 0.5 * n, 1.0);
+      else color = vec4(scale(rough.b), 1.0);
     }`,
 };

@@ -6,7 +6,7 @@
   const T = THREE, { scene: data } = VIEW;
   const $ = (id) => document.getElementById(id);
   const canvas = $("picture");
-  const SHOWN = ["lit", "D, diffuse albedo", "S, specular albedo", "R, roughness", "seen texels", "normal"];
+  const SHOWN = ["lit", "D, diffuse albedo", "S, specular albedo", "R, roughness", "seen texels", "normal", "confidence"];
 
   function element(tag, attributes = {}, ...children) {
     const node = document.createElement(tag);
@@ -138,8 +138,8 @@
     $("spoken").textContent = `shown: ${SHOWN[number]}`;
     const colors = (share) => `rgb(${data.colorMap[Math.round(255 * share)]})`;
     const legend = $("legend");
-    legend.hidden = number !== 3 && number !== 4;
-    if (number === 3) legend.replaceChildren("R 0", element("i", { style: `background:linear-gradient(90deg,${Array.from({ length: 17 }, (_, k) => colors(k / 16))})` }), "1");
+    legend.hidden = ![3, 4, 6].includes(number);
+    if (number === 3 || number === 6) legend.replaceChildren(number === 3 ? "R 0" : "network", element("i", { style: `background:linear-gradient(90deg,${Array.from({ length: 17 }, (_, k) => colors(k / 16))})` }), number === 3 ? "1" : "light");
     if (number === 4) legend.replaceChildren(element("i", { class: "one", style: `background:${colors(0.95)}` }), "seen", element("i", { class: "one", style: `background:${colors(0.15)}` }), "filled in");
     changed();
   }
@@ -169,8 +169,9 @@
   function build() {
     const axis = (k, label) => slider(`light-${"xyz"[k]}`, label, bounds[0].getComponent(k) - controls.size, bounds[1].getComponent(k) + controls.size, 0.01, 0, metres,
       (value) => { const to = controls.light.clone(); to.setComponent(k, value); controls.light.copy(to); });
+    const isMissing = { 4: !data.materials.some((m) => m.hasMask), 6: !data.materials.some((m) => m.hasConfidence) };
     ui.shown = element("select", { id: "shown", onchange: () => choose(Number(ui.shown.value)) }, ...SHOWN.map((text, number) =>
-      element("option", { value: number, text, disabled: number === 4 && !data.materials.some((m) => m.hasMask) ? "" : null })));
+      element("option", { value: number, text, disabled: isMissing[number] ? "" : null })));
     ui.camera = element("select", { id: "camera", onchange: () => lookFrom(Number(ui.camera.value)) }, element("option", { value: -1, text: "outside" }), ...data.cameras.map((c, k) => element("option", { value: k, text: c.name })));
     ui.mode = element("select", { id: "mode", onchange: () => setMode(ui.mode.value) }, element("option", { value: "orbit", text: "turn around the asset" }), element("option", { value: "fly", text: "look around" }));
     const sizes = data.materials.flatMap((m) => m.images.map(([, , width, height]) => Math.max(width, height)));
@@ -184,7 +185,7 @@
       axis(0, "x"), axis(1, "y"), axis(2, "z"),
       element("p", { class: "note", text: "Drag the yellow ball, or use the keys. One point light, without shadows; fill is light from all around, roughly." }),
       element("h2", { text: "Keys" }),
-      element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 6: what is shown", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
+      element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 7: what is shown", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
       element("p", { class: "note", id: "sizes", text: `${data.materials.length} materials, textures up to ${Math.max(1, ...sizes)} texels a side` }),
       ...data.notes.map((text) => element("p", { class: "note", text })));
     controls.whenLightMoves(() => { for (const k of [0, 1, 2]) ui[`light-${"xyz"[k]}`].apply(controls.light.getComponent(k)); });
@@ -205,7 +206,7 @@
       j: pushed(-1, 0, 0), l: pushed(1, 0, 0), k: pushed(0, -1, 0), i: pushed(0, 1, 0), u: pushed(0, 0, -1), o: pushed(0, 0, 1),
       "[": () => ui.exposure.apply(settings.stops - 0.5), "]": () => ui.exposure.apply(settings.stops + 0.5),
       c: () => lookFrom(current + 1 < data.cameras.length ? current + 1 : -1), f: () => setMode(controls.mode() === "fly" ? "orbit" : "fly"),
-    }[event.key.length === 1 ? event.key.toLowerCase() : event.key] || (/^[1-6]$/.test(event.key) ? () => choose(Number(event.key) - 1) : null);
+    }[event.key.length === 1 ? event.key.toLowerCase() : event.key] || (/^[1-7]$/.test(event.key) ? () => choose(Number(event.key) - 1) : null);
     if (!act) return;
     event.preventDefault();
     act();

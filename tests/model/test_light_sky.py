@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: MIT
+"""Windows and skies: where rays leave, how near what they show is, and that images of it point the right
+way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.capture import GeometryPart
+from datagen.formats.lights import EnvironmentLight
+from datagen.formats.package import open_package
+from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.atlas.atlas import empty_atlas
+from model.reconstruction.export.asset import write_asset
+from model.reconstruction.export.atlas_images import write_atlas_images
+from model.reconstruction.export.gltf import write_glb
+from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
+from model.reconstruction.export.slots import Reconstruction
+from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundWindow, Rectangle, lights_text
+from model.reconstruction.light.background import Background
+from model.reconstruction.light.emitters import Emitters
+from model.reconstruction.light.lamps import found_lamps
+from model.reconstruction.light.openings import LeavingRays, box_squares, found_windows
+from model.reconstruction.light.rectangles import cover, cut, largest_rectangle
+from model.reconstruction.light.sky import (
+    HEIGHT,
+    SkyPixels,
+    direction_vectors,
+    directions_of,
+    is_far,
+    sky_image,
+)
+from oracles.textured_room import room_capture
+from tests.model.test_found_lights import glb_document
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+LOW, HIGH = np.zeros(3), np.array([4.0, 3.0, 2.5])
+
+
+def background() -> Background:
+    """A box of which only the corners are asked for."""
+    return Background(LOW, HIGH, np.zeros((0, 3), np.float32), np.zeros(0, bool), np.zeros(0, bool))
+
+
+def bundle(
+    num: int, corner: tuple[float, float, float], size: tuple[float, float], seed: int = 0
+) -> LeavingRays:
+    """Rays from all over the room through a window in a plane of x, which go on to the box."""
+    random = np.random.default_rng(seed)
+    origin = random.uniform(0, 1, (num, 3)) * [corner[0] - 0.3, *HIGH[1:]]
+    through = np.array(corner) + random.uniform(0, 1, (num, 3)) * [0, *size]
+    direction = through - origin
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    face, _ = box_squares(origin, direction, LOW, HIGH)
+    radiance = np.tile(np.array([1, 2, 3], np.float32), (num, 1)) * (1 + through[:, 1:2] - corner[1])
+    return LeavingRays(origin, direction, face, radiance.astype(np.float32), np.ones(num, bool))
+
+
+def test_window_lies_where_rays_are_closest_together() -> None:
+    """0.4 m inside of the box: its footprint on the box is 1.5 times as large, and has parts on all faces."""
+    rays = bundle(60_000, (3.6, 0.8, 0.9), (1.2, 1.0))
+    (window,) = found_windows(rays, background(), 1.0)
+    assert window.area_m2 == pytest.approx(1.2, rel=0.06)
+    np.testing.assert_allclose(window.place_m, [3.6, 1.4, 1.4], atol=0.08)
+    np.testing.assert_allclose(window.radiance, [1.6, 3.2, 4.8], rtol=0.05)
+    sent = sum(r.area_m2 * np.array(r.radiance) for r in window.rectangles)
+    np.testing.assert_allclose(sent, window.area_m2 * np.array(window.radiance), rtol=1e-6)
+    left, right = (f(window.rectangles, key=lambda r: r.origin_m[1]).radiance[0] for f in (min, max))
+    assert left < 1.4 < 1.8 < right  # a gradient stays
+    for rectangle in window.rectangles:
+        assert np.cross(rectangle.edge_u_m, rectangle.edge_v_m)[0] < 0  # into the room
+
+
+def test_windows_side_by_side_stay_apart_and_dark_ones_are_left_out() -> None:
+    first, second = (
+        bundle(40_000, (3.9, 0.3, 0.9), (0.8, 1.0)),
+        bundle(20_000, (3.9, 2.0, 0.9), (0.5, 0.6), 1),
+    )
+    both = LeavingRays(
+        *(np.concatenate([getattr(first, k), getattr(second, k)]) for k in first.__dataclass_fields__)
+    )
+    windows = found_windows(both, background(), 1.0)
+    assert [w.slot for w in windows] == ["window-0", "window-1"]
+    np.testing.assert_allclose([w.area_m2 for w in windows], [0.8, 0.3], rtol=0.15)
+    assert found_windows(both, background(), 1e5) == ()
+
+
+def test_rectangles_of_a_mask() -> None:
+    """Against all rectangles of small random masks."""
+    random = np.random.default_rng(2)
+    for _ in range(30):
+        mask = random.random((7, 9)) < 0.7
+        row, column, rows, columns = largest_rectangle(mask)
+        assert mask[row : row + rows, column : column + columns].all()
+        best = max(
+            (r1 - r0) * (c1 - c0)
+            for r0 in range(7)
+            for r1 in range(r0 + 1, 8)
+            for c0 in range(9)
+            for c1 in range(c0 + 1, 10)
+            if mask[r0:r1, c0:c1].all()
+        )
+        assert rows * columns == best
+    corner = np.ones((10, 10), bool)
+    corner[5:, 5:] = False
+    pieces = [piece for block in cover(corner) for piece in cut(block, 4)]
+    painted = np.zeros((10, 10), int)
+    for row, column, rows, columns in pieces:
+        assert max(rows, columns) <= 4
+        painted[row : row + rows, column : column + columns] += 1
+    np.testing.assert_array_equal(painted, corner)
+
+
+def pixels_of(color_of: object, num_views: int = 12) -> SkyPixels:
+    random = np.random.default_rng(4)
+    eye = random.uniform(0.2, 0.8, (num_views, 3)) * HIGH
+    origin = eye.repeat(500, axis=0)
+    through = np.array([4.0, 0.6, 0.6]) + random.uniform(0, 1, origin.shape) * [0, 1.8, 1.3]
+    direction = (through - origin) / np.linalg.norm(through - origin, axis=1, keepdims=True)
+    color = np.asarray(color_of(through, direction), np.float32)[:, None] * np.ones(3, np.float32)  # type: ignore[operator]
+    return SkyPixels(origin, direction, color, np.arange(num_views).repeat(500))
+
+
+def test_far_light_is_told_from_near() -> None:
+    def far(through: NDArray, direction: NDArray) -> NDArray:
+        return np.asarray(1 + 0.9 * np.sin(6 * direction[:, 1]) * np.cos(5 * direction[:, 2]))
+
+    def near(through: NDArray, direction: NDArray) -> NDArray:
+        return np.asarray(1 + 0.9 * np.sin(4 * through[:, 1]) * np.cos(4 * through[:, 2]))
+
+    assert is_far(pixels_of(far), background())
+    assert not is_far(pixels_of(near), background())
+    assert not is_far(pixels_of(lambda through, direction: np.ones(len(through))), background())
+
+
+def test_image_of_the_sky_points_where_rays_went() -> None:
+    ways = direction_vectors(HEIGHT)
+    np.testing.assert_array_equal(directions_of(ways, HEIGHT), np.arange(len(ways)))
+    nothing = np.zeros((0, 3))
+    rays = LeavingRays(
+        nothing,
+        np.array([[0, -1.0, 0.2]]),
+        np.zeros(1, int),
+        np.array([[5.0, 1, 1]], np.float32),
+        np.ones(1, bool),
+    )
+    pixels = SkyPixels(nothing, np.array([[0, 1.0, 0]]), np.array([[1, 2, 3]], np.float32), np.zeros(1, int))
+    image = sky_image(pixels, rays)
+    np.testing.assert_array_equal(image[HEIGHT // 2, HEIGHT], [1, 2, 3])  # the centre looks along +Y
+    np.testing.assert_array_equal(image[HEIGHT // 2, 0], [5, 1, 1])  # -Y: what no pixel shows, but a ray
+
+
+def exported(folder: Path, lights: FoundLights) -> Reconstruction:
+    capture = room_capture(2, (32, 24))
+    atlas = empty_atlas(16)
+    atlas.face[:] = 0
+    write_atlas_images(folder / "atlas", atlas, has_exr=False)
+    return Reconstruction(capture, capture.geometry.mesh, atlas, folder / "atlas", lights)
+
+
+PANEL = Rectangle((9.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (2.0, 2.0, 2.0))
+WINDOW = FoundWindow("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
+
+
+def test_sky_leaves_as_an_image_that_points_the_same_way_everywhere(tmp_path: Path) -> None:
+    """In Mitsuba's scene, and in the package as the project's renderer takes it."""
+    import mitsuba as mi
+
+    from datagen.formats.standalone import configuration_of
+    from datagen.library import Library
+    from datagen.rendering.lights import make_lights
+    from mitsuba_plugins import register
+
+    register()
+    image = np.zeros((HEIGHT, 2 * HEIGHT, 3), np.float32)
+    way = np.array([0.6, 0.48, 0.64])
+    row, column = divmod(int(directions_of(way[None], HEIGHT)[0]), 2 * HEIGHT)
+    image[row - 1 : row + 2, column - 1 : column + 2] = [7, 8, 9]
+    lights = FoundLights((), (WINDOW,), image)
+    reconstruction = exported(tmp_path, lights)
+    write_asset(tmp_path / "asset", reconstruction, "room").close()
+    write_mitsuba_scene(tmp_path / "mitsuba", reconstruction)
+    scene = mi.load_file(str(tmp_path / "mitsuba" / "scene.xml"))
+    with open_package(tmp_path / "asset") as package:
+        assert isinstance(package.asset, EnvironmentAsset)
+        (light,) = package.asset.lights  # no panels beside the sky
+        assert isinstance(light, EnvironmentLight)
+        configuration = configuration_of(package.path, package.sha256)
+    with Library([tmp_path / "asset"]) as library:
+        setup = make_lights(configuration, library, None, [])
+        ours = mi.load_dict(next(iter(setup.entries.values())))
+
+    def seen(emitter: object, direction: NDArray) -> NDArray:
+        si = mi.SurfaceInteraction3f()
+        si.wi = -mi.Vector3f(*direction.tolist())
+        return np.asarray(emitter.eval(si).numpy()).ravel()[:3]  # type: ignore[attr-defined]
+
+    for emitter in (scene.environment(), ours):
+        np.testing.assert_allclose(seen(emitter, way), [7, 8, 9], rtol=1e-3)
+        assert seen(emitter, way * [-1, 1, 1]).max() < 0.01 > seen(emitter, way * [1, -1, 1]).max()
+    assert lights.described()[-1] == {"kind": "sky", "slot": "sky", "radiance": [2.0, 2.0, 2.0]}
+
+
+def test_surface_that_was_found_to_shine_leaves_with_its_material(tmp_path: Path) -> None:
+    """A triangle that no part names, on the side that was photographed; and lamps by the names of parts."""
+    capture = room_capture(2, (32, 24))
+    mesh = Mesh(capture.geometry.mesh.positions, capture.geometry.mesh.faces)
+    of_face = np.full(len(mesh.faces), -1, np.int32)
+    of_face[[2, 3, 5, 6]] = [0, 0, 1, 2]
+    sides = np.ones(len(mesh.faces), np.float32)
+    sides[5] = -1
+    radiance = np.array([[2, 4, 6], [1, 1, 1], [0, 0, 0]], np.float32)
+    nothing = np.zeros(0, np.float32)
+    emitters = Emitters(of_face, radiance, sides, nothing, nothing, nothing)  # type: ignore[arg-type]
+    parts = (
+        GeometryPart("wall", 0, 2),
+        GeometryPart("lamp", 2, 3, (9.0, 9.0, 9.0)),
+        GeometryPart("rest", 5, len(mesh.faces) - 5),
+    )
+    lamp, found = found_lamps(emitters, mesh, parts)
+    assert (lamp.slot, lamp.radiance, lamp.is_named) == ("lamp-0", (2.0, 4.0, 6.0), True)
+    assert (found.slot, found.side, found.is_named, list(found.faces)) == ("found-0", -1, False, [5])
+    assert lamp.area_m2 == pytest.approx(float(mesh.areas()[2:5].sum()))
+    reconstruction = exported(tmp_path, FoundLights((lamp, found)))
+    with write_asset(tmp_path / "asset", reconstruction, "room") as package:
+        material = package.asset.materials["found-0"]  # type: ignore[union-attr]
+        assert material.emission == (1.0, 1.0, 1.0) and material.textures()
+    write_glb(tmp_path / "room.glb", reconstruction, has_punctual=True)
+    document = glb_document(tmp_path / "room.glb")
+    (shining,) = (m for m in document["materials"] if m["name"] == "found-0")
+    assert shining["emissiveFactor"] == [1, 1, 1] and "baseColorTexture" in shining["pbrMetallicRoughness"]
+
+
+def test_small_lamps_leave_as_points_on_demand(tmp_path: Path) -> None:
+    """A bulb of 20 cm: by its shadow's quarter of the area, in candela."""
+    capture = room_capture(2, (32, 24))
+    faces = np.array([0], np.int32)
+    area = float(capture.geometry.mesh.areas()[0])
+    bulb = FoundLamp("lamp-0", faces, 1, (1.0, 2.0, 4.0), (0.0, 0.0, 0.0), area, True)
+    reconstruction = exported(tmp_path, FoundLights((bulb,), (WINDOW,)))
+    shrunk = Mesh(*(getattr(reconstruction.mesh, k) for k in ("positions", "faces", "normals", "uv")))
+    size = float(np.ptp(shrunk.positions[shrunk.faces[0]], axis=0).max())
+    small = Mesh(shrunk.positions * np.float32(0.2 / size), shrunk.faces, shrunk.normals, shrunk.uv)
+    for mesh, num in ((shrunk, int(size <= 0.5)), (small, 1)):
+        changed = Reconstruction(
+            capture, mesh, reconstruction.atlas, reconstruction.images, reconstruction.lights
+        )
+        write_glb(tmp_path / "with.glb", changed, has_punctual=True)
+        document = glb_document(tmp_path / "with.glb")
+        lights = document.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
+        assert len(lights) == num and len(document["scenes"][0]["nodes"]) == 1 + num
+    assert lights[0]["color"] == [0.25, 0.5, 1.0]
+    assert lights[0]["intensity"] == pytest.approx(683 * 4 * float(small.areas()[0]) / 4)
+    (node,) = (node for node in document["nodes"] if "extensions" in node)
+    x, y, z = small.triangles()[0].mean(axis=0)
+    np.testing.assert_allclose(node["translation"], [x, z, -y], atol=1e-6)  # Y up
+    write_glb(tmp_path / "without.glb", reconstruction)
+    assert "extensions" not in glb_document(tmp_path / "without.glb")
+
+
+def test_no_light_is_told_and_leaves_the_capture_s(tmp_path: Path) -> None:
+    assert lights_text([]) == "no light was found"
+    dark = FoundLamp("lamp-0", np.zeros(1, np.int32), 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, True)
+    assert FoundLights((dark,)).is_dark and FoundLights((dark,)).described() == []
+    reconstruction = exported(tmp_path, FoundLights((dark,)))
+    assert reconstruction.shining_lights is None
+    text = write_mitsuba_scene(tmp_path / "mitsuba", reconstruction).read_text()
+    assert 'type="constant"' in text and "window" not in text
+    shining = exported(tmp_path, FoundLights((), (WINDOW,)))
+    text = write_mitsuba_scene(tmp_path / "lit", shining).read_text()
+    assert 'type="constant"' not in text and "window-0-0.ply" in text
