@@ -31,6 +31,7 @@ from dataclasses import dataclass, field
 from multiprocessing.sharedctypes import RawArray
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import psutil
 import pytest
@@ -323,7 +324,8 @@ def attack(
     ours, theirs = context.Pipe(duplex=False)
     arguments = (module, name, folder, examples, progress, theirs)
     process = context.Process(target=_child, args=arguments, daemon=True)
-    process.start()
+    with mock.patch.dict(os.environ, OPENBLAS_NUM_THREADS="1"):  # 4 x 4 matrices would wait for threads
+        process.start()  # the first starts the server, whose environment all of them have
     theirs.close()
     again = f"again: python -m tests.hostile {module} {name}"
     count, watch = 0, _Watch(process.pid)

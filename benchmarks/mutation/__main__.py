@@ -261,7 +261,6 @@ def main() -> None:
     if options.list or options.table:
         print(survivors(results) if options.list else table(results))
         return
-    os.nice(19)
     options.work.mkdir(parents=True, exist_ok=True)
     copy = Copy(options.work.resolve())
     for name in options.targets or TARGETS:

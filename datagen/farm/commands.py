@@ -49,6 +49,9 @@ def submit(
     collect_option: Annotated[
         _RepeatedOption, typer.Option(help="As --sbatch-option, for the job that collects.")
     ] = None,
+    space_check: Annotated[
+        bool, typer.Option(help="Refuse to submit where the disk is too small for the estimate.")
+    ] = True,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only write the job scripts.")] = False,
 ) -> None:
     """Write readable job scripts for the units that are not done, and submit them.
@@ -82,7 +85,7 @@ def submit(
         collect_partition=collect_partition,
         collect_options=tuple(collect_option or ()),
     )
-    submission = submit_jobs(folder, options, engine, dry_run)
+    submission = submit_jobs(folder, options, engine, dry_run, space_check)
     for script in submission.scripts:
         typer.echo(script)
     if submission.job_ids:

@@ -18,6 +18,7 @@ from pathlib import Path
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.job_options import SlurmOptions, can_be_directive, check_folder, split_option
 from datagen.farm.local import EXIT_INTERRUPTED, check_writable
+from datagen.farm.space import check_space
 from datagen.farm.status import array_spec
 from datagen.formats.base import sha256_hex, write_bytes_atomically
 from datagen.foundation.errors import input_error
@@ -156,15 +157,25 @@ def _undone(folder: DatasetFolder) -> list[int]:
     return [unit.index for unit in folder.read_plan().units if not folder.is_done(unit)]
 
 
-def submit(root: Path, options: SlurmOptions, engine: str = "slurm", dry_run: bool = False) -> Submission:
+def submit(
+    root: Path,
+    options: SlurmOptions,
+    engine: str = "slurm",
+    dry_run: bool = False,
+    is_space_checked: bool = True,
+) -> Submission:
     """Write job scripts for the units that are not done, and submit them unless ``dry_run``.
 
-    Engines: ``slurm``, or ``shell`` (only a list of commands is written). Raises :class:`InputError`.
+    Engines: ``slurm``, or ``shell`` (only a list of commands is written). Raises :class:`InputError`, also
+    where the disk has no room for the shards and for the views of ``throttle`` units at work, or of one where
+    the queue decides how many.
     """
     folder = DatasetFolder(root)
     indices = _undone(folder)
     check_folder(root, engine)
     check_writable(root)
+    if is_space_checked and not dry_run:
+        check_space(folder, options.throttle or 1)
     jobs = root / "jobs"
     jobs.mkdir(exist_ok=True)
     folder.logs_path.mkdir(exist_ok=True)

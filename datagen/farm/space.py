@@ -52,7 +52,9 @@ def check_space(folder: DatasetFolder, workers: int) -> None:
     need = needed_space(folder, workers)
     free = shutil.disk_usage(folder.root).free
     if need.total_bytes > free:
-        remedy = "free some, ask for less, choose another --out, or go on as far as it goes: --no-space-check"
+        remedy = (
+            "free some, ask for less, plan it elsewhere (--out), or go on as far as it goes: --no-space-check"
+        )
         raise input_error(
             folder.root,
             "free disk",

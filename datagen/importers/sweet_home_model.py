@@ -203,7 +203,7 @@ def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, I
 
 def triangulate(points: Floats, budget: Budget) -> Ints:
     """Triangles (K - 2, 3) of a plane polygon (K, 3) without holes, in its own winding, by cutting ears."""
-    ring = list(range(len(points)))
+    ring = np.arange(len(points))
     turned = np.roll(points, -1, axis=0)
     normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell
     axis = int(np.abs(normal).argmax())
@@ -221,23 +221,22 @@ def triangulate(points: Floats, budget: Budget) -> Ints:
         if cut is None:  # a ring that crosses itself has none: what is left becomes a fan
             break
         ears.append((ring[cut - 1], ring[cut], ring[(cut + 1) % len(ring)]))
-        del ring[cut]
+        ring = np.delete(ring, cut)
     ears += [(ring[0], ring[k], ring[k + 1]) for k in range(1, len(ring) - 1)]
     return np.array(ears, dtype=np.int64)
 
 
-def _is_ear(flat: Floats, ring: list[int], k: int, budget: Budget) -> bool:
+def _is_ear(flat: Floats, ring: Ints, k: int, budget: Budget) -> bool:
     budget.spend("pairs", len(ring), "a concave polygon")
-    a, b, c = flat[ring[k - 1]], flat[ring[k]], flat[ring[(k + 1) % len(ring)]]
+    corners = [k - 1, k, (k + 1) % len(ring)]
+    a, b, c = flat[ring[corners]]
 
     def side(p: Floats, q: Floats, r: Floats) -> Floats:
         return (q[0] - p[0]) * (r[..., 1] - p[1]) - (q[1] - p[1]) * (r[..., 0] - p[0])
 
     if side(a, b, c) <= 0:
         return False
-    others = flat[
-        [ring[j] for j in range(len(ring)) if j not in (k - 1, k, (k + 1) % len(ring), k - 1 + len(ring))]
-    ]
+    others = flat[np.delete(ring, corners)]
     return not bool(((side(a, b, others) > 0) & (side(b, c, others) > 0) & (side(c, a, others) > 0)).any())
 
 

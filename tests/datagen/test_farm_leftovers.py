@@ -11,12 +11,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import datagen.farm.work_unit as work_unit
 from datagen.farm.collect import collect
+from datagen.farm.commands import farm
 from datagen.farm.folder import DatasetFolder
+from datagen.farm.job_options import SlurmOptions
 from datagen.farm.leftovers import find_leftovers
 from datagen.farm.local import LocalOptions, run_local
+from datagen.farm.slurm import submit
 from datagen.farm.space import check_space, needed_space
 from datagen.farm.work_unit import UnitRun, run_unit
 from datagen.formats.configuration import Configuration
@@ -192,6 +196,26 @@ def test_a_disk_too_small_for_the_estimate_is_said_before_work(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(need.total_bytes) - 1))
     with pytest.raises(InputError, match=r"free disk = .* MB; expected about .* for 1 units.*--no-space"):
         check_space(folder, workers=2)
+
+
+def test_jobs_are_not_submitted_to_a_disk_too_small(
+    tmp_path: Path, library_root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A throttle says how many units are at work; the queue decides otherwise, and one is counted."""
+    root = plan_small(tmp_path / "set", library_root, num_units=3).root
+    usage, three = shutil.disk_usage(root), needed_space(DatasetFolder(root), workers=3).total_bytes
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=int(three) - 1))
+    with pytest.raises(InputError, match=r"free disk = .* for 3 units.*--no-space-check"):
+        submit(root, SlurmOptions(throttle=3), "shell")
+    assert not (root / "jobs").exists()
+    assert submit(root, SlurmOptions(throttle=2), "shell").num_units == 3
+    assert submit(root, SlurmOptions(), "shell").num_units == 3
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=0))
+    assert submit(root, SlurmOptions(), dry_run=True).num_units == 3
+    result = CliRunner().invoke(farm, ["submit", str(root), "--engine", "shell"])
+    assert isinstance(result.exception, InputError)
+    result = CliRunner().invoke(farm, ["submit", str(root), "--engine", "shell", "--no-space-check"])
+    assert result.exit_code == 0, result.output
 
 
 def test_the_estimate_before_there_is_a_shard(tmp_path: Path, library_root: Path) -> None:

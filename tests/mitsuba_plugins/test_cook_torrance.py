@@ -323,6 +323,43 @@ def test_two_sides_mirror_and_equal_mitsubas_wrapper() -> None:
     np.testing.assert_array_equal(front_only[wi[:, 2] > 0], value[wi[:, 2] > 0])
 
 
+@pytest.mark.parametrize("two_sided", [True, False])
+def test_flags_say_which_sides_reflect(two_sided: bool) -> None:
+    bsdf = mi.load_dict({"type": "cook_torrance", "two_sided": two_sided})
+    for index, lobe in enumerate((mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)):
+        sides = mi.BSDFFlags.FrontSide | (mi.BSDFFlags.BackSide if two_sided else 0)
+        assert bsdf.flags(index) == lobe | sides
+    assert mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide) == two_sided
+
+
+def test_all_lanes_are_active_unless_told_otherwise() -> None:
+    """What is called without a mask is as with one that is true, and nothing where it is false."""
+    wi, wo = (unit_float32(oracle.direction(np.array([a]), np.array([b]))) for a, b in ((0.5, 0.0), (0.3, 2)))
+    bsdf, si = material(0.5, 0.3, 0.4), interaction(wi)
+    lanes = [mi.Float(0.9), mi.Point2f(0.3, 0.4)]
+    calls: list[tuple[Any, tuple[Any, ...]]] = [
+        (bsdf.eval, (CTX, si, vector(wo))),
+        (bsdf.pdf, (CTX, si, vector(wo))),
+        (bsdf.eval_pdf, (CTX, si, vector(wo))),
+        (lambda *words: bsdf.sample(*words)[1], (CTX, si, *lanes)),
+        (lambda *words: bsdf.eval_pdf_sample(*words)[0], (CTX, si, vector(wo), *lanes)),
+        (bsdf.surface_parameters, (si,)),
+        (bsdf.eval_diffuse_reflectance, (si,)),
+        (bsdf.eval_attribute, ("specular_albedo", si)),
+        (bsdf.eval_attribute_1, ("specular_albedo", si)),
+        (bsdf.eval_attribute_3, ("specular_albedo", si)),
+    ]
+    for method, words in calls:
+        usual, told, none = (
+            [array(part) for part in (found if isinstance(found, tuple) else (found,))]
+            for found in (method(*words), method(*words, True), method(*words, False))
+        )
+        for a, b, c in zip(usual, told, none, strict=True):
+            np.testing.assert_array_equal(a, b)
+            assert (a > 0).all() and (c == 0).all(), method
+    assert bsdf.has_attribute("roughness") and not bsdf.has_attribute("sheen")
+
+
 def test_components_add_up() -> None:
     rng = np.random.default_rng(31)
     wi, wo = _directions(rng, np.full(3000, 0.5), 3000)
@@ -338,6 +375,26 @@ def test_components_add_up() -> None:
         assert array(weight).max() <= MAX_WEIGHT
         parts.append(array(value))
     np.testing.assert_allclose(sum(parts), array(bsdf.eval(CTX, si, vector(wo))), rtol=4 * EPS, atol=1e-12)
+
+
+def test_a_lobe_alone_has_its_own_density() -> None:
+    """The cosine's over pi, or that of a surface which only mirrors."""
+    rng = np.random.default_rng(33)
+    wi, wo = _directions(rng, np.full(500, 0.5), 500)
+    wo[:, 2] = np.maximum(wo[:, 2], 0.01)
+    si, alone = (
+        interaction(wi),
+        {flag: mi.BSDFContext() for flag in ("DiffuseReflection", "GlossyReflection")},
+    )
+    for flag, ctx in alone.items():
+        ctx.type_mask = +getattr(mi.BSDFFlags, flag)
+    both = mi.load_dict({"type": "cook_torrance", "diffuse_albedo": 0.3, "specular_albedo": 0.2})
+    mirror = mi.load_dict({"type": "cook_torrance", "diffuse_albedo": 0.0, "specular_albedo": 0.2})
+    density = array(both.pdf(alone["DiffuseReflection"], si, vector(wo)))
+    np.testing.assert_allclose(density, wo[:, 2] / np.pi, rtol=4 * EPS)
+    density = array(both.pdf(alone["GlossyReflection"], si, vector(wo)))
+    np.testing.assert_allclose(density, array(mirror.pdf(CTX, si, vector(wo))), rtol=4 * EPS)
+    assert density.max() > 0.1
 
 
 def test_attributes_give_the_channels() -> None:

@@ -23,6 +23,7 @@ from tests.model.hostile_cases import capture_texts
 from tests.oversized import capture_folder, gltf
 
 Files = dict[str, bytes]
+_BLACK = encode_png(np.zeros((8, 12, 3), np.uint8))
 
 
 def _capture(files: Callable[[random.Random, int], Files], opened: str = "") -> CaseMaker:
@@ -35,7 +36,11 @@ def _capture(files: Callable[[random.Random, int], Files], opened: str = "") -> 
 
         def write(rng: random.Random) -> Path:
             scale.draw(rng)
-            for name, content in files(rng, scale.size(rng, 400)).items():
+            contents = files(rng, scale.size(rng, 400))
+            for path in (root / "images").iterdir():  # of the input before
+                if path.name != "a.png" and f"images/{path.name}" not in contents:
+                    path.unlink()
+            for name, content in contents.items():
                 write_fresh(root / name, content)
             return root / opened if opened else root
 
@@ -108,7 +113,7 @@ def _sensors(rng: random.Random, count: int) -> Files:
     sensor = content[start:end].replace('id="a"', "")
     body = content[:end] + sensor * count + content[end:]
     names = ["a", *(f"camera_{k}" for k in range(1, min(count, 300) + 1))]
-    files = {f"images/{name}.png": encode_png(np.zeros((8, 12, 3), np.uint8)) for name in names}
+    files = dict.fromkeys((f"images/{name}.png" for name in names), _BLACK)
     return {"scene.xml": body.encode(), "more.xml": texts["more.xml"].encode(), **files}
 
 
