@@ -70,6 +70,12 @@ def test_a_glb_that_ends_after_its_head(tmp_path: Path, data: bytes) -> None:
         load_mesh(tmp_path / "a.glb")
 
 
+def test_an_empty_glb_is_no_fault_of_json(tmp_path: Path) -> None:
+    (tmp_path / "a.glb").touch()
+    with pytest.raises(InputError, match=r"a\.glb: an empty file; expected an intact \.glb file; export"):
+        load_mesh(tmp_path / "a.glb")
+
+
 def test_fields_of_an_empty_file_stay(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").touch()
     error = InputError(Problem(tmp_path / "a.yaml", "name"), Problem("here", "", "nothing"))

@@ -248,7 +248,9 @@ def main() -> None:
     parser.add_argument("targets", nargs="*", help=f"of {', '.join(TARGETS)}; none for all")
     parser.add_argument("--number", type=int, help="mutants of each target, instead of the target's own")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--again", action="store_true", help="try those once more that survived")
+    parser.add_argument(
+        "--again", action="store_true", help="try those once more that survived and are not equivalent"
+    )
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "mutation")
     parser.add_argument("--out", type=Path, default=Path("mutation.json"))
     parser.add_argument("--list", action="store_true", help="print the survivors")
@@ -262,14 +264,15 @@ def main() -> None:
         print(survivors(results) if options.list else table(results))
         return
     options.work.mkdir(parents=True, exist_ok=True)
-    copy = Copy(options.work.resolve())
+    copy, known = Copy(options.work.resolve()), equivalents()
     for name in options.targets or TARGETS:
         target = TARGETS[name]
         tests = trace(copy, target)
         drawn = draw(copy.root, target, tests, options.number or target.number, options.seed)
         for module, mutant, names in drawn:
             before = results.get(mutant.key)
-            if before and not (options.again and before["verdict"] == "survived"):
+            is_again = options.again and mutant.key not in known
+            if before and not (is_again and before["verdict"] == "survived"):
                 continue
             found = attempt(copy, module, mutant, names, tests)
             results[mutant.key] = {

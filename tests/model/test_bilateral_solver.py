@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -167,3 +170,15 @@ def test_a_target_of_another_size_is_refused():
     grid = build_grid(torch.rand(1, 3, 16, 16))
     with pytest.raises(ValueError, match="does not fit"):
         bilateral_solve(torch.rand(1, 1, 16, 17), torch.ones(1, 1, 16, 17), grid)
+
+
+def test_users_read_no_warning_of_torch():
+    """It warns of its sparse matrices, once a process: so in a process of its own."""
+    code = (
+        "import torch; from model.bilateral_solver import SolverConfig, bilateral_solve, build_grid\n"
+        "image = torch.rand(1, 3, 8, 8); grid = build_grid(image, SolverConfig())\n"
+        "print(bilateral_solve(image, image, grid, SolverConfig()).shape)"
+    )
+    done = subprocess.run([sys.executable, "-W", "default", "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "torch.Size([1, 3, 8, 8])\n"), done.stderr
+    assert "Warning" not in done.stderr

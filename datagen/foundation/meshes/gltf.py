@@ -133,10 +133,11 @@ class GltfFile:
             raise input_error(self.path, got=error.strerror or error, expected="a glTF file") from None
         if data[:4] == b"glTF":
             data = self._split_binary(data)
-            if not data.strip(b" \0"):
-                raise input_error(
-                    self.path, got="a .glb without its JSON chunk", expected="an intact .glb file"
-                )
+        if not data.strip(b" \0"):
+            is_binary = self.path.suffix.lower() == ".glb"
+            got = "a .glb without its JSON chunk" if is_binary else "a .gltf without its JSON"
+            expected = f"an intact {self.path.suffix} file"
+            raise input_error(self.path, "", got, expected, "export the file again")
         try:
             text = data.decode("utf-8")
         except UnicodeDecodeError:
