@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Graphs and sizes that strangers may hand to the importers: references, fan-outs, depths, counts.
 
-Nearly all inputs are read under limits of a fiftieth, so that each is met by small files; the others are of
-full size, under the limits that users have.
+Nearly all inputs are read under limits of a two-hundredth, so that each is met by small files in milliseconds;
+the others are of full size, under the limits that users have.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from tests.hostile import Case, CaseMaker, write_fresh
 from tests.oversized import furniture, gltf
 
 SMALL = Limits(
-    nodes=4000,
+    nodes=1000,
     depth=40,
-    references=400,
-    instances=40,
-    triangles=3000,
-    pairs=100_000,
+    references=100,
+    instances=15,
+    triangles=750,
+    pairs=25_000,
     pixels=100_000,
-    bytes=50_000,
-    values=20_000,
-    frames=100,
+    bytes=12_500,
+    values=5000,
+    frames=25,
 )
-FULL_SHARE = 0.01
+FULL_SHARE, FULL_FACTOR = 0.005, 200
 
 
 def size(rng: random.Random, top: int) -> int:
@@ -55,7 +55,7 @@ class Scale:
 
     def draw(self, rng: random.Random) -> None:
         is_full = rng.random() < FULL_SHARE
-        self.limits, self.factor = (Limits(), 50) if is_full else (SMALL, 1)
+        self.limits, self.factor = (Limits(), FULL_FACTOR) if is_full else (SMALL, 1)
 
     def size(self, rng: random.Random, top: int) -> int:
         return size(rng, top * self.factor)
@@ -73,7 +73,7 @@ def _reader(scale: Scale, folder: Path) -> Callable[[Path], object]:
 
 def _bsdfs(rng: random.Random, scale: Scale) -> list[str]:
     """A graph: each refers to none, one or two of the ``reach`` before it; seldom to itself or to none."""
-    count, reach = scale.size(rng, 300), size(rng, 50)
+    count, reach = scale.size(rng, 75), size(rng, 20)
     lines = ['<bsdf type="diffuse" id="b0"/>']
     for k in range(1, count):
         targets = [max(0, k - rng.randint(1, reach)) for _ in range(rng.choice((0, 1, 1, 2, 2)))]
@@ -87,7 +87,7 @@ def _bsdfs(rng: random.Random, scale: Scale) -> list[str]:
 
 def _shapes(rng: random.Random, scale: Scale, num_bsdfs: int) -> list[str]:
     kinds = ("rectangle", "rectangle", "cube", "disk", "sphere")
-    count = scale.size(rng, 100 if rng.random() < 0.9 else 5000)
+    count = scale.size(rng, 25 if rng.random() < 0.9 else 1250)
     lines = []
     for k in range(count):
         ref = f'<ref id="b{rng.randrange(num_bsdfs)}"/>' if num_bsdfs and rng.random() < 0.7 else ""
@@ -110,9 +110,9 @@ def mitsuba(folder: Path) -> Case:
         bsdfs = _bsdfs(rng, scale) if rng.random() < 0.6 else []
         body += bsdfs + _shapes(rng, scale, len(bsdfs))
         if rng.random() < 0.4:
-            members = '<shape type="rectangle"/>' * scale.size(rng, 60)
+            members = '<shape type="rectangle"/>' * scale.size(rng, 15)
             body.append(f'<shape type="shapegroup" id="g">{members}</shape>')
-            body += ['<shape type="instance"><ref id="g"/></shape>'] * scale.size(rng, 200)
+            body += ['<shape type="instance"><ref id="g"/></shape>'] * scale.size(rng, 50)
         if rng.random() < 0.3:
             depth = scale.size(rng, 100)
             chain = '<bsdf type="twosided">' * depth + '<bsdf type="diffuse"/>' + "</bsdf>" * depth
@@ -133,7 +133,7 @@ def mitsuba(folder: Path) -> Case:
 def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
     """Top-level entries: a forest of nodes of any depth and fan-out, meshes of any number of primitives,
     accessors of any number of entries."""
-    count, reach = scale.size(rng, 400), size(rng, 2000)
+    count, reach = scale.size(rng, 100), size(rng, 500)
     parents = [-1] + [max(-1, k - rng.randint(1, reach)) for k in range(1, count)]
     num_meshes = size(rng, 8)
     nodes: list[dict[str, Any]] = [{} for _ in range(count)]
@@ -151,7 +151,7 @@ def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
     accessors: list[dict[str, Any]] = [
         {"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 4},
         {"bufferView": 1, "componentType": 5123, "type": "SCALAR", "count": 6},
-        {"componentType": 5126, "type": "VEC3", "count": scale.size(rng, 20_000)},
+        {"componentType": 5126, "type": "VEC3", "count": scale.size(rng, 5000)},
     ]
     if rng.random() < 0.2:
         index = rng.choice(("i1", "u1"))
@@ -161,7 +161,7 @@ def gltf_document(rng: random.Random, scale: Scale) -> dict[str, Any]:
     for _ in range(num_meshes):
         usual = {"attributes": {"POSITION": 0}, "indices": 1}
         empty = {"attributes": {"POSITION": 2}}
-        primitives = [usual] * scale.size(rng, 60) + [empty] * (rng.random() < 0.05)
+        primitives = [usual] * scale.size(rng, 15) + [empty] * (rng.random() < 0.05)
         meshes.append({"primitives": primitives})
     positions = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4").tobytes()
     small = bytes(rng.choice((0, 1, 2, 3, 4, 200, 255)) for _ in range(4))
@@ -220,18 +220,18 @@ def sweet_home(folder: Path) -> Case:
 
     def model(rng: random.Random) -> bytes:
         lines = ["mtllib a.mtl", "s 1"] if rng.random() < 0.5 else ["mtllib a.mtl"]
-        corners = scale.size(rng, 300)
+        corners = scale.size(rng, 75)
         lines += [f"v {rng.random():.2f} {rng.random():.2f} {k % 7}" for k in range(corners + 3)]
         if rng.random() < 0.4:
             ring = list(range(1, corners + 4))
             rng.shuffle(ring)
             lines.append("f " + " ".join(map(str, ring)))
-        for k in range(scale.size(rng, 2000)):
+        for k in range(scale.size(rng, 500)):
             if rng.random() < 0.002:
                 lines.append(f"usemtl m{k}")
             fan = rng.random() < 0.5
             lines.append(f"f 1 {k % corners + 2} {(k + 1) % corners + 2 if fan else rng.randint(1, corners)}")
-        lines += ["v 0 0 0"] * (scale.size(rng, 20_000) if rng.random() < 0.2 else 0)
+        lines += ["v 0 0 0"] * (scale.size(rng, 5000) if rng.random() < 0.2 else 0)
         return "\n".join(lines).encode()
 
     def write(rng: random.Random) -> Path:
@@ -241,7 +241,7 @@ def sweet_home(folder: Path) -> Case:
         mtl = b"newmtl m\nKd 1 1 1\n"
         members.update({f"{name}.mtl": mtl for name in names})
         if rng.random() < 0.2:
-            members.update({f"filler/{k}": b"" for k in range(scale.size(rng, 6000))})
+            members.update({f"filler/{k}": b"" for k in range(scale.size(rng, 1500))})
         pieces = [f"{rng.choice(names)}.obj" for _ in range(size(rng, 8))]
         path = folder / "a.sh3f"
         path.unlink(missing_ok=True)
@@ -269,9 +269,9 @@ def package_zip(folder: Path) -> Case:
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("asset.json", document)
             archive.writestr("a.png", texture)
-            for k in range(scale.size(rng, 6000) if rng.random() < 0.3 else size(rng, 10)):
+            for k in range(scale.size(rng, 1500) if rng.random() < 0.3 else size(rng, 10)):
                 noise = rng.randbytes(size(rng, 200))
-                filler = bytes(scale.size(rng, 100_000)) if rng.random() < 0.1 else b""
+                filler = bytes(scale.size(rng, 25_000)) if rng.random() < 0.1 else b""
                 archive.writestr(f"x/{k}", noise + filler)
         return path
 

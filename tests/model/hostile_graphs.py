@@ -36,7 +36,7 @@ def _capture(files: Callable[[random.Random, int], Files], opened: str = "") -> 
 
         def write(rng: random.Random) -> Path:
             scale.draw(rng)
-            contents = files(rng, scale.size(rng, 400))
+            contents = files(rng, scale.size(rng, 100))
             for path in (root / "images").iterdir():  # of the input before
                 if path.name != "a.png" and f"images/{path.name}" not in contents:
                     path.unlink()
@@ -134,9 +134,9 @@ def mesh_file(folder: Path) -> Case:
     scale = Scale()
 
     def obj(rng: random.Random) -> bytes:
-        count = scale.size(rng, 2000)
+        count = scale.size(rng, 500)
         lines = [f"v {k} {k % 5} {k % 7}" for k in range(count)]
-        for _ in range(scale.size(rng, 2000)):
+        for _ in range(scale.size(rng, 500)):
             corners = size(rng, 300) + 2 if rng.random() < 0.05 else 3
             lines.append("f " + " ".join(str(rng.randint(1, count)) for _ in range(corners)))
         if rng.random() < 0.05:
@@ -144,9 +144,9 @@ def mesh_file(folder: Path) -> Case:
         return "\n".join(lines).encode()
 
     def ply(rng: random.Random) -> bytes:
-        is_ascii, num = rng.random() < 0.5, scale.size(rng, 1000)
+        is_ascii, num = rng.random() < 0.5, scale.size(rng, 250)
         form = "ascii" if is_ascii else "binary_little_endian"
-        faces = [size(rng, 255) for _ in range(scale.size(rng, 500))]
+        faces = [size(rng, 255) for _ in range(scale.size(rng, 125))]
         header = (
             f"ply\nformat {form} 1.0\nelement vertex {num}\nproperty float x\nproperty float y\n"
             f"property float z\nelement face {len(faces)}\n"
