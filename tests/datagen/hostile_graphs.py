@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Graphs and sizes that strangers may hand to the importers: references, fan-outs, depths, counts.
 
-Nearly all inputs are read under limits of a two-hundredth, so that each is met by small files in milliseconds;
+Nearly all inputs are read under limits of a two-hundredth, so that small files meet them in milliseconds;
 the others are of full size, under the limits that users have.
 """
 

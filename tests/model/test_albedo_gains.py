@@ -31,6 +31,12 @@ def leaving(reflected: float = 0.4) -> NDArray[np.float64]:
     return reflected * WANTED[np.arange(NUM) % 3] * ARRIVING / np.pi
 
 
+def points_of(radiance: NDArray[np.float64], reflected: float = 0.4) -> albedo_level._Points:
+    """Points of the three regions in turn, from which ``radiance`` leaves."""
+    nowhere, which = np.zeros_like(radiance), np.arange(len(radiance)) % 3
+    return albedo_level._Points(nowhere, nowhere, radiance, np.full_like(radiance, reflected), REGIONS[which])
+
+
 def fit(
     num: int = NUM, coverage: Any = 1.0, noise: float = 0.0, reflected: float = 0.4, **changes: Any
 ) -> AlbedoLevel:
@@ -81,6 +87,23 @@ def test_dark_points_and_such_without_light_say_nothing() -> None:
     level = fit(radiance=left)
     assert level.report.points_used == NUM - 60
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
+
+
+def test_points_that_nothing_arrives_at_are_not_used() -> None:
+    """What leaves them came by ways that no photograph shows: they would reflect without end."""
+    arriving = ARRIVING.copy()
+    arriving[:60] = 0.0
+    level = albedo_level._fit(points_of(leaving()), arriving, np.ones(NUM), 4, 0.0)
+    assert level.report.points_used == NUM - 60 and level.report.impossible_share == 0.0
+    np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
+
+
+def test_a_surface_may_reflect_all_that_arrives() -> None:
+    """Exactly all is not more than all."""
+    left = np.random.default_rng(7).uniform(0.1, 0.5, (NUM, 3))
+    for factor, share in ((1.0, 0.0), (0.999, 1.0)):
+        level = albedo_level._fit(points_of(left), left * np.pi * factor, np.ones(NUM), 4, 0.0)
+        assert level.report.impossible_share == share
 
 
 def test_spread_is_half_the_interquartile_range() -> None:
