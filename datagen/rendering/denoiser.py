@@ -8,10 +8,13 @@ therefore come from a pass of their own (:mod:`mitsuba_plugins.material_buffers`
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from datagen.formats.recipe import RenderRecipe
 
 Quality = str
 QUALITIES = ("fast", "balanced", "high")
@@ -154,3 +157,12 @@ class OptixDenoiser:
 def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDenoiser:
     """The denoiser that fits a Mitsuba variant."""
     return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)
+
+
+def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
+    """One for estimates of the error, at a quarter of the cost; None where the recipe has none, or where its
+    own is fast."""
+    from mitsuba_plugins.variant import select_variant
+
+    variant = select_variant(recipe.variant)
+    return OidnDenoiser(quality="fast") if recipe.denoise and not variant.startswith("cuda") else None

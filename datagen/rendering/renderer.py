@@ -22,7 +22,7 @@ import gc
 import hashlib
 import math
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -77,6 +77,10 @@ class RenderedView:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
+IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
+"""Whether a view may stop above its recipe's error: its index, the image as it is (H, W, 3), its error."""
+
+
 @dataclass
 class _ViewInProgress:
     """A view whose samples are being gathered. Arrays are (H, W, C); ``guides`` are the denoiser's."""
@@ -88,6 +92,7 @@ class _ViewInProgress:
     seconds: dict[str, float]
     halves: list[PathSums] = field(default_factory=lambda: [PathSums(), PathSums()])
     estimate: ErrorEstimate | None = None
+    is_enough: bool = False
     guides: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
 
 
@@ -134,8 +139,9 @@ def release_memory() -> None:
 class SceneRenderer:
     """Renders the views of one configuration.
 
-    Selects the recipe's Mitsuba variant. ``caches`` None shares the process's. Raises what
-    :func:`build_scene` raises.
+    Selects the recipe's Mitsuba variant. ``caches`` None shares the process's. ``estimator`` denoises the
+    halves that the error is estimated from, None: as the view is; ``is_enough`` lets views stop early. Raises
+    what :func:`build_scene` raises.
     """
 
     def __init__(
@@ -145,6 +151,8 @@ class SceneRenderer:
         recipe: RenderRecipe,
         caches: AssetCaches | None = None,
         denoiser: Denoiser | None = None,
+        estimator: Denoiser | None = None,
+        is_enough: IsEnough | None = None,
     ):
         from mitsuba_plugins.variant import select_variant
 
@@ -161,6 +169,7 @@ class SceneRenderer:
             else None
         )
         self._denoiser = denoiser or (make_denoiser(self.variant) if recipe.denoise else None)
+        self._estimator, self._is_enough = estimator or self._denoiser, is_enough
         self._sensors: dict[tuple[int, int], Any] = {}
         self._materials = self._make_materials()
         self._max_depth, self._energy_left = self._path_depth()
@@ -169,6 +178,12 @@ class SceneRenderer:
         self._instances = {str(k): v for k, v in self.built.instance_names.items()}
         self._material_names = {str(k): v for k, v in self.built.material_names.items()}
         self.seconds_to_build = time.perf_counter() - start
+
+    def reseed(self, seed: int) -> None:
+        """Render with the samples of another configuration seed from here on, as a renderer of its own would;
+        the scene stays built."""
+        self.configuration = self.configuration.model_copy(update={"seed": seed})
+        self.learn()
 
     def learn(self) -> None:
         """Find out beforehand what the recipe's paths need to know of the whole scene."""
@@ -266,6 +281,8 @@ class SceneRenderer:
                 future = pool.submit(self._estimate, view)
                 yield future
                 view.estimate = future.result()
+                if view.is_enough:
+                    break
                 counts = self._budget.next_counts(view.halves[0].counts, view.estimate)
         finishing = pool.submit(self._finish, view)
         yield finishing
@@ -273,9 +290,11 @@ class SceneRenderer:
 
     def close(self) -> None:
         """Release the scene and the denoiser; shared caches keep their meshes and textures."""
-        denoiser, self._denoiser = self._denoiser, None
-        if isinstance(denoiser, OidnDenoiser):
-            denoiser.close()
+        denoisers = [self._denoiser] + [self._estimator] * (self._estimator is not self._denoiser)
+        self._denoiser = self._estimator = None
+        for denoiser in denoisers:
+            if isinstance(denoiser, OidnDenoiser):
+                denoiser.close()
         self._sensors.clear()
         release_memory()
 
@@ -355,9 +374,11 @@ class SceneRenderer:
             )
         return image.reshape(*mask.shape[:2], 3)
 
-    def _denoise(self, view: _ViewInProgress, noisy: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Reflected light without its noise; ``noisy`` itself where the recipe has no denoiser."""
-        if self._denoiser is None:
+    def _denoise(
+        self, view: _ViewInProgress, noisy: NDArray[np.float32], denoiser: Denoiser | None
+    ) -> NDArray[np.float32]:
+        """Reflected light without its noise; ``noisy`` itself without a denoiser."""
+        if denoiser is None:
             return noisy
         if view.guides is None:
             buffers = view.buffers
@@ -365,20 +386,23 @@ class SceneRenderer:
                 buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
             )
             normal = buffers["normal_world"]
-            if self._denoiser.wants_camera_normals:
+            if denoiser.wants_camera_normals:
                 camera = self.configuration.cameras[view.index].camera()
                 normal = normal @ camera.world_from_camera[:3, :3].astype(np.float32)
             view.guides = (albedo, normal)
-        return self._denoiser.denoise(noisy, *view.guides)
+        return denoiser.denoise(noisy, *view.guides)
 
     def _estimate(self, view: _ViewInProgress) -> ErrorEstimate:
         """Error of the view as it would be finished now."""
         start = time.perf_counter()
         a, b = (half.mean() for half in view.halves)
         self._check_finite(view.index, {"beauty_noisy": a + b, **view.buffers})
-        clean_a, clean_b = self._denoise(view, a), self._denoise(view, b)
+        clean_a, clean_b = (self._denoise(view, half, self._estimator) for half in (a, b))
         removed_share = (view.halves[0] + view.halves[1]).removed_share()
         estimate = estimate_error((a, b), (clean_a, clean_b), view.seen_lights, removed_share)
+        if self._is_enough is not None:
+            image = 0.5 * (clean_a + clean_b) + view.seen_lights
+            view.is_enough = self._is_enough(view.index, image, estimate)
         view.seconds["estimate"] = view.seconds.get("estimate", 0.0) + time.perf_counter() - start
         return estimate
 
@@ -387,7 +411,7 @@ class SceneRenderer:
         sums = view.halves[0] + view.halves[1]
         noisy = sums.mean()
         self._check_finite(view.index, {"beauty_noisy": noisy, "lights": view.seen_lights, **view.buffers})
-        beauty = self._denoise(view, noisy) + view.seen_lights
+        beauty = self._denoise(view, noisy, self._denoiser) + view.seen_lights
         self._check_finite(view.index, {"beauty": beauty})
         buffers = dict(view.buffers)
         buffers["beauty"] = np.minimum(beauty, HALF_MAX)

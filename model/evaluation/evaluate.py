@@ -4,6 +4,7 @@
 CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
     geometry-<key>/             the mesh that a method gets, unwrapped
+    predictions-<key>/          maps of a checkpoint, which methods that differ only in what follows share
     <method>-<key>/             what ``materials infer`` writes, views/ and result-<key>.json
     renders/<key>/              VIEW.exr, a folder for all that decides the pixels
 """
@@ -42,7 +43,8 @@ from model.evaluation.opened_scene import (
     open_scene,
     told,
 )
-from model.evaluation.rendering import JudgedView, render_scenery
+from model.evaluation.predictions import link_files, predictions_folder
+from model.evaluation.rendering import EnoughOf, JudgedView, Rendering, render_scenery
 from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
 from model.evaluation.scenery import Scenery, recovered_scenery
@@ -53,7 +55,7 @@ from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import MapSource
 
-_MEASURES = 2
+_MEASURES = 3
 """Revision of the figures: those of another are measured anew."""
 
 
@@ -172,7 +174,7 @@ def _judge(
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}
     rendering = [None if r is None else r.model_dump(mode="json") for r in (suite.render, suite.truth)]
-    how = [_MEASURES, scene.novel, rendering, suite.seed_views, lights, not lpips.absence]
+    how = [_MEASURES, scene.novel, rendering, suite.seed_views, suite.noise_share, lights, not lpips.absence]
     path = folder / f"result-{key_of(how)}.json"
     done = read_result(path)
     if done is not None:
@@ -221,18 +223,18 @@ def _measure(
     renders, images, merged = {}, {}, MapMeasures()
     spread: dict[str, dict[str, float]] = {}
     for light, scenery in sceneries.items():
-        views = scene.views_of(light)
-        rendered, target = _rendered(
-            suite, scene, scenery, views, RENDER_SEED, told(tell, f"render, {light}")
-        )
-        renders[light] = str(target)
+        said = told(tell, f"render, {light}")
+        first, again = _renderings(suite, scene, method, light, scenery, said)
+        renders[light] = str(first.folder)
         if light == INSERTED:
             continue
+        rendered = first.read()
+        of_light = lpips if light == OWN else None
         images[light] = {
-            "input": _figures(scene, light, scene.inputs, rendered, lpips),
-            "novel": _figures(scene, light, scene.novel, rendered, lpips),
+            "input": _figures(scene, light, scene.inputs, rendered, of_light),
+            "novel": _figures(scene, light, scene.novel, rendered, of_light),
         }
-        spread[light] = _seed_spread(suite, scene, light, scenery, images[light], lpips, tell)
+        spread[light] = _seed_spread(scene, light, again, images[light], of_light)
         if light == OWN:
             for name in scene.inputs:
                 view = rendered[name]
@@ -250,43 +252,50 @@ def _measure(
     }
 
 
-def _rendered(
+def _renderings(
     suite: Suite,
     scene: OpenedScene,
+    method: Method,
+    light: str,
     scenery: Scenery,
-    views: tuple[str, ...],
-    seed: int,
     tell: Callable[[int, int], None],
-) -> tuple[dict[str, JudgedView], Path]:
-    """Views of a scenery, and their folder; ``seed`` is not that of the truth, whose noise is not to be met
-    again."""
-    other = scenery.with_seed(scenery.configuration.seed + seed)
-    target = scene.render_folder(other, views, suite.render)
-    return render_scenery(other, views, target, suite.render, tell), target
+) -> tuple[Rendering, Rendering]:
+    """The views under a light, rendered, and some of them with a second seed. No seed is that of the truth,
+    whose noise is not to be met again. The truth itself is rendered to the full."""
+    enough: EnoughOf | None = None
+    stopped_by: list[Any] = []
+    if suite.noise_share is not None and not isinstance(method, TruthMethod):
+        enough = EnoughOf(scene.truth[light], suite.noise_share)
+        stopped_by = [suite.noise_share, Path(scene.renders.get(light, scene.prepared.capture)).name]
+    some = (*scene.inputs[: suite.seed_views], *scene.novel[: suite.seed_views])
+    some = () if light == INSERTED else some
+    first = scene.rendering(scenery, light, RENDER_SEED, suite.render, None, *stopped_by)
+    again = scene.rendering(scenery, light, SECOND_SEED, suite.render, some, *stopped_by)
+    render_scenery(scenery, scene.views_of(light), [first, again], suite.render, enough, tell)
+    return first, again
 
 
 def _seed_spread(
-    suite: Suite,
     scene: OpenedScene,
     light: str,
-    scenery: Scenery,
+    again: Rendering,
     first: dict[str, dict[str, dict[str, float | None]]],
-    lpips: Lpips,
-    tell: Tell,
+    lpips: Lpips | None,
 ) -> dict[str, float]:
     """Standard deviation of a view's figures by the renderer's noise: some views are rendered once more."""
-    chosen = (*scene.inputs[: suite.seed_views], *scene.novel[: suite.seed_views])
-    if not chosen:
+    if not again.views:
         return {}
-    said = told(tell, f"render, {light}, second seed")
-    again, _ = _rendered(suite, scene, scenery, chosen, SECOND_SEED, said)
-    second = _figures(scene, light, chosen, again, lpips)
+    second = _figures(scene, light, again.views, again.read(), lpips)
     rows = {name: row for views in first.values() for name, row in views.items()}
-    return seed_spread([(rows[name], second[name]) for name in chosen])
+    return seed_spread([(rows[name], second[name]) for name in again.views])
 
 
 def _figures(
-    scene: OpenedScene, light: str, views: tuple[str, ...], rendered: dict[str, JudgedView], lpips: Lpips
+    scene: OpenedScene,
+    light: str,
+    views: tuple[str, ...],
+    rendered: dict[str, JudgedView],
+    lpips: Lpips | None,
 ) -> dict[str, dict[str, float | None]]:
     truth = {name: scene.truth[light][name] for name in views}
     return image_figures(rendered, truth, scene.exposures[light], lpips)
@@ -321,7 +330,13 @@ def _reconstruct(
         assert not isinstance(method, TruthMethod)
         source = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)
     if not (folder / "report.json").is_file():
-        infer(capture, folder, source, options, tell)
+        if isinstance(method, NetworkMethod):
+            shared = predictions_folder(scene, method, camera, source.identity)
+            link_files(shared, folder / "views")
+            infer(capture, folder, source, options, tell)
+            link_files(folder / "views", shared)
+        else:
+            infer(capture, folder, source, options, tell)
     report = json.loads((folder / "report.json").read_bytes())
     stages = {name: round(value, 2) for name, value in report["seconds"].items()}
     stages["unwrap"] = round(stages.get("unwrap", 0.0) + seconds, 2)

@@ -68,9 +68,9 @@ def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedVi
 
 
 def image_figures(
-    rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView], exposure: float, lpips: Lpips
+    rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView], exposure: float, lpips: Lpips | None
 ) -> dict[str, dict[str, float | None]]:
-    """The figures of every view of ``truth``, by name."""
+    """The figures of every view of ``truth``, by name; without LPIPS where ``lpips`` is None."""
     gain = fitted_gain(rendered, truth)
     return {
         name: _figures_of(rendered[name], true_view, exposure, gain, lpips)
@@ -79,7 +79,7 @@ def image_figures(
 
 
 def _figures_of(
-    view: JudgedView, true_view: JudgedView, exposure: float, gain: float, lpips: Lpips
+    view: JudgedView, true_view: JudgedView, exposure: float, gain: float, lpips: Lpips | None
 ) -> dict[str, float | None]:
     brought = shown(view.color, exposure * gain)
     a, b = (shown(v.color, exposure) for v in (view, true_view))
@@ -90,7 +90,7 @@ def _figures_of(
         "psnr_linear_db": psnr_db(linear[0], linear[1]),
         "ssim": similarity,
         "dssim": 1.0 - similarity,
-        "lpips_vgg": lpips(a, b),
+        "lpips_vgg": None if lpips is None else lpips(a, b),
         "gain": gain,
         "psnr_gain_db": psnr_db(brought, b),
         "dssim_gain": 1.0 - ssim(brought, b),

@@ -18,7 +18,7 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.formats.shard import ShardReader
 from mitsuba_plugins.variant import select_variant
 from model.evaluation.metrics import common_exposure
-from model.evaluation.rendering import JudgedView, render_scenery, stored_view
+from model.evaluation.rendering import JudgedView, Rendering, render_scenery, stored_view
 from model.evaluation.results import MethodResult, SceneResult
 from model.evaluation.room import PreparedScene, TestScene
 from model.evaluation.scenery import Scenery, added_lights, level_place, true_scenery
@@ -75,10 +75,22 @@ class OpenedScene:
         inputs = set(self.prepared.input_names)
         return replace(self.capture, views=tuple(v for v in self.capture.views if v.name in inputs))
 
-    def render_folder(self, scenery: Scenery, views: tuple[str, ...], render: RenderRecipe) -> Path:
-        """A folder that is named by all that decides the pixels."""
-        seen = scenery.seen_by(views).configuration
-        return self.root / "renders" / key_of(seen.model_dump(mode="json"), render.model_dump(mode="json"))
+    def rendering(
+        self,
+        scenery: Scenery,
+        light: str,
+        seed: int,
+        render: RenderRecipe,
+        views: tuple[str, ...] | None = None,
+        *stopped_by: Any,
+    ) -> Rendering:
+        """Views of a scenery (None: all of the light's) with ``seed`` added to its own, in a folder that is
+        named by all that decides the pixels."""
+        seed += scenery.configuration.seed
+        cameras = self.views_of(light)
+        seen = scenery.seen_by(cameras).with_seed(seed).configuration
+        key = key_of(seen.model_dump(mode="json"), render.model_dump(mode="json"), *stopped_by)
+        return Rendering(seed, views or cameras, self.root / "renders" / key)
 
     def result(self, methods: tuple[MethodResult, ...]) -> SceneResult:
         """The scene's part of a suite's result."""
@@ -139,13 +151,12 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
     render = suite.truth or recipe.render
     lights = (MODIFIED, *([INSERTED] if INSERTED in scene.sceneries else []))
     for light in lights if suite.truth is None else (OWN, *lights):
-        scenery, views = scene.sceneries[light], scene.views_of(light)
-        if light == OWN:  # the photographs' noise is not to be met again
-            scenery = scenery.with_seed(scenery.configuration.seed + TRUE_SEED)
-        folder = scene.render_folder(scenery, views, render)
-        scene.renders[light] = str(folder)
+        seed = TRUE_SEED if light == OWN else 0  # the photographs' noise is not to be met again
+        rendering = scene.rendering(scene.sceneries[light], light, seed, render)
         said = told(tell, f"{recipe.name}: truth, {light}")
-        scene.truth[light] = render_scenery(scenery, views, folder, render, said)
+        render_scenery(scene.sceneries[light], rendering.views, [rendering], render, tell=said)
+        scene.renders[light] = str(rendering.folder)
+        scene.truth[light] = rendering.read()
     scene.exposures = {light: common_exposure(list(views.values())) for light, views in scene.truth.items()}
     if INSERTED in scene.exposures:
         scene.exposures[INSERTED] = scene.exposures[OWN]

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,13 @@ from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.library import Library
+from datagen.rendering.denoiser import fast_denoiser
+from datagen.rendering.error import relative_mse
 from model.evaluation.scenery import Scenery
+
+if TYPE_CHECKING:
+    from datagen.rendering.renderer import IsEnough
+    from datagen.rendering.sample_budget import ErrorEstimate
 
 BUFFERS = ("beauty", *MATERIAL_MAPS, "surface_mask", "depth_z_m", "normal_world")
 
@@ -47,40 +54,81 @@ def stored_view(view: CaptureView) -> JudgedView:
     return judged_view(view.source.read_maps(BUFFERS))
 
 
+@dataclass(frozen=True)
+class Rendering:
+    """Some ``views`` of a scenery with a seed, and the ``folder`` that keeps ``VIEW.exr``. Those that are
+    there are not rendered again, so it must be named by all that decides the pixels."""
+
+    seed: int
+    views: tuple[str, ...]
+    folder: Path
+
+    def missing(self) -> list[str]:
+        """Views that are not there, or damaged."""
+        return [name for name in self.views if _read(self.folder / f"{name}.exr") is None]
+
+    def read(self) -> dict[str, JudgedView]:
+        """All views."""
+        found = {name: _read(self.folder / f"{name}.exr") for name in self.views}
+        return {name: view for name, view in found.items() if view is not None}
+
+
+@dataclass(frozen=True)
+class EnoughOf:
+    """Views stop where the error that is left, by an estimate on quickly denoised halves, is at most
+    ``share`` of their difference from ``truth`` (both relMSE): more samples would not change the figure."""
+
+    truth: Mapping[str, JudgedView]
+    share: float
+
+    def decides(self, names: Sequence[str]) -> IsEnough:
+        """What the renderer of ``names`` asks."""
+
+        def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
+            apart = relative_mse(image, self.truth[names[index]].color, exposed=True) - estimate.rel_mse
+            return estimate.rel_mse + estimate.standard_error <= self.share * apart
+
+        return is_enough
+
+
 def render_scenery(
     scenery: Scenery,
-    views: Sequence[str],
-    folder: Path,
+    cameras: Sequence[str],
+    renderings: Sequence[Rendering],
     render: RenderRecipe,
+    enough: EnoughOf | None = None,
     tell: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, JudgedView]:
-    """``views`` of a scenery. ``folder`` keeps ``VIEW.exr``; those that are there are not rendered again, so
-    the folder must be named by all that decides the pixels."""
-    missing = [name for name in views if _read(folder / f"{name}.exr") is None]
-    if missing:
-        _render(scenery.seen_by(views), [list(views).index(name) for name in missing], folder, render, tell)
-    found = {name: _read(folder / f"{name}.exr") for name in views}
-    return {name: view for name, view in found.items() if view is not None}
-
-
-def _render(
-    scenery: Scenery,
-    indices: Sequence[int],
-    folder: Path,
-    render: RenderRecipe,
-    tell: Callable[[int, int], None],
 ) -> None:
+    """Render what is missing of some renderings. The scene is built once, and what paths learn of it
+    beforehand they learn from all ``cameras``, whatever is missing."""
+    missing = [(rendering, names) for rendering in renderings if (names := rendering.missing())]
+    if not missing:
+        return
     from datagen.rendering.renderer import SceneRenderer
 
-    folder.mkdir(parents=True, exist_ok=True)
-    with Library(scenery.library) as library:
-        renderer = SceneRenderer(scenery.configuration, library, render)
+    first = missing[0][0]
+    seen = scenery.seen_by(cameras).with_seed(first.seed)
+    done, total = 0, sum(len(names) for _, names in missing)
+    estimator = None if enough is None else fast_denoiser(render)
+    with Library(seen.library) as library:
+        renderer = SceneRenderer(
+            seen.configuration,
+            library,
+            render,
+            estimator=estimator,
+            is_enough=None if enough is None else enough.decides(cameras),
+        )
         try:
-            for number, view in enumerate(renderer.render_views(indices), start=1):
-                name = scenery.configuration.cameras[view.index].name
-                stored = {buffer: view.buffers[buffer] for buffer in BUFFERS}
-                write_bytes_atomically(folder / f"{name}.exr", encode_view(stored))
-                tell(number, len(indices))
+            for rendering, names in missing:
+                rendering.folder.mkdir(parents=True, exist_ok=True)
+                if rendering is not first:
+                    renderer.reseed(rendering.seed)
+                for view in renderer.render_views([list(cameras).index(name) for name in names]):
+                    stored = {buffer: view.buffers[buffer] for buffer in BUFFERS}
+                    path = rendering.folder / f"{cameras[view.index]}.exr"
+                    write_bytes_atomically(path, encode_view(stored))
+                    done += 1
+                    tell(done, total)
         finally:
             renderer.close()
 

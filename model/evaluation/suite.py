@@ -119,7 +119,9 @@ class Suite(StrictModel):
     those that methods may use. ``render``: what a re-rendered view costs; ``truth``: what a judged view of
     the truth costs, which is then rendered apart from the photographs, once a scene; None judges by the
     photographs, and renders other lights as they were. ``seed_views`` of each set and light are rendered
-    with a second seed, which says how much of a figure is noise. ``atlas``: side in texels.
+    with a second seed, which says how much of a figure is noise. ``noise_share``: a view of an estimate needs
+    no more samples where the noise that is left is at most this share of its squared difference from the
+    truth; None renders all to ``render``. ``atlas``: side in texels.
     ``camera``: every method but the truth is judged on photographs with these faults besides (names of
     ``camera_faults.PRESETS``, "each" for every fault by itself, or faults of one's own).
     ``modified_light`` and ``inserted`` by scene; scenes that are not named take the defaults.
@@ -138,6 +140,7 @@ class Suite(StrictModel):
     render: RenderRecipe = Field(default_factory=lambda: RenderRecipe(quality="draft"))
     truth: RenderRecipe | None = None
     seed_views: Annotated[int, Field(ge=0)] = 0
+    noise_share: Annotated[float, Field(gt=0, lt=1)] | None = None
     camera: tuple[str | CameraFaults, ...] = ()
     modified_light: dict[Slug, ModifiedLight] = {}
     inserted: dict[Slug, InsertedObject] = {}

@@ -22,10 +22,12 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, luminance
 from datagen.foundation.errors import InputError
 from datagen.library import Library
+from datagen.rendering.denoiser import fast_denoiser
 from datagen.rendering.error import relative_mse
 from datagen.rendering.path_tracer import PathTracer
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import (
+    FIRST_SAMPLES,
     TILE_PX,
     ErrorEstimate,
     PathSums,
@@ -275,6 +277,39 @@ def test_budgeted_views_do_not_depend_on_order_or_company(budgeted: SceneRendere
     alone = budgeted.render_view(0)
     assert digest(alone) == digest(together[1])
     assert alone.render == together[1].render
+
+
+def test_a_view_that_is_enough_stops_and_is_finished_as_any_other(tmp_path: Path) -> None:
+    """Far above its error, after the first pass; the fast denoiser serves the estimate alone."""
+    asked: list[tuple[int, tuple[int, ...], float]] = []
+
+    def is_enough(index: int, image: NDArray, estimate: ErrorEstimate) -> bool:
+        asked.append((index, image.shape, estimate.rel_mse))
+        return True
+
+    whole = make(tmp_path / "room", max_rel_mse=1e-4, max_path_samples=256)
+    recipe, library = whole.recipe, Library([tmp_path / "room"])
+    plain = render(path_samples=FIRST_SAMPLES, auxiliary_samples=16)
+    stops = SceneRenderer(
+        whole.configuration, library, recipe, estimator=fast_denoiser(recipe), is_enough=is_enough
+    )
+    view = stops.render_view(1)
+    assert [row[:2] for row in asked] == [(1, (32, 48, 3))] and asked[0][2] > 1e-4
+    assert view.render.path_samples == FIRST_SAMPLES and "high" in view.render.denoiser
+    images = [SceneRenderer(whole.configuration, library, plain).render_view(1), whole.render_view(1)]
+    errors = [relative_mse(v.buffers["beauty"], images[1].buffers["beauty"]) for v in (view, images[0])]
+    assert errors[0] == pytest.approx(errors[1], rel=0.5)
+    stops.close()
+
+
+def test_another_seed_is_as_of_a_renderer_of_its_own(tmp_path: Path) -> None:
+    fields = {"max_rel_mse": 0.05, "max_path_samples": 64, "irradiance_cache": True}
+    first = make(tmp_path / "room", **fields)
+    before = digest(first.render_view(0))
+    first.reseed(17)
+    other = first.configuration.model_copy(update={"seed": 17})
+    alone = SceneRenderer(other, Library([tmp_path / "room"]), first.recipe)
+    assert before != digest(first.render_view(0)) == digest(alone.render_view(0))
 
 
 def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:

@@ -12,14 +12,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from datagen.formats.recipe import RenderRecipe
 from model.checkpoint import DataRecord, bundled_checkpoint, read_card
 from model.evaluation.evaluate import Evaluation, evaluate
 from model.evaluation.measure_tables import measure_tables
 from model.evaluation.noise import bootstrap_error
 from model.evaluation.results import MethodResult
 from model.evaluation.room import plan_scene
-from model.evaluation.suite import MapsMethod, Suite, TruthMethod, read_suite
+from model.evaluation.suite import MapsMethod, NetworkMethod, Suite, TruthMethod, read_suite
 from model.evaluation.writing import is_written, write_results
+from model.reconstruction.predict.predictor import Predictor
 from tests.conftest import REPOSITORY
 
 SMALL = REPOSITORY / "scenes" / "suites" / "small.yaml"
@@ -186,6 +188,45 @@ def test_cameras_and_seeds_go_the_whole_way(small: tuple[Suite, Evaluation], cac
         ("small-room", "texture", "as rendered"),
         ("small-room", "texture", "phone"),
     ]
+
+
+def test_methods_of_one_checkpoint_share_its_predictions(
+    small: tuple[Suite, Evaluation], cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without materials from light, the networks have no more to say."""
+    suite, evaluation = small
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("predicted twice")
+
+    monkeypatch.setattr(Predictor, "predict", refuse)
+    other = NetworkMethod(
+        name="network", kind="network", checkpoint=str(bundled_checkpoint()), materials="network"
+    )
+    judged = _methods(evaluate(suite.model_copy(update={"methods": (other,)}), cache))["network"]
+    ours = _methods(evaluation)["ours"]
+    assert judged.maps_per_view == ours.maps_per_view and judged.maps_merged != ours.maps_merged
+    views = [Path(method.folder) / "views" / "view-003.exr" for method in (judged, ours)]
+    assert views[0].samefile(views[1])
+
+
+def test_estimates_need_less_than_the_truth(small: tuple[Suite, Evaluation], cache: Path) -> None:
+    """What is far from the truth stops where noise is a small share of that, and has the same figures."""
+    suite, _ = small
+    constant = tuple(method for method in suite.methods if method.kind == "constant")
+    render = RenderRecipe(max_rel_mse=2e-4, max_path_samples=512, auxiliary_samples=16)
+    changes = {"methods": constant, "render": render, "truth": render, "seed_views": 1}
+    found, seconds = [], []
+    for share in (None, 0.05):
+        changed = suite.model_copy(update={**changes, "noise_share": share})
+        (scene,) = evaluate(changed, cache).result.scenes
+        found.append(scene.methods[0])
+        seconds.append(scene.methods[0].seconds["render and compare"])
+    assert found[0].renders["own"] != found[1].renders["own"] and seconds[1] < seconds[0]
+    for light in ("own", "modified"):
+        for views in ("input", "novel"):
+            full, early = (m.images[light][views]["psnr_srgb_db"] for m in found)
+            assert early == pytest.approx(full, abs=0.3), (light, views)
 
 
 def test_a_scene_that_fails_leaves_the_others_whole(
