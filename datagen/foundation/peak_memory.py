@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The most memory that this process has held since a moment."""
+"""What this process has taken since a moment: the most memory, and time of processors."""
 
 from __future__ import annotations
 
+import os
 import resource
 from contextlib import suppress
 from pathlib import Path
@@ -23,3 +24,9 @@ def peak_mb() -> float:
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def processor_s() -> float:
+    """Seconds that cores have worked for this process and for those that it started and that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,19 +23,16 @@ from datagen.formats.base import sha256_file
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
-from datagen.foundation.peak_memory import forget_peak, peak_mb
+from datagen.foundation.peak_memory import forget_peak, peak_mb, processor_s
 from model.checkpoint import read_card
 from model.evaluation.baselines import given_maps, maps_files
 from model.evaluation.camera_faults import CameraFaults, as_taken
 from model.evaluation.lpips import Lpips
 from model.evaluation.map_measures import MapMeasures
-from model.evaluation.metrics import image_figures, means
-from model.evaluation.noise import seed_spread
+from model.evaluation.metrics import means
 from model.evaluation.opened_scene import (
     INSERTED,
     OWN,
-    RENDER_SEED,
-    SECOND_SEED,
     OpenedScene,
     Tell,
     key_of,
@@ -44,10 +40,13 @@ from model.evaluation.opened_scene import (
     told,
 )
 from model.evaluation.predictions import link_files, predictions_folder
-from model.evaluation.rendering import EnoughOf, JudgedView, Rendering, render_scenery
+from model.evaluation.rendering import JudgedView
+from model.evaluation.predictions import link_files, predictions_folder
+from model.evaluation.rendering import JudgedView
+from model.evaluation.rerendering import figures_of, renderings_of, spread_of
 from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
-from model.evaluation.scenery import Scenery, recovered_scenery
+from model.evaluation.scenery import recovered_scenery
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
 from model.reconstruction.infer import infer
@@ -181,12 +180,17 @@ def _judge(
         return done
     folder.mkdir(parents=True, exist_ok=True)
     forget_peak()
+    before_s = processor_s()
 
     def say(stage: str, number: int, total: int) -> None:
         tell(f"{name}, {base.label}: {stage}", number, total)
 
     measured = _measure(suite, scene, method, camera, folder, lpips, say)
-    measured |= {"folder": str(folder), "peak_memory_mb": round(peak_mb(), 1)}
+    measured |= {
+        "folder": str(folder),
+        "peak_memory_mb": round(peak_mb(), 1),
+        "processor_s": round(processor_s() - before_s, 1),
+    }
     result = base.model_copy(update=measured)
     write_result(path, result)
     return result
@@ -224,17 +228,17 @@ def _measure(
     spread: dict[str, dict[str, float]] = {}
     for light, scenery in sceneries.items():
         said = told(tell, f"render, {light}")
-        first, again = _renderings(suite, scene, method, light, scenery, said)
+        first, again = renderings_of(suite, scene, method, light, scenery, said)
         renders[light] = str(first.folder)
         if light == INSERTED:
             continue
         rendered = first.read()
         of_light = lpips if light == OWN else None
         images[light] = {
-            "input": _figures(scene, light, scene.inputs, rendered, of_light),
-            "novel": _figures(scene, light, scene.novel, rendered, of_light),
+            "input": figures_of(scene, light, scene.inputs, rendered, of_light),
+            "novel": figures_of(scene, light, scene.novel, rendered, of_light),
         }
-        spread[light] = _seed_spread(scene, light, again, images[light], of_light)
+        spread[light] = spread_of(scene, light, again, images[light], of_light)
         if light == OWN:
             for name in scene.inputs:
                 view = rendered[name]
@@ -250,55 +254,6 @@ def _measure(
         "renders": renders,
         "seconds": seconds,
     }
-
-
-def _renderings(
-    suite: Suite,
-    scene: OpenedScene,
-    method: Method,
-    light: str,
-    scenery: Scenery,
-    tell: Callable[[int, int], None],
-) -> tuple[Rendering, Rendering]:
-    """The views under a light, rendered, and some of them with a second seed. No seed is that of the truth,
-    whose noise is not to be met again. The truth itself is rendered to the full."""
-    enough: EnoughOf | None = None
-    stopped_by: list[Any] = []
-    if suite.noise_share is not None and not isinstance(method, TruthMethod):
-        enough = EnoughOf(scene.truth[light], suite.noise_share)
-        stopped_by = [suite.noise_share, Path(scene.renders.get(light, scene.prepared.capture)).name]
-    some = (*scene.inputs[: suite.seed_views], *scene.novel[: suite.seed_views])
-    some = () if light == INSERTED else some
-    first = scene.rendering(scenery, light, RENDER_SEED, suite.render, None, *stopped_by)
-    again = scene.rendering(scenery, light, SECOND_SEED, suite.render, some, *stopped_by)
-    render_scenery(scenery, scene.views_of(light), [first, again], suite.render, enough, tell)
-    return first, again
-
-
-def _seed_spread(
-    scene: OpenedScene,
-    light: str,
-    again: Rendering,
-    first: dict[str, dict[str, dict[str, float | None]]],
-    lpips: Lpips | None,
-) -> dict[str, float]:
-    """Standard deviation of a view's figures by the renderer's noise: some views are rendered once more."""
-    if not again.views:
-        return {}
-    second = _figures(scene, light, again.views, again.read(), lpips)
-    rows = {name: row for views in first.values() for name, row in views.items()}
-    return seed_spread([(rows[name], second[name]) for name in again.views])
-
-
-def _figures(
-    scene: OpenedScene,
-    light: str,
-    views: tuple[str, ...],
-    rendered: dict[str, JudgedView],
-    lpips: Lpips | None,
-) -> dict[str, dict[str, float | None]]:
-    truth = {name: scene.truth[light][name] for name in views}
-    return image_figures(rendered, truth, scene.exposures[light], lpips)
 
 
 def _reconstruct(

@@ -31,8 +31,8 @@ class MethodResult(StrictModel):
     ``map_views`` those errors view by view. ``images``: by light (own, modified) and views (input, novel),
     see ``metrics.image_figures``; ``image_views`` view by view. ``seed_spread``: by light, standard deviation
     of a view's figures between two seeds of the renderer. ``seen_share``: share of the atlas that some view
-    sees; ``covered_share``: share of the true surface's pixels where the method has a surface. ``folder``:
-    where maps and asset are;
+    sees; ``covered_share``: share of the true surface's pixels where the method has a surface.
+    ``processor_s``: of all cores, for what was not kept from before. ``folder``: where maps and asset are;
     ``renders``: folders of rendered views by light, and ``inserted``.
     """
 
@@ -57,6 +57,7 @@ class MethodResult(StrictModel):
     atlas_size: int = 0
     seconds: dict[str, float] = {}
     peak_memory_mb: NonNegative = 0.0
+    processor_s: NonNegative = 0.0
     notes: tuple[str, ...] = ()
     folder: str = ""
     renders: dict[str, str] = {}

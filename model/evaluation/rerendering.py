@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""What a method recovered, rendered and held against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from model.evaluation.lpips import Lpips
+from model.evaluation.metrics import image_figures
+from model.evaluation.noise import seed_spread
+from model.evaluation.opened_scene import INSERTED, RENDER_SEED, SECOND_SEED, OpenedScene
+from model.evaluation.rendering import EnoughOf, JudgedView, Rendering, render_scenery
+from model.evaluation.scenery import Scenery
+from model.evaluation.suite import Method, Suite, TruthMethod
+
+
+def renderings_of(
+    suite: Suite,
+    scene: OpenedScene,
+    method: Method,
+    light: str,
+    scenery: Scenery,
+    tell: Callable[[int, int], None],
+) -> tuple[Rendering, Rendering]:
+    """The views under a light, rendered, and some of them with a second seed. No seed is that of the truth,
+    whose noise is not to be met again. The truth itself is rendered to the full."""
+    enough: EnoughOf | None = None
+    stopped_by: list[Any] = []
+    if suite.noise_share is not None and not isinstance(method, TruthMethod):
+        enough = EnoughOf(scene.truth[light], suite.noise_share)
+        stopped_by = [suite.noise_share, Path(scene.renders.get(light, scene.prepared.capture)).name]
+    some = (*scene.inputs[: suite.seed_views], *scene.novel[: suite.seed_views])
+    some = () if light == INSERTED else some
+    first = scene.rendering(scenery, light, RENDER_SEED, suite.render, None, *stopped_by)
+    again = scene.rendering(scenery, light, SECOND_SEED, suite.render, some, *stopped_by)
+    render_scenery(scenery, scene.views_of(light), [first, again], suite.render, enough, tell)
+    return first, again
+
+
+def spread_of(
+    scene: OpenedScene,
+    light: str,
+    again: Rendering,
+    first: dict[str, dict[str, dict[str, float | None]]],
+    lpips: Lpips | None,
+) -> dict[str, float]:
+    """Standard deviation of a view's figures by the renderer's noise: some views are rendered once more."""
+    if not again.views:
+        return {}
+    second = figures_of(scene, light, again.views, again.read(), lpips)
+    rows = {name: row for views in first.values() for name, row in views.items()}
+    return seed_spread([(rows[name], second[name]) for name in again.views])
+
+
+def figures_of(
+    scene: OpenedScene,
+    light: str,
+    views: tuple[str, ...],
+    rendered: dict[str, JudgedView],
+    lpips: Lpips | None,
+) -> dict[str, dict[str, float | None]]:
+    """The figures of some rendered views; without LPIPS where ``lpips`` is None."""
+    truth = {name: scene.truth[light][name] for name in views}
+    return image_figures(rendered, truth, scene.exposures[light], lpips)
