@@ -299,7 +299,7 @@ def test_tables_set_the_paper_beside_ours(tmp_path: Path) -> None:
     assert rows["ours (noise 10 mm)"][2:8] == (0.02, 0.01, 0.05) * 2
     assert {row[1]: row[2:4] for row in summary.rows}["paper: Texture"] == (18.70, 0.30)
     assert "no weights" in images.caption and images.rows[0][8] is None
-    assert {row[1]: row[-2] for row in cost.rows}["paper: Ours"] == pytest.approx(60 * 20.85)
+    assert {row[1]: row[-4] for row in cost.rows}["paper: Ours"] == pytest.approx(60 * 20.85)
     write_results(_result(), {"veach-ajar": {"view-000": _view(0.5)}}, tmp_path)
     text = (tmp_path / "evaluation.md").read_text()
     assert "left out, no checkpoint at x" in text and "may have been trained" in text
