@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Runs a suite: scenes, methods, figures. What is in the cache already is not done again.
 
+CACHE/geometries/               the meshes that methods get, unwrapped
+CACHE/features/                 what LPIPS sees in the truth
 CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
-    geometry-<key>/             the mesh that a method gets, unwrapped
     predictions-<key>/          maps of a checkpoint, which methods that differ only in what follows share
     <method>-<key>/             what ``materials infer`` writes, views/ and result-<key>.json
     renders/<key>/              VIEW.exr, a folder for all that decides the pixels
@@ -266,7 +267,7 @@ def _reconstruct(
 ) -> tuple[Path, dict[str, Any]]:
     """The asset of a method, and what ``materials infer`` says of it; made where it is not there."""
     error = method.geometry or (camera.geometry if camera else None)
-    geometry, seconds = geometry_for(scene.capture.geometry, error, scene.root, tell)
+    geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
     if camera is not None:
         capture = as_taken(capture, camera)

@@ -54,6 +54,11 @@ class OpenedScene:
     _surfaces: dict[str, ViewSurfaces] = field(default_factory=dict)
     _finder: SurfaceFinder | None = None
 
+    @property
+    def geometries(self) -> Path:
+        """Where unwrapped meshes of all scenes are kept."""
+        return self.root.parents[1] / "geometries"
+
     def view(self, name: str) -> CaptureView:
         """A view of the capture."""
         return next(view for view in self.capture.views if view.name == name)

@@ -27,10 +27,9 @@ def geometry_for(
     tell: Callable[[str, int, int], None],
     jobs: int = 2,
 ) -> tuple[CaptureGeometry, float]:
-    """The geometry with UVs fit for an atlas, and the seconds that unwrapping took when it was made."""
-    described = None if error is None else error.model_dump(mode="json")
-    key = sha256_hex(canonical_json([_REVISION, described]))[:12]
-    path = root / f"geometry-{key}" / "geometry.npz"
+    """The geometry with UVs fit for an atlas, and the seconds that unwrapping took when it was made. ``root``
+    keeps it, named by mesh and error: other photographs of a room have the same."""
+    path = root / f"{_key(true_geometry, error)}.npz"
     if not path.is_file():
         tell("unwrap", 0, 1)
         geometry = true_geometry if error is None else with_errors(true_geometry, error)
@@ -42,6 +41,15 @@ def geometry_for(
         _write(path, CaptureGeometry(mesh, geometry.parts), time.perf_counter() - start)
         tell("unwrap", 1, 1)
     return _read(path)
+
+
+def _key(geometry: CaptureGeometry, error: GeometryError | None) -> str:
+    described = None if error is None else error.model_dump(mode="json")
+    parts = [[p.name, p.first_face, p.num_faces, p.emission] for p in geometry.parts]
+    mesh = geometry.mesh
+    arrays = [mesh.positions, mesh.faces, mesh.normals, mesh.uv]
+    hashes = [None if a is None else sha256_hex(np.ascontiguousarray(a).tobytes()) for a in arrays]
+    return sha256_hex(canonical_json([_REVISION, described, parts, hashes]))[:16]
 
 
 def _write(path: Path, geometry: CaptureGeometry, seconds: float) -> None:
