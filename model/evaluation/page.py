@@ -20,7 +20,7 @@ from datagen.foundation.color_maps import cividis
 from model.evaluation.measure_tables import image_noise
 from model.evaluation.metrics import shown
 from model.evaluation.page_style import SCRIPT, STYLE
-from model.evaluation.pictures import COLUMNS, Row, rendered_views, small
+from model.evaluation.pictures import COLUMNS, Row, map_pixels, rendered_views, small
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import KINDS
@@ -31,8 +31,8 @@ _BOUNDS = ("oracle", "truth")  # what no method can be better than
 _WIDTH_PX = 480
 LARGEST_ERROR = 0.5
 """Of the error maps: what is shown in the last colour of the scale."""
-NOTHING = 0.5
-"""Grey of pixels without an error, in [0, 1]."""
+NOTHING = 0.88
+"""Grey of pixels without an error, in [0, 1]: paler than any colour of the scale."""
 _BAR_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 12, 92, 430
 
 
@@ -165,26 +165,29 @@ def _error_maps(
     views: Mapping[str, Mapping[str, JudgedView]],
     truth: Mapping[str, JudgedView],
 ) -> str:
+    """A row for each map: the truth, and what every method is off."""
     name = scene.figure_views["input"]
-    cells = ["<span></span>", *(f'<span class="head">{letter}</span>' for letter in LETTERS.values())]
-    for method in methods:
-        view = views[method.label].get(name)
-        if view is None:
-            continue
-        cells.append(f'<span class="row">{html.escape(method.label)}</span>')
-        mask = truth[name].surface_mask & view.surface_mask
-        for map_name in MATERIAL_MAPS:
-            squared = ((view.maps[map_name] - truth[name].maps[map_name]).astype(np.float64) ** 2).mean(
-                axis=2
-            )
-            error = np.where(mask, np.sqrt(squared), np.nan)
-            text = html.escape(f"{method.label}: error of {LETTERS[map_name]}", quote=True)
+    judged = [method for method in methods if name in views[method.label]]
+    heads = ("", "truth", *(method.label for method in judged))
+    cells = [f'<span class="head">{html.escape(head)}</span>' for head in heads]
+    for map_name, letter in LETTERS.items():
+        cells.append(f'<span class="row">{letter}</span>')
+        true_map = _picture(map_pixels(truth[name], map_name))
+        cells.append(f'<img alt="truth: {letter}" title="truth: {letter}" src="{true_map}">')
+        for method in judged:
+            view = views[method.label][name]
+            squared = (view.maps[map_name] - truth[name].maps[map_name]).astype(np.float64) ** 2
+            mask = truth[name].surface_mask & view.surface_mask
+            error = np.where(mask, np.sqrt(squared.mean(axis=2)), np.nan)
+            text = html.escape(f"{method.label}: error of {letter}", quote=True)
             cells.append(f'<img alt="{text}" title="{text}" src="{_picture(error_picture(error))}">')
     bar = error_picture(np.linspace(0, LARGEST_ERROR, 256)[None].repeat(8, 0))
     return (
-        "<h3>Where maps are wrong</h3><p>Root mean square error over channels of the merged maps in "
-        f'{name}; grey: nothing to compare.</p><div class="errors">{"".join(cells)}</div>'
-        '<div class="scale">0<img alt="" '
+        "<h3>Where maps are wrong</h3><p>The true maps in "
+        f"{name}, D and S sRGB-encoded, and the root mean square error over channels of every "
+        "method's merged ones; pale: nothing to compare.</p>"
+        f'<div class="wide"><div class="errors" style="--methods:{len(judged) + 1}">{"".join(cells)}</div>'
+        '</div><div class="scale">0<img alt="" '
         f'src="{_picture(bar)}">{LARGEST_ERROR:g} and more</div>'
     )
 

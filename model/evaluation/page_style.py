@@ -48,10 +48,10 @@ figcaption { font-size: 12.5px; padding: .3rem .1rem 0; } figcaption b { color: 
   rgba(0,0,0,.55); padding: .28rem .45rem; border-radius: 4px; pointer-events: none; } .tag.left { left:
   .45rem; }
 .tag.right { right: .45rem; }
-.errors { display: grid; grid-template-columns: 7.5rem repeat(3, minmax(8rem, 1fr)); gap: .35rem;
-  align-items: center; max-width: 66rem; }
+.errors { display: grid; grid-template-columns: 1.4rem repeat(var(--methods), minmax(9rem, 20rem));
+  gap: .35rem; align-items: center; }
 .errors .head { color: var(--soft); font-size: 12.5px; text-align: center; } .errors .row { font-size:
-  13px; text-align: right; padding-right: .5rem; }
+  13px; font-weight: 600; }
 .errors img { width: 100%; display: block; border-radius: 4px; }
 .scale { display: flex; align-items: center; gap: .6rem; font-size: 12px; color: var(--soft); margin:
   .5rem 0 0; }

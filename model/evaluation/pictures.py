@@ -80,7 +80,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
     own = by_light.get("own", {})
     if view in own:
         for letter, name in _MAPS.items():
-            pictures[letter] = _map_picture(letter, own[view], name)
+            pictures[letter] = Picture(letter, small(map_pixels(own[view], name)))
     places = {
         "original light": ("own", view),
         "modified light": ("modified", view),
@@ -96,11 +96,12 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
     return Row(label, pictures)
 
 
-def _map_picture(letter: str, view: JudgedView, name: str) -> Picture:
+def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
+    """A map (H, W, 3) as it is shown: D and S sRGB-encoded, R as it is, black where there is no surface."""
     values = view.maps[name]
-    encoded = srgb_from_linear(values) if letter != "R" else values
+    encoded = srgb_from_linear(values) if name != "roughness" else values
     pixels = np.where(view.surface_mask[..., None], encoded, 0.0)
-    return Picture(letter, small(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
+    return np.broadcast_to(pixels, (*pixels.shape[:2], 3))
 
 
 def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8]:

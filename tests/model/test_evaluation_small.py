@@ -99,7 +99,7 @@ def test_everything_is_written_and_needs_nothing_beside_it(
     page = (tmp_path / "index.html").read_text()
     # with the colon: letters alone may stand in an image, which is base64
     assert "http:" not in page and "https:" not in page and "<script src" not in page and "<link" not in page
-    sliders, errors = 4 * 2 * 2, 4 * 3 + 1  # four methods: two pairs each; three maps each, and the scale
+    sliders, errors = 4 * 2 * 2, 5 * 3 + 1  # four methods: two pairs; maps, with the truth, and the scale
     assert (
         page.count("data:image/jpeg;base64,") == 5 * 8 + sliders + errors
     )  # and all pictures, with the truth
