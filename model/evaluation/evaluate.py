@@ -42,8 +42,6 @@ from model.evaluation.opened_scene import (
 )
 from model.evaluation.predictions import link_files, predictions_folder
 from model.evaluation.rendering import JudgedView
-from model.evaluation.predictions import link_files, predictions_folder
-from model.evaluation.rendering import JudgedView
 from model.evaluation.rerendering import figures_of, renderings_of, spread_of
 from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
