@@ -10,7 +10,6 @@ from model.reconstruction.light.confidence import (
     D_EVIDENCE,
     IMPOSSIBLE,
     impossible_share,
-    propagated_gain,
     surfel_confidence,
     trust_of,
 )
@@ -31,18 +30,3 @@ def test_rooms_that_reflect_more_than_arrives_are_not_trusted() -> None:
     assert trust_of(0.0) == trust_of(IMPOSSIBLE[0]) == 1.0
     assert trust_of(IMPOSSIBLE[1]) == trust_of(0.6) == 0.0
     assert 0.4 < trust_of(np.mean(IMPOSSIBLE)) < 0.6
-
-
-def test_gain_is_that_of_the_surroundings() -> None:
-    """Two regions of two segments each: the confident segment tells the other of its region, and the room's
-    gain serves a region of which nothing is known."""
-    segment = np.repeat(np.arange(4), 500)
-    region = segment // 2
-    predicted = np.full((2000, 3), 0.2)
-    albedo = np.where((segment == 0)[:, None], [0.4, 0.3, 0.2], 0.9)
-    confidence = np.where(segment == 0, 1.0, 0.0)
-    found = propagated_gain(albedo, predicted, confidence, segment, region)
-    for which in range(4):
-        np.testing.assert_allclose(found[segment == which], [[2.0, 1.5, 1.0]] * 500, rtol=0.02)
-    none = propagated_gain(albedo, predicted, np.zeros(2000), segment, region)
-    np.testing.assert_allclose(none, 1.0)

@@ -40,7 +40,7 @@ def solved(
     geometry = room_geometry()
     traced = TracedGeometry(geometry)
     regions = smooth_regions(traced.mesh)
-    options = LightOptions(is_leveled=False)
+    options = LightOptions()
     return materials_from_light(views, maps, traced, geometry.emitter_mask(), regions, exposure, options)
 
 

@@ -24,10 +24,7 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
         reason = f"{clipped:.1%} of the pixels are at the sensor's limit"
         run.report.notes.append(f"materials are the networks' alone: {reason}")
         return maps
-    options = LightOptions(
-        has_prior=run.options.materials == "both",
-        is_leveled=bool(run.report.albedo_level.get("is_applied", False)),
-    )
+    options = LightOptions(has_prior=run.options.materials == "both")
     with run.report.stage("light"):
         found = materials_from_light(
             traced.views,

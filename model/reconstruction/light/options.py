@@ -16,8 +16,7 @@ from model.reconstruction.light.solve import PriorWeights
 class LightOptions:
     """Rays a surfel (``irradiance_rays``), an observation of a solved point and level (``solve_rays``), an
     observation of a surfel (``specular_rays``); ``max_points`` solved in all, ``num_observations`` of each.
-    ``has_prior``: whether the network's maps draw the solution and stay where evidence lacks; ``is_leveled``
-    whether their D has a level out of light already."""
+    ``has_prior``: whether the network's maps draw the solution where evidence lacks."""
 
     irradiance_rays: int = 144
     estimate_rays: int = 48
@@ -27,7 +26,6 @@ class LightOptions:
     num_observations: int = 8
     smoothing_neighbours: int = 9
     prior: PriorWeights = field(default_factory=PriorWeights)
-    is_leveled: bool = True
     has_prior: bool = True
 
 

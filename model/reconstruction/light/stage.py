@@ -2,7 +2,8 @@
 """The stage between prediction and merge: maps of the views out of the light that their photographs record.
 
 Surfels and where rays end (``lighting``) → segments → S and R of segments (``points``, ``solve``) → specular
-part of every observation → D of every pixel (``view_maps``), mixed with the network's maps by ``confidence``.
+part of every observation → correction of the shading where light is not photographed
+(``shading_correction``) → maps of the views (``view_maps``), mixed with the network's by ``confidence``.
 docs/light.md explains them.
 """
 
@@ -16,16 +17,12 @@ from numpy.typing import NDArray
 
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.confidence import (
-    impossible_share,
-    propagated_gain,
-    surfel_confidence,
-    trust_of,
-)
+from model.reconstruction.light.confidence import impossible_share, surfel_confidence, trust_of
 from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
+from model.reconstruction.light.shading_correction import shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
 from model.reconstruction.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
@@ -78,7 +75,9 @@ def materials_from_light(
         segments = solve_points(lit, points, shading, segmentation, exposure, options)
         report.num_segments, report.num_metal = len(segments.roughness), int(segments.is_metal.sum())
     with report.step("specular"):
-        solved, albedo = _solved_surfels(lit, segments, segmentation, options)
+        specular = _specular_parts(lit, segments, segment, options)
+    with report.step("correction"):
+        solved, albedo = _solved_surfels(lit, segments, segmentation, specular, options)
     with report.step("maps"):
         found: list[dict[str, NDArray]] = [{} for _ in views]
         for place, (index, view, view_maps) in enumerate(zip(order, ordered, predicted, strict=True)):
@@ -93,40 +92,54 @@ def _packed(view_maps: dict[str, NDArray]) -> NDArray:
     )
 
 
-def _solved_surfels(
-    lit: Lit, segments: SolvedSegments, segmentation: Segmentation, options: LightOptions
-) -> tuple[SolvedSurfels, NDArray[np.float32]]:
-    """What the maps of the views are made of, and the surfels' own diffuse albedo (N, 3)."""
-    surfels, segment = lit.surfels, segmentation.segment
-    s, r, is_metal = (
-        segments.specular_albedo[segment],
-        segments.roughness[segment],
-        segments.is_metal[segment],
-    )
+def _specular_parts(
+    lit: Lit, segments: SolvedSegments, segment: NDArray, options: LightOptions
+) -> NDArray[np.float32]:
+    """S Ls0 + Ls1 (M, 3) of every observation."""
+    surfels = lit.surfels
     owner = surfels.surfel_of_observation()
-    toward = surfels.directions(owner, surfels.observations.view)
     shading = lit.baker.specular(
         surfels.position_m[owner],
         surfels.normal[owner],
-        toward,
-        r[owner],
+        surfels.directions(owner, surfels.observations.view),
+        segments.roughness[segment][owner],
         options.specular_rays,
         _SEED,
     )
     known = np.maximum(shading.known, MIN_KNOWN)[:, None]
-    specular = ((s[owner] * shading.ls0 + shading.ls1) / known).astype(np.float32)
+    s = segments.specular_albedo[segment]
+    return ((s[owner] * shading.ls0 + shading.ls1) / known).astype(np.float32)
+
+
+def _solved_surfels(
+    lit: Lit,
+    segments: SolvedSegments,
+    segmentation: Segmentation,
+    specular: NDArray[np.float32],
+    options: LightOptions,
+) -> tuple[SolvedSurfels, NDArray[np.float32]]:
+    """What the maps of the views are made of, and the surfels' own diffuse albedo (N, 3)."""
+    surfels, segment = lit.surfels, segmentation.segment
+    s, r = segments.specular_albedo[segment], segments.roughness[segment]
+    is_metal = segments.is_metal[segment]
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
-    confidence, gain = np.ones_like(albedo), np.ones_like(albedo)
-    if options.has_prior:
-        confidence = surfel_confidence(lit.irradiance.photographed)
-        share = impossible_share(surfels.radiance, lit.diffuse, confidence[:, 0])
-        confidence *= trust_of(share)
-        confidence[lit.diffuse.max(axis=1) <= 0] = 0  # nothing is known where nothing arrives
-        if not options.is_leveled:
-            predicted = segmentation.prior[:, :3]
-            gain = propagated_gain(albedo, predicted, confidence[:, 0], segment, segmentation.region)
-            gain **= trust_of(share)
-    return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, confidence, gain), albedo
+    if not options.has_prior:
+        ones = np.ones_like(albedo)
+        return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0]), albedo
+    confidence = surfel_confidence(lit.irradiance.photographed)
+    # surfels inside of lampshades are many, but few views see them
+    weight = confidence[:, 0] * ~is_metal * np.diff(surfels.observations.start)
+    trust = trust_of(impossible_share(surfels.radiance, lit.diffuse, weight))
+    is_lit = lit.diffuse.max(axis=1) > 0  # nothing is known where nothing arrives
+    confidence *= trust * is_lit[:, None]
+    predicted = segmentation.prior[:, :3]
+    correction = shading_correction(
+        surfels, segmentation.region, albedo, predicted, confidence[:, 0], is_lit & ~is_metal
+    )
+    albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)
+    diffuse = lit.diffuse * np.exp(-correction)
+    replaced = (trust * is_lit).astype(np.float32)
+    return SolvedSurfels(diffuse, specular, s, r, is_metal, confidence, replaced), albedo
 
 
 def surfel_albedo(

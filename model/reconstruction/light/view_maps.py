@@ -6,8 +6,8 @@ At a pixel, shading and materials of the surfels around it are interpolated betw
     D = (L - specular part) / ((1 - S) Ld),
 
 clipped to [0, MAX_ALBEDO], with the specular part of the same view. S and R come from the surfels whose
-reflectance is like the pixel's, so that they change where the colour does. Where the confidence of the
-surfels is below 1, the result is mixed with the network's maps.
+reflectance is like the pixel's, so that they change where the colour does, mixed with the network's by their
+confidence.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _DARK = 1e-12  # keeps 0 / 0 out of the reflectance of a room without light
 class SolvedSurfels:
     """``diffuse`` (N, 3) their Ld, ``specular`` (M, 3) S Ls0 + Ls1 of each observation, ``specular_albedo``
     (N, 3), ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1],
-    ``gain`` (N, 3) of the network's D where the confidence is low."""
+    ``replaced`` (N,) share of the network's D that gives way."""
 
     diffuse: NDArray[np.float32]
     specular: NDArray[np.float32]
@@ -41,7 +41,7 @@ class SolvedSurfels:
     roughness: NDArray[np.float32]
     is_metal: NDArray[np.bool_]
     confidence: NDArray[np.float32]
-    gain: NDArray[np.float32]
+    replaced: NDArray[np.float32]
 
 
 def view_materials(
@@ -80,7 +80,7 @@ def view_materials(
         solved.roughness,
         solved.is_metal,
         solved.confidence,
-        solved.gain,
+        solved.replaced,
         surfels.radiance,
         prior.astype(np.float32),
         np.float32(floor),
@@ -96,7 +96,7 @@ def view_materials(
 @compiled
 def _pixels(
     color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, diffuse, specular, albedo, rough,
-    metal, confidence, gain, radiance, prior, floor
+    metal, confidence, replaced, radiance, prior, floor
 ):  # fmt: skip
     """D, S, R and their confidences (P, 10)."""
     out = np.zeros((len(color), 10), np.float32)
@@ -107,7 +107,6 @@ def _pixels(
     near = np.zeros(8, np.int64)
     share = np.zeros(8, np.float32)
     ld, spec, s = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
-    scale = np.zeros(3, np.float32)
     for index in range(len(color)):
         for k in range(7):
             out[index, k] = prior[index, k]
@@ -142,19 +141,21 @@ def _pixels(
         total = np.float32(0)
         total_spec = np.float32(0)
         conf = np.zeros(3, np.float32)
-        ld[:], spec[:], scale[:] = 0, 0, 0
+        of_light = np.float32(0)
+        ld[:], spec[:] = 0, 0
         for k in range(num):
             i, w = near[k], share[k]
             total += w
+            of_light += w * replaced[i]
             for c in range(3):
                 ld[c] += w * diffuse[i, c]
                 conf[c] += w * confidence[i, c]
-                scale[c] += w * gain[i, c]
             row = row_of[i]
             if row >= 0:
                 total_spec += w
                 for c in range(3):
                     spec[c] += w * specular[row, c]
+        of_light /= total
         for c in range(3):
             ld[c] = max(ld[c] / total, floor)
             conf[c] /= total
@@ -182,8 +183,7 @@ def _pixels(
             s[c] /= total_like
             d = (color[index, c] - spec[c]) / (max(1 - s[c], np.float32(0.05)) * ld[c])
             d = min(max(d, np.float32(0)), np.float32(MAX_ALBEDO)) * (1 - is_metal)
-            fallback = min(prior[index, c] * scale[c] / total, np.float32(MAX_ALBEDO))
-            out[index, c] = conf[0] * d + (1 - conf[0]) * fallback
+            out[index, c] = of_light * d + (1 - of_light) * prior[index, c]
             out[index, 3 + c] = conf[1] * s[c] + (1 - conf[1]) * prior[index, 3 + c]
             out[index, 7 + c] = conf[c]
         out[index, 6] = conf[2] * r + (1 - conf[2]) * prior[index, 6]

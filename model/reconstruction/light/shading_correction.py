@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+"""Correction of the diffuse shading where the incident light is not photographed.
+
+The error of Ld is smooth over a surface, whatever its texture, because light that is missing or wrongly
+estimated is missing over all of its surroundings. The logarithm u (N, 3) of the factor by which the albedo
+pi L / E is too low minimises a sum of squares over the surfels,
+
+    c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
+
+with rho = pi L / E, c the confidence in the light, D_p the network's albedo at the level of the confident
+surfels, and D_r the mean albedo of the confident surfels of the same smooth region: a wall that is white
+where its light is known is white beside it. The weight of each prior is the inverse square of its spread
+among the confident surfels. Huber weights make both robust. The pattern of a surface stays
+that of the photographs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg, splu
+from scipy.spatial import cKDTree
+
+from model.reconstruction.light.surfels import Surfels, weighted_medians
+
+SMOOTHNESS = 100.0
+"""Weight of a difference between adjacent surfels against that of a surfel whose light is known."""
+NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
+"""Of the priors at a spread of 1; small, as the errors of neighbouring surfels are alike."""
+MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
+"""Added to the spreads, in quadrature."""
+MIN_SUPPORT = 10.0
+"""Confident surfels that a region needs to be a prior; with ten times as many it counts fully."""
+_NEIGHBOURS = 9
+_BLOCK = 5  # cells
+_ROUNDS = 3  # of Huber weights
+_HUBER_NETWORK, _HUBER_REGION = 0.5, 2.0  # in ln D, and in spreads
+_TOLERANCE, _MAX_ITERATIONS = 1e-3, 1000  # of the conjugate gradients
+_MIN_ALBEDO, _MAX_ALBEDO = 0.005, 0.95
+
+
+def shading_correction(
+    surfels: Surfels,
+    region: NDArray,
+    albedo: NDArray,
+    predicted: NDArray,
+    confidence: NDArray,
+    is_diffuse: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected one, exp(-u) times Ld the corrected shading.
+
+    ``region`` (N,) smooth regions, ``predicted`` (N, 3) the network's albedo, ``confidence`` (N,) in [0, 1]
+    of the light, ``is_diffuse`` (N,) where a diffuse albedo is known at all.
+    """
+    log_albedo = np.log(np.clip(albedo.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
+    log_network = np.log(np.clip(predicted.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
+    confident = confidence * is_diffuse
+    everywhere = np.zeros(len(region), np.int64)
+    offset, spread, _ = _grouped_spread(log_albedo - log_network, confident, everywhere)
+    log_network += offset
+    network_weight = NETWORK_WEIGHT / (spread**2 + MIN_SPREAD_NETWORK**2)
+    of_region, region_spread, support = _grouped_spread(log_albedo, confident, region)
+    region_spread = np.hypot(region_spread, MIN_SPREAD_REGION)
+    region_weight = REGION_WEIGHT / region_spread**2 * np.clip(support / (10 * MIN_SUPPORT), 0, 1)
+    region_weight[support < MIN_SUPPORT] = 0
+    unknown = (1 - confidence) * is_diffuse
+    laplacian, blocks = _laplacian(surfels), _blocks(surfels)
+    found = np.zeros_like(log_albedo)
+    huber_network, huber_region = np.ones(len(found)), np.ones(len(found))
+    for _ in range(_ROUNDS):
+        toward_network = unknown * network_weight * huber_network
+        toward_region = unknown * region_weight * huber_region
+        diagonal = confident + toward_network + toward_region + 1e-6
+        matrix = (SMOOTHNESS * laplacian + sparse.diags(diagonal)).tocsr()
+        right = toward_network[:, None] * (log_network - log_albedo)
+        right += toward_region[:, None] * (of_region - log_albedo)
+        found = _minimised(matrix, right, blocks, found)
+        corrected = log_albedo + found
+        huber_network = 1 / np.maximum(1, np.abs(corrected - log_network).mean(axis=1) / _HUBER_NETWORK)
+        away = np.abs(corrected - of_region).mean(axis=1) / region_spread
+        huber_region = 1 / np.maximum(1, away / _HUBER_REGION)
+    return found.astype(np.float32)
+
+
+def _minimised(
+    matrix: sparse.csr_matrix, right: NDArray, blocks: sparse.csr_matrix, start: NDArray
+) -> NDArray:
+    """Solution (N, 3) by conjugate gradients; the preconditioner adds the exact solution by ``blocks``
+    (N, K), which carries smooth corrections over long distances, to the division by the diagonal."""
+    coarse = splu((blocks.T @ matrix @ blocks).tocsc())
+    diagonal = matrix.diagonal()
+
+    def precondition(rest: NDArray) -> NDArray:
+        return rest / diagonal + blocks @ coarse.solve(blocks.T @ rest)
+
+    preconditioner = LinearOperator(matrix.shape, precondition, dtype=np.float64)
+    found = np.empty_like(start)
+    for c in range(3):
+        found[:, c], failed = cg(
+            matrix, right[:, c], x0=start[:, c], M=preconditioner, rtol=_TOLERANCE, maxiter=_MAX_ITERATIONS
+        )
+        if failed:
+            raise ArithmeticError(f"shading correction: no solution after {_MAX_ITERATIONS} iterations")
+    return found
+
+
+def _blocks(surfels: Surfels) -> sparse.csr_matrix:
+    """Which block of :data:`_BLOCK` cells along each axis, by side, a surfel is in, (N, K)."""
+    at = np.floor((surfels.position_m - surfels.grid.low) / (_BLOCK * surfels.grid.cell_m)).astype(np.int64)
+    axis = np.abs(surfels.normal).argmax(axis=1)
+    side = 2 * axis + (surfels.normal[np.arange(len(axis)), axis] > 0)
+    block = np.unique(np.column_stack([at, side]), axis=0, return_inverse=True)[1].ravel()
+    num = len(block)
+    return sparse.csr_matrix((np.ones(num), (np.arange(num), block)), (num, int(block.max()) + 1))
+
+
+def _grouped_spread(
+    values: NDArray, weight: NDArray, group: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """By row: the centre (N, 3) of its group, the standard deviation (N,) out of the mean absolute deviation,
+    each at most 1, and the total weight (N,). 0 for groups without weight. The centre is the mean,
+    values beyond twice the deviation clipped: a median alone is one of the two colours of checks."""
+    order = np.argsort(group, kind="stable")
+    keys, first = np.unique(group[order], return_index=True)
+    start = np.append(first, len(order)).astype(np.int64)
+    index = np.searchsorted(keys, group)
+    total = np.bincount(index, weight, len(keys)).astype(np.float64)
+    used = np.where(total > 0, 1.0, 0.0)
+    ordered_weight = np.maximum(weight[order], 1e-9).astype(np.float32)
+    medians = weighted_medians(start, values[order].astype(np.float32), ordered_weight) * used[:, None]
+    away = np.minimum(np.abs(values - medians[index]).mean(axis=1), 1) * weight
+    spread = 1.2533 * np.bincount(index, away, len(keys)) / np.maximum(total, 1e-12)
+    reach = 2 * spread[index][:, None]
+    near = np.clip(values - medians[index], -reach, reach) * weight[:, None]
+    means = np.stack([np.bincount(index, column, len(keys)) for column in near.T], axis=1)
+    centre = medians + means / np.maximum(total, 1e-12)[:, None]
+    return centre[index].astype(np.float64), spread[index].astype(np.float64), total[index]
+
+
+def _laplacian(surfels: Surfels) -> sparse.csr_matrix:
+    """Laplacian (N, N) of the graph of adjacent surfels with like normals."""
+    cell, num = surfels.grid.cell_m, len(surfels)
+    tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
+    distance, index = tree.query(tree.data, k=min(_NEIGHBOURS, num), workers=-1)
+    distance, index = distance.reshape(num, -1), index.reshape(num, -1)
+    weight = np.exp(-0.5 * (distance / (2 * cell)) ** 2)
+    weight[index == np.arange(num)[:, None]] = 0
+    rows = np.repeat(np.arange(num), index.shape[1])
+    graph = sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), (num, num))
+    graph = 0.5 * (graph + graph.T)
+    return sparse.diags(np.asarray(graph.sum(axis=1)).ravel()) - graph

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""The correction of the shading where the incident light is not photographed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model.reconstruction.light.shading_correction import shading_correction
+from model.reconstruction.light.surfels import CellGrid, Observations, Surfels
+
+SIDE, CELL_M = 60, 0.025
+
+
+@pytest.fixture(scope="module")
+def wall() -> Surfels:
+    """A wall of 60 x 60 surfels, without observations."""
+    y, z = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
+    position = (np.stack([np.zeros_like(y), y, z], axis=-1).reshape(-1, 3) + 0.5) * CELL_M
+    num = len(position)
+    none = np.zeros(0, np.float32)
+    observations = Observations(np.zeros(num + 1, np.int64), none.astype(np.int32), none.reshape(0, 3), none)
+    grid = CellGrid(np.zeros(3), CELL_M, np.array([1, SIDE, SIDE]), np.zeros(0, np.int32))
+    normal = np.broadcast_to(np.float32([1, 0, 0]), (num, 3))
+    white = np.ones((num, 3), np.float32)
+    return Surfels(
+        grid, position.astype(np.float32), normal, np.zeros(num, np.int32), white, observations, none, (), ()
+    )
+
+
+def _checks(high: float, low: float) -> np.ndarray:
+    """Albedo (N, 3) of checks of four surfels."""
+    y, z = np.divmod(np.arange(SIDE * SIDE), SIDE)
+    return np.where(((y // 4 + z // 4) % 2 == 0)[:, None], high, low) * np.array([1.0, 0.9, 0.7])
+
+
+def _fading() -> np.ndarray:
+    """Confidence 1 on a third of the wall, and a factor of the light that grows from there to 4."""
+    y = np.arange(SIDE * SIDE) // SIDE
+    return np.clip((y - 20) / 40, 0, 1)
+
+
+def test_a_surface_keeps_its_albedo_where_the_light_is_estimated_wrongly(wall: Surfels) -> None:
+    true = _checks(0.8, 0.6)
+    away = _fading()
+    albedo = true * np.exp(-np.log(4.0) * away)[:, None]
+    blue = np.full_like(true, 0.2) * [1, 1, 2]  # the network is wrong everywhere
+    region = np.zeros(len(true), np.int32)
+    confidence = (away == 0).astype(np.float32)
+    found = shading_correction(wall, region, albedo, blue, confidence, np.ones(len(true), bool))
+    error = np.abs(np.log(albedo / true) + found)
+    assert np.abs(np.log(albedo / true)).mean() > 0.4
+    assert error.mean() < 0.08 and error.max() < 0.25
+    step = np.abs(np.diff(found.reshape(SIDE, SIDE, 3), axis=1)).max()
+    assert step < 0.02  # the checks are not smoothed away
+
+
+def test_without_light_the_level_is_the_networks_and_the_pattern_that_of_the_photographs(
+    wall: Surfels,
+) -> None:
+    true = _checks(0.8, 0.4)
+    network = np.broadcast_to(np.exp(np.log(true).mean(axis=0)) * 1.1, true.shape)
+    none = np.zeros(len(true), np.float32)
+    found = shading_correction(
+        wall, none.astype(np.int32), 0.5 * true, network, none, np.ones(len(true), bool)
+    )
+    corrected = 0.5 * true * np.exp(found)
+    np.testing.assert_allclose(corrected, 1.1 * true, rtol=0.05)
+
+
+def test_known_light_stays_and_an_unlike_network_counts_little(wall: Surfels) -> None:
+    """Half of the wall is known; the network is three times too dark there, so it says nothing beside it."""
+    true = _checks(0.6, 0.5)
+    known = (np.arange(len(true)) % SIDE < SIDE // 2).astype(np.float32)
+    network = true / 3 * np.where(np.arange(len(true)) % 2, 2.0, 0.5)[:, None]
+    region = np.where(known > 0, 0, 1).astype(np.int32)  # no confident surfel in the other region
+    found = shading_correction(wall, region, true, network, known, np.ones(len(true), bool))
+    assert np.abs(found[known > 0]).max() < 0.05
+    assert np.abs(found).max() < 0.25
+
+
+def test_metal_neither_tells_nor_is_told(wall: Surfels) -> None:
+    true = _checks(0.6, 0.5)
+    is_diffuse = np.arange(len(true)) % SIDE >= SIDE // 2
+    albedo = np.where(is_diffuse[:, None], true, 0.0)
+    found = shading_correction(
+        wall, np.zeros(len(true), np.int32), albedo, true, np.ones(len(true), np.float32), is_diffuse
+    )
+    assert np.abs(found).max() < 1e-3
