@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The lights of a photographed room as they were found, for exports and reports.
 
-Letters: M triangles of the capture's mesh, K triangles of a lamp. A *lamp* is surface that shines. Light from
-outside comes in by *windows*, parts of the box about the room through which rays leave its mesh. It is near
-(panels, buildings), and then rectangles on the box send it, or far, and then an image of the *sky* does.
-Radiance is in the photographs' unit; power is that times m^2 sr, hence W where radiance is in W/(m^2 sr).
+Letters: K triangles of a lamp. A *lamp* is surface that shines: triangles that do, or *panels*, rectangles
+before a surface of which a part does. Light from outside comes in by *windows*, through which rays leave the
+mesh. It is near (panels, buildings), and then rectangles send it, or far, and then an image of the *sky*
+does. Radiance is in the photographs' unit; power is that times m^2 sr, hence W where radiance is in W/(m^2
+sr).
 """
 
 from __future__ import annotations
@@ -60,8 +61,8 @@ class FoundLamp:
 
 
 @dataclass(frozen=True)
-class FoundWindow:
-    """An opening with the ``rectangles`` that cover it; ``radiance`` is their mean by area."""
+class FoundPatch:
+    """A window or a panel with the ``rectangles`` that cover it; ``radiance`` is the mean by area."""
 
     slot: str
     rectangles: tuple[Rectangle, ...]
@@ -76,13 +77,19 @@ class FoundLights:
     :class:`~datagen.formats.lights.EnvironmentLight`; None where the windows' rectangles send it."""
 
     lamps: tuple[FoundLamp, ...] = ()
-    windows: tuple[FoundWindow, ...] = ()
+    panels: tuple[FoundPatch, ...] = ()
+    windows: tuple[FoundPatch, ...] = ()
     environment: NDArray[np.float32] | None = None
 
     @property
     def is_dark(self) -> bool:
         """Whether nothing shines."""
-        return not self.windows and not any(lamp.is_lit for lamp in self.lamps)
+        return not (self.windows or self.panels or any(lamp.is_lit for lamp in self.lamps))
+
+    @property
+    def sending(self) -> tuple[FoundPatch, ...]:
+        """The patches whose rectangles send light: all, or the panels where the sky does for windows."""
+        return self.panels if self.environment is not None else (*self.panels, *self.windows)
 
     def described(self) -> list[dict[str, Any]]:
         """For a report: ``kind`` (lamp, window, sky), ``slot`` in exports, ``place_m``, ``area_m2``,
@@ -93,6 +100,7 @@ class FoundLights:
             for lamp in self.lamps
             if lamp.is_lit
         ]
+        rows += [_row("lamp", p.slot, p.place_m, p.area_m2, p.radiance) for p in self.panels]
         rows += [_row("window", w.slot, w.place_m, w.area_m2, w.radiance) for w in self.windows]
         if self.environment is not None and self.windows:
             area = sum(window.area_m2 for window in self.windows)

@@ -4,6 +4,7 @@ way."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from datagen.formats.asset import EnvironmentAsset
-from datagen.formats.capture import GeometryPart
+from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import open_package
 from datagen.foundation.meshes.mesh import Mesh
@@ -21,12 +22,16 @@ from model.reconstruction.export.atlas_images import write_atlas_images
 from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
-from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundWindow, Rectangle, lights_text
+from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, Rectangle, lights_text
+from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
 from model.reconstruction.light.background import Background
 from model.reconstruction.light.emitters import Emitters
 from model.reconstruction.light.lamps import found_lamps
+from model.reconstruction.light.lighting import Lit, light_surfels
 from model.reconstruction.light.openings import LeavingRays, box_squares, found_windows
+from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.rectangles import cover, cut, largest_rectangle
+from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import (
     HEIGHT,
     SkyPixels,
@@ -36,6 +41,7 @@ from model.reconstruction.light.sky import (
     sky_image,
 )
 from oracles.textured_room import room_capture
+from tests.model.light_room import LAMP, photographed_room, room_geometry
 from tests.model.test_found_lights import glb_document
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -155,6 +161,32 @@ def test_image_of_the_sky_points_where_rays_went() -> None:
     np.testing.assert_array_equal(image[HEIGHT // 2, 0], [5, 1, 1])  # -Y: what no pixel shows, but a ray
 
 
+def test_lamp_that_no_geometry_names_is_found() -> None:
+    """The box with its lamp as any other surface: a panel before it, with its power."""
+    named = room_geometry()
+    parts = tuple(replace(part, emission=None) for part in named.parts)
+    options = LightOptions(irradiance_rays=24, estimate_rays=16)
+
+    def lit_by(geometry: CaptureGeometry) -> Lit:
+        traced = TracedGeometry(geometry)
+        views = [replace(v, geometry=traced.trace_view(v.camera)) for v in photographed_room()]
+        emits = geometry.emitter_mask()
+        return light_surfels(views, traced, emits, smooth_regions(traced.mesh), options, LightReport())
+
+    lit = lit_by(CaptureGeometry(named.mesh, parts))
+    (panel,) = shining_patches(lit)
+    np.testing.assert_allclose(panel.place_m, [2.0, 1.5, 2.48], atol=0.03)
+    assert panel.area_m2 == pytest.approx(1.0, rel=0.1)
+    power = np.array(LAMP)
+    np.testing.assert_allclose(panel.area_m2 * np.array(panel.radiance), power, rtol=0.05)
+    sent = sum(r.area_m2 * np.array(r.radiance) for r in panel.rectangles)
+    np.testing.assert_allclose(sent, power, rtol=0.05)
+    for rectangle in panel.rectangles:
+        assert np.cross(rectangle.edge_u_m, rectangle.edge_v_m)[2] < 0
+        assert 2.4 < rectangle.origin_m[2] < 2.48  # between surface and room
+    assert shining_patches(lit_by(named)) == ()  # the twin: the lamp is named, and nothing else shines
+
+
 def exported(folder: Path, lights: FoundLights) -> Reconstruction:
     capture = room_capture(2, (32, 24))
     atlas = empty_atlas(16)
@@ -164,7 +196,7 @@ def exported(folder: Path, lights: FoundLights) -> Reconstruction:
 
 
 PANEL = Rectangle((9.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (2.0, 2.0, 2.0))
-WINDOW = FoundWindow("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
+WINDOW = FoundPatch("window-0", (PANEL,), (9.0, 0.5, 0.5), 1.0, (2.0, 2.0, 2.0))
 
 
 def test_sky_leaves_as_an_image_that_points_the_same_way_everywhere(tmp_path: Path) -> None:
@@ -181,7 +213,7 @@ def test_sky_leaves_as_an_image_that_points_the_same_way_everywhere(tmp_path: Pa
     way = np.array([0.6, 0.48, 0.64])
     row, column = divmod(int(directions_of(way[None], HEIGHT)[0]), 2 * HEIGHT)
     image[row - 1 : row + 2, column - 1 : column + 2] = [7, 8, 9]
-    lights = FoundLights((), (WINDOW,), image)
+    lights = FoundLights(windows=(WINDOW,), environment=image)
     reconstruction = exported(tmp_path, lights)
     write_asset(tmp_path / "asset", reconstruction, "room").close()
     write_mitsuba_scene(tmp_path / "mitsuba", reconstruction)
@@ -242,7 +274,7 @@ def test_small_lamps_leave_as_points_on_demand(tmp_path: Path) -> None:
     faces = np.array([0], np.int32)
     area = float(capture.geometry.mesh.areas()[0])
     bulb = FoundLamp("lamp-0", faces, 1, (1.0, 2.0, 4.0), (0.0, 0.0, 0.0), area, True)
-    reconstruction = exported(tmp_path, FoundLights((bulb,), (WINDOW,)))
+    reconstruction = exported(tmp_path, FoundLights((bulb,), windows=(WINDOW,)))
     shrunk = Mesh(*(getattr(reconstruction.mesh, k) for k in ("positions", "faces", "normals", "uv")))
     size = float(np.ptp(shrunk.positions[shrunk.faces[0]], axis=0).max())
     small = Mesh(shrunk.positions * np.float32(0.2 / size), shrunk.faces, shrunk.normals, shrunk.uv)
@@ -271,6 +303,6 @@ def test_no_light_is_told_and_leaves_the_capture_s(tmp_path: Path) -> None:
     assert reconstruction.shining_lights is None
     text = write_mitsuba_scene(tmp_path / "mitsuba", reconstruction).read_text()
     assert 'type="constant"' in text and "window" not in text
-    shining = exported(tmp_path, FoundLights((), (WINDOW,)))
+    shining = exported(tmp_path, FoundLights(windows=(WINDOW,)))
     text = write_mitsuba_scene(tmp_path / "lit", shining).read_text()
     assert 'type="constant"' not in text and "window-0-0.ply" in text

@@ -73,20 +73,20 @@ def _known_lights(lights: tuple[Light, ...]) -> tuple[Light, ...]:
 
 
 def _found_lights(found: FoundLights) -> tuple[Light, ...]:
-    """The sky, or the windows' rectangles."""
-    if found.environment is not None:
-        return (EnvironmentLight(name="sky", image=ENVIRONMENT_FILE),)
-    return tuple(
+    """Rectangles of panels and windows, and the sky."""
+    areas = (
         AreaLight(
-            name=f"{window.slot}-{number}",
+            name=f"{patch.slot}-{number}",
             origin_m=rectangle.origin_m,
             edge_u_m=rectangle.edge_u_m,
             edge_v_m=rectangle.edge_v_m,
             radiance=rectangle.radiance,
         )
-        for window in found.windows
-        for number, rectangle in enumerate(window.rectangles)
+        for patch in found.sending
+        for number, rectangle in enumerate(patch.rectangles)
     )
+    sky = (EnvironmentLight(name="sky", image=ENVIRONMENT_FILE),) if found.environment is not None else ()
+    return (*areas, *sky)
 
 
 def _material(slot: Slot) -> SlotMaterial:

@@ -24,7 +24,7 @@ from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.export.atlas_images import quantized_bytes
 from model.reconstruction.export.gltf_lights import PUNCTUAL, emissive, punctual_lights
-from model.reconstruction.export.slots import Reconstruction, export_slots, window_meshes
+from model.reconstruction.export.slots import Reconstruction, export_slots, patch_meshes
 
 DIELECTRIC_F0 = 0.04
 MAX_DIELECTRIC_F0 = 0.16
@@ -74,8 +74,8 @@ def as_read(base: NDArray, metallic: NDArray, tint: NDArray) -> tuple[NDArray, N
 def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
     """One GLB with geometry (turned to Y up) and textures inside; returns what the conversion costs.
 
-    Lamps and windows that were found are emissive surfaces; ``has_punctual`` adds point lights where lamps
-    are small. glTF has no sky.
+    Lamps, panels and windows that were found are emissive surfaces; ``has_punctual`` adds point lights where
+    lamps are small. glTF has no sky.
     """
     images, error = _encode_textures(reconstruction)
     writer = _Glb()
@@ -91,7 +91,9 @@ def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool 
         material = _material(name, textures) if slot.has_material else _black(name)
         add(slot.mesh, material if slot.emission is None else emissive(material, slot.emission))
     found = reconstruction.shining_lights
-    for name, (mesh, radiance) in {} if found is None else window_meshes(found).items():
+    for name, (mesh, radiance) in (
+        {} if found is None else patch_meshes((*found.panels, *found.windows)).items()
+    ):
         add(mesh, emissive(_black(name), radiance))
     nodes: list[dict[str, Any]] = [{"mesh": 0, "name": reconstruction.capture.name}]
     lights, light_nodes = punctual_lights(reconstruction) if has_punctual else ([], [])

@@ -20,7 +20,7 @@ from model.reconstruction.export.slots import (
     Reconstruction,
     environment_exr,
     export_slots,
-    window_meshes,
+    patch_meshes,
 )
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color, FoundLights
 
@@ -84,12 +84,12 @@ def _add_emission(shape: ElementTree.Element, emission: Color | None) -> None:
 
 
 def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> None:
-    """The sky, or the windows' rectangles, which reflect nothing."""
+    """Rectangles of panels and windows, which reflect nothing, and the sky."""
+    for name, (mesh, radiance) in patch_meshes(found.sending).items():
+        shape = _add_mesh(scene, folder, name, mesh)
+        _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))
+        _add_emission(shape, radiance)
     if found.environment is None:
-        for name, (mesh, radiance) in window_meshes(found).items():
-            shape = _add_mesh(scene, folder, name, mesh)
-            _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))
-            _add_emission(shape, radiance)
         return
     write_bytes_atomically(folder / ENVIRONMENT_FILE, environment_exr(found.environment))
     emitter = _add(scene, "emitter", "envmap", ("string", "filename", ENVIRONMENT_FILE))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from datagen.formats.capture import Capture
 from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.atlas.atlas import Atlas
-from model.reconstruction.found_lights import Color, FoundLights
+from model.reconstruction.found_lights import Color, FoundLights, FoundPatch
 from model.reconstruction.geometry.crease_normals import with_normals
 
 SURFACE = "surface"
@@ -93,17 +94,17 @@ def turned(mesh: Mesh) -> Mesh:
     return Mesh(mesh.positions, faces, None if mesh.normals is None else -mesh.normals, mesh.uv)
 
 
-def window_meshes(found: FoundLights) -> dict[str, tuple[Mesh, Color]]:
-    """Rectangles of the windows as meshes, with their radiance, by name."""
+def patch_meshes(patches: Iterable[FoundPatch]) -> dict[str, tuple[Mesh, Color]]:
+    """Rectangles of windows and panels as meshes, with their radiance, by name."""
     meshes = {}
-    for window in found.windows:
-        for number, rectangle in enumerate(window.rectangles):
+    for patch in patches:
+        for number, rectangle in enumerate(patch.rectangles):
             normal = np.cross(rectangle.edge_u_m, rectangle.edge_v_m)
             normals = np.repeat((normal / np.linalg.norm(normal))[None], 4, axis=0).astype(np.float32)
             positions = rectangle.corners().astype(np.float32)
             faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
             quad = Mesh(positions, faces, normals, np.zeros((4, 2), np.float32))
-            meshes[f"{window.slot}-{number}"] = (quad, rectangle.radiance)
+            meshes[f"{patch.slot}-{number}"] = (quad, rectangle.radiance)
     return meshes
 
 

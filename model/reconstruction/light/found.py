@@ -15,13 +15,15 @@ from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.light.lamps import found_lamps
 from model.reconstruction.light.lighting import Lit
 from model.reconstruction.light.openings import found_windows, leaving_rays
+from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import is_far, sky_image, sky_pixels
 
 
 def found_lights(
     lit: Lit, views: Sequence[TracedView], traced: TracedGeometry, geometry: CaptureGeometry
 ) -> FoundLights:
-    """Lamps, windows and, where light from outside is far, the sky, as the photographs show them."""
+    """Lamps, windows and, where light from outside is far, the sky, as the photographs show them. What the
+    geometry names as lamps need not be found."""
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
     rays = leaving_rays(field, lit.surfels)
@@ -29,4 +31,5 @@ def found_lights(
     windows = found_windows(rays, field.background, median)
     pixels = sky_pixels(views)
     is_sky = bool(windows) and is_far(pixels, field.background)
-    return FoundLights(lamps, windows, sky_image(pixels, rays) if is_sky else None)
+    sky = sky_image(pixels, rays) if is_sky else None
+    return FoundLights(lamps, shining_patches(lit), windows, sky)

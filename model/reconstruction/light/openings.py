@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.multiview.visibility import vectors_from_rows
-from model.reconstruction.found_lights import Color, FoundWindow, Rectangle
+from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
 from model.reconstruction.light.background import Background
 from model.reconstruction.light.radiance_field import RadianceField
 from model.reconstruction.light.rectangles import cover, cut
@@ -106,9 +106,9 @@ def box_squares(
 
 def found_windows(
     rays: LeavingRays, background: Background, median_luminance: float
-) -> tuple[FoundWindow, ...]:
+) -> tuple[FoundPatch, ...]:
     """The windows that ``rays`` leave through, brightest power first; dark ones are left out."""
-    windows: list[FoundWindow] = []
+    windows: list[FoundPatch] = []
     rest = rays
     for _ in range(MAX_BUNDLES):
         bundle, face = _largest_bundle(rest, background)
@@ -242,7 +242,7 @@ def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
     return best
 
 
-def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundWindow | None:
+def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatch | None:
     """A part of what is open as a window; None where it is too small, or all of it unknown. Its rectangles,
     which cover most of it, send what all of it does."""
     area_m2 = float(part.sum() * plane.square_m.prod())
@@ -258,7 +258,7 @@ def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundWind
     radiance = share @ np.array([rectangle.radiance for rectangle in rectangles])
     scale = area_m2 / float(area.sum())
     sending = tuple(replace(r, radiance=_color(scale * np.array(r.radiance))) for r in rectangles)
-    return FoundWindow("", sending, _color(place), area_m2, _color(radiance))
+    return FoundPatch("", sending, _color(place), area_m2, _color(radiance))
 
 
 def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""Lamps that no geometry names: surfels that send out several times what any albedo could reflect of the
+light that arrives there, in nearly all views: mirrors show a lamp in some.
+
+They are clustered by neighbouring cells of one side, and leave as rectangles across the side's axis, just
+before the surface: the triangles of a ceiling hold more than its lamp.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from datagen.foundation.color import luminance
+from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
+from model.reconstruction.light.lighting import Lit
+from model.reconstruction.light.rectangles import cover, cut
+from model.reconstruction.light.surfels import NUM_SIDES
+
+EXCESS = 2.5
+"""Radiance over that of a white surface from which a surfel shines."""
+FAINTEST, MIN_VIEWS = 0.2, 3
+"""Share of the views in which it may be fainter than that, and views that must see it."""
+MIN_KNOWN = 0.5
+"""Share of the light that arrives at a surfel that must be known."""
+MIN_CELLS, MIN_SHARE = 4, 0.003
+"""Cells of the smallest lamp, and what it sends out at least, as a part of what all surfels do."""
+MAX_BLOCK = 16
+"""Cells along the longest side of a rectangle."""
+_GAP = 0.25  # cells between surface and rectangle
+
+
+def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
+    """The lamps among the surfels, brightest power first."""
+    surfels, grid = lit.surfels, lit.surfels.grid
+    sent = luminance(surfels.radiance.astype(np.float64))
+    arriving = luminance(lit.diffuse.astype(np.float64))
+    bright = np.flatnonzero((sent > EXCESS * arriving) & (lit.irradiance.known > MIN_KNOWN))
+    shining = bright[_faintest(lit, bright) > EXCESS * arriving[bright]]
+    if not len(shining):
+        return ()
+    key = np.flatnonzero(grid.surfel >= 0)[shining]
+    side, rest = key % NUM_SIDES, key // NUM_SIDES
+    row, z = np.divmod(rest, grid.shape[2])
+    cell = np.stack([row // grid.shape[1], row % grid.shape[1], z], axis=1)
+    apart = np.column_stack([cell, side * 4 * int(max(grid.shape))])  # sides are far from each other
+    pairs = cKDTree(apart).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(key),) * 2)
+    count, cluster = connected_components(graph, directed=False)
+    found = []
+    for number in range(count):
+        mine = cluster == number
+        share = sent[shining[mine]].sum() / sent.sum()
+        if mine.sum() >= MIN_CELLS and share >= MIN_SHARE:
+            which = shining[mine]
+            patch = _patch(cell[mine], int(side[mine][0]), which, lit)
+            found.append((share, patch))
+    found.sort(key=lambda item: -item[0])
+    return tuple(
+        FoundPatch(f"panel-{number}", patch.rectangles, patch.place_m, patch.area_m2, patch.radiance)
+        for number, (_, patch) in enumerate(found)
+    )
+
+
+def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Luminance (K,) that all but :data:`FAINTEST` of a surfel's views show; 0 where too few see it."""
+    observations = lit.surfels.observations
+    found = np.zeros(len(surfels))
+    for row, surfel in enumerate(surfels):
+        seen = observations.radiance[observations.start[surfel] : observations.start[surfel + 1]]
+        if len(seen) >= MIN_VIEWS:
+            found[row] = np.quantile(luminance(seen.astype(np.float64)), FAINTEST)
+    return found
+
+
+def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: Lit) -> FoundPatch:
+    """Cells (K, 3) of one side with their surfels (K,) as rectangles."""
+    surfels, grid = lit.surfels, lit.surfels.grid
+    axis, is_upper = side // 2, side % 2 == 1
+    across = [k for k in range(3) if k != axis]
+    low = cell[:, across].min(axis=0)
+    at = cell[:, across] - low
+    shape = tuple(at.max(axis=0) + 1)
+    num = np.zeros(shape)
+    sums = np.zeros((*shape, 3))
+    np.add.at(num, tuple(at.T), 1)
+    np.add.at(sums, tuple(at.T), surfels.radiance[surfel])
+    mean = sums.sum(axis=(0, 1)) / num.sum()
+    # cells that no view sees, between others that shine
+    mask = ndimage.binary_closing(np.pad(num > 0, 2), np.ones((3, 3)))[2:-2, 2:-2]
+    area_m2 = float(mask.sum()) * grid.cell_m**2
+    height = float(np.median(surfels.position_m[surfel, axis])) + _GAP * grid.cell_m * (1 if is_upper else -1)
+    blocks = [block for whole in cover(mask) for block in cut(whole, MAX_BLOCK)]
+    rectangles, covered = [], np.zeros(3)
+    for row, column, rows, columns in blocks:
+        window = (slice(row, row + rows), slice(column, column + columns))
+        radiance = sums[window].sum(axis=(0, 1)) / num[window].sum() if num[window].any() else mean
+        origin, u, v = np.zeros(3), np.zeros(3), np.zeros(3)
+        origin[axis] = height
+        origin[across] = grid.low[across] + (low + np.array([row, column])) * grid.cell_m
+        u[across[0]], v[across[1]] = rows * grid.cell_m, columns * grid.cell_m
+        if (np.cross(u, v)[axis] > 0) != is_upper:
+            u, v = v, u
+        rectangles.append((origin, u, v, radiance))
+        covered += rows * columns * grid.cell_m**2 * radiance
+    scale = area_m2 * mean / np.maximum(covered, 1e-30)
+    middle = surfels.position_m[surfel].mean(axis=0)
+    return FoundPatch(
+        "",
+        tuple(Rectangle(_color(o), _color(u), _color(v), _color(scale * r)) for o, u, v, r in rectangles),
+        _color(middle),
+        area_m2,
+        _color(mean),
+    )
+
+
+def _color(values: NDArray) -> Color:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
