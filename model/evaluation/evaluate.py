@@ -41,11 +41,11 @@ from model.evaluation.opened_scene import (
     told,
 )
 from model.evaluation.predictions import link_files, predictions_folder
+from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.rendering import JudgedView
 from model.evaluation.rerendering import figures_of, renderings_of, spread_of
 from model.evaluation.results import MethodResult, SuiteResult, read_result, write_result
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
-from model.evaluation.scenery import recovered_scenery
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
 from model.reconstruction.infer import infer
@@ -221,7 +221,7 @@ def _measure(
         asset, found = _reconstruct(suite, scene, method, camera, folder, tell)
         seconds = found["seconds"]
         found |= _map_results("per_view", _per_view(scene, folder))
-        sceneries = {light: recovered_scenery(s, asset) for light, s in scene.sceneries.items()}
+        sceneries = recovered_sceneries(scene, asset)
     start = time.perf_counter()
     renders, images, merged = {}, {}, MapMeasures()
     spread: dict[str, dict[str, float]] = {}

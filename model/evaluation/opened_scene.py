@@ -29,6 +29,8 @@ from model.reconstruction.captures.rendered import package_geometry
 
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
+RECOVERED = "recovered"
+"""The lights that a method found, in place of the scene's; judged by the truth under its own light."""
 RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's, which is that of the photographs
 _REVISION = 2
 """Of atlases and renderings: others are made anew."""
@@ -38,7 +40,8 @@ _REVISION = 2
 class OpenedScene:
     """A scene with its judged views, ``inputs`` and ``novel``. By light: ``sceneries``, ``truth`` (by view),
     ``exposures``, ``renders`` (folders of true views that the capture does not have). ``root`` is its folder
-    of results; ``figure_views`` are those of the pictures."""
+    of results; ``figure_views`` are those of the pictures; ``modified_gain`` is that of the scene's own lamps
+    under modified light."""
 
     recipe: TestScene
     prepared: PreparedScene
@@ -47,6 +50,7 @@ class OpenedScene:
     inputs: tuple[str, ...]
     novel: tuple[str, ...]
     sceneries: dict[str, Scenery]
+    modified_gain: float = 0.0
     truth: dict[str, dict[str, JudgedView]] = field(default_factory=dict)
     exposures: dict[str, float] = field(default_factory=dict)
     figure_views: dict[str, str] = field(default_factory=dict)
@@ -149,6 +153,7 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
             OWN: truth,
             MODIFIED: truth.lit_by(modified, added_lights(modified, whole.geometry, cameras)),
         },
+        modified_gain=modified.own_gain,
     )
     if suite.truth is None:
         scene.truth[OWN] = {name: stored_view(scene.view(name)) for name in (*inputs, *novel)}
@@ -162,6 +167,9 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
         render_scenery(scene.sceneries[light], rendering.views, [rendering], render, tell=said)
         scene.renders[light] = str(rendering.folder)
         scene.truth[light] = rendering.read()
+    scene.truth[RECOVERED] = scene.truth[OWN]
+    if OWN in scene.renders:
+        scene.renders[RECOVERED] = scene.renders[OWN]
     scene.exposures = {light: common_exposure(list(views.values())) for light, views in scene.truth.items()}
     if INSERTED in scene.exposures:
         scene.exposures[INSERTED] = scene.exposures[OWN]

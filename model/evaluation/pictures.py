@@ -45,6 +45,7 @@ COLUMNS = (
     "R",
     "original light",
     "modified light",
+    "recovered light",
     "inserted object",
     "novel view",
     "novel view, modified light",
@@ -84,6 +85,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
     places = {
         "original light": ("own", view),
         "modified light": ("modified", view),
+        "recovered light": ("recovered", view),
         "inserted object": ("inserted", view),
         "novel view": ("own", novel),
         "novel view, modified light": ("modified", novel),

@@ -97,14 +97,17 @@ def true_scenery(prepared: PreparedScene) -> Scenery:
     return Scenery(ShardReader(prepared.capture).configuration(), prepared.library)
 
 
-def recovered_scenery(truth: Scenery, asset: Path) -> Scenery:
+def recovered_scenery(
+    truth: Scenery, asset: Path, emission: dict[str, tuple[float, float, float]]
+) -> Scenery:
     """What was recovered, in place of the scene's surfaces: ``asset`` is the package of a reconstruction,
-    which holds surface and lamps; all other lights are the scene's, and what was put in stays."""
+    which holds surface and lamps, these with ``emission`` by slot in place of their own; all other lights are
+    the scene's, and what was put in stays."""
     package = open_package(asset)
     configuration = truth.configuration
     inserted = tuple(placed for placed in configuration.objects if placed.name == _INSERTED)
     changes = {
-        "environment": PlacedAsset(name="environment", asset=package.id),
+        "environment": PlacedAsset(name="environment", asset=package.id, emission=emission),
         "objects": inserted,
         "assets": {**configuration.assets, package.id: package.sha256},
     }

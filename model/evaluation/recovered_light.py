@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""A reconstruction under the scene's lights, and re-lit from what was found of the room alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.capture import GeometryPart
+from datagen.formats.package import open_package
+from datagen.formats.standalone import configuration_of
+from model.evaluation.opened_scene import MODIFIED, OWN, RECOVERED, OpenedScene
+from model.evaluation.scenery import Scenery, recovered_scenery
+
+Emission = dict[str, tuple[float, float, float]]
+
+
+def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
+    """The reconstruction ``asset`` under each light of the scene, and under the lights that were found, where
+    any were."""
+    parts = scene.capture.geometry.parts
+    sceneries = {}
+    for light, truth in scene.sceneries.items():
+        gain = scene.modified_gain if light == MODIFIED else 1.0
+        sceneries[light] = recovered_scenery(truth, asset, own_emission(asset, parts, gain))
+    report = json.loads((asset.parent / "report.json").read_bytes())
+    if report["light"].get("lights"):
+        sceneries[RECOVERED] = relit_scenery(scene.sceneries[OWN], asset)
+    return sceneries
+
+
+def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emission:
+    """Radiance by slot of the lamps of a reconstruction (``export.slots``) as the scene has it: that of the
+    emissive ``parts`` times ``gain``. Surfaces that were only found to shine are off."""
+    true = [part.emission for part in parts if part.emission is not None]
+    lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(true)}
+    found = {}
+    for slot, material in _environment(asset).materials.items():
+        if material.emission is not None:
+            red, green, blue = (gain * channel for channel in lamps.get(slot, (0.0, 0.0, 0.0)))
+            found[slot] = (red, green, blue)
+    return found
+
+
+def relit_scenery(truth: Scenery, asset: Path) -> Scenery:
+    """The reconstruction under the lights of its package alone, seen by the cameras of ``truth``."""
+    lights = configuration_of(asset, open_package(asset).sha256).lights
+    scenery = recovered_scenery(truth, asset, {})
+    return Scenery(scenery.configuration.model_copy(update={"lights": lights}), scenery.library)
+
+
+def _environment(asset: Path) -> EnvironmentAsset:
+    package = open_package(asset)
+    assert isinstance(package.asset, EnvironmentAsset)
+    return package.asset
