@@ -60,10 +60,7 @@ def test_figures_are_in_a_believable_order(small: tuple[Suite, Evaluation]) -> N
             assert psnr == sorted(psnr, reverse=True), (light, views, psnr)
             assert dssim == sorted(dssim), (light, views, dssim)
             assert psnr[0] > psnr[1] + 5  # the true maps are of another kind than any estimate
-    assert {name for name, m in methods.items() if "recovered" in m.images} == {"ours"}
-    for views in ("input", "novel"):
-        own, found = (ours.images[light][views]["psnr_srgb_db"] for light in ("own", "recovered"))
-        assert found is not None and own is not None and 8 < found < own + 1, (own, found)
+    assert not any("recovered" in m.images for m in methods.values())  # no photograph shows the lamp
     merged = [m.maps_merged["diffuse_albedo"] for m in (oracle, ours, constant)]
     assert merged == sorted(merged)
     assert set(oracle.maps_per_view.values()) == {0.0}
@@ -91,7 +88,7 @@ def test_everything_is_written_and_needs_nothing_beside_it(
     with (tmp_path / "noise.csv").open(newline="") as file:
         noise = [row for row in csv.DictReader(file) if row["method"] == "ours"]
     own = [row["psnr_srgb_db"] for row in _methods(evaluation)["ours"].image_views["own"]["input"].values()]
-    assert float(noise[0]["by views"]) == pytest.approx(bootstrap_error(own)) and len(noise) == 6
+    assert float(noise[0]["by views"]) == pytest.approx(bootstrap_error(own)) and len(noise) == 4
     with (tmp_path / "others.csv").open(newline="") as file:
         others = {row["method"]: row for row in csv.DictReader(file)}
     assert float(others["oracle"]["a' (dB)"]) > 25 > float(others["constant"]["a' (dB)"])
@@ -105,8 +102,8 @@ def test_everything_is_written_and_needs_nothing_beside_it(
     assert "http:" not in page and "https:" not in page and "<script src" not in page and "<link" not in page
     sliders, errors = 4 * 2 * 2, 5 * 3 + 1  # four methods: two pairs; maps, with the truth, and the scale
     assert (
-        page.count("data:image/jpeg;base64,") == 5 * 8 + 1 + sliders + errors
-    )  # and all pictures, with the truth; one method finds lights
+        page.count("data:image/jpeg;base64,") == 5 * 8 + sliders + errors
+    )  # and all pictures, with the truth
     assert "±" in page and page.count('class="pair"') == 8
     assert page.count('<svg viewBox="0 0 430') == 3 and ">metal<" in page
     with Image.open(tmp_path / "figures" / "small-room-relighting.png") as image:

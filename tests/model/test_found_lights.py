@@ -133,6 +133,17 @@ def test_package_holds_the_lights(inferred: Path) -> None:
         assert max(inward) < 0
 
 
+def test_package_renders_under_its_lights(inferred: Path) -> None:
+    """By the project's own renderer, alone."""
+    from model.reconstruction.render.relight import RelightOptions, render_asset
+
+    names = tuple(f"view-{k:03d}" for k in SHOWN[:3])
+    options = RelightOptions(views=names, samples=SAMPLES, denoise=False)
+    shown = {int(image.name[-3:]): image.color for image in render_asset(inferred / "asset", options)}
+    mean, block = apart(shown)
+    assert mean < 0.05 and block < 0.06, (mean, block)
+
+
 def glb_document(path: Path) -> dict[str, Any]:
     data = path.read_bytes()
     length = int.from_bytes(data[12:16], "little")

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: MIT
+"""Rooms re-lit from what was found of them: whose lights shine when, and the column of their figures."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.formats.capture import GeometryPart
+from datagen.formats.configuration import Configuration
+from datagen.formats.lights import AreaLight, PointLight
+from datagen.formats.package import open_package
+from datagen.formats.standalone import configuration_of
+from model.evaluation.opened_scene import INSERTED, MODIFIED, OWN, RECOVERED
+from model.evaluation.recovered_light import recovered_sceneries
+from model.evaluation.results import MethodResult, SceneResult, SuiteResult
+from model.evaluation.scenery import Scenery
+from model.evaluation.tables import tables_of
+from model.reconstruction.export.asset import write_asset
+from model.reconstruction.found_lights import FoundLamp, FoundLights
+from tests.model.test_light_sky import PANEL, WINDOW, exported
+
+TRUE = (3.0, 4.0, 5.0)
+SUN = PointLight(name="sun", position_m=(1.0, 1.0, 2.0), intensity=(9.0, 9.0, 9.0))
+
+
+@dataclass(frozen=True)
+class Geometry:
+    parts: tuple[GeometryPart, ...]
+
+
+@dataclass(frozen=True)
+class Seen:
+    geometry: Geometry
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What :func:`recovered_sceneries` asks of an opened scene."""
+
+    sceneries: dict[str, Scenery]
+    capture: Seen
+    modified_gain: float
+
+
+def lamp(slot: str, face: int, radiance: tuple[float, float, float], *, is_named: bool) -> FoundLamp:
+    return FoundLamp(slot, np.array([face], np.int32), 1, radiance, (0.0, 0.0, 0.0), 1.0, is_named)
+
+
+@pytest.fixture
+def reconstruction(tmp_path: Path) -> Path:
+    """A package with a lamp that the geometry names, one that it does not, and a window."""
+    lamps = (
+        lamp("lamp-0", 0, (2.5, 3.5, 4.5), is_named=True),
+        lamp("found-0", 1, (1.0, 1.0, 1.0), is_named=False),
+    )
+    lights = FoundLights(lamps, windows=(WINDOW,))
+    write_asset(tmp_path / "asset", exported(tmp_path, lights), "room").close()
+    (tmp_path / "report.json").write_text(json.dumps({"light": {"lights": lights.described()}}))
+    return tmp_path / "asset"
+
+
+def opened(asset: Path, gain: float) -> Opened:
+    with open_package(asset) as package:
+        true: Configuration = configuration_of(asset, package.sha256)
+    scenery = Scenery(true.model_copy(update={"lights": (SUN,)}), (asset,))
+    parts = (GeometryPart("wall", 0, 5), GeometryPart("bulb", 5, 1, TRUE))
+    return Opened({OWN: scenery, MODIFIED: scenery, INSERTED: scenery}, Seen(Geometry(parts)), gain)
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.5])
+def test_the_scene_s_lamps_shine_on_a_reconstruction(
+    reconstruction: Path, gain: float, mitsuba_variant: str
+) -> None:
+    """With the scene's radiance, not with that which was found; under modified light times its gain."""
+    sceneries = recovered_sceneries(opened(reconstruction, gain), reconstruction)  # type: ignore[arg-type]
+    assert list(sceneries) == [OWN, MODIFIED, INSERTED, RECOVERED]
+    off = (0.0, 0.0, 0.0)
+    for light, factor in ((OWN, 1.0), (MODIFIED, gain), (INSERTED, 1.0)):
+        configuration = sceneries[light].configuration
+        assert configuration.environment.emission == {
+            "lamp-0": tuple(factor * c for c in TRUE),
+            "found-0": off,
+        }
+        assert configuration.lights == (SUN,)
+
+
+def test_found_lights_shine_alone(reconstruction: Path, mitsuba_variant: str) -> None:
+    """The package's emission and its window; nothing of the scene's."""
+    scene = opened(reconstruction, 0.0)
+    relit = recovered_sceneries(scene, reconstruction)[RECOVERED].configuration  # type: ignore[arg-type]
+    assert relit.environment.emission == {} and relit.environment.asset == "room"
+    (window,) = relit.lights
+    assert isinstance(window, AreaLight) and window.radiance == PANEL.radiance
+    assert relit.cameras == scene.sceneries[OWN].configuration.cameras
+    (reconstruction.parent / "report.json").write_text(json.dumps({"light": {}}))
+    assert RECOVERED not in recovered_sceneries(scene, reconstruction)  # type: ignore[arg-type]
+
+
+def test_recovered_light_has_columns_of_its_own() -> None:
+    figures = {"psnr_srgb_db": 21.5, "dssim": 0.125}
+    own = {"input": {"psnr_srgb_db": 30.0, "dssim": 0.05}}
+    method = MethodResult(
+        scene="box", method="ours", kind="network", images={OWN: own, RECOVERED: {"novel": figures}}
+    )
+    scene = SceneResult(
+        name="box", num_views=1, num_novel=1, resolution=(8, 8), judged_views=(), novel_views=(),
+        exposures={}, figure_views={}, path_samples=1.0, renders={}, methods=(method,),
+    )  # fmt: skip
+    result = SuiteResult(suite="box", may_be_known=False, lpips_absence="", scenes=(scene,))
+    (table,) = (table for table in tables_of(result) if table.name == "rerendering")
+    (row,) = table.rows
+    shown = dict(zip(table.columns, row, strict=True))
+    assert shown["recovered light, novel views: PSNR sRGB (dB)"] == 21.5
+    assert shown["recovered light, novel views: DSSIM = 1-SSIM"] == 0.125
+    assert shown["recovered light, input views: PSNR sRGB (dB)"] is None
+    assert shown["own light, input views: PSNR sRGB (dB)"] == 30.0
