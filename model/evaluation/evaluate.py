@@ -53,7 +53,7 @@ from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import MapSource
 
-_MEASURES = 3
+_MEASURES = 4
 """Revision of the figures: those of another are measured anew."""
 
 

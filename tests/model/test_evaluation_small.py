@@ -102,8 +102,8 @@ def test_everything_is_written_and_needs_nothing_beside_it(
     assert "http:" not in page and "https:" not in page and "<script src" not in page and "<link" not in page
     sliders, errors = 4 * 2 * 2, 5 * 3 + 1  # four methods: two pairs; maps, with the truth, and the scale
     assert (
-        page.count("data:image/jpeg;base64,") == 5 * 8 + sliders + errors
-    )  # and all pictures, with the truth
+        page.count("data:image/jpeg;base64,") == 5 * 8 + 1 + sliders + errors
+    )  # and all pictures, with the truth, which recovered light is held against
     assert "±" in page and page.count('class="pair"') == 8
     assert page.count('<svg viewBox="0 0 430') == 3 and ">metal<" in page
     with Image.open(tmp_path / "figures" / "small-room-relighting.png") as image:
