@@ -148,7 +148,10 @@ def measure_view(
         renderer._add_pass(view, counts)
         estimate = view.estimate = renderer._estimate(view)
         finished = renderer._finish(view).buffers["beauty"]
-        halves = [renderer._denoise(view, half.mean()) + view.seen_lights for half in view.halves]
+        halves = [
+            renderer._denoise(view, half.mean(), renderer._denoiser) + view.seen_lights
+            for half in view.halves
+        ]
         yield Point(
             scene=scene,
             view=renderer.configuration.cameras[index].name,
