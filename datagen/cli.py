@@ -99,7 +99,8 @@ def import_command(
     path: Annotated[
         Path,
         typer.Argument(
-            help="Mitsuba scene, glTF or Sweet Home 3D file, texture folder, or a folder of these."
+            help="Mitsuba scene, glTF, OBJ, PLY, STL, FBX, USD, .blend or Sweet Home 3D file, texture "
+            "folder, or a folder of these."
         ),
     ],
     library: Annotated[Path, typer.Option("--library", help="Library folder to import into.")],
@@ -120,7 +121,10 @@ def import_command(
         typer.Option("--class", help="Material class, repeatable; guessed if left out."),
     ] = None,
     up: Annotated[str, typer.Option(help="Axis that points up in the file: auto, y or z.")] = "auto",
-    unit_scale: Annotated[float, typer.Option(help="Metres in a unit of the file.")] = 1.0,
+    unit_scale: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="Metres in a unit of the file; guessed for OBJ, PLY and STL."),
+    ] = None,
     tile_size: Annotated[
         Optional[float],  # noqa: UP045
         typer.Option(help="Side of a material's tile in metres."),
@@ -155,6 +159,7 @@ def import_command(
     """
     from datagen.importers.common import ImportedAsset, ImportOptions
     from datagen.importers.dispatch import import_asset
+    from datagen.importers.summary import summary_lines
     from datagen.importers.sweet_home_report import ImportWatch
 
     options = _parse_import_options(
@@ -182,11 +187,8 @@ def import_command(
     )
 
     def tell(asset: ImportedAsset) -> None:
-        typer.echo(f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.path}")
-        for sentence in asset.approximations:
-            typer.echo(f"  approximated: {sentence}")
-        for sentence in asset.notes:
-            typer.echo(f"  note: {sentence}")
+        for line in summary_lines(asset):
+            typer.echo(line)
 
     with ImportWatch() as watch:
         imported = import_asset(path, library, options, split=split, on_done=tell, watch=watch)

@@ -50,7 +50,8 @@ class ImportOptions:
 
     ``dielectric``: see-through materials are refused, or replaced: flat panes and thin dielectrics are left
     out, bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent files are
-    refused, or replaced by a grey or left out. ``unit_scale``: metres in a unit of the file. ``defines`` are
+    refused, or replaced by a grey or left out. ``unit_scale``: metres in a unit of the file; None is one, or
+    for formats without a unit what is plausible. ``defines`` are
     values for ``$names`` of a Mitsuba scene. Empty strings are detected or derived. ``allowed`` are folders
     besides the source's own that it may name files in; ``limits``, by default those of the environment, hold
     for each source.
@@ -66,7 +67,7 @@ class ImportOptions:
     category: Literal[""] | Slug = ""
     classes: tuple[MaterialClass, ...] = ()
     up: UpAxis = "auto"
-    unit_scale: Positive = 1.0
+    unit_scale: Positive | None = None
     tile_size_m: Positive | None = None
     dielectric: DielectricPolicy = "refuse"
     dielectric_as: dict[str, DielectricStandIn] = field(default_factory=dict)
@@ -78,13 +79,19 @@ class ImportOptions:
     as_zip: bool = False
     overwrite: bool = False
 
+    @property
+    def unit_m(self) -> float:
+        """Metres in a unit of a format that has one."""
+        return 1.0 if self.unit_scale is None else self.unit_scale
+
 
 @dataclass(frozen=True)
 class ImportedAsset:
     """The record of one import: where the package lies, and all that differs from the source.
 
     ``approximations`` say what the asset represents only roughly, ``notes`` what the importer decided or
-    noticed. Both are sentences that begin with the name of what they are about.
+    noticed. Both are sentences that begin with the name of what they are about. ``contents`` says how large
+    it is and of what it consists.
     """
 
     asset_id: str
@@ -94,6 +101,7 @@ class ImportedAsset:
     license: str
     approximations: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    contents: str = ""
 
 
 @dataclass(frozen=True)

@@ -12,20 +12,22 @@ from typing import TYPE_CHECKING
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug
 from datagen.foundation.paths import fault_of, inside
+from datagen.importers.blender_files import BLENDER_SUFFIXES, import_by_blender, uses_draco
 from datagen.importers.common import ImportedAsset, ImportOptions
 
 if TYPE_CHECKING:
     from datagen.importers.sweet_home_report import ImportWatch
 
 GLTF_SUFFIXES = (".gltf", ".glb")
+MESH_SUFFIXES = (".obj", ".ply", ".stl")
 SWEET_HOME_SUFFIX = ".sh3f"
 _SCENE_FILES = ("scene.xml", "scene_v3.xml")
 
 
 @dataclass(frozen=True)
 class Source:
-    """Something that can be imported: ``kind`` is ``mitsuba``, ``gltf``, ``sweet_home`` or
-    ``material``."""
+    """Something that can be imported: ``kind`` is ``mitsuba``, ``gltf``, ``mesh``, ``blender``,
+    ``sweet_home`` or ``material``."""
 
     path: Path
     kind: str
@@ -41,6 +43,10 @@ def find_sources(path: Path) -> list[Source]:
             return [Source(path, "mitsuba")]
         if path.suffix.lower() in GLTF_SUFFIXES:
             return [Source(path, "gltf")]
+        if path.suffix.lower() in MESH_SUFFIXES:
+            return [Source(path, "mesh")]
+        if path.suffix.lower() in BLENDER_SUFFIXES:
+            return [Source(path, "blender")]
         if path.suffix.lower() == SWEET_HOME_SUFFIX:
             return [Source(path, "sweet_home")]
     elif path.is_dir():
@@ -54,8 +60,8 @@ def find_sources(path: Path) -> list[Source]:
     else:
         raise input_error(path, got="nothing there", expected="something to import", remedy="check the path")
     expected = (
-        "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a Sweet Home 3D library (.sh3f), "
-        "a PBR texture folder, or a folder of these"
+        "a Mitsuba scene (.xml), a glTF file (.gltf, .glb), a mesh (.obj, .ply, .stl), what Blender reads "
+        "(.fbx, .usd, .blend), a Sweet Home 3D library (.sh3f), a PBR texture folder, or a folder of these"
     )
     got = "a folder that holds nothing to import" if path.is_dir() else "a file of a kind that is not known"
     raise input_error(path, got=got, expected=expected, remedy="check the path")
@@ -85,7 +91,11 @@ def _in_folder(folder: Path) -> list[Source]:
     libraries = sorted(p for p in folder.iterdir() if p.suffix.lower() == SWEET_HOME_SUFFIX)
     if libraries:
         return [Source(inside(folder, p), "sweet_home") for p in libraries]
-    return [Source(folder, "material")] if is_material_folder(folder) else []
+    if is_material_folder(folder):
+        return [Source(folder, "material")]
+    kinds = {**dict.fromkeys(MESH_SUFFIXES, "mesh"), **dict.fromkeys(BLENDER_SUFFIXES, "blender")}
+    others = sorted(p for p in folder.iterdir() if p.suffix.lower() in kinds)
+    return [Source(inside(folder, p), kinds[p.suffix.lower()]) for p in others]
 
 
 def import_asset(
@@ -140,7 +150,15 @@ def _import_one(
     if source.kind == "gltf":
         from datagen.importers.gltf import import_gltf
 
+        if uses_draco(source.path):
+            return import_by_blender(source.path, out_library, options, split=split)
         return import_gltf(source.path, out_library, options, split=split)
+    if source.kind == "mesh":
+        from datagen.importers.mesh_files import import_mesh_file
+
+        return import_mesh_file(source.path, out_library, options, split=split)
+    if source.kind == "blender":
+        return import_by_blender(source.path, out_library, options, split=split)
     if source.kind == "sweet_home":
         from datagen.importers.sweet_home import import_sweet_home
 

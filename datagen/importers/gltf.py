@@ -24,6 +24,7 @@ from datagen.formats.asset import (
     SlotMaterial,
 )
 from datagen.formats.base import IDENTITY4, matrix4, quantized, vector3
+from datagen.formats.category_sizes import size_fault
 from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight
 from datagen.foundation.axes import asset_from_source
 from datagen.foundation.budget import Budget
@@ -52,6 +53,7 @@ LUMENS_PER_WATT = 683.0
 """glTF lights are photometric; Blender and others convert with this factor, and so it is undone."""
 _ROOM_SIDE_M, _ROOM_HEIGHT_M = 2.5, 2.0
 _TOUCH_M = 0.005
+DRACO_REMEDY = "export it without, or install Blender's module, which decodes it (extra `blender`)"
 _OPENING_AREA_M2 = 0.3
 
 
@@ -66,32 +68,45 @@ class _Piece:
 
 
 def import_gltf(
-    path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
+    path: Path,
+    out_library: Path,
+    options: ImportOptions | None = None,
+    *,
+    split: bool = False,
+    origin: Path | None = None,
+    findings: Findings | None = None,
 ) -> list[ImportedAsset]:
     """Convert a .gltf or .glb file to packages below ``out_library``: one, or with ``split`` one for each
     group of root nodes that touch each other.
 
-    Raises :class:`InputError` with every problem: unknown extensions, missing files, see-through materials
-    where the policy is to refuse, an unknown licence.
+    ``origin`` is the file of another format that it was made of, whose licence holds and of which errors
+    speak; ``findings`` are those of the conversion. Raises :class:`InputError` with every problem: unknown
+    extensions, missing files, see-through materials where the policy is to refuse, an unknown licence.
     """
     options = options or ImportOptions()
-    with GltfFile(path, Budget(path, options.limits), options.allowed) as file:
-        importer = _GltfImporter(file, options)
-        groups = importer.groups() if split else [importer.pieces]
-        return [importer.write(group, out_library, is_alone=len(groups) == 1) for group in groups]
+    budget = Budget(origin or path, options.limits)
+    try:
+        with GltfFile(path, budget, options.allowed) as file:
+            importer = _GltfImporter(file, options, origin or path, findings or Findings())
+            groups = importer.groups() if split else [importer.pieces]
+            return [importer.write(group, out_library, is_alone=len(groups) == 1) for group in groups]
+    except InputError as error:
+        if origin is None:
+            raise
+        moved = (replace(p, where=origin) if p.where == path else p for p in error.problems)
+        raise InputError(*moved) from None
 
 
 class _GltfImporter:
-    def __init__(self, file: GltfFile, options: ImportOptions):
-        self.file, self.options = file, options
-        self.findings = Findings()
+    def __init__(self, file: GltfFile, options: ImportOptions, origin: Path, findings: Findings):
+        self.file, self.options, self.findings = file, options, findings
         self.cache = ImageCache(file.budget)
         self.textures = TextureFiles(self.cache)
         self.materials = GltfMaterialConverter(file, options, self.findings, self.cache, self.textures)
         up: Literal["y", "z"] = "z" if options.up == "z" else "y"
-        self.asset_from_source = asset_from_source(up, options.unit_scale)
+        self.asset_from_source = asset_from_source(up, options.unit_m)
         self.annotations = annotate.read_annotations(options.annotations)
-        self.source, self.title = provenance(file.path, file.path.parent, options, self.findings)
+        self.source, self.title = provenance(origin, origin.parent, options, self.findings)
         self.nodes = list(file.placed_nodes())
         self.names = {placed.index: placed.name for placed in self.nodes}
         file.placed_primitives(self.nodes)
@@ -130,9 +145,7 @@ class _GltfImporter:
     ) -> _Piece | None:
         extensions = primitive.get("extensions", {})
         if "KHR_draco_mesh_compression" in extensions:
-            raise self.file.error(
-                f"node {label!r}", "Draco compression", "uncompressed meshes", "export it without"
-            )
+            raise self.file.error(f"node {label!r}", "Draco compression", "uncompressed meshes", DRACO_REMEDY)
         if primitive.get("mode", 4) not in TRIANGLE_MODES:
             self.findings.approximate(f"{label}: points or lines left out")
             return None
@@ -288,6 +301,9 @@ class _GltfImporter:
             maximum_m=vector3(high.astype(np.float64)),
             supports=guess_supports(category, float(size[2]), float(max(size[0], size[1]))),
         )
+        fault = size_fault(asset)
+        if fault:
+            self.findings.note(f"{name}: {fault}")
         return finish(asset, files, out_library / "objects", self.options, self.findings)
 
     def _write_environment(

@@ -277,7 +277,10 @@ class GltfMaterialConverter:
         extensions = texture.get("extensions", {})
         if "KHR_texture_basisu" in extensions and "source" not in texture:
             self.problem(
-                f"material {name!r}", "a Basis Universal texture", "PNG or JPEG", "export it without"
+                f"material {name!r}",
+                "a Basis Universal texture",
+                "PNG or JPEG",
+                "export it without, or convert each image: ktx extract IN.ktx2 OUT.png (KTX-Software)",
             )
             return None
         source = extensions.get("EXT_texture_webp", {}).get("source", texture.get("source"))

@@ -199,7 +199,7 @@ class LightConverter:
         )
 
     def _intensity(self, value: object) -> tuple[float, float, float]:
-        factor = self.options.unit_scale**2
+        factor = self.options.unit_m**2
         red, green, blue = _color(value)
         return red * factor, green * factor, blue * factor
 

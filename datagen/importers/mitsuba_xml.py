@@ -107,7 +107,7 @@ class _SceneImporter:
         self.num_mended: list[int] = []  # normals, by shape
         self.meshes: dict[Any, tuple[Mesh, int]] = {}
         up = guess_up(self.scene) if options.up == "auto" else options.up
-        self.asset_from_source = asset_from_source(up, options.unit_scale)
+        self.asset_from_source = asset_from_source(up, options.unit_m)
         self.lights = LightConverter(self.path, self.asset_from_source, options, self.findings, self.textures)
 
     def run(self, out_library: Path) -> ImportedAsset:
@@ -387,7 +387,7 @@ class _SceneImporter:
         if uv_per_m is None:
             self.findings.approximate(f"{draft.name}: bump map left out, the surface has no UVs")
             return None
-        height = self.cache.values(draft.height, is_scalar=True) * self.options.unit_scale  # type: ignore[arg-type]
+        height = self.cache.values(draft.height, is_scalar=True) * self.options.unit_m  # type: ignore[arg-type]
         normal = normal_from_height(height, uv_per_m)
         name = f"textures/{slug(draft.name)}_normal.png"
         self.files[name] = encode_png(np.round((normal * 0.5 + 0.5) * 255).astype(np.uint8))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.asset_check import check_package
+from datagen.formats.asset import MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json
 from datagen.formats.package import AnyAsset, FileSource, Package, write_package
 from datagen.foundation.findings import Findings
@@ -53,4 +54,21 @@ def finish(
             license=asset.provenance.license,
             approximations=findings.approximations,
             notes=findings.notes,
+            contents=_contents(asset),
         )
+
+
+def _contents(asset: AnyAsset) -> str:
+    """Size, parts and materials in a few words."""
+    if isinstance(asset, MaterialAsset):
+        size = f", {asset.material.tile_size_m:g} m a tile" if asset.material.tile_size_m else ""
+        return ", ".join(asset.material.classes) + size
+    text = f"{_counted(len(asset.parts), 'part')}, {_counted(len(asset.materials), 'material')}"
+    if isinstance(asset, ObjectAsset):
+        sides = [high - low for low, high in zip(asset.minimum_m, asset.maximum_m, strict=True)]
+        text = " × ".join(f"{side:.2f}" if side >= 0.1 else f"{side:.2g}" for side in sides) + f" m, {text}"
+    return text
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -34,11 +34,11 @@ from datagen.importers.annotate import read_annotations
 from datagen.importers.classes import guess_category, guess_supports
 from datagen.importers.common import ImportedAsset, ImportOptions, mended_note
 from datagen.importers.mitsuba_xml import is_pane
+from datagen.importers.obj_materials import PhongMaterial, read_mtl
+from datagen.importers.obj_model import ObjModel, read_obj_model
 from datagen.importers.packaging import finish
 from datagen.importers.sweet_home_catalogue import Catalogue, Piece, open_catalogue
 from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConverter
-from datagen.importers.sweet_home_model import ObjModel, read_obj_model
-from datagen.importers.sweet_home_mtl import PhongMaterial, read_mtl
 
 SUFFIX = ".sh3f"
 _IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")
@@ -110,7 +110,7 @@ def _check_options(path: Path, options: ImportOptions) -> None:
         ("id", options.asset_id, ""),
         ("title", options.title, ""),
         ("up", options.up, "auto"),
-        ("unit-scale", options.unit_scale, 1.0),
+        ("unit-scale", options.unit_scale, None),
     ):
         if value != default:
             expected = "what the catalogue says of each piece"

@@ -25,7 +25,7 @@ from datagen.importers.channels import Color, ColorValue, ImageCache, ImageSourc
 from datagen.importers.classes import REPLACEABLE, guess_class
 from datagen.importers.common import ImportOptions
 from datagen.importers.fresnel import perceptual_roughness
-from datagen.importers.sweet_home_mtl import PhongMaterial
+from datagen.importers.obj_materials import PhongMaterial
 
 F0_PER_SPECULAR = 0.08
 """F0 of a non-metal at Ks = 1; half of it, the slider's middle in Blender and Disney's model, is 0.04."""

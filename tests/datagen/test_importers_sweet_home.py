@@ -23,6 +23,8 @@ from datagen.foundation.meshes.ply import decode_ply
 from datagen.importers.classes import guess_category, guess_supports
 from datagen.importers.common import ImportOptions
 from datagen.importers.dispatch import find_sources, import_asset
+from datagen.importers.obj_materials import PhongMaterial, read_mtl
+from datagen.importers.obj_model import read_obj_model, triangulate
 from datagen.importers.sweet_home import Step, import_sweet_home
 from datagen.importers.sweet_home_catalogue import (
     CATALOGUE_FILE,
@@ -31,8 +33,6 @@ from datagen.importers.sweet_home_catalogue import (
     spdx_license,
 )
 from datagen.importers.sweet_home_materials import phong_channels, phong_roughness
-from datagen.importers.sweet_home_model import read_obj_model, triangulate
-from datagen.importers.sweet_home_mtl import PhongMaterial, read_mtl
 from datagen.library import check_library
 from tests.conftest import REPOSITORY
 from tests.hostile import damage

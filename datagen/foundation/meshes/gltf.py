@@ -210,7 +210,10 @@ class GltfFile:
         entry = self.item("bufferViews", index, "accessors")
         if "EXT_meshopt_compression" in entry.get("extensions", {}):
             raise self.error(
-                f"bufferViews[{index}]", "EXT_meshopt_compression", "uncompressed data", "export it without"
+                f"bufferViews[{index}]",
+                "EXT_meshopt_compression",
+                "uncompressed data",
+                "export it without, or convert it: gltfpack -noq -i IN.glb -o OUT.glb",
             )
         data = memoryview(self.buffer(int(entry.get("buffer", 0))))
         start = int(entry.get("byteOffset", 0))

@@ -273,11 +273,11 @@ def _corner_normals(
     else:
         given, size = np.zeros((*corner.shape[:2], 3)), np.ones((*corner.shape[:2], 1))
         sound = np.zeros(corner.shape[:2], dtype=bool)
-    made = _creased(positions, corner[:, :, 0], unit, smoothing, budget)
+    made = creased(positions, corner[:, :, 0], unit, smoothing, budget)
     return np.where(sound[..., None], given / np.maximum(size, 1e-300), made)
 
 
-def _creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
+def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
     """Normals (M, 3, 3): at each corner the angle-weighted mean of the faces there that lie within 60 degrees
     and in the same smoothing group; group 0 is flat."""
     made = np.repeat(unit[:, None], 3, axis=1)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: what Blender reads, as binary glTF.
+
+Scripts in .blend files stay off. Images outside of the file's folder and of the FOLDERs are left out; what is
+left out is printed in lines that begin with ``to_gltf: ``.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+
+from .command import leave
+
+_MARK = "to_gltf: "
+
+
+def read(path: Path) -> None:
+    """Replace the scene by that of a file. Raises ``RuntimeError`` as Blender's operators do."""
+    suffix = path.suffix.lower()
+    if suffix == ".blend":
+        bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+        return
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if suffix == ".fbx":
+        bpy.ops.import_scene.fbx(filepath=str(path))
+    elif suffix in (".usd", ".usda", ".usdc", ".usdz"):
+        bpy.ops.wm.usd_import(filepath=str(path))
+    elif suffix in (".gltf", ".glb"):
+        bpy.ops.import_scene.gltf(filepath=str(path))
+    else:
+        raise RuntimeError(f"{suffix} is no file that Blender reads")
+
+
+def leave_out_images(folders: list[Path]) -> None:
+    """Forget images of files elsewhere."""
+    for image in list(bpy.data.images):
+        if image.packed_file is not None or not image.filepath:
+            continue
+        real = Path(bpy.path.abspath(image.filepath)).resolve()
+        if not any(real.is_relative_to(folder) for folder in folders):
+            print(f"{_MARK}{image.name}: an image at {real}, outside of the file's folder, left out")
+            bpy.data.images.remove(image)
+
+
+def main(arguments: list[str]) -> int:
+    """Exit code; 1 where the file could not be read."""
+    source, out = Path(arguments[0]), Path(arguments[1])
+    try:
+        read(source)
+        leave_out_images([source.parent.resolve(), *(Path(name).resolve() for name in arguments[2:])])
+        if not any(thing.type == "MESH" for thing in bpy.context.scene.objects):
+            raise RuntimeError("no meshes in the scene")
+        bpy.ops.export_scene.gltf(
+            filepath=str(out), export_format="GLB", export_apply=True, export_cameras=True,
+            export_lights=True, export_animations=False, export_skins=False, export_morph=False,
+        )  # fmt: skip
+    except RuntimeError as error:
+        print(f"{_MARK}{str(error).strip().splitlines()[-1]}")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    leave(main(sys.argv[1:]))

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""Files that Blender reads (FBX, USD, .blend, glTF with Draco): its module makes glTF of them, in a process
+of its own, and that is imported. What it makes draws on the same budget as any other glTF file.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from datagen.formats.base import MAX_TEXT_BYTES
+from datagen.foundation.errors import input_error
+from datagen.foundation.findings import Findings
+from datagen.importers.common import ImportedAsset, ImportOptions
+from datagen.importers.gltf import import_gltf
+
+BLENDER_SUFFIXES = (".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
+_SECONDS = 900
+_MARK = "to_gltf: "
+
+
+def uses_draco(path: Path) -> bool:
+    """Whether a glTF file needs Draco, and Blender's module is there to decode it; damaged files say no."""
+    if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
+        return False
+    with path.open("rb") as file:
+        return b"KHR_draco_mesh_compression" in file.read()
+
+
+def import_by_blender(
+    path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
+) -> list[ImportedAsset]:
+    """Convert a file that Blender reads to packages below ``out_library``. Images outside of the file's own
+    folder and ``options.allowed`` are left out. Raises :class:`InputError` where Blender's module is not
+    installed or cannot read the file, and as :func:`import_gltf` does."""
+    options = options or ImportOptions()
+    if importlib.util.find_spec("bpy") is None:
+        remedy = (
+            "pip install 'scene-materials[blender]' (Python 3.11), or export glTF (.glb) from the program "
+            "that made it"
+        )
+        raise input_error(
+            path, got="a file that Blender reads", expected="Blender's module bpy", remedy=remedy
+        )
+    findings = Findings()
+    with tempfile.TemporaryDirectory() as folder:
+        converted = Path(folder) / f"{path.stem}.glb"
+        command = [sys.executable, "-m", "blender_addon.to_gltf", str(path.resolve()), str(converted)]
+        command += [str(root.resolve()) for root in options.allowed]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=_SECONDS)
+        except subprocess.TimeoutExpired:
+            got = f"not read by Blender within {_SECONDS} s"
+            raise input_error(path, got=got, expected="a smaller file", remedy="simplify it") from None
+        lines = (done.stdout + "\n" + done.stderr).splitlines()
+        told = [line.removeprefix(_MARK) for line in lines if line.startswith(_MARK)]
+        if done.returncode != 0 or not converted.is_file():
+            last = [*[line for line in lines if line.strip()], f"exit code {done.returncode}"][:-1][-1:]
+            got = "; ".join(told or last or [f"exit code {done.returncode}"])[:400]
+            remedy = "open it in Blender, or export glTF from the program that made it"
+            raise input_error(path, got=f"Blender: {got}", expected="a file that it reads", remedy=remedy)
+        for sentence in told:
+            findings.approximate(sentence)
+        if path.suffix.lower() == ".blend":
+            findings.note(
+                f"{path.stem}: procedural materials are lost on the way; python -m blender_addon bakes them"
+            )
+        turned = replace(options, up="y")  # glTF's own, whatever the file's was
+        return import_gltf(converted, out_library, turned, split=split, origin=path, findings=findings)
