@@ -57,6 +57,8 @@ TARGETS = {
             "datagen/farm/collect.py",
             "datagen/farm/status.py",
             "datagen/farm/slurm.py",
+            "datagen/farm/pbs.py",
+            "datagen/farm/submission.py",
         ),
         (
             "tests/datagen/test_farm_unit.py",

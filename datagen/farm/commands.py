@@ -22,7 +22,7 @@ farm = typer.Typer(
 @farm.command()
 def submit(
     folder: FolderArgument,
-    engine: Annotated[str, typer.Option(help="slurm, or shell: only a list of commands.")] = "slurm",
+    engine: Annotated[str, typer.Option(help="slurm, pbs, or shell: only a list of commands.")] = "slurm",
     time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00",
     memory: Annotated[str, typer.Option(help="Memory of a unit.")] = "8G",
     cpus: Annotated[int, typer.Option(min=1, help="Processors of a unit.")] = 4,
@@ -31,9 +31,9 @@ def submit(
     notice: Annotated[int, typer.Option(min=1, help="Seconds of notice before the time limit.")] = 120,
     attempts: Annotated[int, typer.Option(min=1, help="Tries a unit before it is set aside.")] = 3,
     setup: Annotated[str, typer.Option(help="Shell code that makes `datagen` callable on a node.")] = "",
-    partition: Annotated[str, typer.Option(help="Slurm partition.")] = "",
-    account: Annotated[str, typer.Option(help="Slurm account.")] = "",
-    max_array: Annotated[int, typer.Option(min=2, help="The cluster's MaxArraySize.")] = 1001,
+    partition: Annotated[str, typer.Option(help="Slurm partition, or PBS queue.")] = "",
+    account: Annotated[str, typer.Option(help="Account.")] = "",
+    max_array: Annotated[int, typer.Option(min=2, help="The cluster's longest array (MaxArraySize).")] = 1001,
     qos: Annotated[str, typer.Option(help="Slurm quality of service.")] = "",
     constraint: Annotated[str, typer.Option(help="Features that the units' nodes have.")] = "",
     exclude: Annotated[str, typer.Option(help="Nodes to leave out.")] = "",
@@ -59,7 +59,7 @@ def submit(
     Example: datagen farm submit paper --engine slurm --cpus 8 --setup "source .venv/bin/activate"
     """
     from datagen.farm.job_options import SlurmOptions
-    from datagen.farm.slurm import submit as submit_jobs
+    from datagen.farm.submission import submit as submit_jobs
 
     options = SlurmOptions(
         time_limit=time_limit,
@@ -121,14 +121,17 @@ def retry(folder: FolderArgument) -> None:
 
 
 @farm.command()
-def cancel(folder: FolderArgument) -> None:
-    """Cancel this folder's jobs on Slurm; what is finished stays.
+def cancel(
+    folder: FolderArgument,
+    engine: Annotated[str, typer.Option(help="The queue that has them: slurm or pbs.")] = "slurm",
+) -> None:
+    """Cancel this folder's jobs in the queue; what is finished stays.
 
     Example: datagen farm cancel paper
     """
-    from datagen.farm.slurm import cancel as cancel_jobs
+    from datagen.farm.submission import cancel as cancel_jobs
 
-    ids = cancel_jobs(folder)
+    ids = cancel_jobs(folder, engine)
     typer.echo(f"cancelled {', '.join(ids)}" if ids else "no jobs of this folder in the queue")
 
 

@@ -88,7 +88,7 @@ class SlurmOptions:
     def __post_init__(self) -> None:
         problems = [*self._wrong_forms(), *self._wrong_numbers(), *_wrong_setup(self.setup)]
         for name in ("sbatch_options", "collect_options"):
-            problems += [p for text in getattr(self, name) for p in _wrong_option(_option(name), text)]
+            problems += [p for text in getattr(self, name) for p in _wrong_option(option_name(name), text)]
         if problems:
             raise InputError(*problems)
 
@@ -102,7 +102,11 @@ class SlurmOptions:
             if not form[0].fullmatch(value):
                 problems.append(
                     Problem(
-                        _WHERE, _option(field.name), repr(value), f"something like {form[1]}", "correct it"
+                        _WHERE,
+                        option_name(field.name),
+                        repr(value),
+                        f"something like {form[1]}",
+                        "correct it",
                     )
                 )
         return problems
@@ -110,14 +114,32 @@ class SlurmOptions:
     def _wrong_numbers(self) -> list[Problem]:
         return [
             Problem(
-                _WHERE, _option(name), repr(getattr(self, name)), f"a whole number from {least}", "correct it"
+                _WHERE,
+                option_name(name),
+                repr(getattr(self, name)),
+                f"a whole number from {least}",
+                "correct it",
             )
             for name, least in _LEAST.items()
             if type(getattr(self, name)) is not int or getattr(self, name) < least
         ]
 
 
-def _option(field: str) -> str:
+def seconds_of(time_limit: str) -> int:
+    """Seconds of a time as Slurm writes it: minutes, M:S, H:M:S, D-H, D-H:M or D-H:M:S."""
+    days, dash, rest = time_limit.rpartition("-")
+    parts = [int(part) for part in rest.split(":")]
+    if dash:
+        hours, minutes, seconds = [*parts, 0, 0][:3]
+    elif len(parts) == 3:
+        hours, minutes, seconds = parts
+    else:
+        hours, (minutes, seconds) = 0, [*parts, 0][:2]
+    return ((int(days or 0) * 24 + hours) * 60 + minutes) * 60 + seconds
+
+
+def option_name(field: str) -> str:
+    """The command's option for a field."""
     return _OPTION_NAMES.get(field, "--" + field.removesuffix("_s").replace("_", "-"))
 
 

@@ -10,23 +10,14 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
-import subprocess
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
-from datagen.farm.folder import DatasetFolder
+from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
 from datagen.farm.job_options import SlurmOptions, can_be_directive, check_folder, split_option
-from datagen.farm.local import EXIT_INTERRUPTED, check_writable
-from datagen.farm.space import check_space
+from datagen.farm.local import EXIT_INTERRUPTED
 from datagen.farm.status import array_spec
-from datagen.formats.base import sha256_hex, write_bytes_atomically
 from datagen.foundation.errors import input_error
-
-
-def job_name(root: Path) -> str:
-    """Name that all jobs of a dataset folder share; found again by ``squeue`` and ``scancel``."""
-    return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 
 def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> str:
@@ -58,11 +49,6 @@ def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | Non
     }
 
 
-def _with_setup(options: SlurmOptions, root: Path) -> str:
-    setup = f"{options.setup.rstrip()}\n" if options.setup.strip() else ""
-    return f"set -u\n{setup}folder={shlex.quote(str(root.resolve()))}"
-
-
 def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[int]) -> str:
     """The array job's script. Task i works on unit ``offset + i``, since arrays have a largest index."""
     check_folder(root, "slurm")
@@ -83,7 +69,7 @@ def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[i
     return f"""#!/bin/bash
 # Units of {root.resolve().name}: a task a unit. Written by `datagen farm submit`; safe to submit again.
 {_directives(directives, options.sbatch_options)}
-{_with_setup(options, root)}
+{with_setup(options, root)}
 unit=$(({offset} + SLURM_ARRAY_TASK_ID))
 task="${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}"
 
@@ -121,14 +107,8 @@ def collect_script(root: Path, options: SlurmOptions) -> str:
     return f"""#!/bin/bash
 # Collects {root.resolve().name} after its units. Written by `datagen farm submit`.
 {_directives(directives, options.collect_options)}
-{_with_setup(options, root)}
-code=0
-datagen farm status "$folder" || code=$?
-datagen farm collect "$folder" --deep || code=$?
-datagen verify "$folder" --workers {options.collect_cpus} || code=$?
-datagen report "$folder" --workers {options.collect_cpus} || code=$?
-exit "$code"
-"""
+{with_setup(options, root)}
+{collect_commands(options)}"""
 
 
 def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
@@ -144,107 +124,61 @@ def _escaped(path: Path) -> str:
     return str(path).replace("%", "%%")
 
 
-@dataclass(frozen=True)
-class Submission:
-    """What :func:`submit` did: the scripts, and the job ids (empty for a dry run)."""
+class SlurmEngine:
+    """``sbatch``, ``squeue`` and ``scancel``."""
 
-    scripts: tuple[Path, ...]
-    job_ids: tuple[str, ...]
-    num_units: int
+    program = "sbatch"
 
+    def check(self, root: Path, options: SlurmOptions) -> None:
+        check_folder(root, "slurm")
 
-def _undone(folder: DatasetFolder) -> list[int]:
-    return [unit.index for unit in folder.read_plan().units if not folder.is_done(unit)]
+    def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
+        scripts, end = [], indices[-1] + 1 if indices else 0
+        for number, start in enumerate(range(0, end, options.max_array - 1)):
+            chunk = [i for i in indices if start <= i < start + options.max_array - 1]
+            if chunk:
+                scripts.append(Script(f"units-{number}.sbatch", array_script(root, options, start, chunk)))
+        return scripts
 
+    def collect(self, root: Path, options: SlurmOptions) -> Script | None:
+        return Script("collect.sbatch", collect_script(root, options))
 
-def submit(
-    root: Path,
-    options: SlurmOptions,
-    engine: str = "slurm",
-    dry_run: bool = False,
-    is_space_checked: bool = True,
-) -> Submission:
-    """Write job scripts for the units that are not done, and submit them unless ``dry_run``.
+    def send(self, script: Path, after: Sequence[str]) -> str:
+        # afterok would wait for ever on one failed task.
+        wait = [f"--dependency=afterany:{':'.join(after)}"] if after else []
+        answer = ask(script, "an accepted job", "sbatch", "--parsable", *wait, str(script.resolve()))
+        return answer.strip().split(";")[0]
 
-    Engines: ``slurm``, or ``shell`` (only a list of commands is written). Raises :class:`InputError`, also
-    where the disk has no room for the shards and for the views of ``throttle`` units at work, or of one where
-    the queue decides how many.
-    """
-    folder = DatasetFolder(root)
-    indices = _undone(folder)
-    check_folder(root, engine)
-    check_writable(root)
-    if is_space_checked and not dry_run:
-        check_space(folder, options.throttle or 1)
-    jobs = root / "jobs"
-    jobs.mkdir(exist_ok=True)
-    folder.logs_path.mkdir(exist_ok=True)
-    if engine == "shell":
-        path = jobs / "units.sh"
-        write_bytes_atomically(path, shell_script(root, indices, options).encode())
-        return Submission((path,), (), len(indices))
-    if engine != "slurm":
-        raise input_error("farm submit", "engine", engine, "slurm or shell", "choose one of them")
-    scripts = []
-    for number, start in enumerate(range(0, _end(indices), options.max_array - 1)):
-        chunk = [i for i in indices if start <= i < start + options.max_array - 1]
-        if not chunk:
-            continue
-        path = jobs / f"units-{number}.sbatch"
-        write_bytes_atomically(path, array_script(root, options, start, chunk).encode())
-        scripts.append(path)
-    collect = jobs / "collect.sbatch"
-    write_bytes_atomically(collect, collect_script(root, options).encode())
-    if dry_run or not scripts:
-        return Submission((*scripts, collect), (), len(indices))
-    if shutil.which("sbatch") is None:
-        remedy = "run this on a cluster's login node, or use --dry-run or --engine shell"
-        raise input_error("farm submit", "sbatch", "not found", "Slurm's commands on PATH", remedy)
-    already = running_jobs(root)
-    if already:
-        remedy = "wait for them, or `datagen farm cancel` first"
-        raise input_error(root, "jobs", f"{len(already)} in the queue", "none of this folder", remedy)
-    ids = [_sbatch(path) for path in scripts]
-    # afterok would wait for ever on one failed task.
-    ids.append(_sbatch(collect, f"--dependency=afterany:{':'.join(ids)}"))
-    return Submission((*scripts, collect), tuple(ids), len(indices))
+    def jobs(self, root: Path) -> list[str]:
+        """Arrays as one."""
+        name = f"--name={job_name(root)}"
+        return sorted(
+            set(ask(root, "an answer from Slurm", "squeue", "--noheader", "--format=%A", name).split())
+        )
+
+    def stop(self, root: Path, ids: Sequence[str]) -> None:
+        ask(root, "jobs that end", "scancel", f"--name={job_name(root)}")
 
 
-def _end(indices: list[int]) -> int:
-    return indices[-1] + 1 if indices else 0
+class ShellEngine:
+    """A list of commands for any other queue; nothing is submitted."""
 
+    program = ""
 
-def _sbatch(script: Path, *arguments: str) -> str:
-    result = subprocess.run(
-        ["sbatch", "--parsable", *arguments, str(script.resolve())],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if result.returncode != 0:
-        what = " ".join(result.stderr.split()) or f"exit code {result.returncode}"
-        raise input_error(script, "sbatch", what, "an accepted job", "correct the options and submit again")
-    return result.stdout.strip().split(";")[0]
+    def check(self, root: Path, options: SlurmOptions) -> None:
+        check_folder(root, "shell")
 
+    def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
+        return [Script("units.sh", shell_script(root, list(indices), options))]
 
-def running_jobs(root: Path) -> list[str]:
-    """Job ids of this folder in Slurm's queue, pending or running, arrays as one."""
-    result = subprocess.run(
-        ["squeue", "--noheader", "--format=%A", f"--name={job_name(root)}"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if result.returncode != 0:
-        what = " ".join(result.stderr.split()) or f"exit code {result.returncode}"
-        raise input_error(root, "squeue", what, "an answer from Slurm", "check that the controller runs")
-    return sorted(set(result.stdout.split()))
+    def collect(self, root: Path, options: SlurmOptions) -> Script | None:
+        return None
 
+    def send(self, script: Path, after: Sequence[str]) -> str:
+        raise input_error(script, got="a list of commands", expected="a queue that takes it")
 
-def cancel(root: Path) -> list[str]:
-    """Cancel every job of this folder; what is finished stays. Returns the ids."""
-    DatasetFolder(root).read_plan()
-    ids = running_jobs(root)
-    if ids:
-        subprocess.run(["scancel", f"--name={job_name(root)}"], check=True, capture_output=True)
-    return ids
+    def jobs(self, root: Path) -> list[str]:
+        return []
+
+    def stop(self, root: Path, ids: Sequence[str]) -> None:
+        """There are no jobs."""

@@ -20,8 +20,8 @@ from datagen.farm.folder import DatasetFolder
 from datagen.farm.job_options import SlurmOptions
 from datagen.farm.leftovers import find_leftovers
 from datagen.farm.local import LocalOptions, run_local
-from datagen.farm.slurm import submit
 from datagen.farm.space import check_space, needed_space
+from datagen.farm.submission import submit
 from datagen.farm.work_unit import UnitRun, run_unit
 from datagen.formats.configuration import Configuration
 from datagen.foundation.errors import InputError

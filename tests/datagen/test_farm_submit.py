@@ -19,7 +19,7 @@ import pytest
 
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.job_options import SlurmOptions
-from datagen.farm.slurm import submit
+from datagen.farm.submission import submit
 from datagen.foundation.errors import InputError
 from tests.datagen.small_plan import plan_small
 

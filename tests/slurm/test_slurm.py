@@ -13,11 +13,13 @@ from pathlib import Path
 import pytest
 
 from datagen.farm.collect import collect
+from datagen.farm.engine import job_name
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.job_options import SlurmOptions
 from datagen.farm.local import LocalOptions, run_local
-from datagen.farm.slurm import array_script, cancel, job_name, shell_script, submit
+from datagen.farm.slurm import array_script, shell_script
 from datagen.farm.status import forget_failures, read_status
+from datagen.farm.submission import cancel, submit
 from tests.datagen.small_plan import plan_small
 from tests.slurm.cluster import Cluster, missing_programs
 from tests.small_disk import small_disk

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""What a queue has to offer for ``datagen farm``: scripts, a way to send them, a way to find and stop jobs.
+
+An engine is a module with a class that fulfils :class:`Engine`, and a line in ``submission.ENGINES``.
+Whatever a queue does (run twice, requeue, forget), the output protocol of ``work_unit`` gives exactly once.
+"""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from datagen.farm.job_options import SlurmOptions
+from datagen.formats.base import sha256_hex
+from datagen.foundation.errors import input_error
+
+
+@dataclass(frozen=True)
+class Script:
+    """A job's script: its name in ``jobs/`` of the dataset folder, and its text."""
+
+    name: str
+    text: str
+
+
+class Engine(Protocol):
+    """A queue. ``program`` is what submits, "" where nothing does and scripts are for the user."""
+
+    program: str
+
+    def check(self, root: Path, options: SlurmOptions) -> None:
+        """Raise :class:`InputError` for what the queue's scripts cannot say."""
+
+    def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
+        """Scripts that run ``datagen unit FOLDER INDEX`` for each index (ascending), again after 75."""
+
+    def collect(self, root: Path, options: SlurmOptions) -> Script | None:
+        """The script that collects, verifies and reports when the units have ended."""
+
+    def send(self, script: Path, after: Sequence[str]) -> str:
+        """Submit a script to start when the jobs ``after`` have ended; returns its job's id."""
+
+    def jobs(self, root: Path) -> list[str]:
+        """Ids of this folder's jobs in the queue, pending or running."""
+
+    def stop(self, root: Path, ids: Sequence[str]) -> None:
+        """Cancel them."""
+
+
+def job_name(root: Path) -> str:
+    """Name that all jobs of a dataset folder share; found again by the queue's commands."""
+    return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
+
+
+def with_setup(options: SlurmOptions, root: Path) -> str:
+    """The first lines of every job: the user's setup, and ``$folder``."""
+    setup = f"{options.setup.rstrip()}\n" if options.setup.strip() else ""
+    return f"set -u\n{setup}folder={shlex.quote(str(root.resolve()))}"
+
+
+def collect_commands(options: SlurmOptions) -> str:
+    """What every collecting job runs; it ends with the code of the last step that found something wrong."""
+    return f"""code=0
+datagen farm status "$folder" || code=$?
+datagen farm collect "$folder" --deep || code=$?
+datagen verify "$folder" --workers {options.collect_cpus} || code=$?
+datagen report "$folder" --workers {options.collect_cpus} || code=$?
+exit "$code"
+"""
+
+
+def ask(where: Path, expected: str, *command: str) -> str:
+    """Standard output of a queue's command. Raises :class:`InputError` with what it says when it fails."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        what = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
+        raise input_error(where, command[0], what, expected, "correct the options, or check the queue")
+    return done.stdout

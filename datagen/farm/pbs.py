@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Runs a plan on PBS (OpenPBS, PBS Professional): array jobs that look their unit up in a list.
+
+PBS arrays have no gaps and at least two members, so that the members' units stand in the script. PBS gives no
+notice before a time limit; the script does. What is unfinished then submits itself again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
+from datagen.farm.job_options import SlurmOptions, check_folder, option_name, seconds_of
+from datagen.farm.local import EXIT_INTERRUPTED
+from datagen.foundation.errors import InputError, Problem
+
+_SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "collect_options")
+
+
+class PbsEngine:
+    """``qsub``, ``qselect`` and ``qdel``. ``--partition`` is the queue."""
+
+    program = "qsub"
+
+    def check(self, root: Path, options: SlurmOptions) -> None:
+        check_folder(root, "pbs")
+        problems = []
+        for name in _SLURM_ONLY:
+            if getattr(options, name):
+                option, got = option_name(name), repr(getattr(options, name))
+                remedy = "leave it out, or edit the script that --dry-run writes"
+                problems.append(Problem("farm submit", option, got, "nothing: PBS does not know it", remedy))
+        if options.notice_s >= seconds_of(options.time_limit):
+            expected = f"less than --time {options.time_limit}"
+            problems.append(Problem("farm submit", "--notice", str(options.notice_s), expected))
+        if problems:
+            raise InputError(*problems)
+
+    def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
+        size = options.max_array
+        return [
+            Script(f"units-{number}.pbs", _unit_script(root, options, indices[start : start + size], number))
+            for number, start in enumerate(range(0, len(indices), size))
+        ]
+
+    def collect(self, root: Path, options: SlurmOptions) -> Script | None:
+        head = _directives(
+            root,
+            options,
+            _select(options.collect_cpus, options.collect_memory, 0),
+            options.collect_time,
+            options.collect_partition or options.partition,
+        )
+        return Script(
+            "collect.pbs",
+            f"""#!/bin/bash
+# Collects {root.resolve().name} after its units. Written by `datagen farm submit --engine pbs`.
+{head}
+{with_setup(options, root)}
+exec >> "$folder/logs/pbs-collect.log" 2>&1
+{collect_commands(options)}""",
+        )
+
+    def send(self, script: Path, after: Sequence[str]) -> str:
+        wait = ["-W", f"depend=afterany:{':'.join(after)}"] if after else []
+        return ask(script, "an accepted job", "qsub", *wait, str(script.resolve())).strip()
+
+    def jobs(self, root: Path) -> list[str]:
+        return sorted(set(ask(root, "an answer from PBS", "qselect", "-N", job_name(root)).split()))
+
+    def stop(self, root: Path, ids: Sequence[str]) -> None:
+        ask(root, "jobs that end", "qdel", *ids)
+
+
+def _select(cpus: int, memory: str, gpus: int) -> str:
+    unit = memory.lower() + ("mb" if memory.isdigit() else "b")
+    return f"select=1:ncpus={cpus}:mem={unit}" + (f":ngpus={gpus}" if gpus else "")
+
+
+def _directives(root: Path, options: SlurmOptions, select: str, time_limit: str, queue: str) -> str:
+    minutes, seconds = divmod(seconds_of(time_limit), 60)
+    lines = [
+        f"-N {job_name(root)}",
+        f"-l {select}",
+        f"-l walltime={minutes // 60:02d}:{minutes % 60:02d}:{seconds:02d}",
+        *([f"-q {queue}"] if queue else []),
+        *([f"-A {options.account}"] if options.account else []),
+        *([f"-M {options.mail_user}", "-m ae"] if options.mail_user else ["-m n"]),
+        # The script writes its log itself: a directive cannot hold every folder's name.
+        "-j oe",
+        "-o /dev/null",
+        "-r y",
+    ]
+    return "\n".join(f"#PBS {line}" for line in lines)
+
+
+def _unit_script(root: Path, options: SlurmOptions, indices: Sequence[int], number: int) -> str:
+    select = _select(options.cpus, options.memory, options.gpus)
+    head = _directives(root, options, select, options.time_limit, options.partition)
+    if len(indices) > 1:
+        throttle = f"%{options.throttle}" if options.throttle else ""
+        head += f"\n#PBS -J 0-{len(indices) - 1}{throttle}"
+    wait_s = seconds_of(options.time_limit) - options.notice_s
+    return f"""#!/bin/bash
+# Units of {root.resolve().name}: a member a unit.
+# Written by `datagen farm submit --engine pbs`; safe to submit again.
+{head}
+{with_setup(options, root)}
+units=({" ".join(map(str, indices))})
+unit="${{DATAGEN_UNIT:-${{units[${{PBS_ARRAY_INDEX:-0}}]}}}}"
+exec >> "$folder/logs/pbs-unit-$unit.log" 2>&1
+
+# {options.notice_s} s before the time limit the unit is told to finish its view;
+# it then ends with {EXIT_INTERRUPTED}.
+datagen unit "$folder" "$unit" --attempts {options.attempts} &
+worker=$!
+trap 'kill -USR1 "$worker" 2>/dev/null' USR1 TERM
+( sleep {wait_s}; kill -USR1 "$worker" 2>/dev/null ) > /dev/null 2>&1 &
+timer=$!
+wait "$worker"
+code=$?
+while kill -0 "$worker" 2>/dev/null; do
+    wait "$worker"
+    code=$?
+done
+kill "$timer" 2>/dev/null
+if [ "$code" = {EXIT_INTERRUPTED} ]; then
+    # One job for this unit alone: an array cannot take a member back.
+    grep -v '^#PBS -J' "$folder/jobs/units-{number}.pbs" | qsub -v "DATAGEN_UNIT=$unit"
+fi
+exit "$code"
+"""
