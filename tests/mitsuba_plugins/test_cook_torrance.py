@@ -408,6 +408,9 @@ def test_attributes_give_the_channels() -> None:
     )
     np.testing.assert_allclose(array(pointer.eval_attribute_3("specular_albedo", si))[0], 0.3, rtol=EPS)
     assert array(pointer.eval_attribute_1("roughness", si))[0] == np.float32(0.2)
+    luminance = 0.1 * 0.212671 + 0.5 * 0.715160 + 0.9 * 0.072169
+    (got,) = array(bsdf.eval_attribute_1("diffuse_albedo", si))
+    assert got == pytest.approx(luminance, rel=1e-4)
     assert bool(pointer.has_attribute("roughness")[0]) and not bool(pointer.has_attribute("metallic")[0])
     reflectance = array(bsdf.eval_diffuse_reflectance(si))[0]
     np.testing.assert_allclose(reflectance, np.array([0.1, 0.5, 0.9]) * 0.7, rtol=2 * EPS)
