@@ -38,7 +38,12 @@ TARGETS = {
     ),
     "sky guide": Target(("datagen/rendering/sky_guide.py",), ("tests/datagen/test_rendering_sky.py",)),
     "light choice": Target(
-        ("datagen/rendering/light_choice.py",), ("tests/datagen/test_rendering_light_choice.py",), 20
+        ("datagen/rendering/light_choice.py",),
+        (
+            "tests/datagen/test_rendering_light_choice.py",
+            "tests/datagen/test_rendering_sky.py::test_points_outside_of_the_box_are_left_to_the_lights_own_sampling",
+        ),
+        20,
     ),
     "albedo level": Target(
         ("model/reconstruction/level/albedo_level.py",),

@@ -81,11 +81,13 @@ def test_points_whose_hemisphere_is_little_known_count_less() -> None:
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
 
 
-def test_dark_points_and_such_without_light_say_nothing() -> None:
+@pytest.mark.parametrize("num_dark", [60, 660])
+def test_dark_points_and_such_without_light_say_nothing(num_dark: int) -> None:
+    """Also where most of them are dark."""
     left = leaving()
-    left[:60] = 0.0
+    left[:num_dark] = 0.0
     level = fit(radiance=left)
-    assert level.report.points_used == NUM - 60
+    assert level.report.points_used == NUM - num_dark
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
 
 
