@@ -10,6 +10,7 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -109,6 +110,15 @@ def test_the_manifest_says_what_the_shard_is(made: Made) -> None:
     assert [record.name for record in records] == VIEWS
     assert all(record.statistics is not None and record.statistics.num_views == 2 for record in records)
     assert all(record.exposure > 0 and "color_median" in record.buffers for record in records)
+
+
+def test_memory_is_said_in_megabytes(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system counts in units of 1024 bytes."""
+    folder = made.copy("stats", tmp_path / "a")
+    usage = SimpleNamespace(ru_maxrss=3000 * 1024)
+    monkeypatch.setattr(work_unit.resource, "getrusage", lambda who: usage)
+    assert run_unit(made.attempt(folder), ["pack"]) is True
+    assert manifest_of(folder).peak_memory_mb == 3000.0
 
 
 def test_a_stage_without_the_one_before_says_which_to_run(made: Made, tmp_path: Path) -> None:
