@@ -227,6 +227,22 @@ def _directives(script: Path) -> dict[str, str | None]:
     return found
 
 
+def test_a_plan_longer_than_an_array_is_split_and_whole(tmp_path: Path) -> None:
+    """Slurm's largest index is one less than MaxArraySize: numbers in an array start at 0 in each."""
+    root = plan_small(tmp_path / "set", tmp_path / "library", 5, num_views=1).root
+    *arrays, collect = submit(root, SlurmOptions(max_array=3), dry_run=True).scripts
+    assert [path.name for path in (*arrays, collect)] == [
+        *(f"units-{k}.sbatch" for k in range(3)),
+        "collect.sbatch",
+    ]
+    found = []
+    for path in arrays:
+        text = path.read_text()
+        (spec,), (offset,) = re.findall(r"--array=(\S+)", text), re.findall(r"unit=\$\(\((\d+) \+", text)
+        found.append((spec, int(offset)))
+    assert found == [("0-1", 0), ("0-1", 2), ("0", 4)]
+
+
 def test_collecting_has_a_size_of_its_own(planned: DatasetFolder) -> None:
     options = SlurmOptions(cpus=16, gpus=4, memory="200G", partition="gpu", constraint="a100", account="me")
     scripts = submit(planned.root, options, dry_run=True).scripts
