@@ -274,3 +274,18 @@ def test_rays_leave_the_box_where_geometry_says() -> None:
     column, row = (np.clip(np.floor(place[rows, others[:, k]]), 0, CELLS - 1) for k in (0, 1))
     expected = ((2 * axis + (directions[rows, axis] > 0)) * CELLS + column) * CELLS + row
     assert (cell == expected).mean() > 0.998  # but where rounding takes a place to the cell beside
+
+
+def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
+    """Points on the box's faces count as inside: their place there is 0 or 1, exactly."""
+    import mitsuba as mi
+
+    from datagen.rendering.sky_guide import CELLS, _exit
+
+    corners = mi.Point3f(-1.0, 0.0, 2.0), mi.Point3f(3.0, 1.0, 4.0)
+    points = mi.Point3f(np.array([[0, 1, 4], [0, 0, 2], [3, 0.5, 4], [-1, 0.5, 2]], np.float32).T)
+    directions = mi.Vector3f(np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], np.float32).T)
+    face, rest = np.divmod(np.array(_exit(*corners, points, directions)[0]), CELLS**2)
+    last = CELLS - 1
+    assert face.tolist() == [1, 0, 3, 2]
+    assert rest.tolist() == [last * CELLS + last, 0, last * CELLS + last, 0]
