@@ -159,8 +159,8 @@ def test_points_behind_outside_and_facing_away_are_not_seen():
 
 
 def test_the_image_ends_where_the_pixel_after_its_last_would_begin():
-    """Points that project exactly onto the left, right, upper and lower border of the image, behind whose last
-    row the depth of the next one begins."""
+    """Points that project exactly onto the left, right, upper and lower border; behind the last row of the
+    first view's depth lies the first of the second's."""
     camera = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, look_at((0, 0, 0), (0, 1, 0)))
     packed = PackedViews([camera, camera], [np.full((10, 10), 2.0)] * 2)
     points = np.array([(-1, 2, 0), (1, 2, 0), (0, 2, 1), (0, 2, -1)])
