@@ -51,6 +51,10 @@ def train(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print sizes, memory and time; train nothing.")
     ] = False,
+    listener: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--listener", help="MODULE:FUNCTION that hears of what happens, repeatable."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
 ) -> None:
     """Train the two tracks and the confidence networks on datasets.
@@ -64,9 +68,11 @@ def train(
     import torch
 
     from model.devices import parse_device
+    from model.events import load_listeners
     from model.training.config import parse_overrides, resolve_config
 
     resolved = resolve_config(preset, config, parse_overrides(settings or []))
+    listeners = load_listeners(listener or ())
     if threads:
         torch.set_num_threads(threads)
     chosen = parse_device(device) if device else None
@@ -79,7 +85,7 @@ def train(
     from model.training.sources import validation_note
     from model.training.train import Trainer
 
-    trainer = Trainer(resolved, data, out, device=chosen, show_progress=not quiet)
+    trainer = Trainer(resolved, data, out, device=chosen, show_progress=not quiet, listeners=listeners)
     note = validation_note(trainer.data, resolved.validation.num_views)
     if note and trainer.ranks.is_first:
         typer.echo(note, err=True)

@@ -51,7 +51,8 @@ MATRIX = {
         "model.confidence": "model.bilateral_solver",
         "model.checkpoint": f"{_GROUND} {_NETWORKS}",
         "model.loading": _GROUND,
-        "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.shading",
+        "model.events": "datagen.foundation",
+        "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.events model.shading",
         "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder",
         "model.reconstruction.atlas": "datagen.foundation",
         "model.reconstruction.geometry": f"{_GROUND} datagen.multiview mitsuba_plugins",
@@ -79,7 +80,7 @@ MATRIX = {
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.unwrap model.reconstruction.merge model.reconstruction.export "
         "model.reconstruction.infer_options model.reconstruction.report_page model.reconstruction.stages",
-        "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.reconstruction",
+        "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.events model.reconstruction",
         "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "
         "model.checkpoint model.training model.reconstruction",
         "model.schemas": f"{_GROUND} model.evaluation model.training",

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -80,6 +81,10 @@ def infer(
     truth: Annotated[
         bool, typer.Option("--truth", help="Merge a rendered capture's ground truth; no checkpoint.")
     ] = False,
+    listener: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option("--listener", help="MODULE:FUNCTION that hears of what happens, repeatable."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
 ) -> None:
     """Turn a capture into a material atlas and an asset that renders.
@@ -88,6 +93,7 @@ def infer(
     """
     from datagen.foundation.progress import Bars
     from model.checkpoint import bundled_checkpoint
+    from model.events import Event, load_listeners
     from model.reconstruction.captures import read_capture
     from model.reconstruction.infer import InferOptions
     from model.reconstruction.infer import infer as run
@@ -100,6 +106,7 @@ def infer(
         "--weights": (weights, ("none", "angle", "distance", "confidence", "all")),
     }
     check_choices(choices)
+    listeners = load_listeners(listener or ())
     if atlas != "auto" and not atlas.isdigit():
         raise typer.BadParameter(f"{atlas!r}; expected auto or a number", param_hint="--atlas")
     opened = read_capture(
@@ -118,11 +125,15 @@ def infer(
         **doing,
     )
     try:
-        if quiet:
-            report = run(opened, out, source, options)
-        else:
-            with Bars() as bars:
-                report = run(opened, out, source, options, bars.tell)
+        with Bars() if not quiet else nullcontext() as bars:
+
+            def tell(stage: str, done: int, total: int) -> None:
+                listeners.tell(Event("infer", "progress", out, stage, done, {"total": total}))
+                if bars is not None:
+                    bars.tell(stage, done, total)
+
+            report = run(opened, out, source, options, tell)
+        listeners.tell(Event("infer", "end", out, values={"seconds": sum(report.seconds.values())}))
     except KeyboardInterrupt:
         typer.echo("stopped; the same command continues", err=True)
         raise typer.Exit(130) from None

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from datagen.foundation.buffers import MATERIAL_MAPS
+from model.events import Event, Listeners
 from model.networks import encode_color
 
 CSV_FILE = "log.csv"
@@ -28,9 +29,12 @@ _COLUMNS = (
 
 class RunLog:
     """Long-form CSV (one figure a row) and TensorBoard, both cut back to ``step`` when a run resumes
-    there."""
+    there; ``listeners`` hear of the same figures and panels."""
 
-    def __init__(self, folder: Path, step: int = 0, *, tensorboard: bool = True):
+    def __init__(
+        self, folder: Path, step: int = 0, *, tensorboard: bool = True, listeners: Listeners | None = None
+    ):
+        self.folder, self.listeners = folder, listeners or Listeners()
         self.path = folder / CSV_FILE
         kept = []
         if self.path.is_file():
@@ -48,6 +52,8 @@ class RunLog:
 
     def scalars(self, step: int, phase: str, epoch: int, kind: str, values: Mapping[str, float]) -> None:
         """Record figures by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
+        name = f"{kind}/{phase}"
+        self.listeners.tell(Event("train", "scalars", self.folder, name, step, dict(values)))
         for name, value in values.items():
             row = {
                 "step": step,
@@ -63,6 +69,9 @@ class RunLog:
 
     def panel(self, step: int, name: str, image: Tensor) -> None:
         """Record an image (3, H, W) in [0, 1]."""
+        if self.listeners:
+            pixels = (255.0 * image.clamp(0, 1) + 0.5).byte().permute(1, 2, 0).cpu().numpy()
+            self.listeners.tell(Event("train", "image", self.folder, name, step, image=pixels))
         if self._board is not None:
             self._board.add_image(name, image, step)
 

@@ -23,6 +23,7 @@ from torch.nn.parallel import DistributedDataParallel
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint, software_versions
+from model.events import Event, Listeners
 from model.training.conditions import generator_for
 from model.training.config import PHASE_TRACKS, TrainingConfig
 from model.training.dataset import buffer_names
@@ -61,8 +62,10 @@ class Trainer:
         *,
         device: torch.device | None = None,
         show_progress: bool = False,
+        listeners: Listeners | None = None,
     ):
         self.config, self.folders, self.out = config, folders, out
+        self.listeners = listeners or Listeners()
         self.ranks = Ranks()
         self.device = device or default_device(self.ranks.local_index)
         self.show_progress = show_progress and self.ranks.is_first
@@ -111,7 +114,8 @@ class Trainer:
         restored = self._open_folder()
         if self.progress.is_finished:
             return self.out / FINAL_FILE
-        log = RunLog(self.out, self.progress.total_step) if self.ranks.is_first else None
+        step = self.progress.total_step
+        log = RunLog(self.out, step, listeners=self.listeners) if self.ranks.is_first else None
         phases_left = range(self.progress.phase, len(self.config.phases))
         try:
             with _stop_signals(self._request_stop):
@@ -126,6 +130,7 @@ class Trainer:
             metrics = self._validate(None, self.config.phases[-1].name, None)
             self._save_checkpoint(FINAL_FILE, self.config.phases[-1].name, metrics)
             save_state(self.out, self.progress, self.models, None)
+            self.listeners.tell(Event("train", "end", self.out, step=self.progress.total_step))
         self.ranks.barrier()
         return self.out / FINAL_FILE
 

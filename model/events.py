@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""One hook for whoever wants to follow training and inference: wandb, rerun, a chat, a file.
+
+    materials train rooms --out run --listener my_hooks:to_wandb
+
+A listener is a function of one :class:`Event`. It is called in the process that trains (of several ranks, the
+first), so that it should be quick. One that fails is told of on standard error and not called again: days of
+training do not end with a lost connection.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from datagen.foundation.errors import InputError, Problem
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened.
+
+    ``scalars``: ``values`` by name at ``step``; ``name`` is ``train/PHASE``, ``validation/PHASE`` or
+    ``speed/PHASE``. ``image``: (H, W, 3) uint8 at ``step``. ``progress``: a stage of inference, ``name``, has
+    done ``step`` of ``values["total"]``. ``end``: the run is over; ``folder`` holds its result.
+    """
+
+    source: Literal["train", "infer"]
+    kind: Literal["scalars", "image", "progress", "end"]
+    folder: Path
+    name: str = ""
+    step: int = 0
+    values: Mapping[str, float] = field(default_factory=dict)
+    image: Any = None
+
+
+Listener = Callable[[Event], object]
+
+
+class Listeners:
+    """Tells every listener; without any, telling costs nothing."""
+
+    def __init__(self, listeners: Iterable[Listener] = ()):
+        self._listeners = list(listeners)
+
+    def __bool__(self) -> bool:
+        return bool(self._listeners)
+
+    def tell(self, event: Event) -> None:
+        """Call every listener; one that raises is reported and dropped."""
+        for listener in list(self._listeners):
+            try:
+                listener(event)
+            except Exception:
+                self._listeners.remove(listener)
+                name = getattr(listener, "__qualname__", repr(listener))
+                print(f"listener {name} failed and is not called again:", file=sys.stderr)
+                traceback.print_exc()
+
+
+def load_listeners(names: Iterable[str]) -> Listeners:
+    """Listeners named ``MODULE:FUNCTION``, looked for beside the working directory, too. Raises
+    :class:`InputError` with every one that is not there."""
+    found: list[Listener] = []
+    problems = []
+    if "" not in sys.path:
+        sys.path.append("")
+    for name in names:
+        module, colon, function = name.partition(":")
+        try:
+            listener = getattr(importlib.import_module(module), function) if colon and function else None
+        except (ImportError, AttributeError, ValueError) as error:
+            problems.append(Problem("--listener", "", f"{name} ({error})", "MODULE:FUNCTION", "correct it"))
+            continue
+        if callable(listener):
+            found.append(listener)
+        else:
+            problems.append(Problem("--listener", "", repr(name), "MODULE:FUNCTION", "correct it"))
+    if problems:
+        raise InputError(*problems)
+    return Listeners(found)
