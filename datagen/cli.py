@@ -298,6 +298,9 @@ def run(
     space_check: Annotated[
         bool, typer.Option(help="Refuse to begin where the disk is too small for the estimate.")
     ] = True,
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Keep OUT/preview.html current: last views, rate, failures.")
+    ] = False,
     dry_run: DryRunOption = False,
 ) -> None:
     """Plan, render, gather statistics and pack; interrupt at any moment, continue by the same command.
@@ -317,7 +320,7 @@ def run(
         from datagen.farm.space import check_space
 
         check_space(DatasetFolder(out), workers)
-    _run_stages(out, workers, ("render", "stats", "pack"), attempts)
+    _run_stages(out, workers, ("render", "stats", "pack"), attempts, preview=preview)
     from datagen.farm.collect import collect
 
     index = collect(out)
@@ -342,8 +345,10 @@ def _run_stages(
     stages: tuple[str, ...],
     attempts: int = 3,
     only: tuple[int, ...] | None = None,
+    preview: bool = False,
 ) -> RunSummary:
-    """Run stages of all units with a bar; ends the command with 75 when interrupted, 1 when units failed."""
+    """Run stages of all units with a bar, and with a page if asked for; ends the command with 75 when
+    interrupted, 1 when units failed."""
     from datagen.farm.folder import DatasetFolder
     from datagen.farm.local import EXIT_INTERRUPTED, LocalOptions, run_local
     from datagen.foundation.progress import ProgressBar
@@ -356,6 +361,13 @@ def _run_stages(
     shares = {"render": 0.85, "stats": 0.15} if "render" in stages and "stats" in stages else {}
 
     done_before = int(sum(finished.values()))
+    page = None
+    if preview:
+        from datagen.inspection.preview import Preview
+
+        page = Preview(out, sum(views_of.values()), done_before)
+        page.update(done_before)
+        typer.echo(f"preview: {page.path.absolute().as_uri()}")
     with ProgressBar("+".join(stages), sum(views_of.values()), before=done_before) as progress:
 
         def on_event(event: Event) -> None:
@@ -368,10 +380,16 @@ def _run_stages(
             else:
                 what = "is tried again" if kind == "retry" else "is set aside"
                 progress.say(f"{unit} {what} ({done}/{total}): {stage}")
+                if page is not None:
+                    page.say(f"{unit} {what} ({done}/{total}): {stage}")
             progress.set(int(sum(finished.values())))
+            if page is not None:
+                page.update(int(sum(finished.values())))
 
         options = LocalOptions(workers=workers, attempts=attempts, stages=stages, only=only)
         summary = run_local(out, options, on_event)
+    if page is not None:
+        page.update(int(sum(finished.values())), is_over=True)
     if summary.interrupted:
         typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
         raise typer.Exit(EXIT_INTERRUPTED)

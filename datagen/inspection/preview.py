@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: MIT
+"""A page that shows a dataset while it is made: ``datagen run --preview`` keeps ``preview.html`` current.
+
+One file that opens from disk: the last views as pictures, the rate, the time left, and what failed. It loads
+itself again every few seconds until the run has ended.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import time
+from pathlib import Path
+
+import numpy as np
+
+from datagen.formats.base import read_json, write_bytes_atomically
+from datagen.formats.view import ViewRecord
+from datagen.foundation.color import srgb_from_linear
+from datagen.foundation.errors import InputError
+from datagen.foundation.exr import decode_view
+
+PREVIEW_FILE = "preview.html"
+_SECONDS, _SHOWN, _WIDTH_PX = 3.0, 24, 480
+_STYLE = """
+:root { color-scheme: light dark; --ink: #1c1d20; --paper: #fff; --soft: #f0f1f4; --bad: #8c2f00; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e8e9eb; --paper: #1b1c1f; --soft: #2b2d31; --bad: #ff9d66; }
+}
+body { margin: 0 auto; max-width: 1500px; padding: 12px; font: 16px/1.4 system-ui, sans-serif;
+  color: var(--ink); background: var(--paper); }
+progress { width: 100%; height: 14px; } .bad { color: var(--bad); }
+ul { list-style: none; margin: 12px 0; padding: 0; display: grid; gap: 10px;
+  grid-template-columns: repeat(auto-fill, minmax(min(100%, 280px), 1fr)); }
+img { width: 100%; display: block; background: var(--soft); border-radius: 4px; }
+small { overflow-wrap: anywhere; }
+"""
+
+
+class Preview:
+    """The page of one run. ``total`` views are to be made, of which ``before`` are done already."""
+
+    def __init__(self, root: Path, total: int, before: int = 0):
+        self.root, self.total, self.before = root, total, before
+        self.start = time.monotonic()
+        self.path = root / PREVIEW_FILE
+        self.said: list[str] = []
+        self._pictures: dict[str, str] = {}  # view to data URI, oldest first: packed units leave no files
+        self._known = {path for path in self._views()}
+        self._next = 0.0
+
+    def say(self, sentence: str) -> None:
+        """Something that went wrong."""
+        self.said.append(sentence)
+
+    def update(self, done: int, is_over: bool = False) -> None:
+        """Write the page anew if a few seconds have passed since the last time, or the run is over."""
+        now = time.monotonic()
+        if now < self._next and not is_over:
+            return
+        self._look()
+        write_bytes_atomically(self.path, self._page(done, now - self.start, is_over).encode())
+        self._next = time.monotonic() + _SECONDS
+
+    def _views(self) -> list[Path]:
+        """Rendered views of units in progress."""
+        return list((self.root / "work").glob("*/rendered/*.json"))
+
+    def _look(self) -> None:
+        """Make pictures of the newest views that have none yet."""
+        found = []
+        for path in self._views():
+            if path not in self._known:
+                try:
+                    found.append((path.stat().st_mtime, path))
+                except FileNotFoundError:
+                    self._known.add(path)  # its unit was packed meanwhile
+        for _, path in sorted(found)[-_SHOWN:]:
+            try:
+                record = read_json(ViewRecord, path)
+                beauty = decode_view(path.with_suffix(".exr"), ["beauty"], num_threads=1)["beauty"]
+            except InputError:  # its unit was packed meanwhile; what is damaged, the run makes again
+                continue
+            self._pictures[f"{record.configuration} / {record.name}"] = _picture(beauty, record.exposure)
+        self._known |= {path for _, path in found}
+        while len(self._pictures) > _SHOWN:
+            del self._pictures[next(iter(self._pictures))]
+
+    def _page(self, done: int, seconds: float, is_over: bool) -> str:
+        made = done - self.before
+        rate = made / seconds * 3600 if made > 0 and seconds > 0 else 0.0
+        left = f"{_duration((self.total - done) / rate * 3600)} left" if rate and not is_over else ""
+        facts = [f"{done} of {self.total} views", f"{rate:,.0f} an hour" if rate else "", left]
+        facts += ["the run has ended" if is_over else f"as of {time.strftime('%H:%M:%S')}"]
+        state = "".join(f'<p class="bad">{html.escape(line)}</p>' for line in self.said[-20:])
+        cards = "".join(
+            f'<li><img alt="{html.escape(name)}" src="{uri}"><small>{html.escape(name)}</small></li>'
+            for name, uri in reversed(self._pictures.items())
+        )
+        title = html.escape(self.root.resolve().name)
+        again = "" if is_over else '<meta http-equiv="refresh" content="5">'
+        return (
+            f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">{again}'
+            f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
+            f"<style>{_STYLE}</style></head><body><h1>{title}</h1>"
+            f'<progress max="{self.total}" value="{done}"></progress>'
+            f"<p>{', '.join(fact for fact in facts if fact)}</p>{state}<ul>{cards}</ul></body></html>\n"
+        )
+
+
+def _picture(beauty: np.ndarray, exposure: float) -> str:
+    """A JPEG as a data URI."""
+    from PIL import Image
+
+    finite = np.where(np.isfinite(beauty), beauty, 0).astype(np.float32)
+    shown = (255 * np.clip(srgb_from_linear(np.maximum(finite, 0) * exposure), 0, 1) + 0.5).astype(np.uint8)
+    picture = Image.fromarray(shown)
+    picture.thumbnail((_WIDTH_PX, _WIDTH_PX))
+    stream = io.BytesIO()
+    picture.save(stream, "JPEG", quality=85)
+    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
