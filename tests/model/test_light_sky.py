@@ -16,6 +16,7 @@ from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import open_package
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.ply import decode_ply
 from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.export.asset import write_asset
 from model.reconstruction.export.atlas_images import write_atlas_images
@@ -235,7 +236,9 @@ def test_sky_leaves_as_an_image_that_points_the_same_way_everywhere(tmp_path: Pa
     for emitter in (scene.environment(), ours):
         np.testing.assert_allclose(seen(emitter, way), [7, 8, 9], rtol=1e-3)
         assert seen(emitter, way * [-1, 1, 1]).max() < 0.01 > seen(emitter, way * [1, -1, 1]).max()
-    assert lights.described()[-1] == {"kind": "sky", "slot": "sky", "radiance": [2.0, 2.0, 2.0]}
+    window, sky = lights.described()
+    assert sky == {"kind": "sky", "slot": "sky", "radiance": [2.0, 2.0, 2.0]}
+    np.testing.assert_allclose(window["power"], np.pi * 2, rtol=1e-5)
 
 
 def test_surface_that_was_found_to_shine_leaves_with_its_material(tmp_path: Path) -> None:
@@ -262,6 +265,11 @@ def test_surface_that_was_found_to_shine_leaves_with_its_material(tmp_path: Path
     with write_asset(tmp_path / "asset", reconstruction, "room") as package:
         material = package.asset.materials["found-0"]  # type: ignore[union-attr]
         assert material.emission == (1.0, 1.0, 1.0) and material.textures()
+        for slot, face, side in (("lamp-0", 2, 1), ("found-0", 5, -1)):
+            shape = decode_ply(package.read_bytes(f"{slot}.ply"), slot)
+            a, b, c = shape.triangles()[0]
+            d, e, f = mesh.triangles()[face]
+            np.testing.assert_allclose(np.cross(b - a, c - a), side * np.cross(e - d, f - d), atol=1e-6)
     write_glb(tmp_path / "room.glb", reconstruction, has_punctual=True)
     document = glb_document(tmp_path / "room.glb")
     (shining,) = (m for m in document["materials"] if m["name"] == "found-0")

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-COVERED, MAX_RECTANGLES = 0.95, 8
+COVERED, MAX_RECTANGLES = 0.98, 12
 """Share of a mask that its rectangles cover at least, or how many there are at most."""
 
 
