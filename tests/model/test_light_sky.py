@@ -4,6 +4,10 @@ way."""
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,8 +46,10 @@ from model.reconstruction.light.sky import (
     sky_image,
 )
 from oracles.textured_room import room_capture
+from tests.conftest import REPOSITORY
 from tests.model.light_room import LAMP, photographed_room, room_geometry
 from tests.model.test_found_lights import glb_document
+from tests.model.test_reconstruction_assets import VALIDATOR, needs_bpy
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 LOW, HIGH = np.zeros(3), np.array([4.0, 3.0, 2.5])
@@ -301,6 +307,54 @@ def test_small_lamps_leave_as_points_on_demand(tmp_path: Path) -> None:
     np.testing.assert_allclose(node["translation"], [x, z, -y], atol=1e-6)  # Y up
     write_glb(tmp_path / "without.glb", reconstruction)
     assert "extensions" not in glb_document(tmp_path / "without.glb")
+
+
+def small_lights(folder: Path) -> Path:
+    """A GLB of a tiny room with a small lamp, a surface that shines and a window."""
+    capture = room_capture(2, (32, 24))
+    mesh = capture.geometry.mesh
+    lamps = tuple(
+        FoundLamp(slot, np.array([face], np.int32), side, (1.0, 2.0, 4.0), (0.0, 0.0, 0.0), 0.01, is_named)
+        for slot, face, side, is_named in (("lamp-0", 0, 1, True), ("found-0", 5, -1, False))
+    )
+    made = exported(folder, FoundLights(lamps, windows=(WINDOW,)))
+    small = Mesh(mesh.positions * np.float32(0.1), mesh.faces, mesh.normals, mesh.uv)
+    write_glb(
+        folder / "lights.glb",
+        Reconstruction(capture, small, made.atlas, made.images, made.lights),
+        has_punctual=True,
+    )
+    return folder / "lights.glb"
+
+
+def test_khronos_validator_finds_nothing_in_lights(tmp_path: Path) -> None:
+    if shutil.which("node") is None or not (VALIDATOR / "node_modules").is_dir():
+        pytest.skip("needs node and npm packages: cd .ci/gltf && npm ci")
+    glb = small_lights(tmp_path)
+    command = ["node", "validate.mjs", str(glb)]
+    for word, has_errors in ((b'"light":1', False), (b'"light":7', True)):  # the twin: there is no such light
+        glb.write_bytes(glb.read_bytes().replace(b'"light":1', word))
+        done = subprocess.run(command, cwd=VALIDATOR, capture_output=True, text=True)
+        issues = json.loads(done.stdout)["issues"]
+        assert bool(issues["numErrors"]) == has_errors and issues["numWarnings"] == 0, issues
+
+
+@pytest.mark.bpy
+@needs_bpy
+def test_blender_reads_the_lights(tmp_path: Path) -> None:
+    """Emission as radiance, and points in W: pi times area and radiance of a convex lamp."""
+    glb = small_lights(tmp_path)
+    command = [sys.executable, "-m", "tests.model.glb_in_blender", str(glb)]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
+    for slot in ("lamp-0", "found-0"):
+        np.testing.assert_allclose(found["emission"][slot], [1, 2, 4], rtol=1e-5)
+    np.testing.assert_allclose(found["emission"]["window-0-0"], [2, 2, 2], rtol=1e-5)
+    mesh = room_capture(2, (32, 24)).geometry.mesh
+    area, middle = 0.01 * float(mesh.areas()[0]), 0.1 * mesh.triangles()[0].mean(axis=0)
+    np.testing.assert_allclose(found["watts"]["lamp-0"], np.pi * area * np.array([1, 2, 4]), rtol=1e-3)
+    np.testing.assert_allclose(found["places"]["lamp-0"], middle, atol=1e-5)
 
 
 def test_no_light_is_told_and_leaves_the_capture_s(tmp_path: Path) -> None:

@@ -84,7 +84,8 @@ def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool 
     primitives = []
 
     def add(mesh: Mesh, material: dict[str, Any]) -> None:
-        primitives.append({**writer.mesh(mesh), "material": len(materials)})
+        has_uv = "baseColorTexture" in material["pbrMetallicRoughness"]
+        primitives.append({**writer.mesh(mesh, has_uv=has_uv), "material": len(materials)})
         materials.append(material)
 
     for name, slot in export_slots(reconstruction).items():
@@ -216,18 +217,17 @@ class _Glb:
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
-    def mesh(self, mesh: Mesh) -> dict[str, Any]:
+    def mesh(self, mesh: Mesh, *, has_uv: bool) -> dict[str, Any]:
         """Attributes and indices of a primitive."""
         assert mesh.normals is not None and mesh.uv is not None
         turn = Z_UP_FROM_Y_UP[:3, :3]  # rows times this is the inverse rotation: Y up from Z up
-        return {
-            "attributes": {
-                "POSITION": self.array(mesh.positions @ turn, "VEC3", has_bounds=True),
-                "NORMAL": self.array(_unit(mesh.normals @ turn), "VEC3"),
-                "TEXCOORD_0": self.array(mesh.uv * [1, -1] + [0, 1], "VEC2"),
-            },
-            "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR"),
+        attributes = {
+            "POSITION": self.array(mesh.positions @ turn, "VEC3", has_bounds=True),
+            "NORMAL": self.array(_unit(mesh.normals @ turn), "VEC3"),
         }
+        if has_uv:
+            attributes["TEXCOORD_0"] = self.array(mesh.uv * [1, -1] + [0, 1], "VEC2")
+        return {"attributes": attributes, "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR")}
 
     def image(self, png: bytes) -> int:
         """An image; its index is its texture's."""
