@@ -1,4 +1,4 @@
-# SPDX-License-Identifier: MIT
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Prints what Blender's importer makes of a GLB's lights: python -m tests.model.glb_in_blender FILE."""
 
 from __future__ import annotations
