@@ -57,7 +57,9 @@ RELIGHTING = ("original light", "modified light", "inserted object", "novel view
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
     """A row for the truth, one for each method. ``stored``: the scene's judged views under its own light."""
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
-    truth["own"] = truth["recovered"] = stored
+    truth["own"] = stored
+    if "recovered" in scene.exposures:
+        truth["recovered"] = stored
     rows = [_row(TRUTH, scene, truth)]
     for method in scene.methods:
         if not method.skipped and method.kind != "truth":
