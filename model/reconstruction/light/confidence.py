@@ -10,7 +10,7 @@ from datagen.foundation.color import LUMINANCE_WEIGHTS
 
 NOISE = 1.1
 """Radiance over Ld that a white surface reaches by noise."""
-IMPOSSIBLE = (0.1, 0.25)
+IMPOSSIBLE = (0.05, 0.09)
 """Impossible share up to which the light counts fully, and from which it does not count."""
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
 """Share of a surfel's hemisphere that photographs show: below the first number the light counts nothing,

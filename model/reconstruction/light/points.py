@@ -21,6 +21,8 @@ from model.reconstruction.light.surfels import Surfels
 
 EVIDENCE_POWER = 3
 """Priors count one over this power of the share of the light that photographs show."""
+HALF_EVIDENCE_VIEWS = 1.0
+"""Views of a surfel that make half of the evidence: few directions look like metal by chance."""
 MIN_VIEWS, MIN_LIGHT = 3, 0.6
 """Views and known light of a surfel that is preferred as a point."""
 _MIN_WEIGHT = 0.1  # of an observation that is preferred
@@ -149,7 +151,9 @@ def solve_points(
     segment = np.repeat(np.arange(num_segments), np.diff(points.start))
     total = np.bincount(segment, minlength=num_segments)
     mean = np.stack([np.bincount(segment, c, num_segments) / total for c in of_point.T], axis=1)
-    evidence = np.bincount(segment, lit.irradiance.photographed[points.surfel], num_segments) / total
+    seen = np.diff(lit.surfels.observations.start)[points.surfel]
+    of_point_evidence = lit.irradiance.photographed[points.surfel] * (seen / (seen + HALF_EVIDENCE_VIEWS))
+    evidence = np.bincount(segment, of_point_evidence, num_segments) / total
     costs = segment_costs(
         points.start,
         lit.surfels.observations.radiance[points.row],
