@@ -4,8 +4,13 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 import textwrap
 
+import pytest
+
+from benchmarks.mutation import warm
 from benchmarks.mutation.mutants import Mutant, find_mutants
 
 SOURCE = textwrap.dedent(
@@ -86,3 +91,18 @@ def test_a_mutant_is_known_again_where_other_code_has_changed() -> None:
     assert set(before) < set(after)
     assert all(after[key] - before[key] in (0, 3) for key in before)
     assert not set(before) & {m.key for m in find_mutants("m.py", "LIMIT = 3.0\n")}
+
+
+@pytest.mark.parametrize(
+    ("code", "timeout_s", "ended"),
+    [
+        ("raise SystemExit(3)", 30.0, 3),
+        ("while True: pass", 0.2, -9),
+        ("import time; time.sleep(99)", 0.2, -9),
+    ],
+)
+def test_tests_that_do_not_end_are_ended(code: str, timeout_s: float, ended: int) -> None:
+    """What computes by its processor time, what sleeps by the clock."""
+    process = subprocess.Popen([sys.executable, "-S", "-c", code], start_new_session=True)
+    assert warm._wait(process.pid, timeout_s) == ended
+    process.returncode = ended  # it was waited for
