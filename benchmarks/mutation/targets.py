@@ -34,7 +34,12 @@ TARGETS = {
         ("tests/model/test_reconstruction_merge.py",),
     ),
     "irradiance cache": Target(
-        ("datagen/rendering/irradiance_cache.py",), ("tests/datagen/test_rendering_irradiance.py",), 30
+        ("datagen/rendering/irradiance_cache.py",),
+        (
+            "tests/datagen/test_rendering_irradiance.py",
+            "tests/datagen/test_rendering_light_choice.py::test_places_choose_the_light_that_they_see",
+        ),
+        30,
     ),
     "sky guide": Target(("datagen/rendering/sky_guide.py",), ("tests/datagen/test_rendering_sky.py",)),
     "light choice": Target(

@@ -366,12 +366,13 @@ def test_components_add_up() -> None:
     bsdf = mi.load_dict({"type": "cook_torrance", "diffuse_albedo": 0.3, "specular_albedo": 0.2})
     si = interaction(wi)
     parts = []
-    for flag in (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection):
+    for index, flag in enumerate((mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)):
         ctx = mi.BSDFContext()
         ctx.type_mask = +flag
         value = bsdf.eval(ctx, si, vector(wo))
         bs, weight = bsdf.sample(ctx, si, *_uniforms(rng, 3000))
         assert np.all(array(bs.sampled_type)[array(bs.pdf) > 0] == +flag)
+        assert np.all(array(bs.sampled_component)[array(bs.pdf) > 0] == index)
         assert array(weight).max() <= MAX_WEIGHT
         parts.append(array(value))
     np.testing.assert_allclose(sum(parts), array(bsdf.eval(CTX, si, vector(wo))), rtol=4 * EPS, atol=1e-12)
