@@ -142,6 +142,40 @@ def test_opens_and_tells_what_there_is(page: Page) -> None:
     assert page.run("return REPORT.state().numRequested") == 0  # no pixel is read before one is asked for
 
 
+def test_rooms_come_first_and_lead_to_their_views(page: Page) -> None:
+    """A picture of each configuration above every figure; on a phone nothing is wider than the screen."""
+    found = page.run(
+        "return [...document.querySelectorAll('#overview h2 + .rooms a')]"
+        ".map((a) => [a.hash, a.querySelector('img').naturalWidth, a.innerText])"
+    )
+    assert [(where, text) for where, _, text in found] == [
+        ("#view/small-00000/view-000", "small-00000 (train)"),
+        ("#view/small-00001/view-000", "small-00001 (train)"),
+    ]
+    assert all(width == 64 for _, width, _ in found)
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        assert page.run("return document.documentElement.scrollWidth") == 390
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_dark_browser_gets_a_dark_page(page: Page) -> None:
+    def brightness(scheme: str) -> tuple[int, int]:
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+        script = "const s = getComputedStyle(document.body); return [s.backgroundColor, s.color]"
+        paper, ink = (int(text.strip("rgb()").split(",")[0]) for text in page.run(script))
+        return paper, ink
+
+    try:
+        assert brightness("dark") == (27, 232)
+        assert brightness("light") == (255, 28)
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
 def test_worst_view_comes_first_and_leads_to_its_pixels(page: Page) -> None:
     links = page.run("return [...document.querySelectorAll('.worst > li > a')].map((a) => a.hash)")
     assert links[0] == f"#view/{FAULTY}"

@@ -26,7 +26,7 @@ from datagen.foundation.color import luminance, srgb_from_linear
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_view
 from datagen.inspection.report.tiles import write_tile
 
-REVISION = 2
+REVISION = 3
 """Part of the key of what is kept: raise it when the form of the gathered figures or tiles changes."""
 SHOWN_BUFFERS = (
     "beauty",
@@ -42,7 +42,7 @@ SHOWN_BUFFERS = (
 )
 """What the viewer offers, in its order."""
 _LOOKED_UP = ("surface_mask", "instance_id", "material_id")
-_THUMBNAIL_WIDTH_PX = 160
+_THUMBNAIL_WIDTH_PX = 320
 _INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
 
 
@@ -186,7 +186,8 @@ def _write_thumbnail(path: Path, view: View) -> None:
     beauty = view.buffers["beauty"].astype(np.float32)
     beauty = np.where(np.isfinite(beauty), beauty, 0)
     height, width = beauty.shape[:2]
-    size = (_THUMBNAIL_WIDTH_PX, max(1, round(height * _THUMBNAIL_WIDTH_PX / width)))
+    shown = min(_THUMBNAIL_WIDTH_PX, width)
+    size = (shown, max(1, round(height * shown / width)))
     screen = (np.clip(srgb_from_linear(beauty * view.record.exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
     stream = io.BytesIO()
     Image.fromarray(screen).resize(size, Image.Resampling.BOX).save(stream, "JPEG", quality=82)
