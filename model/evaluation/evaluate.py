@@ -55,6 +55,8 @@ from model.reconstruction.stages import MapSource
 
 _MEASURES = 4
 """Revision of the figures: those of another are measured anew."""
+_RECONSTRUCTION = 2
+"""Revision of the maps that ``infer`` makes of a capture: those of another are made anew."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ def _judge(
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
     faults = [camera.model_dump(mode="json")] if camera else []
-    key = key_of(own, weights, suite.atlas, scene.inputs, maps, *faults)
+    key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *faults)
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}
     rendering = [None if r is None else r.model_dump(mode="json") for r in (suite.render, suite.truth)]

@@ -2,7 +2,7 @@
 """Emitters of a room: triangles that shine, the radiance that photographs show of them, and their sampling.
 
 The geometry of a capture may name its emitters; others are found where the radiance of a surface is beyond
-what any albedo below 1 explains (:func:`found_emitters`). The triangles of one smooth region are one emitter,
+what any albedo below 1 explains (``lamps``). The triangles of one smooth region are one emitter,
 whose radiance is the median of its pixels.
 """
 
