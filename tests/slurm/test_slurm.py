@@ -20,6 +20,7 @@ from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.slurm import array_script, shell_script
 from datagen.farm.status import forget_failures, read_status
 from datagen.farm.submission import cancel, submit
+from datagen.foundation.errors import InputError
 from tests.datagen.small_plan import plan_small
 from tests.slurm.cluster import Cluster, missing_programs
 from tests.small_disk import small_disk
@@ -61,10 +62,16 @@ def _options(**changes: object) -> SlurmOptions:
     return SlurmOptions(**{**defaults, **changes})
 
 
-def _submit(cluster: Cluster, folder: DatasetFolder, monkeypatch: pytest.MonkeyPatch, **changes: object):
+def _submit(
+    cluster: Cluster,
+    folder: DatasetFolder,
+    monkeypatch: pytest.MonkeyPatch,
+    is_space_checked: bool = True,
+    **changes: object,
+):
     for name in ("PATH", "SLURM_CONF"):
         monkeypatch.setenv(name, cluster.environment[name])
-    return submit(folder.root, _options(**changes))
+    return submit(folder.root, _options(**changes), is_space_checked=is_space_checked)
 
 
 def test_array_runs_the_plan_and_the_dependent_job_collects(
@@ -166,7 +173,9 @@ def test_a_full_disk_and_one_more_submission(
     with small_disk(tmp_path / "disk", 24) as disk:
         folder = plan_small(disk.root / "set", library_root, num_units=4)
         disk.fill(leave=400_000)
-        _submit(cluster, folder, monkeypatch, attempts=1)
+        with pytest.raises(InputError, match="free disk = 0 MB"):
+            _submit(cluster, folder, monkeypatch, attempts=1)
+        _submit(cluster, folder, monkeypatch, is_space_checked=False, attempts=1)
         cluster.wait_until_idle()
         assert read_status(folder.root).done == 0
         disk.make_room()
