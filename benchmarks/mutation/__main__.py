@@ -107,7 +107,7 @@ class Copy:
 
 
 def trace(copy: Copy, target: Target) -> dict[str, Any]:
-    """What each test of a target runs, by :mod:`benchmarks.mutation.tracing`."""
+    """Lines that each test of a target executes, as :mod:`benchmarks.mutation.tracing` records them."""
     for path in (copy.work / "children").iterdir():
         path.unlink()
     found = copy.work / "trace.json"
@@ -162,7 +162,7 @@ def draw(
 
 
 def _is_signature(mutant: Mutant) -> bool:
-    """Whether it is a default of a parameter, which importing evaluates."""
+    """Whether the node is a default of a parameter: it is evaluated on import."""
     return mutant.statement.startswith(("def ", "async def "))
 
 
@@ -197,7 +197,7 @@ def attempt(
         path.write_text(source)
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
     failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    if code > SURVIVED and not failed:  # no test has said so: something else is wrong
+    if code > SURVIVED and not failed:  # pytest failed without a failing test: the run itself is broken
         sys.exit(f"pytest ended with {code}:\n{output[-2000:]}")
     return {
         "verdict": "survived" if code == SURVIVED else "killed",

@@ -86,7 +86,7 @@ def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple
 
 
 def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> tuple[str, ...]:
-    """``sm_surface`` or ``sm_surfaces`` of a material: what wears it in a room."""
+    """``sm_surface`` or ``sm_surfaces`` of a material: the kinds of surface it is assigned to."""
     return check_words(words(material.get(tag)), SURFACES, tag, problems, material=material.name)
 
 

@@ -76,10 +76,10 @@ def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
 def measure(
     scene: WorldScene,
     shell: Shell,
-    worn: tuple[dict[str, MeanMaterial], ...],
+    assigned: tuple[dict[str, MeanMaterial], ...],
     cameras: list[Camera],
 ) -> ViewCoverage:
-    """What views of a scene show; ``worn`` are the averages that room and things wear, by slot."""
+    """Coverage of a scene by its views; ``assigned`` are the mean materials of room and objects, by slot."""
     previews = [preview_of(camera) for camera in cameras]
     hits: list[Hits] = []
     points: list[Floats] = []
@@ -95,7 +95,7 @@ def measure(
     everywhere = np.concatenate(points)
     counts = np.sum([sees(preview, everywhere, scene.rays) for preview in previews], axis=0)
     faces = np.concatenate([found.face[found.hit_mask] for found in hits])
-    specular, rough = _of_faces(scene, worn)
+    specular, rough = _of_faces(scene, assigned)
     size = max(len(counts), 1)
     return ViewCoverage(
         median_observations=float(np.median(counts)) if len(counts) else 0.0,
@@ -110,11 +110,11 @@ def _share(count: int, of: int) -> float:
     return round(count / of, 4)
 
 
-def _of_faces(scene: WorldScene, worn: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
+def _of_faces(scene: WorldScene, assigned: tuple[dict[str, MeanMaterial], ...]) -> tuple[Floats, Floats]:
     """Brightest channel of mean S and mean R of every triangle, (M,) each."""
     tables = [
         np.array([(max(w[p.material].specular_albedo), w[p.material].roughness) for p in g.asset.parts])
-        for g, w in zip(scene.geometries, worn, strict=True)
+        for g, w in zip(scene.geometries, assigned, strict=True)
     ]
     starts = np.cumsum([0] + [len(table) for table in tables[:-1]])
     found = np.concatenate(tables)[starts[scene.item_of_face] + scene.part_of_face]

@@ -71,7 +71,7 @@ class _ProcessCaches:
         return self.things[package.sha256]
 
     def surfaces_of(self, package: Package) -> dict[str, Surface]:
-        """What every slot of a package is in a room."""
+        """Kind of surface of every slot of a package."""
         if package.sha256 not in self.surfaces:
             self.surfaces[package.sha256] = surfaces_of(self.geometry.get(package))
         return self.surfaces[package.sha256]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, compacted
+from datagen.foundation.meshes.obj import corner_indices
 
 CREASE_COSINE = 0.5
 """Edges of less than 60 degrees are smooth within a smoothing group."""
@@ -70,7 +71,7 @@ def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
             _table(found.uvs, 2),
             _table(found.normals, 3),
         )
-        indices = _indices(found.corners, (len(positions), len(uvs), len(normals)))
+        indices = corner_indices(found.corners, (len(positions), len(uvs), len(normals)))
     except (ValueError, IndexError, OverflowError) as error:
         raise input_error(
             where, got=str(error)[:200], expected="an intact OBJ file", remedy="export it again"
@@ -144,34 +145,6 @@ def _block(lines: list[bytes], width: int) -> Floats:
         return np.stack(columns, axis=1)
     rows = [(line.split()[1 : width + 1] + [b"0"] * width)[:width] for line in lines]
     return np.array([[float(word) for word in row] for row in rows])
-
-
-def _indices(corners: list[bytes], counts: tuple[int, int, int]) -> Ints:
-    """(C, 3) zero-based indices of position, uv and normal; -1 where a corner names none."""
-    if not corners:
-        return np.zeros((0, 3), np.int64)
-    joined = b" ".join(corners).replace(b"//", b"/0/")
-    slashes = joined.count(b"/")
-    indices = np.zeros((len(corners), 3), np.int64)
-    per_corner = slashes // len(corners)
-    numbers = joined.replace(b"/", b" ").split()
-    if slashes == per_corner * len(corners) and len(numbers) == (per_corner + 1) * len(corners):
-        is_even = all(c.count(b"/") == per_corner for c in corners[:: max(1, len(corners) // 64)])
-    else:
-        is_even = False
-    if is_even and not joined.endswith(b"/") and b"/ " not in joined:
-        found = np.fromiter(map(int, numbers), np.int64)
-        indices[:, : per_corner + 1] = found.reshape(len(corners), -1)
-    else:
-        for row, corner in enumerate(corners):
-            for column, number in enumerate(corner.split(b"/")[:3]):
-                indices[row, column] = int(number) if number else 0
-    for column, count in enumerate(counts):
-        values = indices[:, column]
-        values[values < 0] += count + 1  # negative indices count from the end
-        if (values > count).any() or (values < 0).any() or (column == 0 and (values < 1).any()):
-            raise ValueError(f"a face refers to entry {int(values.max())} of {count}")
-    return indices - 1
 
 
 def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, Ints]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Likely rooms: every surface wears what such surfaces wear, in one style; wild ones are as they were."""
+"""Likely rooms: materials by kind of surface, in one style; wild ones are as they were."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ from datagen.formats.asset import ObjectAsset, Texture
 from datagen.formats.package import open_package
 from datagen.foundation.budget import Limits
 from datagen.foundation.errors import InputError
+from datagen.foundation.meshes.obj import corner_indices
 from datagen.foundation.meshes.ply import decode_ply
 from datagen.importers.common import ImportedAsset, ImportOptions
 from datagen.importers.dispatch import import_asset
@@ -76,6 +77,16 @@ def test_obj_keeps_size_materials_and_triangles(tmp_path: Path) -> None:
         corners = mesh.triangles()
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert ((corners.mean(1) - [0, 0, SIZE[2] / 2]) * normal).sum(1).min() > 0
+
+
+def test_corners_of_different_kinds_are_told_apart() -> None:
+    """One corner without uv and one with a normal: the totals are those of a uniform file."""
+    corners = [b"%d/%d" % (k + 1, 300 - k) for k in range(300)]
+    corners[1], corners[2] = b"2", b"3/298/7"
+    found = corner_indices(corners, (300, 300, 9))
+    np.testing.assert_array_equal(found[:, 0], np.arange(300))
+    assert found[1].tolist() == [1, -1, -1] and found[2].tolist() == [2, 297, 6]
+    assert (found[3:, 2] == -1).all() and found[299].tolist() == [299, 0, -1]
 
 
 def test_obj_textures_come_along(tmp_path: Path) -> None:

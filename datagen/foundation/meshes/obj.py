@@ -76,16 +76,23 @@ def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.in
             raise ValueError(f"a face with {len(face)} corners")
         for k in range(1, len(face) - 1):
             triangles += (face[0], face[k], face[k + 1])
-    if not triangles:
-        return np.zeros((0, 3, 3), np.int64)
-    slashes = triangles[0].count(b"/")
-    joined = b" ".join(triangles)
-    if slashes == 2 and b"//" not in joined and joined.count(b"/") == 2 * len(triangles):
-        numbers = joined.replace(b"/", b" ").split()
-        indices = np.fromiter(map(int, numbers), np.int64).reshape(-1, 3)
+    return corner_indices(triangles, counts).reshape(-1, 3, 3)
+
+
+def corner_indices(corners: list[bytes], counts: tuple[int, ...]) -> NDArray[np.int64]:
+    """(C, 3) zero-based indices of position, uv and normal, of which there are ``counts``; -1 where a corner
+    names none. Raises ValueError for indices that do not exist."""
+    if not corners:
+        return np.zeros((0, 3), np.int64)
+    numbers = b" ".join(corners).replace(b"//", b"/0/").replace(b"/", b" ").split()
+    indices = np.zeros((len(corners), 3), np.int64)
+    slashes = corners[0].count(b"/")
+    is_even = slashes <= 2 and all(corner.count(b"/") == slashes for corner in corners)
+    if is_even and len(numbers) == (slashes + 1) * len(corners):
+        found = np.fromiter(map(int, numbers), np.int64)
+        indices[:, : slashes + 1] = found.reshape(len(corners), -1)
     else:
-        indices = np.zeros((len(triangles), 3), np.int64)
-        for row, corner in enumerate(triangles):
+        for row, corner in enumerate(corners):
             for column, number in enumerate(corner.split(b"/")[:3]):
                 indices[row, column] = int(number) if number else 0
     for column, count in enumerate(counts):
@@ -93,7 +100,7 @@ def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.in
         values[values < 0] += count + 1  # negative indices count from the end
         if (values > count).any() or (values < 0).any() or (column == 0 and (values < 1).any()):
             raise ValueError(f"a face refers to entry {int(values.max())} of {count}")
-    return (indices - 1).reshape(-1, 3, 3)
+    return indices - 1
 
 
 def _assemble(tables: tuple[NDArray, NDArray, NDArray], corners: NDArray[np.int64]) -> Mesh:

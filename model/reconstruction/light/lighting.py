@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from datagen.multiview.visibility import vectors_from_rows
 from model.reconstruction.geometry.traced import TracedGeometry
@@ -19,7 +18,7 @@ from model.reconstruction.light.bake import Baker, Irradiance
 from model.reconstruction.light.emitters import photographed_emitters
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.radiance_field import RadianceField, cell_keys
-from model.reconstruction.light.surfels import CELLS_ACROSS, Surfels, build_surfels
+from model.reconstruction.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1
 """Least share of known light that is scaled up to all light."""
@@ -118,9 +117,7 @@ def _mean_reflectance(baker: Baker, surfels: Surfels, options: LightOptions) -> 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
     """Means of ``values`` (N, K) over the nearest surfels of like normals."""
-    cell = surfels.grid.cell_m
-    tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
-    distance, index = tree.query(tree.data, k=min(neighbours, len(surfels)), workers=-1)
-    weight = np.exp(-0.5 * (distance / (1.5 * cell)) ** 2)
+    distance, index = near_surfels(surfels, neighbours)
+    weight = np.exp(-0.5 * (distance / 1.5) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)
     return np.einsum("nk,nkc->nc", weight, values[index]).astype(np.float32)

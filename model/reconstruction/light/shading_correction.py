@@ -20,9 +20,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg, splu
-from scipy.spatial import cKDTree
 
-from model.reconstruction.light.surfels import Surfels, weighted_medians
+from model.reconstruction.light.radiance_field import cell_keys
+from model.reconstruction.light.surfels import CellGrid, Surfels, near_surfels, weighted_medians
 
 SMOOTHNESS = 100.0
 """Weight of a difference between adjacent surfels against that of a surfel whose light is known."""
@@ -107,10 +107,10 @@ def _minimised(
 
 def _blocks(surfels: Surfels) -> sparse.csr_matrix:
     """Which block of :data:`_BLOCK` cells along each axis, by side, a surfel is in, (N, K)."""
-    at = np.floor((surfels.position_m - surfels.grid.low) / (_BLOCK * surfels.grid.cell_m)).astype(np.int64)
-    axis = np.abs(surfels.normal).argmax(axis=1)
-    side = 2 * axis + (surfels.normal[np.arange(len(axis)), axis] > 0)
-    block = np.unique(np.column_stack([at, side]), axis=0, return_inverse=True)[1].ravel()
+    grid = surfels.grid
+    shape = -(-grid.shape // _BLOCK)
+    coarse = CellGrid(grid.low, _BLOCK * grid.cell_m, shape, grid.surfel)
+    block = np.unique(cell_keys(coarse, surfels.position_m, surfels.normal), return_inverse=True)[1]
     num = len(block)
     return sparse.csr_matrix((np.ones(num), (np.arange(num), block)), (num, int(block.max()) + 1))
 
@@ -140,11 +140,9 @@ def _grouped_spread(
 
 def _laplacian(surfels: Surfels) -> sparse.csr_matrix:
     """Laplacian (N, N) of the graph of adjacent surfels with like normals."""
-    cell, num = surfels.grid.cell_m, len(surfels)
-    tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
-    distance, index = tree.query(tree.data, k=min(_NEIGHBOURS, num), workers=-1)
-    distance, index = distance.reshape(num, -1), index.reshape(num, -1)
-    weight = np.exp(-0.5 * (distance / (2 * cell)) ** 2)
+    num = len(surfels)
+    distance, index = near_surfels(surfels, _NEIGHBOURS)
+    weight = np.exp(-0.5 * (distance / 2) ** 2)
     weight[index == np.arange(num)[:, None]] = 0
     rows = np.repeat(np.arange(num), index.shape[1])
     graph = sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), (num, num))

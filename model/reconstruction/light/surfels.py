@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from model.reconstruction.atlas.compiled import compiled, num_threads
 from model.reconstruction.geometry.views import TracedView
@@ -339,6 +340,16 @@ def weighted_medians(start, values, weight):
                     found[i, channel] = 0.5 * (rows[order[k]] + following) if is_tie else rows[order[k]]
                     break
     return found
+
+
+def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distance in cells and number (N, ``num`` or N) of the nearest surfels of like normals, each its own
+    first neighbour."""
+    cell = surfels.grid.cell_m
+    tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
+    nearest = np.arange(min(num, len(surfels))) + 1
+    distance, index = tree.query(tree.data, k=nearest, workers=-1)
+    return distance / cell, index
 
 
 def surfel_means(surfels: Surfels, maps: Sequence[NDArray]) -> Floats32:
