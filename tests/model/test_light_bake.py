@@ -20,7 +20,9 @@ from model.reconstruction.light.radiance_field import RadianceField
 from model.reconstruction.light.solve import (
     ROUGHNESS_LEVELS,
     SPECULAR_LEVELS,
+    Costs,
     PriorWeights,
+    SolvedSegments,
     decide,
     segment_costs,
 )
@@ -171,6 +173,62 @@ def test_known_materials_are_found(metal: bool) -> None:
     )
     np.testing.assert_allclose(found.roughness, 0.4, atol=0.02)
     assert found.residual.max() < 1e-4
+
+
+def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0) -> SolvedSegments:
+    """Of one segment whose hypotheses cost ``dielectric`` (levels, speculars), and metal of S 0.9 ``metal``;
+    a network that says S 0.04, R 0.6."""
+    num_levels = len(ROUGHNESS_LEVELS)
+    costs = Costs(
+        dielectric[None].astype(np.float32),
+        np.full((1, num_levels), metal, np.float32),
+        np.full((1, num_levels, 3), 0.9, np.float32),
+    )
+    group, size = np.zeros(1, np.int64), np.array([100])
+    prior = np.full((1, 3), 0.04), np.full(1, 0.6)
+    return decide(costs, *prior, np.full(1, evidence), group, size, PriorWeights())
+
+
+def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) -> NDArray:
+    """Costs (levels, speculars): ``noise`` of the best hypothesis, ``noise + matte`` without S, twice the
+    noise of all others."""
+    costs = np.full((len(ROUGHNESS_LEVELS), len(SPECULAR_LEVELS)), 2 * noise)
+    costs[:, 0] = noise + matte
+    costs[best] = noise
+    return costs
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.02])
+def test_what_shows_no_gloss_is_matte(noise: float) -> None:
+    """Where S explains no more than it fits of the noise; where it explains a fifth more, S it is."""
+    matte, glossy = decided(costs_of_levels(noise, 0.0)), decided(costs_of_levels(noise, 0.2 * noise))
+    assert matte.specular_albedo.max() < 0.03 and matte.roughness[0] > 0.75
+    np.testing.assert_allclose(glossy.specular_albedo, 0.06, atol=0.005)
+    np.testing.assert_allclose(glossy.roughness, 0.4, atol=0.02)
+    clearly = decided(costs_of_levels(noise, -0.2 * noise))
+    np.testing.assert_allclose(clearly.specular_albedo, 0.0, atol=1e-3)
+    np.testing.assert_allclose(clearly.roughness, 1.0, atol=1e-3)
+
+
+def test_hypotheses_that_explain_alike_share() -> None:
+    """R of two that cost the same lies between, not at the one that rounding prefers."""
+    costs = costs_of_levels(0.01, 0.01, (1, 2))
+    costs[4, 2] = 0.01
+    found = decided(costs, evidence=0.999)
+    assert 0.35 < found.roughness[0] < 0.72
+    np.testing.assert_allclose(found.specular_albedo, 0.04, atol=0.003)
+
+
+def test_unexplained_segments_keep_the_network() -> None:
+    """Halfway at a residual of 0.09; whole from 0.12 on, for metals too."""
+    half, whole = decided(costs_of_levels(0.09, 0.05)), decided(costs_of_levels(0.12, 0.05))
+    np.testing.assert_allclose(half.specular_albedo, 0.05, atol=0.002)
+    np.testing.assert_allclose(half.roughness, 0.5, atol=0.02)
+    np.testing.assert_allclose(whole.specular_albedo, 0.04, atol=1e-6)
+    np.testing.assert_allclose(whole.roughness, 0.6, atol=1e-6)
+    metal = decided(costs_of_levels(0.3, 0.0), metal=0.13)
+    assert metal.is_metal.all()
+    np.testing.assert_allclose(metal.specular_albedo, 0.04, atol=1e-6)
 
 
 def test_cost_is_that_of_a_dense_solve() -> None:

@@ -7,8 +7,8 @@ albedo of each point follows in closed form from its observations,
     D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_ALBEDO],
 
 and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
-ln 51 at the capture's exposure, and priors that draw to the network's S and R. Metal is an alternative: D = 0
-and a coloured S, the median of (L - Ls1) / Ls0.
+ln 51 at the capture's exposure, and priors that draw to the network's S and R. Alternatives are matte, S = 0
+and R = 1, and metal, D = 0 and a coloured S, the median of (L - Ls1) / Ls0.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, softmax
 
 from model.reconstruction.atlas.compiled import compiled
 
@@ -30,6 +31,16 @@ MIN_METAL = 0.2
 """Specular albedo, mean over channels, below which nothing is metal."""
 
 
+MIN_EVIDENCE = 0.05
+FULL_TRUST, NO_TRUST = 0.06, 0.12
+"""Residuals up to which a segment has what explains it best, and from which it keeps the network's: its light
+is not what was photographed."""
+MIN_NOISE = 0.001
+GLOSSY_TEMPERATURE = 0.04
+"""Differences of costs, as a share of the residual, that make a hypothesis of S and R e times less likely."""
+MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
+"""S = 0, R = 1 against the best glossy hypothesis, which fits noise a little better: the same, and by how
+much it may explain less and be as likely."""
 METAL_SHARE = 0.25
 """Share of a smooth region's surfels from which metal spreads in it."""
 METAL_TOLERANCE = 0.005
@@ -42,8 +53,8 @@ class PriorWeights:
     has to explain the observations better than a dielectric does. They count ``1 / evidence`` times."""
 
     specular_albedo: float = 0.02
-    roughness: float = 0.005
-    metal: float = 0.02
+    roughness: float = 0.0005
+    metal: float = 0.015
 
 
 @dataclass(frozen=True)
@@ -105,39 +116,51 @@ def decide(
     size: NDArray,
     weights: PriorWeights,
 ) -> SolvedSegments:
-    """The likeliest material of each segment. ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the
+    """The expected material of each segment. ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the
     network's, ``evidence`` (G,) in (0, 1], ``group`` (G,) the smooth region and ``size`` (G,) the surfels.
 
-    Metal counts by hysteresis: where it holds :data:`METAL_SHARE` of a region, it also takes the region's
-    segments that it explains about as well as a dielectric does.
+    A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy hypotheses, each by how well
+    it explains the observations. Metal counts by hysteresis: where it holds :data:`METAL_SHARE` of a region,
+    it also takes the region's segments that it explains about as well as a dielectric does.
     """
-    doubt = (1.0 / np.maximum(evidence, 0.05))[:, None]
-    root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))[:, None]
-    of_s = weights.specular_albedo * doubt * (np.sqrt(SPECULAR_LEVELS)[None] - root) ** 2
-    of_r = weights.roughness * doubt * (ROUGHNESS_LEVELS[None] - roughness[:, None]) ** 2
-    total = costs.dielectric + of_s[:, None, :] + of_r[:, :, None]
-    total[:, :-1, 0] = np.inf  # without specular reflection roughness is 1 by convention
-    rows = np.arange(len(total))
-    best = total.reshape(len(total), -1).argmin(axis=1)
-    level, which = np.divmod(best, total.shape[2])
-    found_s = np.repeat(SPECULAR_LEVELS[which][:, None], 3, axis=1)
-    found_r = _refined(total[rows, :, which], level)
-    residual = costs.dielectric[rows, level, which]
-    mean = costs.metal_albedo.mean(axis=2)
+    doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
+    root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
+    of_s = weights.specular_albedo * doubt[:, None] * (np.sqrt(SPECULAR_LEVELS)[None] - root[:, None]) ** 2
+    of_r = weights.roughness * doubt[:, None] * (ROUGHNESS_LEVELS[None] - roughness[:, None]) ** 2
+    rows = np.arange(len(root))
+    glossy = costs.dielectric[:, :, 1:].astype(np.float64) + of_s[:, None, 1:] + of_r[:, :, None]
+    of_matte = costs.dielectric[:, -1, 0].astype(np.float64)
+    of_glossy = costs.dielectric[:, :, 1:].reshape(len(root), -1).min(axis=1)
+    residual = np.minimum(of_matte, of_glossy)
+    noise = np.maximum(residual, MIN_NOISE)
+    found_s, found_r = _expected(glossy / (GLOSSY_TEMPERATURE * noise)[:, None, None])
+    matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / (MATTE_TEMPERATURE * noise))
+    found_s, found_r = (1 - matte) * found_s, matte + (1 - matte) * found_r
+    best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
     unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # a network hardly knows metal; where it does, it counts
     metal = costs.metal + of_r
-    metal = np.where(mean < MIN_METAL, np.inf, metal)
+    metal = np.where(costs.metal_albedo.mean(axis=2) < MIN_METAL, np.inf, metal)
     metal_level = metal.argmin(axis=1)
-    advantage = total[rows, level, which] - metal[rows, metal_level]
-    is_metal = advantage > weights.metal * (doubt * unlike)[:, 0]
+    advantage = best - metal[rows, metal_level]
+    is_metal = advantage > weights.metal * doubt * unlike
     share = np.bincount(group, size * is_metal) / np.maximum(np.bincount(group, size), 1)
     is_metal |= (share[group] >= METAL_SHARE) & (advantage > -METAL_TOLERANCE)
-    found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s)
+    found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
     residual = np.where(is_metal, costs.metal[rows, metal_level], residual)
+    trust = np.clip((NO_TRUST - residual) / (NO_TRUST - FULL_TRUST), 0, 1)
+    found_s = trust[:, None] * found_s + (1 - trust[:, None]) * specular_albedo
+    found_r = trust * found_r + (1 - trust) * roughness
     return SolvedSegments(
         found_s.astype(np.float32), found_r.astype(np.float32), is_metal, residual.astype(np.float32)
     )
+
+
+def _expected(cost: NDArray) -> tuple[NDArray, NDArray]:
+    """S and R (G,), means over the hypotheses of ``cost`` (G, levels, speculars but 0), each by how well it
+    explains the observations: with squared errors a mean costs less than the likeliest."""
+    weight = softmax(-cost.reshape(len(cost), -1), axis=1).reshape(cost.shape)
+    return weight.sum(axis=1) @ SPECULAR_LEVELS[1:], weight.sum(axis=2) @ ROUGHNESS_LEVELS
 
 
 def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:
