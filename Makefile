@@ -39,11 +39,14 @@ $(VENV)/.dev: pyproject.toml setup.py constraints.txt $(VENV)/.base
 setup: $(VENV)/.base ## Create the environment that runs `datagen`
 setup-dev: $(VENV)/.dev ## Create the environment with everything for development
 
-demo: setup ## Generate a small dataset from the bundled library and a contact sheet
+demo: setup ## Generate a small dataset from the bundled library, and the page that shows it
 	@$(BIN)/datagen doctor
 	@$(BIN)/datagen run scenes/recipes/demo.yaml --out $(OUT) --workers $(WORKERS)
 	@$(BIN)/datagen verify $(OUT)
-	@echo "look at $(abspath $(OUT))/sheets/*.png"
+	@$(BIN)/datagen report $(OUT)
+	@printf '\nOpen in a browser:  file://%s\n' '$(abspath $(OUT))/report/index.html'
+	@printf 'Rooms as pictures:  %s\n' $(abspath $(OUT))/sheets/*.png
+	@printf 'Next:               docs/tutorials/first-dataset.md\n'
 
 test: setup-dev ## Run the tests; ONLY=path runs those of a file or folder
 	@$(BIN)/python -m pytest -q $(ONLY)

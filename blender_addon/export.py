@@ -16,10 +16,11 @@ import bpy
 from .assembly import Progress, write_target
 from .bake.execute import BakeSession
 from .drivers import refuse_unevaluated_drivers
-from .problems import ExportRefused, Problem, ProblemList
+from .problems import ERROR, ExportRefused, Problem, ProblemList
 from .reading import Contents, Reader
 from .settings import ExportSettings
 from .targets import find_targets
+from .version import fault_of_version
 from .write import PackageWriter
 
 REPORT_FILE = "fidelity.html"
@@ -53,6 +54,9 @@ def check(settings: ExportSettings | None = None) -> list[Problem]:
     """Every problem that an export would meet before it bakes or writes anything."""
     problems = ProblemList()
     settings = settings or ExportSettings()
+    _refuse_old_blender(problems)
+    if problems.errors:
+        return list(problems)
     with BakeSession() as session:
         reader = _reader(settings, session, problems)
         for target in find_targets(bpy.context.scene, settings, problems):
@@ -63,6 +67,9 @@ def check(settings: ExportSettings | None = None) -> list[Problem]:
 def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
     """Export step by step; see :func:`export`."""
     problems = ProblemList()
+    _refuse_old_blender(problems)
+    if problems.errors:
+        raise ExportRefused(problems)
     targets = find_targets(bpy.context.scene, settings, problems)
     if problems.errors:
         raise ExportRefused(problems)
@@ -95,6 +102,12 @@ def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
         things = sorted(set().union(*(contents.target.owners for contents in prepared)))
         yield from report_steps(result.report, title, settings, reader.uv_layers(), things, result.problems)
     return result
+
+
+def _refuse_old_blender(problems: ProblemList) -> None:
+    fault = fault_of_version()
+    if fault is not None:
+        problems.add(ERROR, *fault)
 
 
 def _reader(settings: ExportSettings, session: BakeSession, problems: ProblemList) -> Reader:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .import_materials import add_sample, make_material, package_file
 from .import_places import Places
+from .version import fault_of_version
 
 _MAX_ZIP_BYTES = 4 << 30
 _MAX_JSON_BYTES = 256 * 1024 * 1024
@@ -39,8 +40,11 @@ def import_package(path: Path) -> Imported:
     An environment's own light becomes the scene's world, and its first camera the scene's camera if it had
     none. A zip's images are packed.
 
-    Raises ``ValueError`` for what is no package, with the file and the field.
+    Raises ``ValueError`` for what is no package, with the file and the field, and in too old a Blender.
     """
+    fault = fault_of_version()
+    if fault is not None:
+        raise ValueError("; ".join(fault))
     if path.suffix == ".zip":
         folder = Path(tempfile.mkdtemp(prefix="scene_materials_"))
         try:

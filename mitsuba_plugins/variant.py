@@ -23,6 +23,8 @@ CPU_VARIANT = "llvm_ad_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
 VARIANTS = (CPU_VARIANT, CUDA_VARIANT)
 _LIBRARY_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)(?:\.\d+)*(?:\.so)?(?:\.\d+)*$")
+_UNVERSIONED_NAMES = ("libLLVM.dylib", "LLVM-C.dll")
+"""Of macOS and Windows: such a library is asked for its version."""
 _SEARCH_FOLDERS = (
     "/usr/lib/x86_64-linux-gnu",
     "/usr/lib/aarch64-linux-gnu",
@@ -30,9 +32,12 @@ _SEARCH_FOLDERS = (
     "/usr/lib",
     "/usr/local/lib",
     "/opt/homebrew/opt/llvm/lib",
+    "/usr/local/opt/llvm/lib",
+    "C:/Program Files/LLVM/bin",
 )
+_COMMANDS = {"darwin": "macOS: brew install llvm", "win32": "Windows: winget install LLVM.LLVM"}
 REMEDY = (
-    "install LLVM 19 or later (Debian/Ubuntu: apt-get install libllvm19), "
+    f"install LLVM 19 or later ({_COMMANDS.get(sys.platform, 'Debian/Ubuntu: apt-get install libllvm19')}), "
     "or point DRJIT_LIBLLVM_PATH at its libLLVM shared library"
 )
 
@@ -52,11 +57,14 @@ def find_llvm_libraries() -> list[LlvmLibrary]:
     for folder in folders:
         if not folder.is_dir():
             continue
-        for path in sorted(folder.glob("libLLVM*")):
+        for path in sorted(p for pattern in ("libLLVM*", "LLVM-C.dll") for p in folder.glob(pattern)):
             match = _LIBRARY_NAME.match(path.name)
-            if match:
+            major = int(match[1]) if match else None
+            if path.name in _UNVERSIONED_NAMES:
+                major = _llvm_major(path)
+            if major is not None:
                 real = path.resolve()
-                found.setdefault(real, LlvmLibrary(real, int(match.group(1))))
+                found.setdefault(real, LlvmLibrary(real, major))
     return sorted(found.values(), key=lambda lib: (-lib.major, str(lib.path)))
 
 

@@ -99,7 +99,7 @@ FORBIDDEN = {
     "blender_addon": ("torch", "mitsuba", "pydantic"),
 }
 """Other people's packages that ours must do without."""
-GROUND_MAY = {"numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer"}
+GROUND_MAY = {"numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer", "psutil"}
 """What ``datagen.foundation`` and ``datagen.formats`` may import besides Python's own."""
 
 

@@ -138,3 +138,38 @@ def test_what_is_installed_without_its_data_says_so(tmp_path: Path, monkeypatch:
     assert bundled_folder() == folder / "datagen" / "scenes"
     assert not doctor._bundled().is_fine, "an empty library is none"
     assert bundled_names("recipes") == []
+
+
+def test_the_doctor_names_a_command_for_each_lack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from datagen.inspection import doctor
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for title, told in doctor.PROGRAMS.items():
+        finding = doctor._program(title, *told)
+        assert not finding.is_fine and not finding.is_required
+        assert re.search(r"apt-get install|https://", finding.remedy), finding
+    for system, command in (("darwin", "brew install colmap"), ("win32", "COLMAP's own page")):
+        monkeypatch.setattr(doctor.sys, "platform", system)
+        assert doctor._program("COLMAP", *doctor.PROGRAMS["COLMAP"]).remedy.endswith(command)
+
+
+@pytest.mark.parametrize(("version", "is_fine"), [("3.4.1", False), ("4.5.0", True), ("5.0.1", True)])
+def test_the_doctor_knows_an_old_blender(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str, is_fine: bool
+) -> None:
+    from datagen.inspection import doctor
+
+    program = tmp_path / "blender"
+    program.write_text(f"#!/bin/sh\necho Blender {version}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    finding = doctor._program("Blender", *doctor.PROGRAMS["Blender"])
+    assert finding.is_fine == is_fine and bool(finding.remedy) != is_fine
+
+
+def test_the_doctor_sees_absent_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
+    from datagen.inspection import doctor
+
+    assert doctor._checkpoints().is_fine
+    monkeypatch.setattr(doctor, "CHECKPOINTS", ("small.safetensors", "large.safetensors"))
+    assert doctor._checkpoints().value == "without large.safetensors"

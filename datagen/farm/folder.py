@@ -42,6 +42,9 @@ from datagen.formats.shard import AssetRecord
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.paths import inside
 
+_NEITHER_LINKS_NOR_PIPES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+"""Flags by which a link is not followed and a pipe not waited for; Windows has neither."""
+
 
 class FolderRecord(StrictModel):
     """``dataset.json``. A folder never mixes recipes, libraries or versions."""
@@ -186,8 +189,7 @@ class DatasetFolder:
         network file systems cache negative look-ups."""
         path = self.manifest_path(unit)
         try:
-            # Neither followed where it is a link, nor waited for where it is a pipe.
-            os.close(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK))
+            os.close(os.open(path, os.O_RDONLY | _NEITHER_LINKS_NOR_PIPES))
         except FileNotFoundError:
             return None
         except OSError as error:

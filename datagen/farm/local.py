@@ -33,7 +33,9 @@ from mitsuba_plugins.variant import check_variant, select_variant
 EXIT_INTERRUPTED = 75
 """Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""
 GRACE_S = 20.0
-_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+_STOP_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1") if hasattr(signal, name)
+)  # Windows has no SIGUSR1
 
 
 @dataclass(frozen=True)

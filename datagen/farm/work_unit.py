@@ -8,7 +8,6 @@ Stages talk through files only: ``render`` leaves finished views, ``stats`` leav
 
 from __future__ import annotations
 
-import resource
 import shutil
 import socket
 import time
@@ -39,6 +38,7 @@ from datagen.foundation.color import exposure_for
 from datagen.foundation.durable import make_folder, publish, publish_first
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.exr import decode_view, encode_view, to_storage
+from datagen.foundation.peak_memory import process_peak_mb
 from datagen.foundation.versions import pixel_versions
 
 if TYPE_CHECKING:
@@ -297,7 +297,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         host=socket.gethostname(),
         seconds=run.seconds,
         views=tuple(timings),
-        peak_memory_mb=round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+        peak_memory_mb=round(process_peak_mb(), 1),
     )
     _commit_manifest(run, manifest)
 

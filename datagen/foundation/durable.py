@@ -12,11 +12,12 @@ import os
 from pathlib import Path
 
 _CANNOT_SYNC_FOLDERS = {errno.EINVAL, errno.ENOTSUP}  # some network and FUSE file systems
+_IS_WINDOWS = os.name == "nt"  # flushes only what is open for writing, and no folders
 
 
 def sync_file(path: Path) -> None:
     """Wait until a file's content is on the disk, whoever wrote it."""
-    descriptor = os.open(path, os.O_RDONLY)
+    descriptor = os.open(path, os.O_RDWR if _IS_WINDOWS else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -25,6 +26,8 @@ def sync_file(path: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Wait until a folder's names are on the disk, where the file system can."""
+    if _IS_WINDOWS:
+        return
     try:
         sync_file(folder)
     except OSError as error:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,7 +16,7 @@ from pathlib import Path
 from datagen.foundation.bundled import bundled_library, bundled_names
 from datagen.foundation.errors import InputError
 from datagen.library import find_packages
-from mitsuba_plugins.variant import CPU_VARIANT, choose_llvm, has_cuda, resolve_variant
+from mitsuba_plugins.variant import CPU_VARIANT, REMEDY, choose_llvm, has_cuda, resolve_variant
 
 REQUIRED = (
     "mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "pyoidn", "embreex", "python-fcl", "pydantic", "typer",
@@ -25,9 +27,19 @@ OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
     "export": ("exports to Hypersim's layout", ("h5py",)),
-    "blender": ("the exporter, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
+    "blender": ("the exporter, FBX and USD, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
+    "notebook": ("the notebook of the tutorials", ("ipykernel", "nbclient")),
 }
 """Extras: what for, and the packages that tell whether they are there."""
+PROGRAMS = {
+    "COLMAP": ("colmap", "cameras and meshes of your own photographs", "colmap"),
+    "Slurm": ("sbatch", "`datagen farm submit` on a cluster, whose machines bring it", "slurm-client"),
+    "PBS": ("qsub", "`datagen farm submit --engine pbs` on a cluster, whose machines bring it", ""),
+    "Blender": ("blender", "the add-on in a window; 4.5 or later", ""),
+}
+"""Programs beside the packages, none required: the command, what for, and Debian's package."""
+MIN_BLENDER = (4, 5)
+CHECKPOINTS = ("small.safetensors", "no-rp.safetensors")
 _AGAIN = "install the project again: pip install --force-reinstall scene-materials, or -e . in a checkout"
 MIN_FREE_GB = 2.0
 _RENDER_PROBE = """
@@ -79,6 +91,8 @@ def examine(folder: Path | None = None) -> list[Finding]:
     for extra, (purpose, names) in OPTIONAL.items():
         remedy = f"for {purpose}: pip install 'scene-materials[{extra}]'"
         findings += [_package(name, False, remedy) for name in names]
+    findings.append(_checkpoints())
+    findings += [_program(title, *told) for title, told in PROGRAMS.items()]
     try:
         variant = resolve_variant()
         findings.append(Finding("variant", variant, True, True))
@@ -94,12 +108,16 @@ def examine(folder: Path | None = None) -> list[Finding]:
     findings.append(_gpu())
     findings.append(Finding("processors", str(os.cpu_count()), True, False))
     if all(f.is_fine for f in findings if f.is_required):
-        findings.append(_probe("rendering", _RENDER_PROBE, "see the message; check LLVM or the GPU driver"))
+        findings.append(_probe("rendering", _RENDER_PROBE, f"see the message; {REMEDY}"))
         findings.append(_probe("denoiser", _DENOISER_PROBE, _AGAIN))
     free_gb = shutil.disk_usage(folder or Path.cwd()).free / 1e9
     findings.append(
         Finding(
-            "free disk", f"{free_gb:.1f} GB", free_gb >= MIN_FREE_GB, True, f"free at least {MIN_FREE_GB} GB"
+            "free disk",
+            f"{free_gb:.1f} GB",
+            free_gb >= MIN_FREE_GB,
+            True,
+            f"free {MIN_FREE_GB} GB, or --out elsewhere",
         )
     )
     return findings
@@ -121,6 +139,42 @@ def _bundled() -> Finding:
     except InputError as error:
         problem = error.problems[0]
         return Finding("bundled library", f"{problem.where}: {problem.got}", False, True, _AGAIN)
+
+
+def _checkpoints() -> Finding:
+    """Whether the networks that `materials infer` takes by itself were installed; nothing is imported."""
+    package = importlib.util.find_spec("model")
+    folders = [Path(p) / "checkpoints" for p in (package.submodule_search_locations or ())] if package else []
+    lacking = [name for name in CHECKPOINTS if not any((folder / name).is_file() for folder in folders)]
+    value = f"without {', '.join(lacking)}" if lacking else ", ".join(CHECKPOINTS)
+    return Finding("bundled checkpoints", value, not lacking, False, _AGAIN)
+
+
+def _program(title: str, command: str, purpose: str, debian: str) -> Finding:
+    """A program on the path."""
+    path = shutil.which(command)
+    if path is None:
+        how = _installing(title, debian)
+        return Finding(title, f"no {command}", False, False, f"for {purpose}: {how}")
+    if title == "Blender":
+        said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=60, check=False)
+        found = re.search(r"Blender (\d+)\.(\d+)", said.stdout)
+        if found and (int(found[1]), int(found[2])) < MIN_BLENDER:
+            remedy = f"for {purpose}: {_installing(title, debian)}"
+            return Finding(title, f"{found[0]} ({path})", False, False, remedy)
+    return Finding(title, path, True, False)
+
+
+def _installing(title: str, debian: str) -> str:
+    """The command that brings a program on this system, or where it is to be had."""
+    commands = {
+        "darwin": {"COLMAP": "brew install colmap", "Blender": "brew install --cask blender"},
+        "win32": {"Blender": "winget install BlenderFoundation.Blender"},
+    }
+    elsewhere = {"Blender": "https://www.blender.org/download/lts/", "PBS": "https://openpbs.org"}
+    if debian and sys.platform not in commands:
+        return f"apt-get install {debian}"
+    return commands.get(sys.platform, {}).get(title) or elsewhere.get(title, f"{title}'s own page")
 
 
 def _package(name: str, is_required: bool, remedy: str) -> Finding:

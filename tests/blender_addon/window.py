@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Screenshots of the add-on in a real window, under Xvfb: ``python -m tests.blender_addon.window OUT``.
 
-pip's bpy opens no window. On the pinned wheel (bpy 4.5.15, x86-64) this program turns the one byte of its
-start-up code that says it runs in the background, before importing it, and then runs Blender's main loop. It
-needs Xvfb and ImageMagick's ``import``; it is a trick for pictures and checks, not a way to use Blender.
+``--blender PROGRAM`` takes them in that program; one that is older than the add-on asks for shows how it is
+refused. Without it pip's bpy is taken, which opens no window: on the pinned wheel (bpy 4.5.15, x86-64) this
+program turns the one byte of its start-up code that says it runs in the background, before importing it, and
+then runs Blender's main loop. It needs Xvfb and ImageMagick's ``import``, for an old Blender xdotool, too;
+it is a trick for pictures and checks, not a way to use Blender.
 """
 
 from __future__ import annotations
@@ -18,13 +20,14 @@ from pathlib import Path
 from typing import Any
 
 DISPLAY, SIZE = ":97", "1280x1080"
+REPOSITORY = Path(__file__).resolve().parents[2]
 _INSTRUCTION = bytes.fromhex("c683210c000001")  # movb $1, G.background
 _OFFSET, _MAIN_LOOP = 0xD5A637, 0x181B410  # of the instruction, and of WM_main
 _PAGE = 4096
 
 
-def main(out: Path) -> int:
-    """Start Xvfb and, in it, this program again; returns the child's exit code."""
+def main(out: Path, blender: str | None = None) -> int:
+    """Start Xvfb and, in it, this program again or in Blender; returns the child's exit code."""
     out.mkdir(parents=True, exist_ok=True)
     server = subprocess.Popen(["Xvfb", DISPLAY, "-screen", "0", f"{SIZE}x24"], stderr=subprocess.DEVNULL)
     try:
@@ -34,6 +37,13 @@ def main(out: Path) -> int:
             time.sleep(0.05)
         environment = {**os.environ, "DISPLAY": DISPLAY, "LIBGL_ALWAYS_SOFTWARE": "1"}
         child = [sys.executable, "-m", "tests.blender_addon.window", str(out), "--inside"]
+        if blender:
+            size = ["-p", "0", "0", *SIZE.split("x")]
+            start = f"import sys; sys.path.insert(0, {str(REPOSITORY)!r}); "
+            start += (
+                f"from tests.blender_addon import window; window.drive(window.Path({str(out.resolve())!r}))"
+            )
+            child = [blender, "--factory-startup", *size, "--python-exit-code", "1", "--python-expr", start]
         return subprocess.run(child, env=environment, timeout=300, check=False).returncode
     finally:
         server.terminate()
@@ -65,12 +75,20 @@ def import_with_window() -> tuple[Any, int]:
 def inside(out: Path) -> None:
     """Runs in the display: opens the window, drives it by timers, takes the pictures."""
     bpy, base = import_with_window()
+    drive(out.resolve())
+    loop = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(base + _MAIN_LOOP)
+    loop(bpy.context.as_pointer())
+
+
+def drive(out: Path) -> None:
+    """Enable the add-on in the window and begin the script, which ends the process."""
+    import bpy
+
     import blender_addon
+    from blender_addon.version import fault_of_version
 
-    out = out.resolve()
     os.chdir(out)
-
-    script = _script(bpy, out)
+    script = (_refused if fault_of_version() else _script)(bpy, out)
 
     def tick() -> float | None:
         try:
@@ -83,8 +101,6 @@ def inside(out: Path) -> None:
 
     blender_addon.register()
     bpy.app.timers.register(tick, first_interval=1.0)
-    loop = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(base + _MAIN_LOOP)
-    loop(bpy.context.as_pointer())
 
 
 def _picture(path: Path) -> None:
@@ -148,8 +164,31 @@ def _script(bpy: Any, out: Path) -> Any:
     print("done")
 
 
+def _refused(bpy: Any, out: Path) -> Any:
+    """The same in a Blender that is too old: the panel says so."""
+    bpy.context.preferences.view.show_splash = False
+    cube = bpy.data.objects["Cube"]
+    cube["sm_role"], cube["sm_category"], cube["sm_license"] = "object", "paperweight", "CC0-1.0"
+    view = _view(bpy)
+    view["area"].spaces.active.show_region_ui = True
+    yield 2.0
+    # Blender 3.4 shows the splash anyhow and has no `active_panel_category`: a mouse does it.
+    for x, y in ((500, 950), (1043, 252)):
+        subprocess.run(["xdotool", "mousemove", str(x), str(y), "click", "1"], check=True)
+        yield 2.0
+    chosen = bpy.context.window_manager.scene_materials
+    with bpy.context.temp_override(**view):
+        bpy.ops.scene_materials.check()
+    assert [p.severity for p in chosen.problems] == ["error"]
+    view["area"].tag_redraw()
+    yield 3.0
+    _picture(out / "refused.png")
+    print("refused")
+
+
 if __name__ == "__main__":
     if "--inside" in sys.argv:
         inside(Path(sys.argv[1]))
     else:
-        sys.exit(main(Path(sys.argv[1])))
+        program = sys.argv[sys.argv.index("--blender") + 1] if "--blender" in sys.argv else None
+        sys.exit(main(Path(sys.argv[1]), program))

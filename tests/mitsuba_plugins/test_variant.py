@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from mitsuba_plugins.variant import CUDA_VARIANT, select_variant
+from mitsuba_plugins import variant
+from mitsuba_plugins.variant import CUDA_VARIANT, find_llvm_libraries, select_variant
 
 
 @pytest.mark.parametrize("name", [None, "auto", "llvm_ad_rgb"])
@@ -16,3 +19,16 @@ def test_the_active_variant_is_kept(mitsuba_variant: str, name: str | None) -> N
 def test_another_variant_is_refused(mitsuba_variant: str) -> None:
     with pytest.raises(RuntimeError, match="one variant a process"):
         select_variant(CUDA_VARIANT)
+
+
+def test_a_library_without_a_version_in_its_name_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As macOS and Windows name it; one that does not load is none."""
+    for name in ("libLLVM.dylib", "LLVM-C.dll", "libLLVM.so.19.1"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(variant, "_SEARCH_FOLDERS", (str(tmp_path),))
+    answers = {"libLLVM.dylib": 21, "LLVM-C.dll": None}
+    monkeypatch.setattr(variant, "_llvm_major", lambda path: answers[path.name])
+    found = [(lib.path.name, lib.major) for lib in find_llvm_libraries() if lib.path.parent == tmp_path]
+    assert found == [("libLLVM.dylib", 21), ("libLLVM.so.19.1", 19)]

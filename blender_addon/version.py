@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which Blender the extension works in: earlier ones register it, and are refused by name."""
+
+from __future__ import annotations
+
+import bpy
+
+OLDEST = (4, 5)
+"""Earlier ones keep meshes otherwise and give the inputs of the Principled node other names."""
+
+
+def fault_of_version() -> tuple[str, str] | None:
+    """What is wrong with this Blender and what to do, or nothing."""
+    if bpy.app.version[:2] >= OLDEST:
+        return None
+    oldest = ".".join(map(str, OLDEST))
+    return (
+        f"this is Blender {bpy.app.version_string}; expected {oldest} or later",
+        f"open the file in Blender {oldest} LTS, or export it without a window, on Python 3.11: "
+        "pip install 'scene-materials[blender]', then python -m blender_addon FILE.blend --out packages",
+    )

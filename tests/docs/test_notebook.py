@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""The notebook runs from top to bottom: small in the fast tests, as it is in the long ones."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+nbformat = pytest.importorskip("nbformat", reason="needs the extra notebook")
+NOTEBOOK = REPOSITORY / "docs" / "tutorials" / "round-trip.ipynb"
+SMALL = {"SIZE": (64, 48), "VIEWS": 6, "STEPS": 3, "ATLAS": 256}
+LIMIT_S = {"small": 240, "as it is": 900}
+"""Of a cell; a shared machine may be many times slower than a free one."""
+
+
+def _parameters(out: Path, library: Path | None) -> str:
+    given: dict[str, Any] = {"LIBRARY": str(library), **SMALL} if library else {}
+    return "\n".join([f"OUT = Path({str(out)!r})", *(f"{name} = {value!r}" for name, value in given.items())])
+
+
+def execute(out: Path, library: Path | None = None) -> Any:
+    """Run the notebook in a process of its own, with other parameters; returns it with its outputs."""
+    from nbclient import NotebookClient
+
+    book = nbformat.read(NOTEBOOK, as_version=4)
+    cell = next(c for c in book.cells if "parameters" in c.metadata.get("tags", ()))
+    cell.source += "\n" + _parameters(out, library)
+    limit = LIMIT_S["small" if library else "as it is"]
+    NotebookClient(book, timeout=limit, resources={"metadata": {"path": str(out.parent)}}).execute()
+    return book
+
+
+def _num_pictures(book: Any) -> int:
+    outputs = [output for cell in book.cells for output in cell.get("outputs", ())]
+    assert not [output for output in outputs if output.output_type == "error"]
+    return sum("image/png" in output.get("data", {}) for output in outputs)
+
+
+@pytest.fixture
+def kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel is this Python, with this repository."""
+    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY))
+    monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+
+
+def test_nothing_is_stored_in_it() -> None:
+    """No outputs, no counts: what it shows is what it makes."""
+    for cell in nbformat.read(NOTEBOOK, as_version=4).cells:
+        if cell.cell_type == "code":
+            assert cell.outputs == [] and cell.execution_count is None
+
+
+@pytest.mark.usefixtures("kernel")
+def test_it_runs_with_a_small_library(tmp_path: Path) -> None:
+    from tests.datagen.small_library import write_small_library
+
+    library = tmp_path / "library"
+    write_small_library(library, num_rooms=2)
+    out = tmp_path / "round-trip"
+    assert _num_pictures(execute(out, library)) == 3
+    assert len(list((out / "night").glob("*.png"))) == SMALL["VIEWS"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("kernel")
+def test_it_runs_as_it_is(tmp_path: Path) -> None:
+    assert _num_pictures(execute(tmp_path / "round-trip")) == 3
