@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.color_maps import cividis
 from datagen.foundation.exr import decode_view, encode_view
+from datagen.foundation.images import encode_png
 from datagen.inspection.report.gather import SHOWN_BUFFERS
 from datagen.inspection.report.predictions import parse_methods
 from datagen.inspection.report.tiles import write_tile
@@ -69,7 +71,9 @@ def predictions(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def report(dataset: Path, predictions: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("browser") / "a page with spaces & signs"
+    out = dataset / "a page with spaces & signs"
+    (dataset / "sheets").mkdir()
+    (dataset / "sheets" / "small-00001.png").write_bytes(encode_png(np.zeros((2, 3, 3), np.uint8)))
     options = ReportOptions(predictions=parse_methods(predictions, ["ours", "Their <method>"]))
     with Library([rendered_dataset(tmp_path_factory).parent / "library"]) as library:
         write_report(dataset, out, options, library)
@@ -142,10 +146,10 @@ def test_opens_and_tells_what_there_is(page: Page) -> None:
     assert page.run("return REPORT.state().numRequested") == 0  # no pixel is read before one is asked for
 
 
-def test_rooms_come_first_and_lead_to_their_views(page: Page) -> None:
+def test_rooms_come_first_and_lead_to_their_views(page: Page, dataset: Path) -> None:
     """A picture of each configuration above every figure; on a phone nothing is wider than the screen."""
     found = page.run(
-        "return [...document.querySelectorAll('#overview h2 + .rooms a')]"
+        "return [...document.querySelectorAll('#overview h2 + .rooms a:not(.sheet)')]"
         ".map((a) => [a.hash, a.querySelector('img').naturalWidth, a.innerText])"
     )
     assert [(where, text) for where, _, text in found] == [
@@ -153,6 +157,8 @@ def test_rooms_come_first_and_lead_to_their_views(page: Page) -> None:
         ("#view/small-00001/view-000", "small-00001 (train)"),
     ]
     assert all(width == 64 for _, width, _ in found)
+    links = page.run("return [...document.querySelectorAll('.rooms .sheet')].map((a) => a.href)")
+    assert [unquote(link) for link in links] == [(dataset / "sheets" / "small-00001.png").as_uri()]
     phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
     try:

@@ -15,7 +15,7 @@ from tests.conftest import REPOSITORY
 nbformat = pytest.importorskip("nbformat", reason="needs the extra notebook")
 NOTEBOOK = REPOSITORY / "docs" / "tutorials" / "round-trip.ipynb"
 SMALL = {"SIZE": (64, 48), "VIEWS": 6, "STEPS": 3, "ATLAS": 256}
-LIMIT_S = {"small": 240, "as it is": 900}
+LIMIT_S = {"small": 240, "as it is": 1800}
 """Of a cell; a shared machine may be many times slower than a free one."""
 
 

@@ -24,6 +24,7 @@ from importlib.resources import files
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import quote
 
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import write_bytes_atomically
@@ -164,6 +165,7 @@ def write_report(
     predictions = prediction_table(options.predictions, compared, gathered)
     data = {
         **_head(index, folder),
+        "sheets": _sheets(index, folder, out),
         "distributions": summary.distributions(gathered),
         "coverage": summary.coverage(gathered),
         "assets": summary.assets(gathered, index, library),
@@ -257,6 +259,16 @@ def _walk(
                 take(futures[future], future.result)
     ordered = [results[position] for position in sorted(results)]
     return ordered, [(jobs[position], failures[position]) for position in sorted(failures)]
+
+
+def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
+    """Addresses of the contact sheets, by configuration, as seen from a page that lies in the dataset."""
+    page, root = out.resolve(), folder.resolve()
+    if not page.is_relative_to(root):  # may be taken elsewhere without the dataset
+        return {}
+    up = "../" * len(page.relative_to(root).parts)
+    identities = [shard.configuration for shard in index.shards]
+    return {i: f"{up}sheets/{quote(i)}.png" for i in identities if (root / "sheets" / f"{i}.png").is_file()}
 
 
 def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:

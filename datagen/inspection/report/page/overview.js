@@ -30,14 +30,15 @@ REPORT.overview = (() => {
   }
 
   // The first thing to see: a view of each of the first rooms.
-  function rooms() {
+  function rooms(sheets) {
     const { columns, rows, configurations } = REPORT.views;
     const [which, name] = [columns.indexOf("configuration"), columns.indexOf("name")];
     const first = new Map();
     for (const row of rows) if (!first.has(row[which])) first.set(row[which], row[name]);
     return element("ul", { class: "rooms" }, ...[...first].slice(0, 12).map(([number, view]) => {
       const [id, split] = configurations[number];
-      return element("li", {}, element("a", { href: `#view/${id}/${view}` }, thumbnail(id, view), element("span", { text: `${id} (${split})` })));
+      return element("li", {}, element("a", { href: `#view/${id}/${view}` }, thumbnail(id, view), element("span", { text: `${id} (${split})` })),
+        sheets[id] ? element("a", { class: "sheet", href: sheets[id], text: "contact sheet" }) : "");
     }));
   }
 
@@ -46,7 +47,7 @@ REPORT.overview = (() => {
     const errors = data.findings.views.reduce((a, v) => a + v.errors, 0);
     const warnings = data.findings.views.reduce((a, v) => a + v.warnings, 0);
     section("overview").append(
-      rooms(),
+      rooms(data.sheets),
       data.is_complete ? "" : element("p", { class: "notice", text: `${data.missing.length} configurations are missing: ${data.missing.slice(0, 8).join(", ")}${data.missing.length > 8 ? " ..." : ""}` }),
       ...data.unreadable.map(([file, why]) => element("p", { class: "notice", text: `${file} cannot be read and is left out of every figure: ${why}` })),
       cards([
