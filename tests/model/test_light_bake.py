@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -138,6 +139,42 @@ def test_specular_shading(roughness: float, has_sky: bool) -> None:
         first, second = lobes(view[k], directions, roughness**2)
         np.testing.assert_allclose(found.ls0[k], (first * light).sum() * RADIANCE, rtol=0.02, atol=0.003)
         np.testing.assert_allclose(found.ls1[k], (second * light).sum() * RADIANCE, rtol=0.02, atol=0.003)
+
+
+@pytest.mark.parametrize(("albedo", "roughness"), [(0.8, 0.25), (0.3, 0.7)])
+def test_rays_go_on_at_metals(albedo: float, roughness: float) -> None:
+    """A point above a metal floor under an even sky gets what the lobe reflects of it, within 1 %, and not
+    the floor's radiance in the cameras' directions."""
+    corners = np.array([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], np.float32)
+    floor = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, None)
+    one = dark_surfel()
+    grid = replace(one.grid, surfel=np.array([-1, -1, -1, -1, -1, 0], np.int32))
+    surfels = replace(one, grid=grid, radiance=np.full((1, 3), 7.0, np.float32))
+    none = np.zeros(0, np.float32)
+    dark = Emitters(
+        np.full(2, -1, np.int32),
+        none.reshape(0, 3),
+        np.ones(2, np.float32),
+        np.zeros(0, np.int32),
+        none.reshape(0, 3, 3),
+        none,
+    )
+    field = RadianceField(mesh_scene(floor), surfels, dark, background(RADIANCE))
+    point, down = np.array([[0.0, 0.0, 0.2]]), np.array([[0.0, 0.0, -1.0]])
+    seen = Baker(field, 1e-2).irradiance(point, down, 4096)
+    np.testing.assert_allclose(seen.diffuse, 7.0, rtol=0.01)
+    s, r, is_metal = np.full((1, 3), albedo), np.full(1, roughness), np.ones(1, dtype=bool)
+    found = Baker(field.with_metals(surfels, s, r, is_metal, 1e-4), 1e-2).irradiance(point, down, 4096)
+    directions, solid = hemisphere(400)
+    cosines = (np.arange(40) + 0.5) / 40
+    reflected = []
+    for cosine in cosines:
+        view = np.array([np.sqrt(1 - cosine**2), 0, cosine])
+        first, second = lobes(view, directions, roughness**2)
+        reflected.append(((albedo * first + second) * solid).sum())
+    true = (np.array(reflected) * cosines).sum() / cosines.sum()
+    np.testing.assert_allclose(found.diffuse[0], true * RADIANCE, rtol=0.01)
+    assert found.photographed == pytest.approx(1.0)
 
 
 def observations(num: int, metal: bool, seed: int) -> tuple[NDArray, ...]:

@@ -29,11 +29,9 @@ from mitsuba_plugins.beckmann import (
     smith_g1_over_cos,
 )
 from model.reconstruction.light.emitters import EmitterSampler
-from model.reconstruction.light.radiance_field import RadianceField
+from model.reconstruction.light.radiance_field import MIN_COSINE, RadianceField, schlick_weight
 
 GOLDEN = 0.6180339887498949
-MIN_COSINE = 0.02
-"""Of a view's direction: one below the surface's horizon, as bumpy normals have it, is lifted to it."""
 _START = 2e-4  # of the diagonal: distance of a ray's origin from the surface
 _SHADOW = 1e-3  # of the distance to an emitter that a shadow ray leaves out
 
@@ -64,6 +62,7 @@ class Baker:
 
     def __init__(self, field: RadianceField, size_m: float):
         self.field = field
+        self.size_m = size_m
         self.start_m = _START * size_m
         self._sampler = EmitterSampler(field.emitters)
 
@@ -186,6 +185,19 @@ def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, An
     )
 
 
+def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
+    """Two more numbers of a sample, for the bounce at a metal; None in fields without."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if baker.field.metals is None:
+        return None
+    a, b = mi.sample_tea_32(lane, seed + 1299709)
+    i, unit = mi.Float(index), 1.0 / 4294967296.0
+    u, v = i * 0.7320508075688772 + mi.Float(a) * unit, i * 0.2360679774997898 + mi.Float(b) * unit
+    return mi.Point2f(dr.minimum(u - dr.floor(u), 1.0 - 6e-8), dr.minimum(v - dr.floor(v), 1.0 - 6e-8))
+
+
 def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, seed: Any) -> tuple[Any, ...]:
     import drjit as dr
     import mitsuba as mi
@@ -194,7 +206,7 @@ def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, se
         u1, u2, u3, u4, u5 = _lattice(lane, index, count, seed)
         wo = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2))
         ray = mi.Ray3f(p, frame.to_world(wo))
-        met = baker.field.meet(ray, mi.Bool(True))
+        met = baker.field.meet(ray, mi.Bool(True), _metal_sample(baker, lane, index, seed))
         weight = mi.Float(1.0)
         if baker.samples_emitters:
             pdf = wo.z * dr.inv_pi
@@ -227,8 +239,8 @@ def _specular_loop(
         wo = mi.reflect(wi, h)
         above = wo.z > 0
         ray = mi.Ray3f(p, frame.to_world(wo))
-        met = baker.field.meet(ray, above)
-        f = _schlick(dr.dot(wi, h))
+        met = baker.field.meet(ray, above, _metal_sample(baker, lane, index, seed))
+        f = schlick_weight(dr.dot(wi, h))
         value = dr.select(above, smith_g1(wo, alpha), 0.0)
         weight = mi.Float(1.0)
         if baker.samples_emitters:
@@ -242,7 +254,7 @@ def _specular_loop(
                 radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(light_pdf + lobe, 1e-20)),
                 0.0,
             )
-            light_f = _schlick(dr.dot(wi, half))
+            light_f = schlick_weight(dr.dot(wi, half))
             ls0 = ls0 + arriving * (1.0 - light_f)
             ls1 = ls1 + arriving * light_f
         ls0 = ls0 + met.radiance * (value * weight * (1.0 - f))
@@ -256,14 +268,6 @@ def _specular_loop(
         state, lambda index, *_: index < count, body, label="bake_specular"
     )
     return ls0, ls1, known, photographed
-
-
-def _schlick(cosine: Any) -> Any:
-    """(1 - wi.h)^5."""
-    import drjit as dr
-
-    m = dr.clip(1.0 - cosine, 0.0, 1.0)
-    return dr.square(dr.square(m)) * m
 
 
 def _lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:

@@ -16,6 +16,7 @@ from model.reconstruction.light.solve import PriorWeights
 class LightOptions:
     """Rays a surfel (``irradiance_rays``), an observation of a solved point and level (``solve_rays``), an
     observation of a surfel (``specular_rays``); ``max_points`` solved in all, ``num_observations`` of each.
+    ``num_rounds``: in a second one, rays go on where they meet a metal that the first has found.
     ``has_prior``: whether the network's maps draw the solution where evidence lacks."""
 
     irradiance_rays: int = 144
@@ -24,6 +25,7 @@ class LightOptions:
     specular_rays: int = 12
     max_points: int = 24_000
     num_observations: int = 8
+    num_rounds: int = 2
     smoothing_neighbours: int = 9
     prior: PriorWeights = field(default_factory=PriorWeights)
     has_prior: bool = True

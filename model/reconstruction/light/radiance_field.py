@@ -4,7 +4,8 @@
 A ray that hits an emitter meets the emitter's radiance; one that hits another surface meets the radiance of
 the surfel there, else that of the cells twice and four times as large; one that leaves the mesh meets the
 background in its direction. What no photograph shows is estimated (:meth:`RadianceField.extended`) or
-unknown. Everything runs on the CPU and on CUDA from one source.
+unknown. At metals that were found rays go on by a bounce (:meth:`RadianceField.with_metals`): what metals
+send to the cameras is not what they send along the ray. Everything runs on CPU and CUDA from one source.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.multiview.visibility import aligned
+from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
 from model.reconstruction.light.background import Background
 from model.reconstruction.light.emitters import Emitters
 from model.reconstruction.light.surfels import NUM_SIDES, CellGrid, Surfels
@@ -23,6 +25,8 @@ from model.reconstruction.light.surfels import NUM_SIDES, CellGrid, Surfels
 if TYPE_CHECKING:
     import mitsuba as mi
 
+MIN_COSINE = 0.02
+"""Of a view's direction: one below the surface's horizon, as bumpy normals have it, is lifted to it."""
 NUM_LEVELS = 3
 """Cells of one, two and four times the surfels' side."""
 
@@ -51,6 +55,26 @@ class Cells:
     is_photographed: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class Metals:
+    """By cell's radiance: ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). Rays start
+    ``start_m`` before the surface."""
+
+    specular_albedo: NDArray[np.float32]
+    roughness: NDArray[np.float32]
+    is_metal: NDArray[np.bool_]
+    start_m: float
+
+
+class _End(NamedTuple):
+    """Where a ray ends: what it meets, the surfels' row there or -1, position, and normal towards the ray."""
+
+    met: Met
+    row: Any
+    position: Any
+    normal: Any
+
+
 class RadianceField:
     """The radiance that leaves the surfaces of ``surfels``, the ``emitters`` and the ``background``."""
 
@@ -61,6 +85,7 @@ class RadianceField:
         emitters: Emitters,
         background: Background,
         cells: Cells | None = None,
+        metals: Metals | None = None,
     ):
         self.scene = scene
         self.emitters = emitters
@@ -74,6 +99,11 @@ class RadianceField:
         self._background = _float(background.radiance.ravel())
         known = background.is_known.astype(np.float32) + background.is_photographed
         self._background_known = _float(known)
+        self.metals = metals
+        if metals is not None:
+            self._is_metal = _float(metals.is_metal.astype(np.float32))
+            self._metal_albedo = _float(metals.specular_albedo.ravel())
+            self._metal_roughness = _float(metals.roughness)
 
     def _upload(self, cells: Cells) -> tuple[Any, ...]:
         return (
@@ -84,15 +114,16 @@ class RadianceField:
             [int(n) for n in cells.shape],
         )
 
-    def _lookup(self, position: Any, normal: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Radiance, and whether it is known and photographed, of surface at ``position`` on the side of
-        ``normal``."""
+    def _lookup(self, position: Any, normal: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """Radiance, whether it is known and photographed, and the row of the finest cell or -1, of surface at
+        ``position`` on the side of ``normal``."""
         import drjit as dr
         import mitsuba as mi
 
         side = _side(normal)
         radiance, is_known, is_photographed = mi.Color3f(0.0), mi.Bool(False), mi.Bool(False)
-        for index, table, photographed, cell_m, shape in self._levels:
+        finest = mi.Int32(-1)
+        for level, (index, table, photographed, cell_m, shape) in enumerate(self._levels):
             at = [
                 mi.Int32(dr.floor((position[axis] - float(self._low[axis])) * (1.0 / cell_m)))
                 for axis in range(3)
@@ -106,10 +137,43 @@ class RadianceField:
             radiance = dr.select(wanted, dr.gather(mi.Color3f, table, row, wanted), radiance)
             is_photographed |= wanted & (dr.gather(mi.Float, photographed, row, wanted) > 0)
             is_known |= wanted
-        return radiance, is_known, is_photographed
+            if level == 0:
+                finest = dr.select(wanted, row, finest)
+        return radiance, is_known, is_photographed, finest
 
-    def meet(self, ray: Any, active: Any) -> Met:
-        """What ``ray`` meets."""
+    def meet(self, ray: Any, active: Any, sample: Any | None = None) -> Met:
+        """What ``ray`` meets. ``sample``, uniform on [0, 1)^2, chooses the half vector by which it goes on
+        where it meets a metal; fields without metals need none."""
+        import drjit as dr
+        import mitsuba as mi
+
+        end = self._end_of(ray, active)
+        if self.metals is None:
+            return end.met
+        is_metal = end.row >= 0
+        is_metal &= dr.gather(mi.Float, self._is_metal, end.row, is_metal) > 0
+        s = dr.gather(mi.Color3f, self._metal_albedo, end.row, is_metal)
+        alpha = alpha_from_roughness(dr.gather(mi.Float, self._metal_roughness, end.row, is_metal))
+        alpha = dr.select(is_metal, alpha, 1.0)
+        frame = mi.Frame3f(end.normal)
+        wi = frame.to_local(-ray.d)
+        wi.z = dr.maximum(wi.z, MIN_COSINE)
+        wi = dr.normalize(wi)
+        half = sample_visible_normal(wi, alpha, sample)
+        wo = mi.reflect(wi, half)
+        goes_on = is_metal & (wo.z > 0)
+        origin = end.position + end.normal * self.metals.start_m
+        mirrored = self._end_of(mi.Ray3f(origin, frame.to_world(wo)), goes_on).met
+        reflected = (
+            mirrored.radiance * (s + (1.0 - s) * schlick_weight(dr.dot(wi, half))) * smith_g1(wo, alpha)
+        )
+        replaced = goes_on & mirrored.is_known
+        radiance = dr.select(replaced, reflected, end.met.radiance)
+        radiance = dr.select(is_metal & ~goes_on, 0.0, radiance)
+        is_photographed = end.met.is_photographed & (~goes_on | mirrored.is_photographed)
+        return end.met._replace(radiance=radiance, is_photographed=is_photographed)
+
+    def _end_of(self, ray: Any, active: Any) -> _End:
         import drjit as dr
         import mitsuba as mi
 
@@ -119,7 +183,7 @@ class RadianceField:
         emitter = dr.select(is_hit, dr.gather(mi.Int32, self._emitter_of_face, si.prim_index, is_hit), -1)
         emits = emitter >= 0
         normal = dr.select(dr.dot(si.sh_frame.n, ray.d) < 0, si.sh_frame.n, -si.sh_frame.n)
-        radiance, is_known, is_photographed = self._lookup(si.p, normal, is_hit & ~emits)
+        radiance, is_known, is_photographed, row = self._lookup(si.p, normal, is_hit & ~emits)
         cosine = -dr.dot(si.n, ray.d) * dr.gather(mi.Float, self._side_of_face, si.prim_index, emits)
         front = emits & (cosine > 0)
         radiance = dr.select(front, dr.gather(mi.Color3f, self._emitter_radiance, emitter, front), radiance)
@@ -127,7 +191,7 @@ class RadianceField:
         where = self.background.bin_of(ray.o, ray.d)
         knowledge = dr.gather(mi.Float, self._background_known, where, missed)
         radiance = dr.select(missed, dr.gather(mi.Color3f, self._background, where, missed), radiance)
-        return Met(
+        met = Met(
             radiance,
             is_known | emits | (missed & (knowledge > 0.5)),
             is_photographed | emits | (missed & (knowledge > 1.5)),
@@ -136,6 +200,7 @@ class RadianceField:
             si.t,
             cosine,
         )
+        return _End(met, row, si.p, normal)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray]:
         """Where rays hit surface whose radiance is unknown: positions and normals (K, 3) towards the rays."""
@@ -146,7 +211,7 @@ class RadianceField:
         is_hit = si.is_valid()
         normal = dr.select(dr.dot(si.sh_frame.n, ray.d) < 0, si.sh_frame.n, -si.sh_frame.n)
         is_surface = is_hit & (dr.gather(mi.Int32, self._emitter_of_face, si.prim_index, is_hit) < 0)
-        _, is_known, _ = self._lookup(si.p, normal, is_surface)
+        _, is_known, _, _ = self._lookup(si.p, normal, is_surface)
         position = si.p
         dr.eval(position, normal, is_surface, is_known)
         chosen = np.asarray((is_surface & ~is_known).numpy(), dtype=bool)
@@ -173,6 +238,32 @@ class RadianceField:
             is_photographed=np.concatenate([self.cells.is_photographed, np.zeros(int(free.sum()), bool)]),
         )
         return RadianceField(self.scene, surfels, self.emitters, self.background, cells)
+
+    def with_metals(
+        self,
+        surfels: Surfels,
+        specular_albedo: NDArray,
+        roughness: NDArray,
+        is_metal: NDArray[np.bool_],
+        start_m: float,
+    ) -> RadianceField:
+        """The same with the metals among the ``surfels``: S (N, 3), R (N,) and ``is_metal`` (N,)."""
+        rest = len(self.cells.radiance) - len(surfels)  # estimated surface
+        metals = Metals(
+            np.pad(specular_albedo, ((0, rest), (0, 0))).astype(np.float32),
+            np.pad(roughness, (0, rest), constant_values=1.0).astype(np.float32),
+            np.pad(is_metal, (0, rest)),
+            start_m,
+        )
+        return RadianceField(self.scene, surfels, self.emitters, self.background, self.cells, metals)
+
+
+def schlick_weight(cosine: Any) -> Any:
+    """(1 - wi.h)^5 of Schlick's Fresnel term."""
+    import drjit as dr
+
+    m = dr.clip(1.0 - cosine, 0.0, 1.0)
+    return dr.square(dr.square(m)) * m
 
 
 def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The stage between prediction and merge: maps of the views out of the light that their photographs record.
 
-Surfels and where rays end (``lighting``) → segments → S and R of segments (``points``, ``solve``) → specular
-part of every observation → correction of the shading where light is not photographed
-(``shading_correction``) → maps of the views (``view_maps``), mixed with the network's by ``confidence``.
+Surfels and where rays end (``lighting``) → segments → S and R of segments (``points``, ``solve``) → light, S
+and R again, with metals that reflect the room → specular part of every observation → correction of the
+shading where light is not photographed (``shading_correction``) → maps of the views (``view_maps``), mixed
+with the network's by ``confidence``.
 docs/light.md explains them.
 """
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.light.confidence import impossible_share, surfel_confidence, trust_of
-from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels
+from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels, relight_by_metals
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
@@ -73,7 +74,17 @@ def materials_from_light(
     with report.step("solve"):
         shading = shade_points(lit, points, options)
         segments = solve_points(lit, points, shading, segmentation, exposure, options)
-        report.num_segments, report.num_metal = len(segments.roughness), int(segments.is_metal.sum())
+    if options.num_rounds > 1 and segments.is_metal.any():
+        with report.step("metals"):
+            of_surfels = (
+                segments.specular_albedo[segment],
+                segments.roughness[segment],
+                segments.is_metal[segment],
+            )
+            lit = relight_by_metals(lit, *of_surfels, options)
+            shading = shade_points(lit, points, options)
+            segments = solve_points(lit, points, shading, segmentation, exposure, options)
+    report.num_segments, report.num_metal = len(segments.roughness), int(segments.is_metal.sum())
     with report.step("specular"):
         specular = _specular_parts(lit, segments, segment, options)
     with report.step("correction"):
