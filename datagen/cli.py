@@ -500,16 +500,22 @@ def verify(
     workers: WorkersOption = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Let warnings fail as well.")] = False,
+    recheck: Annotated[
+        int, typer.Option(min=0, help="Render so many random views again by plain path tracing, and compare.")
+    ] = 0,
+    recheck_samples: Annotated[
+        int, typer.Option(min=4, help="Paths a pixel of each, a multiple of 4.")
+    ] = 256,
 ) -> None:
     """Look for semantic faults in a dataset; exit code 1 if there are any.
 
-    Example: datagen verify smoke --workers 2
+    Example: datagen verify smoke --workers 2 --recheck 3
     """
     from datagen.inspection.verify import verify_command
     from datagen.library import resolve_library_paths
 
     paths = resolve_library_paths(library, Path.cwd()) if library else None
-    raise typer.Exit(verify_command(path, paths, workers, as_json, strict))
+    raise typer.Exit(verify_command(path, paths, workers, as_json, strict, recheck, recheck_samples))
 
 
 @app.command()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import asdict, dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 Severity = Literal["error", "warning"]
 
@@ -24,6 +24,7 @@ CHECKS = {
     "statistics": "min <= median <= max, and counts fit the pixels",
     "reprojection": "depth and cameras of different views agree",
     "split": "no asset of the test split appears in training, if asked for",
+    "recheck": "recorded errors and brightness hold against plain paths, if asked for",
 }
 """Every check and what it asserts, in the order of the report."""
 
@@ -53,6 +54,8 @@ class Report:
     notes: list[str] = field(default_factory=list)
     applied: Counter[str] = field(default_factory=Counter)
     """Check to the number of shards or views that it was applied to."""
+    rechecked: list[dict[str, Any]] = field(default_factory=list)
+    """Figures of the views that were rendered again (:mod:`datagen.inspection.recheck`)."""
 
     @property
     def num_errors(self) -> int:
@@ -73,6 +76,7 @@ class Report:
             "applied": {check: self.applied[check] for check in CHECKS},
             "faults": [asdict(fault) for fault in self.faults],
             "notes": self.notes,
+            "rechecked": self.rechecked,
         }
         return json.dumps(data, indent=2)
 
@@ -83,3 +87,4 @@ class Report:
         self.faults += other.faults
         self.notes += [note for note in other.notes if note not in self.notes]
         self.applied.update(other.applied)
+        self.rechecked += other.rechecked

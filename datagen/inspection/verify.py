@@ -8,8 +8,9 @@ at. The checks themselves are in ``checks``, ``reprojection`` and ``shard_check`
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -24,6 +25,8 @@ from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.paths import inside
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
+from datagen.inspection.recheck import Rechecked, figures, print_rechecked
+from datagen.inspection.recheck import recheck as recheck_views
 from datagen.inspection.shard_check import ShardJob, verify_shard
 
 if TYPE_CHECKING:
@@ -210,10 +213,14 @@ def verify_command(
     workers: int = 1,
     as_json: bool = False,
     strict: bool = False,
+    recheck: int = 0,
+    recheck_samples: int = 256,
 ) -> int:
     """Verify, print a table (or JSON) and return the exit code.
 
     Without ``library_paths`` the library that the dataset folder was made from is used, if it is still there.
+    ``recheck`` views are rendered again by plain path tracing, with ``recheck_samples`` paths a pixel;
+    without a library that is refused.
     """
     from datagen.library import Library
 
@@ -221,31 +228,56 @@ def verify_command(
         from datagen.farm.folder import library_of
 
         library_paths = library_of(path)
+    if recheck and not library_paths:
+        got = "no library that the dataset was made from"
+        raise input_error(
+            path, "--recheck", got, "its assets, to render views again", "name it with --library"
+        )
+    found: list[Rechecked] = []
     if not library_paths:
         report = _verify_with_progress(path, None, workers, as_json)
     else:
         with Library(library_paths) as library:
             report = _verify_with_progress(path, library, workers, as_json)
+            if recheck:
+                found = _recheck_with_progress(path, library, recheck, recheck_samples, report, as_json)
     if as_json:
         print(report.to_json())
     else:
         print_report(report)
+        if found:
+            print_rechecked(found, recheck_samples)
     return report.exit_code(strict)
 
 
 def _verify_with_progress(path: Path, library: Library | None, workers: int, is_quiet: bool) -> Report:
+    with _progress("verify", is_quiet) as advance:
+        return verify_dataset(path, library, workers, advance)
+
+
+def _recheck_with_progress(
+    path: Path, library: Library, count: int, samples: int, report: Report, is_quiet: bool
+) -> list[Rechecked]:
+    with _progress("recheck", is_quiet) as advance:
+        found = recheck_views(path, library, count, samples, report, advance)
+    report.rechecked = figures(found)
+    return found
+
+
+@contextmanager
+def _progress(verb: str, is_quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A bar on the error stream, and what moves it: (done, total)."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("verify"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=is_quiet) as bar:
-        task = bar.add_task("verify", total=None)
+    columns = (TextColumn(verb), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=is_quiet) as bar:
+        task = bar.add_task(verb, total=None)
 
         def advance(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        return verify_dataset(path, library, workers, advance)
+        yield advance
 
 
 def print_report(report: Report) -> None:

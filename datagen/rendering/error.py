@@ -3,11 +3,17 @@
 
 relMSE(x, r) = mean of (x - r)^2 / (r^2 + epsilon), epsilon = 0.01, over pixels and channels, in scene-linear
 radiance. With two independent references r1, r2 of the same pixels the numerator is (x - r1)(x - r2): their
-own noise then adds nothing to the expectation. ``exposed`` scales everything first so that the reference's
-95th percentile of luminance is 0.9, which makes the figure independent of how bright the lights are.
+own noise then adds nothing to the expectation but what it shares with the divisor;
+:func:`relative_mse_of_parts` is free of that as well. ``exposed`` scales everything first so that the
+reference's 95th percentile of luminance is 0.9, which makes the figure independent of how bright the lights
+are.
 """
 
 from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,3 +42,30 @@ def relative_mse(
 ) -> float:
     """Mean of :func:`relative_mse_map`. Images are (H, W, 3), linear."""
     return float(relative_mse_map(image, reference, other_reference, exposed=exposed).mean())
+
+
+def relative_mse_of_parts(
+    image: NDArray, parts: Sequence[NDArray], *, exposed: bool = False
+) -> tuple[float, float]:
+    """Mean relMSE against four independent images of the same pixels, and its standard error by their noise.
+
+    (x - r1)(x - r2) is divided by what r3 and r4 say of the brightness, and so for all six pairs. Divided by
+    the mean of r1 and r2 themselves, pixels that are dark by chance in both would weigh too much: relative
+    noise s of each adds 3/2 s^4.
+    """
+    x, references = image.astype(np.float64), [part.astype(np.float64) for part in parts]
+    scale = exposure_for(np.mean(references, axis=0)) if exposed else 1.0
+    differences = [scale * (x - reference) for reference in references]
+    pairs = []
+    for i, j in itertools.combinations(range(4), 2):
+        others = [references[k] for k in range(4) if k not in (i, j)]
+        level = 0.5 * scale * (others[0] + others[1])
+        pairs.append((differences[i] * differences[j] / (level**2 + EPSILON)).mean(axis=-1))
+    errors = np.mean(pairs, axis=0)
+    middle = np.mean(references, axis=0)
+    variance = scale**2 * np.var(references, axis=0, ddof=1) / ((scale * middle) ** 2 + EPSILON)
+    variance = variance.mean(axis=-1)
+    # Of e^2 - 2 e n + (mean of six products n n'), n the mean of four: e^2 s^2 + s^4 / 6. Of four values, the
+    # square of the variance is 5/3 too large in the mean.
+    noise = np.maximum(errors, 0.0) * variance + variance**2 / 10.0
+    return float(errors.mean()), math.sqrt(float(noise.sum())) / noise.size

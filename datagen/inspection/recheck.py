@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: MIT
+"""Renders views of a dataset again by plain path tracing: ``datagen verify --recheck N``.
+
+Nothing that makes rendering fast takes part: every light path is traced whole, up to 65 segments, shadow rays
+go where the scene's emitters are, without the guide through windows, without cached irradiance, clamp and
+denoiser. Four independent parts of the samples are made. Their own noise adds nothing to the expectation of
+an error that is the product of differences from two of them (:mod:`datagen.rendering.error`), and what they
+differ by says how well error and bias are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.recipe import RenderRecipe
+from datagen.formats.shard import Dataset, ShardReader, View
+from datagen.foundation.color import luminance
+from datagen.foundation.errors import input_error
+from datagen.inspection.findings import Fault, Report
+from datagen.rendering.error import relative_mse_of_parts
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+    from datagen.rendering.renderer import SceneRenderer
+
+DEPTH, ROULETTE_DEPTH = 65, 5
+"""Segments of the longest path, and from which on some end by chance."""
+PARTS = 4
+CHUNK = 64
+"""Paths a pixel of one launch."""
+SEED = 0x0EC4EC40
+"""Of the first launch: none of those that a dataset is rendered with."""
+MOST_RATIO = 4.0
+"""A true error above so many times the recorded one is a fault of the record."""
+MOST_BIAS = 0.05
+"""Share of the light that may be missing or too much."""
+SURE = 3.0
+"""Standard errors by which either is to be exceeded before it counts as found."""
+
+
+@dataclass(frozen=True)
+class Rechecked:
+    """A view against plain paths. ``recorded`` is its record's estimated relMSE, None where it was not
+    rendered to an error; ``rel_mse`` the true one, exposed; ``bias`` the mean luminance over that of plain
+    paths, less 1. The last two have standard errors, of the plain paths' noise."""
+
+    configuration: str
+    view: str
+    path_samples: float
+    recorded: float | None
+    rel_mse: float
+    rel_mse_error: float
+    bias: float
+    bias_error: float
+
+    @property
+    def where(self) -> str:
+        """How reports name the view."""
+        return f"{self.configuration}/{self.view}"
+
+    def faults(self) -> Iterable[Fault]:
+        """What is wrong beyond the noise."""
+        if (
+            self.recorded is not None
+            and self.rel_mse - SURE * self.rel_mse_error > MOST_RATIO * self.recorded
+        ):
+            got = f"relMSE {self.rel_mse:.4f} +- {self.rel_mse_error:.4f}, {self.recorded:.4f} is recorded"
+            yield Fault("recheck", self.where, got, f"at most {MOST_RATIO:g} times the record", "warning")
+        if abs(self.bias) - SURE * self.bias_error > MOST_BIAS:
+            got = f"{100 * self.bias:+.1f} +- {100 * self.bias_error:.1f} % of the light"
+            yield Fault(
+                "recheck", self.where, got, f"at most {100 * MOST_BIAS:g} % from plain paths", "warning"
+            )
+
+
+def recheck(
+    folder: Path,
+    library: Library,
+    count: int,
+    samples: int,
+    report: Report,
+    progress: Callable[[int, int], object] | None = None,
+) -> list[Rechecked]:
+    """Render ``count`` views again with ``samples`` paths a pixel, a multiple of 4; faults and notes go to
+    ``report``.
+
+    Which views follows from the recipe's seed. Raises :class:`InputError` where there is no dataset; a
+    configuration whose assets have changed since is left out with a note.
+    """
+    if samples < PARTS or samples % PARTS:
+        expected = f"a multiple of {PARTS}, for as many parts that are compared"
+        raise input_error("datagen verify", "--recheck-samples", samples, expected, "choose another number")
+    if not folder.is_dir():
+        raise input_error(
+            folder, "--recheck", "a single shard", "a dataset folder", "name the folder it is in"
+        )
+    dataset = Dataset(folder)
+    places = [(k, view) for k, shard in enumerate(dataset.index.shards) for view in range(shard.num_views)]
+    chosen = np.random.default_rng([dataset.index.recipe.seed, count]).permutation(len(places))[:count]
+    wanted: dict[int, list[int]] = {}
+    for number in sorted(chosen):
+        shard, view = places[number]
+        wanted.setdefault(shard, []).append(view)
+    found: list[Rechecked] = []
+    for shard, views in wanted.items():
+        found += _recheck_shard(dataset.shard_paths()[shard], set(views), library, samples, report)
+        if progress is not None:
+            progress(len(found), len(chosen))
+    report.applied["recheck"] += len(found)
+    report.faults += [fault for view in found for fault in view.faults()]
+    return found
+
+
+def _recheck_shard(
+    path: Path, positions: set[int], library: Library, samples: int, report: Report
+) -> list[Rechecked]:
+    from datagen.rendering.renderer import SceneRenderer
+
+    configuration = ShardReader(path).configuration()
+    for asset, digest in configuration.assets.items():
+        if asset not in library or library.package(asset).sha256 != digest:
+            report.notes.append(
+                f"{path.name} was not rendered again: {asset} is missing or has changed since"
+            )
+            return []
+    recipe = RenderRecipe(path_samples=1, auxiliary_samples=1, denoise=False)
+    renderer = SceneRenderer(configuration, library, recipe)
+    try:
+        views = (view for k, view in enumerate(ShardReader(path, ["beauty"])) if k in positions)
+        return [_against_plain_paths(renderer, view, samples) for view in views]
+    finally:
+        renderer.close()
+
+
+def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> Rechecked:
+    from datagen.rendering.path_tracer import PathTracer
+    from datagen.rendering.sample_budget import PathSums
+
+    tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)
+    sensor = renderer._sensor(view.record.camera.camera())
+    parts = []
+    for part in range(PARTS):
+        sums, left = PathSums(), samples // PARTS
+        while left > 0:
+            seed = SEED + 0x10000 * part + left
+            sums = sums + tracer.add_up(sensor, min(CHUNK, left), seed, with_seen_lights=True)
+            left -= CHUNK
+        parts.append(sums.mean())
+    return compared(view, parts)
+
+
+def compared(view: View, parts: Sequence[NDArray[np.floating]]) -> Rechecked:
+    """A view against ``PARTS`` independent images (H, W, 3) of plain paths."""
+    image = view.buffers["beauty"].astype(np.float64)
+    rel_mse, rel_mse_error = relative_mse_of_parts(image, parts, exposed=True)
+    levels = [luminance(part.astype(np.float64)) for part in parts]
+    light = float(np.mean(levels))
+    noise = np.var(levels, axis=0, ddof=1) / PARTS
+    render = view.record.render
+    return Rechecked(
+        view.record.configuration,
+        view.record.name,
+        render.path_samples,
+        render.estimated_rel_mse,
+        rel_mse,
+        rel_mse_error,
+        float(luminance(image).mean()) / light - 1.0 if light > 0.0 else 0.0,
+        float(np.sqrt(noise.sum())) / noise.size / light if light > 0.0 else 0.0,
+    )
+
+
+def figures(found: list[Rechecked]) -> list[dict[str, Any]]:
+    """Each view's figures."""
+    return [asdict(view) for view in found]
+
+
+def print_rechecked(found: list[Rechecked], samples: int) -> None:
+    """A table of what was recorded and what plain paths say."""
+    from rich.table import Table
+
+    from datagen.foundation.console import table_console
+
+    headings = ("view", "paths", "recorded relMSE", "true relMSE", "true / recorded", "bias")
+    table = Table(*headings, title=f"against {samples} plain paths a pixel")
+    for view in found:
+        recorded = "-" if view.recorded is None else f"{view.recorded:.4f}"
+        ratio = "-" if not view.recorded else f"{view.rel_mse / view.recorded:.2f}"
+        true = f"{view.rel_mse:.4f} +- {view.rel_mse_error:.4f}"
+        bias = f"{100 * view.bias:+.2f} +- {100 * view.bias_error:.2f} %"
+        table.add_row(view.where, f"{view.path_samples:g}", recorded, true, ratio, bias)
+    table_console().print(table)
