@@ -81,6 +81,7 @@ def build() -> tuple[Path, Path]:
 def try_dataset(environment: Environment) -> None:
     """What needs no torch: a dataset from the bundled library by a bundled recipe."""
     environment.run("python", "-c", IS_ISOLATED, REPOSITORY)
+    assert environment.run("datagen", "--version").startswith("scene-materials ")
     assert "bundled library" in environment.run("datagen", "doctor")
     assert "environment" in environment.run("datagen", "library")
     environment.run("datagen", "run", "smoke", "--out", "smoke", "--workers", "2")
@@ -89,6 +90,7 @@ def try_dataset(environment: Environment) -> None:
 
 def try_inference(environment: Environment) -> None:
     """Materials of a configuration's views by the bundled checkpoint."""
+    assert environment.run("materials", "--version").startswith("scene-materials ")
     shard = min((environment.folder / "smoke" / "shards").rglob("*.tar"))
     environment.run("materials", "infer", shard, "--out", "asset", "--atlas", "512")
     environment.run("materials", "render", "asset/asset", "--out", "renders", "--samples", "1",

@@ -11,7 +11,7 @@ import typer
 from datagen.exports.command import export
 from datagen.farm.commands import farm
 from datagen.farm.new_recipe import recipe as recipe_verbs
-from datagen.foundation.command_line import run_command
+from datagen.foundation.command_line import VersionOption, run_command
 from datagen.tradeoff.command import tradeoff
 
 if TYPE_CHECKING:
@@ -27,6 +27,12 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
+
+
+@app.callback()
+def _datagen(version: VersionOption = False) -> None:
+    """Make scene-scale material datasets: assets are recombined, rendered with ground truth, and packed."""
+
 
 LibraryOption = Annotated[
     Optional[list[str]],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too

@@ -8,7 +8,7 @@ from typing import Annotated, Optional
 
 import typer
 
-from datagen.foundation.command_line import run_command
+from datagen.foundation.command_line import VersionOption, run_command
 from model.evaluation.commands import register_verbs as register_evaluation
 from model.reconstruction.commands import register_verbs
 
@@ -23,7 +23,7 @@ app = typer.Typer(
 
 
 @app.callback()
-def _materials() -> None:
+def _materials(version: VersionOption = False) -> None:
     """Learn materials from a dataset, and apply what was learnt to captures of rooms."""
 
 

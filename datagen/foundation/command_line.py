@@ -6,6 +6,9 @@ from __future__ import annotations
 import errno
 import sys
 from collections.abc import Callable
+from typing import Annotated
+
+import typer
 
 _REMEDIES = {
     errno.ENOENT: "check the path",
@@ -17,6 +20,21 @@ _REMEDIES = {
     errno.EISDIR: "name a file",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
+
+
+def _tell_version(is_asked: bool) -> None:
+    if is_asked:
+        from datagen.foundation.versions import DISTRIBUTION, pixel_versions
+
+        typer.echo(f"{DISTRIBUTION} {pixel_versions()[DISTRIBUTION]}")
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool,
+    typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version and stop."),
+]
+"""Of the commands themselves."""
 
 
 def run_command(app: Callable[[], object]) -> None:
@@ -45,8 +63,6 @@ def run_command(app: Callable[[], object]) -> None:
 
 def check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:
     """Option -> (its value, what is allowed). Raises ``BadParameter`` for another value."""
-    from typer import BadParameter
-
     for option, (value, allowed) in choices.items():
         if value not in allowed:
-            raise BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)
+            raise typer.BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)

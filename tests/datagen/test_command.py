@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -87,6 +88,13 @@ def test_doctor_says_what_will_be_used() -> None:
     result = _datagen("doctor")
     assert result.returncode == 0, result.stdout
     assert "rendering" in result.stdout and "works" in result.stdout
+
+
+@pytest.mark.parametrize("module", ["datagen", "model.cli"])
+def test_the_commands_tell_their_version(module: str) -> None:
+    command = [sys.executable, "-m", module, "--version"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert re.fullmatch(r"scene-materials (\d+\.\d+\.\d+.*|absent)\n", said)
 
 
 NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nothing/libLLVM.so", "SCENE_MATERIALS_VARIANT": "llvm_ad_rgb"}

@@ -44,7 +44,8 @@ def check_command(words: list[str], is_whole: bool) -> str:
 def _check_typer(app: typer.Typer, name: str, words: list[str], is_whole: bool) -> str:
     command: Any = typer.main.get_command(app)
     while hasattr(command, "commands"):
-        if not words or words == ["--help"]:
+        own = {option for parameter in command.params for option in (*parameter.opts, "--help")}
+        if not words or (len(words) == 1 and words[0] in own):
             return ""
         if words[0] not in command.commands:
             return f"{name} has no verb {words[0]!r}"

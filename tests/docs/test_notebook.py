@@ -65,7 +65,7 @@ def test_it_runs_with_a_small_library(tmp_path: Path) -> None:
     write_small_library(library, num_rooms=2)
     out = tmp_path / "round-trip"
     assert _num_pictures(execute(out, library)) == 3
-    assert len(list((out / "night").glob("*.png"))) == SMALL["VIEWS"]
+    assert len(list((out / "night").glob("*.png"))) == 3
 
 
 @pytest.mark.slow
