@@ -7,6 +7,7 @@ Renders the scenes of a suite, or takes them from the cache of ``materials evalu
 of their first so many photographs with the bundled network. Mean squared errors are over all surface pixels,
 and over those of metal (S above 0.2), of white (D above 0.6) and of glossy surfaces (R below 0.4). Sheets,
 one a room, show D of the network, from light and true, and R from light and true, of three views.
+``--ablate`` adds a row for each step that is left out.
 """
 
 from __future__ import annotations
@@ -28,10 +29,20 @@ from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
+from model.reconstruction.light.options import LightOptions
 from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import Maps, Run
 
 NAMES = ("diffuse_albedo", "specular_albedo", "roughness")
+ABLATIONS = {
+    "no prior of the network": LightOptions(has_prior=False),
+    "no correction of the shading": LightOptions(is_corrected=False),
+    "no estimate of unseen surface": LightOptions(estimates_unseen=False),
+    "one round: metals pass their median on": LightOptions(num_rounds=1),
+    "irradiance not smoothed": LightOptions(smoothing_neighbours=1),
+    "a sixth of the points": LightOptions(max_points=4_000),
+    "a fourth of the rays": LightOptions(irradiance_rays=36, solve_rays=6, specular_rays=3),
+}
 ALONG = 3
 """Every third pixel along both axes is measured."""
 
@@ -83,7 +94,7 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
     Image.fromarray(np.vstack(lines)).save(path, quality=88)
 
 
-def rows(traced: TracedCapture, run: Run, sheet: Path | None) -> None:
+def rows(traced: TracedCapture, run: Run, sheet: Path | None, ablates: bool) -> None:
     """Print the rows of a room."""
     truth = [view.source.read_maps((*NAMES, "surface_mask")) for view in traced.capture.views]
     name = f"{traced.capture.name} | {len(truth)}"
@@ -93,11 +104,13 @@ def rows(traced: TracedCapture, run: Run, sheet: Path | None) -> None:
     print(f"{name} | network | {measured(maps, truth)}", flush=True)
     maps = leveled(traced, maps, run)
     print(f"{name} | network, level | {measured(maps, truth)}", flush=True)
-    maps = lit(traced, maps, run)
+    before, maps = maps, lit(traced, maps, run)
     light = run.report.light
     print(f"{name} | light | {measured(maps, truth)}", flush=True)
     print(f"  light: {run.report.seconds['light']:.0f} s, {light['num_surfels']} surfels, "
           f"{light['photographed_share']:.2f} of their light photographed", flush=True)  # fmt: skip
+    for label, options in ABLATIONS.items() if ablates else ():
+        print(f"{name} | {label} | {measured(lit(traced, before, run, options), truth)}", flush=True)
     if sheet is not None:
         draw_sheet(sheet / f"{traced.capture.name}.jpg", network, maps, truth)
 
@@ -111,6 +124,7 @@ def main() -> None:
     parser.add_argument("--rooms", nargs="*", help="scenes of the suite, all unless named")
     parser.add_argument("--views", type=int, nargs="*", default=[4096], help="the first so many photographs")
     parser.add_argument("--sheet", type=Path, help="folder for pictures")
+    parser.add_argument("--ablate", action="store_true", help="rows without one step each")
     options = parser.parse_args()
     select_variant()
     print("room | views | method | all D S R | metal | white | glossy")
@@ -127,7 +141,7 @@ def main() -> None:
             (out / "views").mkdir(parents=True, exist_ok=True)
             report = InferReport(chosen.name, len(chosen.views), len(chosen.geometry.mesh.faces))
             run = Run(out, InferOptions(materials="both"), report, lambda *_: None)
-            rows(trace_capture(chosen), run, options.sheet)
+            rows(trace_capture(chosen), run, options.sheet, options.ablate)
 
 
 if __name__ == "__main__":

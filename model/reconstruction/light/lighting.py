@@ -59,7 +59,8 @@ def light_surfels(
         background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
         scene_field = RadianceField(traced.scene, surfels, emitters, background)
         size_m = surfels.grid.cell_m * CELLS_ACROSS
-        scene_field = _estimated(scene_field, surfels, size_m, options)
+        if options.estimates_unseen:
+            scene_field = _estimated(scene_field, surfels, size_m, options)
     with report.step("irradiance"):
         lit = _lit(surfels, Baker(scene_field, size_m), options)
         report.photographed_share = float(lit.irradiance.photographed.mean())

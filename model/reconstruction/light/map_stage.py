@@ -15,7 +15,7 @@ from model.reconstruction.light.surfel_confidence import SurfelConfidence
 from model.reconstruction.stages import Maps, Run
 
 
-def lit(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
+def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions | None = None) -> list[Maps]:
     """The maps with D, S and R out of the light that the photographs record. The network's stay where
     evidence lacks, and everywhere where photographs are clipped. What lies on disk stays as it was
     predicted."""
@@ -24,7 +24,7 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
         reason = f"{clipped:.1%} of the pixels are at the sensor's limit"
         run.report.notes.append(f"materials are the networks' alone: {reason}")
         return maps
-    options = LightOptions(has_prior=run.options.materials == "both")
+    options = options or LightOptions(has_prior=run.options.materials == "both")
     with run.report.stage("light"):
         found = materials_from_light(
             traced.views,

@@ -17,7 +17,9 @@ class LightOptions:
     """Rays a surfel (``irradiance_rays``), an observation of a solved point and level (``solve_rays``), an
     observation of a surfel (``specular_rays``); ``max_points`` solved in all, ``num_observations`` of each.
     ``num_rounds``: in a second one, rays go on where they meet a metal that the first has found.
-    ``has_prior``: whether the network's maps draw the solution where evidence lacks."""
+    ``has_prior``: whether the network's maps draw the solution where evidence lacks. ``estimates_unseen``:
+    whether surface that no photograph shows gets the mean reflectance; ``is_corrected``: whether the shading
+    gets a smooth correction where its light is not photographed."""
 
     irradiance_rays: int = 144
     estimate_rays: int = 48
@@ -29,6 +31,8 @@ class LightOptions:
     smoothing_neighbours: int = 9
     prior: PriorWeights = field(default_factory=PriorWeights)
     has_prior: bool = True
+    estimates_unseen: bool = True
+    is_corrected: bool = True
 
 
 @dataclass

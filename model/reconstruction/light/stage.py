@@ -143,13 +143,19 @@ def _solved_surfels(
     trust = trust_of(impossible_share(surfels.radiance, lit.diffuse, weight))
     is_lit = lit.diffuse.max(axis=1) > 0  # nothing is known where nothing arrives
     confidence *= trust * is_lit[:, None]
-    predicted = segmentation.prior[:, :3]
-    correction = shading_correction(
-        surfels, segmentation.region, albedo, predicted, confidence[:, 0], is_lit & ~is_metal
-    )
-    albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)
-    diffuse = lit.diffuse * np.exp(-correction)
     replaced = (trust * is_lit).astype(np.float32)
+    diffuse = lit.diffuse
+    if options.is_corrected:
+        correction = shading_correction(
+            surfels,
+            segmentation.region,
+            albedo,
+            segmentation.prior[:, :3],
+            confidence[:, 0],
+            is_lit & ~is_metal,
+        )
+        albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)
+        diffuse = lit.diffuse * np.exp(-correction)
     return SolvedSurfels(diffuse, specular, s, r, is_metal, confidence, replaced), albedo
 
 
