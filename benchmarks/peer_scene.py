@@ -4,7 +4,7 @@
     python -m benchmarks.peer_scene export FOLDER OUT              one package, lights, cameras, a sky
     python -m benchmarks.peer_scene reference FOLDER OUT VIEW... --samples 256
 
-``export`` writes the whole room as one asset package: every placed part with the material that it wears,
+``export`` writes the whole room as one asset package: every placed part with its assigned material,
 variations applied, UVs scaled, so that whoever reads packages reads exactly what our renderer renders.
 ``setup.json`` beside it holds the lights (skies as an equirectangular image and a sun) and the cameras.
 """

@@ -177,13 +177,13 @@ def _emitters(room: RoomToLight, group: PlannedGroup) -> Emitters | None:
 
 
 def _albedo_of_faces(room: RoomToLight) -> Floats:
-    """Reflected share of the light (M, 3): D (1 - S) + S of what each triangle wears."""
+    """Reflected share of the light (M, 3): D (1 - S) + S of each triangle's assigned material."""
     tables = []
-    for asset, worn in zip(room.assets, room.worn, strict=True):
+    for asset, assigned in zip(room.assets, room.assigned, strict=True):
         rows = []
         for part in asset.parts:
-            diffuse = np.array(worn[part.material].diffuse_albedo)
-            specular = np.array(worn[part.material].specular_albedo)
+            diffuse = np.array(assigned[part.material].diffuse_albedo)
+            specular = np.array(assigned[part.material].specular_albedo)
             rows.append(np.minimum(diffuse * (1 - specular) + specular, 0.95))
         tables.append(np.array(rows))
     starts = np.cumsum([0] + [len(t) for t in tables[:-1]])

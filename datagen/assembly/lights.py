@@ -57,13 +57,13 @@ class PlannedGroup:
 
 @dataclass(frozen=True)
 class RoomToLight:
-    """What lighting needs to know: the scene, who is placed, what they wear, where eyes may be (P, 3)."""
+    """Input of lighting: the scene, placed assets, their assigned materials, positions of eyes (P, 3)."""
 
     environment: EnvironmentAsset
     scene: WorldScene
     placed: tuple[PlacedAsset, ...]
     assets: tuple[EnvironmentAsset | ObjectAsset, ...]
-    worn: tuple[dict[str, MeanMaterial], ...]
+    assigned: tuple[dict[str, MeanMaterial], ...]
     eyes: Floats
     has_solid_backs: bool
 

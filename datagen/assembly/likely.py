@@ -20,7 +20,7 @@ from datagen.assembly.materials import (
     CLASS_RANGES,
     MeanMaterial,
     MeanMaterials,
-    can_be_worn,
+    is_assignable,
     is_plain,
     mean_of,
     slots_by_material,
@@ -205,7 +205,7 @@ class LikelyDresser:
             return False
         if material.surfaces and surface not in material.surfaces:
             return False
-        if not all(can_be_worn(material, slot, asset) for slot in slots):
+        if not all(is_assignable(material, slot, asset) for slot in slots):
             return False
         return reach(look, material.material, self.means.mean(package, material.material)) is not None
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which material each slot wears, by class, and how it is varied.
+"""Assignment of materials to slots, by class, and their variation.
 
 A slot names the classes that suit its geometry (``replaceable_by``); only materials whose main class is
 among them are put there (but for the share that a recipe's ``any_class_probability`` names), and only where
@@ -169,10 +169,10 @@ def _held(moved: float, start: float, low: float, high: float) -> float:
 def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
     """Whether a material may go on a slot: right class, opaque, not luminous, tileable where textured."""
     is_right = material.material.classes[0] in asset.materials[slot].replaceable_by
-    return is_right and can_be_worn(material, slot, asset)
+    return is_right and is_assignable(material, slot, asset)
 
 
-def can_be_worn(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
+def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
     """Whether a slot's geometry can show a material: opaque, not luminous, tileable if textured."""
     own = material.material
     if own.emission is not None or own.opacity is not None:
@@ -229,7 +229,7 @@ def assign_materials(
         if any(material.emission is not None for material in own):
             continue
         is_foreign = any((package.id, slot) in foreign_slots for slot in slots)
-        fits = can_be_worn if takes_any and all(m.replaceable_by for m in own) else suits
+        fits = is_assignable if takes_any and all(m.replaceable_by for m in own) else suits
         fitting = [
             p
             for p in palette
@@ -287,12 +287,12 @@ def _drawn(
     return of_class[int(pick[1] * len(of_class))]
 
 
-def worn_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:
-    """Averages of what every slot of a placed asset wears, adjustments and emission included."""
+def mean_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) -> dict[str, MeanMaterial]:
+    """Averages of the materials assigned to the slots of an asset, adjustments and emission included."""
     package = library.package(placed.asset)
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
-    worn = {}
+    assigned = {}
     for slot in sorted(asset.materials):
         assignment = placed.materials.get(slot, MaterialAssignment())
         source, material = package, asset.materials[slot]
@@ -306,7 +306,7 @@ def worn_materials(placed: PlacedAsset, library: Library, means: MeanMaterials) 
             )
         emission = placed.emission.get(slot, mean.emission)
         changed = adjusted(mean, assignment.adjustment)
-        worn[slot] = MeanMaterial(
+        assigned[slot] = MeanMaterial(
             changed.diffuse_albedo, changed.specular_albedo, changed.roughness, emission
         )
-    return worn
+    return assigned

@@ -21,7 +21,7 @@ from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
 from datagen.assembly.likely import LikelyDresser
 from datagen.assembly.looks import RoomStyle
-from datagen.assembly.materials import MeanMaterials, assign_materials, worn_materials
+from datagen.assembly.materials import MeanMaterials, assign_materials, mean_materials
 from datagen.assembly.placement import place_things
 from datagen.assembly.shortfall import Shortfall
 from datagen.assembly.splits import Pools, pools_of_split, recipe_problems, split_of
@@ -154,9 +154,9 @@ def _assemble_once(
     space = FreeSpace(room.asset, scene.rays, recipe.cameras.height_m)
     space.check()
     eyes = space.points(NUM_EYES, 0.1, Draws(*key, "eyes"), rejections)
-    worn = tuple(worn_materials(p, library, caches.means) for p in placed)
+    assigned = tuple(mean_materials(p, library, caches.means) for p in placed)
     assets = tuple(g.asset for g in geometries)
-    to_light = RoomToLight(room.asset, scene, tuple(placed), assets, worn, eyes, space.trusts_winding)
+    to_light = RoomToLight(room.asset, scene, tuple(placed), assets, assigned, eyes, space.trusts_winding)
     lighting = light_room(to_light, recipe.lights, library, key, rejections)
     lit = [p.model_copy(update={"emission": e}) for p, e in zip(placed, lighting.emission, strict=True)]
 
@@ -173,7 +173,7 @@ def _assemble_once(
         lights=lighting.lights,
         cameras=tuple(ViewCamera.from_camera(f"view-{k:03d}", camera) for k, camera in enumerate(cameras)),
         assets=_hashes(lit, lighting.lights, library),
-        coverage=measure(scene, shell, worn, cameras),
+        coverage=measure(scene, shell, assigned, cameras),
     )
 
 

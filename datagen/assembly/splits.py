@@ -5,7 +5,7 @@ Configurations are dealt out evenly along their index (so that any prefix of a d
 shares) by exact arithmetic. With ``splits.disjoint`` each pool of assets (environments, objects of one
 category, materials of one main class) is dealt out in the order of a hash of its ids. Nothing leaks under
 another name: rooms and things that share their largest mesh go together, materials that share an image go
-together, and where a room or a thing wears an image that belongs to another split, that slot must be dressed
+together, and where a room or an object uses an image that belongs to another split, that slot must be dressed
 anew (rooms of one library share their floors and woods; tying them by images would leave one family).
 """
 

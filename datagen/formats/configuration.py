@@ -42,7 +42,7 @@ class ColorAdjustment(StrictModel):
 
 
 class MaterialAssignment(StrictModel):
-    """What a slot of a placed asset wears.
+    """The material assigned to a slot of a placed asset.
 
     ``asset`` is a material package, or None for the material that the asset brought. ``uv_scale`` multiplies
     the part's UVs (tiles); None computes it from the part's ``uv_per_m`` and the material's ``tile_size_m``.

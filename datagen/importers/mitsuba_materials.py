@@ -275,7 +275,7 @@ class MaterialConverter:
     def _twosided(self, node: SceneNode, name: str) -> Draft:
         draft = self._nested(node, name)
         if len(node.children_of("bsdf")) > 1:
-            draft = draft.with_note("the back side wears the front side's material")
+            draft = draft.with_note("the back side gets the front side's material")
         return draft
 
     def _mask(self, node: SceneNode, name: str) -> Draft:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From slots and assignments to BSDFs: who wears what, and the ``cook_torrance`` tree that shows it.
+"""From slots and assignments to BSDFs: the assigned materials, and the ``cook_torrance`` tree that shows it.
 
 Two slots share a BSDF, and a material id, exactly if package, material and adjustment agree; UV scales are
 in the meshes.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """What a slot wears in a configuration. ``name`` is the material asset's id, or ``asset/slot``."""
+    """The material assigned to a slot. ``name`` is the material asset's id, or ``asset/slot``."""
 
     name: str
     package: Package
@@ -46,7 +46,7 @@ class SurfaceMaterial:
 def resolve_materials(
     placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
 ) -> dict[str, SurfaceMaterial]:
-    """Slot -> what it wears. Faults are added to ``problems``."""
+    """Slot -> assigned material. Faults are added to ``problems``."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     where = f"configuration: {placed.name}"

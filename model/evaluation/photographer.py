@@ -20,7 +20,7 @@ from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import Floats, GeometryCache, RayScene, WorldScene
 from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
-from datagen.assembly.materials import MeanMaterials, worn_materials
+from datagen.assembly.materials import MeanMaterials, mean_materials
 from datagen.assembly.plan import NUM_EYES
 from datagen.assembly.surfaces import surfaces_of
 from datagen.assembly.views import ViewFinder, preview_of
@@ -63,8 +63,8 @@ def choose_cameras(
     key: tuple[int | str, ...] = (seed, package.id, "photographs")
     rejections: Counter[str] = Counter()
     eyes = space.points(NUM_EYES, 0.1, Draws(*key, "eyes"), rejections)
-    worn = worn_materials(placed, library, MeanMaterials())
-    room = RoomToLight(asset, scene, (placed,), (asset,), (worn,), eyes, space.trusts_winding)
+    assigned = mean_materials(placed, library, MeanMaterials())
+    room = RoomToLight(asset, scene, (placed,), (asset,), (assigned,), eyes, space.trusts_winding)
     lighting = light_room(room, _OWN_LIGHTS, library, key, rejections)
     shell = Shell(scene, surfaces_of(geometry))
     cameras = ViewFinder(scene, shell, space, lighting, recipe, resolution, key, rejections).find(num_views)

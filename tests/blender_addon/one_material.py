@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A room whose three walls wear one graph on object coordinates, and two stools of one oak, exported.
+"""A room whose three walls have one graph on object coordinates, and two stools of one oak, exported.
 
 ``python -m tests.blender_addon.one_material OUT`` writes ``first/`` and ``again/`` (imported and exported).
 """

@@ -67,9 +67,9 @@ def test_bakes_of_one_material_are_varied_and_replaced_together(folder: Path, pa
     recipe, means = MaterialRecipe(replace_probability=0.5, vary_probability=1.0), MeanMaterials()
     seen: set[tuple[str, str | None]] = set()
     for seed in range(30):
-        worn = assign_materials(package, palette, recipe, means, Draws(seed))
+        assigned = assign_materials(package, palette, recipe, means, Draws(seed))
         for slots in groups:
-            (one,) = {worn.get(slot, MaterialAssignment()).model_dump_json() for slot in slots}
+            (one,) = {assigned.get(slot, MaterialAssignment()).model_dump_json() for slot in slots}
             seen.add((slots[0], MaterialAssignment.model_validate_json(one).asset))
     assert len({asset for slot, asset in seen if "oak" in slot}) > 1, "never replaced or always"
 

@@ -65,16 +65,16 @@ def test_observations_and_shares_are_counted(room: tuple[WorldScene, Shell]) -> 
     plain = MeanMaterial((0.5, 0.5, 0.5), (0.04, 0.04, 0.04), 0.6)
     steel = MeanMaterial((0.0, 0.0, 0.0), (0.6, 0.6, 0.6), 0.2)
     slots = scene.geometries[0].asset.materials
-    worn = (dict.fromkeys(slots, plain),)
-    same = measure(scene, shell, worn, [one, one, one])
+    assigned = (dict.fromkeys(slots, plain),)
+    same = measure(scene, shell, assigned, [one, one, one])
     assert (same.median_observations, same.thin_share, same.room_share) == (3.0, 0.0, 1.0)
     assert same.metal_share == same.gloss_share == 0.0
-    apart = measure(scene, shell, worn, [one, away])
+    apart = measure(scene, shell, assigned, [one, away])
     assert apart.thin_share == 1.0 and apart.room_share == 0.5
-    walls = measure(scene, shell, ({**worn[0], "walls": steel},), [away])
+    walls = measure(scene, shell, ({**assigned[0], "walls": steel},), [away])
     assert walls.metal_share == walls.gloss_share > 0.95
     polished = MeanMaterial(plain.diffuse_albedo, plain.specular_albedo, 0.25)
-    floor = measure(scene, shell, ({**worn[0], "walls": polished},), [away])
+    floor = measure(scene, shell, ({**assigned[0], "walls": polished},), [away])
     assert floor.metal_share == 0.0 and floor.gloss_share > 0.95
 
 

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from datagen.assembly.geometry import load_geometry
 from datagen.assembly.likely import LikelyDresser, reach
 from datagen.assembly.looks import LOOKS, Look, RoomStyle
-from datagen.assembly.materials import MeanMaterial, MeanMaterials, adjusted, worn_materials
+from datagen.assembly.materials import MeanMaterial, MeanMaterials, adjusted, mean_materials
 from datagen.assembly.plan import assemble
 from datagen.assembly.surface_statistics import main, sample_surfaces, weighted_median
 from datagen.assembly.surfaces import surface_of_words, surfaces_of
@@ -47,8 +47,8 @@ def dressed(name: str, seed: int, recipe: MaterialRecipe = ALWAYS) -> dict[str, 
     return dresser.assign(library().package(name), surfaces(name), Draws(seed, "dress"))
 
 
-def worn(name: str, seed: int) -> dict[str, MeanMaterial]:
-    return worn_materials(PlacedAsset(name="x", asset=name, materials=dressed(name, seed)), library(), MEANS)
+def assigned(name: str, seed: int) -> dict[str, MeanMaterial]:
+    return mean_materials(PlacedAsset(name="x", asset=name, materials=dressed(name, seed)), library(), MEANS)
 
 
 def hsv(mean: MeanMaterial) -> tuple[float, float, float]:
@@ -58,7 +58,7 @@ def hsv(mean: MeanMaterial) -> tuple[float, float, float]:
 @pytest.mark.parametrize("name", ROOMS)
 def test_surfaces_wear_what_such_surfaces_wear(name: str) -> None:
     for seed in range(12):
-        means = worn(name, seed)
+        means = assigned(name, seed)
         for slot, assignment in dressed(name, seed).items():
             surface = surfaces(name)[slot]
             if assignment.asset is None:
@@ -81,7 +81,7 @@ def test_surfaces_wear_what_such_surfaces_wear(name: str) -> None:
 def test_a_room_has_one_style() -> None:
     tones = set()
     for seed in range(20):
-        found, means = dressed("kitchen", seed), worn("kitchen", seed)
+        found, means = dressed("kitchen", seed), assigned("kitchen", seed)
         metals = {
             colorsys.rgb_to_hsv(*means[slot].specular_albedo)[1] > 0.25
             for slot in ("hardware", "knobs")

@@ -18,8 +18,8 @@ from datagen.assembly.materials import (
     adjusted,
     assign_materials,
     draw_adjustment,
+    mean_materials,
     suits,
-    worn_materials,
 )
 from datagen.formats.asset import (
     MATERIAL_CLASSES,
@@ -49,13 +49,13 @@ def test_slots_wear_only_classes_that_suit_them(library: Library) -> None:
     seen: dict[str, Counter[str]] = {}
     recipe, means = MaterialRecipe(replace_probability=1.0), MeanMaterials()
     for seed in range(60):
-        for slot, worn in assign_materials(room, palette, recipe, means, Draws(seed)).items():
-            if worn.asset is not None:
-                asset = library.package(worn.asset).asset
+        for slot, assigned in assign_materials(room, palette, recipe, means, Draws(seed)).items():
+            if assigned.asset is not None:
+                asset = library.package(assigned.asset).asset
                 assert isinstance(asset, MaterialAsset)
                 assert asset.material.classes[0] in room.asset.materials[slot].replaceable_by
-                assert worn.uv_scale is None
-                seen.setdefault(slot, Counter())[worn.asset] += 1
+                assert assigned.uv_scale is None
+                seen.setdefault(slot, Counter())[assigned.asset] += 1
     assert set(seen) == {"floor", "walls", "table", "shelf"}  # the ceiling's material is fixed
     assert set(seen["shelf"]) == {"oak", "walnut", "steel"}
     assert 15 < seen["shelf"]["steel"] < 45  # classes are drawn first: one metal against two woods
@@ -76,15 +76,15 @@ def worn_classes(library: Library, recipe: MaterialRecipe) -> dict[str, Counter[
     room, palette, means = library.package("room-0"), library.select("material"), MeanMaterials()
     seen: dict[str, Counter[str]] = {}
     for seed in range(80):
-        for slot, worn in assign_materials(room, palette, recipe, means, Draws(seed)).items():
-            if worn.asset is not None:
-                asset = library.package(worn.asset).asset
+        for slot, assigned in assign_materials(room, palette, recipe, means, Draws(seed)).items():
+            if assigned.asset is not None:
+                asset = library.package(assigned.asset).asset
                 assert isinstance(asset, MaterialAsset)
                 seen.setdefault(slot, Counter())[asset.material.classes[0]] += 1
     return seen
 
 
-def test_class_weights_decide_which_class_is_worn(library: Library) -> None:
+def test_class_weights_decide_which_class_is_assigned(library: Library) -> None:
     recipe = MaterialRecipe(replace_probability=1.0, class_weights={"metal": 4.0})
     assert 50 < worn_classes(library, recipe)["shelf"]["metal"] < 78  # four in five of 80, wood is the other
     without = MaterialRecipe(replace_probability=1.0, class_weights={"metal": 0.0})
@@ -141,8 +141,8 @@ def test_lamps_keep_their_material(tmp_path: Path, library: Library) -> None:
     write_object(tmp_path, "lamp", "lamp", shapes, slots)
     always = MaterialRecipe(replace_probability=1.0, vary_probability=1.0)
     lamp = Library([tmp_path]).package("lamp")
-    worn = assign_materials(lamp, library.select("material"), always, MeanMaterials(), Draws(1))
-    assert set(worn) == {"foot"}
+    assigned = assign_materials(lamp, library.select("material"), always, MeanMaterials(), Draws(1))
+    assert set(assigned) == {"foot"}
 
 
 @pytest.mark.parametrize("name", MATERIAL_CLASSES)
@@ -185,16 +185,16 @@ def test_averages_change_as_the_renderer_changes_constants() -> None:
         assert ours.roughness == pytest.approx(float(adjusted_constant(0.4, "roughness", change)), abs=1e-6)
 
 
-def test_worn_materials_follow_assignments(library: Library) -> None:
+def test_assigned_materials_follow_assignments(library: Library) -> None:
     change = ColorAdjustment(value_scale=0.5)
     placed = PlacedAsset(
         name="room",
         asset="room-0",
         materials={"table": MaterialAssignment(asset="walnut", adjustment=change)},
     )
-    worn = worn_materials(placed, library, MeanMaterials())
-    np.testing.assert_allclose(worn["table"].diffuse_albedo, (0.075, 0.04, 0.02))
-    np.testing.assert_allclose(worn["floor"].diffuse_albedo, (0.35, 0.22, 0.12))
+    assigned = mean_materials(placed, library, MeanMaterials())
+    np.testing.assert_allclose(assigned["table"].diffuse_albedo, (0.075, 0.04, 0.02))
+    np.testing.assert_allclose(assigned["floor"].diffuse_albedo, (0.35, 0.22, 0.12))
 
 
 def test_mean_of_a_texture_is_linear(tmp_path: Path) -> None:

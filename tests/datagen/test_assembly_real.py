@@ -94,10 +94,10 @@ def test_real_rooms_get_all_their_views(configurations: list[Configuration]) -> 
 
 
 def test_real_materials_are_put_to_use(configurations: list[Configuration]) -> None:
-    worn = {
+    assigned = {
         m.asset for c in configurations for p in (c.environment, *c.objects) for m in p.materials.values()
     }
-    assert {"marble", "tiles", "wood-floor-43"} <= worn
+    assert {"marble", "tiles", "wood-floor-43"} <= assigned
 
 
 def test_it_is_quick_and_repeats(

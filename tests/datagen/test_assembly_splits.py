@@ -151,7 +151,7 @@ def test_all_faults_of_a_recipe_are_said_at_once(library: Library) -> None:
     assert len(caught.value.problems) >= 5
 
 
-def wear(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
+def assign(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
     """Gives a room's slot, or a material package, an image as diffuse albedo."""
     with open_package(folder) as package:
         files: dict[str, bytes | Path] = {
@@ -160,11 +160,11 @@ def wear(folder: Path, slot: str | None, pixels: np.ndarray) -> None:
         asset: Any = package.asset
     texture = {"diffuse_albedo": Texture(texture="shared.png", encoding="srgb")}
     if slot is None:
-        worn = {"material": asset.material.model_copy(update={**texture, "tile_size_m": 0.5})}
+        assigned = {"material": asset.material.model_copy(update={**texture, "tile_size_m": 0.5})}
     else:
-        worn = {"materials": {**asset.materials, slot: asset.materials[slot].model_copy(update=texture)}}
+        assigned = {"materials": {**asset.materials, slot: asset.materials[slot].model_copy(update=texture)}}
     write_package(
-        folder, asset.model_copy(update=worn), {**files, "shared.png": encode_png(pixels)}, overwrite=True
+        folder, asset.model_copy(update=assigned), {**files, "shared.png": encode_png(pixels)}, overwrite=True
     )
 
 
@@ -176,8 +176,8 @@ def test_a_room_never_wears_an_image_of_another_split(tmp_path: Path) -> None:
     pixels = np.full((4, 4, 3), 90, np.uint8)
     pixels[::2] = 140
     for name in ("room-0", "room-1"):
-        wear(root / "environments" / name, "floor", pixels)
-    wear(root / "materials" / "oak", None, pixels)
+        assign(root / "environments" / name, "floor", pixels)
+    assign(root / "materials" / "oak", None, pixels)
     wanted = recipe(
         configurations=6,
         objects={"count": (1, 2)},

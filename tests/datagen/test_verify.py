@@ -508,8 +508,8 @@ def rough_library(tmp_path_factory):
         yield library, library.select("environment")[0], "grainy-wood"
 
 
-def wear(dataset: Dataset, rough_library, offset: float = 0.0) -> None:
-    """Let every slot of the room wear the textured material, and name the views' material after it."""
+def assign(dataset: Dataset, rough_library, offset: float = 0.0) -> None:
+    """Assign the textured material to every slot of the room, and name the views' material after it."""
     _, room, material = rough_library
     assignment = MaterialAssignment(asset=material, adjustment=ColorAdjustment(roughness_offset=offset))
     dataset.placed = PlacedAsset(
@@ -519,7 +519,7 @@ def wear(dataset: Dataset, rough_library, offset: float = 0.0) -> None:
 
 
 def test_roughness_that_varies_passes(dataset, rough_library):
-    wear(dataset, rough_library)
+    assign(dataset, rough_library)
     expected = expected_roughness(dataset.configuration(), rough_library[0])
     assert expected == {"grainy-wood": pytest.approx(120 / 255, rel=0.05)}
     report = verify_dataset(dataset.write(), rough_library[0])
@@ -527,7 +527,7 @@ def test_roughness_that_varies_passes(dataset, rough_library):
 
 
 def test_constant_roughness_of_a_textured_material(dataset, rough_library):
-    wear(dataset, rough_library)
+    assign(dataset, rough_library)
     for view in dataset.views:
         view["roughness"][view["surface_mask"] > 0] = 0.5
     faults = found(dataset.write(), rough_library[0])
@@ -536,7 +536,7 @@ def test_constant_roughness_of_a_textured_material(dataset, rough_library):
 
 
 def test_saturated_roughness_may_be_constant(dataset, rough_library):
-    wear(dataset, rough_library, offset=1.0)
+    assign(dataset, rough_library, offset=1.0)
     expected = expected_roughness(dataset.configuration(), rough_library[0])
     assert expected == {"grainy-wood": 0}
     for view in dataset.views:

@@ -210,8 +210,8 @@ def test_a_recipe_draws_a_scene(tmp_path: Path) -> None:
     heights = [camera.camera().position_m[2] for camera in configuration.cameras]
     assert min(heights) >= HEIGHTS[0] - 1e-6 and max(heights) <= HEIGHTS[1] + 1e-6
     placed = (configuration.environment, *configuration.objects)
-    worn = {a.asset for thing in placed for a in thing.materials.values() if a.asset is not None}
-    assert worn and worn <= {"maple", "gold"} == {n for n in found.asset_sha256 if "/" not in n}
+    assigned = {a.asset for thing in placed for a in thing.materials.values() if a.asset is not None}
+    assert assigned and assigned <= {"maple", "gold"} == {n for n in found.asset_sha256 if "/" not in n}
     with pytest.raises(InputError, match="trained on oak"):
         assert_not_trained_on(found, card(oak=found.asset_sha256["maple"]))
     things = plan_scene(scene.model_copy(update={"may_know_shapes": False}), tmp_path / "cache").asset_sha256

@@ -130,8 +130,8 @@ def gather_shard(job: GatherJob) -> dict[str, Any]:
 
 
 def _placed(placed: PlacedAsset) -> dict[str, Any]:
-    worn = sorted({m.asset for m in placed.materials.values() if m.asset is not None})
-    return {"asset": placed.asset, "materials": worn}
+    assigned = sorted({m.asset for m in placed.materials.values() if m.asset is not None})
+    return {"asset": placed.asset, "materials": assigned}
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
