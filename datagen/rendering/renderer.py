@@ -39,6 +39,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.color import exposure_for
 from datagen.foundation.errors import input_error
 from datagen.rendering.denoiser import Denoiser, OidnDenoiser, auxiliary_albedo, make_denoiser
+from datagen.rendering.noisy_share import blended, noisy_share
 from datagen.rendering.path_depth import depth_for, energy_left, reflectance_met
 from datagen.rendering.sample_budget import (
     ErrorEstimate,
@@ -398,8 +399,11 @@ class SceneRenderer:
         a, b = (half.mean() for half in view.halves)
         self._check_finite(view.index, {"beauty_noisy": a + b, **view.buffers})
         clean_a, clean_b = (self._denoise(view, half, self._estimator) for half in (a, b))
-        removed_share = (view.halves[0] + view.halves[1]).removed_share()
-        estimate = estimate_error((a, b), (clean_a, clean_b), view.seen_lights, removed_share)
+        if self._estimator is not None:
+            share = noisy_share((a, b), 0.5 * (clean_a + clean_b), view.seen_lights)
+            clean_a, clean_b = blended(clean_a, a, share), blended(clean_b, b, share)
+        removed = (view.halves[0].removed_mean(), view.halves[1].removed_mean())
+        estimate = estimate_error((a, b), (clean_a, clean_b), view.seen_lights, removed)
         if self._is_enough is not None:
             image = 0.5 * (clean_a + clean_b) + view.seen_lights
             view.is_enough = self._is_enough(view.index, image, estimate)
@@ -411,7 +415,11 @@ class SceneRenderer:
         sums = view.halves[0] + view.halves[1]
         noisy = sums.mean()
         self._check_finite(view.index, {"beauty_noisy": noisy, "lights": view.seen_lights, **view.buffers})
-        beauty = self._denoise(view, noisy, self._denoiser) + view.seen_lights
+        reflected = self._denoise(view, noisy, self._denoiser)
+        if self._budget is not None and self._denoiser is not None:
+            halves = (view.halves[0].mean(), view.halves[1].mean())
+            reflected = blended(reflected, noisy, noisy_share(halves, reflected, view.seen_lights))
+        beauty = reflected + view.seen_lights
         self._check_finite(view.index, {"beauty": beauty})
         buffers = dict(view.buffers)
         buffers["beauty"] = np.minimum(beauty, HALF_MAX)

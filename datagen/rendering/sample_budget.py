@@ -4,8 +4,9 @@
 Letters: ``a`` and ``b`` are the images of the two halves, n samples a pixel each, independent and with the
 right expectation r; ``A`` and ``B`` the same images denoised; all of them (H, W, 3), scene-linear, and here
 multiplied by the image's exposure. Errors are relMSE as :mod:`datagen.rendering.error` defines it: per-pixel
-squares are divided by r^2 + 0.01, for which (A + B) / 2 stands in (dark details that the denoiser drowns in
-their surroundings therefore weigh too little).
+squares are divided by r^2 + 0.01, for which (A + B) / 2 stands in. A and B have their noisy pixels where
+those are surer (:mod:`datagen.rendering.noisy_share`): a dark bar that the denoiser drowned between bright
+panes would weigh hundreds of times too little.
 
 The error of a denoised half is a spread V, which the halves show, and a bias of the denoiser, which both
 share and their difference hides. What shows the bias is that each half is an unbiased witness of the other:
@@ -18,8 +19,8 @@ share and their difference hides. What shows the bias is that each half is an un
 
 U contains products of the halves' noise, (a - r)(b - r), which vanish in the mean over many pixels only:
 with few pixels or wild noise, bias^2 is known badly, and V, which is calm, serves to guess it
-(:func:`_squared_bias`). What a firefly clamp took away is common to everything and seen by none of this: the
-square of its share is added, which is what it costs if the light is missing evenly everywhere.
+(:func:`_squared_bias`). What a firefly clamp took away is common to everything and seen by none of this; how
+much it is, and where, is recorded with each half (:func:`_clamped_error`).
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ MOST_GROWTH = 4
 """A pass multiplies the samples of a tile by this at most: what is known of it comes from few samples."""
 LEAST_SHARE = 0.05
 """Error that every tile is believed to have, over the mean of the tiles: light that no sample has met yet."""
+CLAMP_BLUR_PX = 2.0
+"""Standard deviation of the Gaussian that evens out what a clamp took from single pixels."""
 LEAST_PASS = 0.1
 """What a pass adds at least, over all before it: an estimate costs as much as some samples."""
 SAMPLE_STEP = 4
@@ -78,6 +81,10 @@ class PathSums:
         """Radiance (H, W, 3)."""
         return (self.radiance / self.counts[..., None]).astype(np.float32)
 
+    def removed_mean(self) -> NDArray[np.float64]:
+        """Luminance (H, W) that the clamp took away from the mean."""
+        return self.removed_luminance / self.counts
+
     def removed_share(self) -> float:
         """Share of the luminance that the clamp took away, in [0, 1]."""
         removed = float((self.removed_luminance / self.counts).sum())
@@ -103,13 +110,13 @@ def estimate_error(
     halves: tuple[NDArray[np.float32], NDArray[np.float32]],
     denoised: tuple[NDArray[np.float32], NDArray[np.float32]],
     seen_lights: NDArray[np.float32],
-    removed_share: float = 0.0,
+    removed: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> ErrorEstimate:
-    """Error of the image that is made of both halves. All arrays (H, W, 3).
+    """Error of the image that is made of both halves. Arrays (H, W, 3), but for ``removed`` (H, W).
 
     ``seen_lights`` is what is added to the image without noise; it weighs in the image's brightness only.
-    ``denoised`` are the halves themselves where there is no denoiser. ``removed_share`` of the light was
-    taken away by a clamp.
+    ``denoised`` are the halves themselves where there is no denoiser. ``removed``: luminance that a clamp
+    took from each half.
     """
     a, b = (half.astype(np.float64) for half in halves)
     clean_a, clean_b = (image.astype(np.float64) for image in denoised)
@@ -119,15 +126,35 @@ def estimate_error(
     weight = scale**2 / ((scale * finished) ** 2 + EPSILON) / 3.0
     spread_map = (weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).astype(np.float32)
     spread = float(spread_map.mean(dtype=np.float64))
+    clamped = 0.0 if removed is None else _clamped_error(removed, scale, finished)
     if denoised[0] is halves[0]:  # unbiased: the halves' spread is all there is
-        return ErrorEstimate(0.5 * spread + removed_share**2, 0.0, spread, 0.0, 0.0, spread_map)
+        return ErrorEstimate(0.5 * spread + clamped, 0.0, spread, 0.0, 0.0, spread_map)
     witnessed = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
     measured = float((weight * witnessed).sum(axis=-1).mean()) - spread
     noise = (weight * (a - middle) * (b - middle)).sum(axis=-1)
     bias_error = math.sqrt(float((noise**2).sum())) / noise.size
     bias, standard_error = _squared_bias(spread, measured, bias_error)
-    error = 0.5 * spread + bias + removed_share**2
+    error = 0.5 * spread + bias + clamped
     return ErrorEstimate(error, standard_error, spread, measured, bias_error, spread_map)
+
+
+def _clamped_error(
+    removed: tuple[NDArray[np.float64], NDArray[np.float64]], scale: float, finished: NDArray[np.float64]
+) -> float:
+    """Error of what a clamp took away: mean of the square of its share of the light around each pixel.
+
+    What both halves lost there is multiplied, so that what one of them lost by chance adds nothing on
+    average.
+    """
+    from scipy import ndimage
+
+    if not (removed[0].any() and removed[1].any()):
+        return 0.0
+    level = luminance(finished)
+    kept, *lost = (ndimage.gaussian_filter(image, CLAMP_BLUR_PX) for image in (level, *removed))
+    light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # where there is none: 0
+    weight = (scale * level) ** 2 / ((scale * level) ** 2 + EPSILON)
+    return float((weight * (lost[0] / light) * (lost[1] / light)).mean())
 
 
 def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:

@@ -153,9 +153,13 @@ def test_estimate_does_not_depend_on_brightness() -> None:
 def test_black_image_has_no_error_and_missing_light_counts() -> None:
     black = np.zeros((4, 4, 3), np.float32)
     assert estimate_error((black, black), (black.copy(), black.copy()), black).rel_mse == 0.0
-    assert estimate_error((black, black), (black.copy(), black.copy()), black, 0.1).rel_mse == pytest.approx(
-        0.01
-    )
+    nothing = (black[..., 0], black[..., 0])
+    assert estimate_error((black, black), (black.copy(), black.copy()), black, nothing).rel_mse == 0.0
+    white = np.ones_like(black)
+    lost = np.full((4, 4), 1.0 / 9.0)  # a tenth of all
+    for removed, expected in (((lost, lost), 0.01), ((lost, 0 * lost), 0.0)):
+        estimate = estimate_error((white, white), (white.copy(), white.copy()), black, removed)
+        assert estimate.rel_mse == pytest.approx(expected * 0.81 / 0.82)
 
 
 def test_wild_noise_is_not_taken_for_a_small_error() -> None:

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: MIT
+"""Whether the error that a view records is its true one: `standard` against plain paths, ten rooms, four
+views.
+
+    python -m benchmarks.bench_recorded_error                      96x64: references, views, figures, picture
+    python -m benchmarks.bench_recorded_error --size 320 192 --views 1 --samples 128
+
+Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). What is true
+is what `datagen verify --recheck` measures: four independent parts of plain paths of up to 65 segments, here
+with shadow rays through the windows, which has the same expectation. Parts are kept in --cache, so that the
+command goes on where it was stopped. A view whose true error is known worse than to a quarter counts as *not
+known*.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.bench_view import RESULTS, configuration_of, converted
+from datagen.formats.base import parse_model
+from datagen.formats.configuration import Configuration
+from datagen.formats.recipe import AssetFilter, Recipe, RenderRecipe
+from datagen.foundation.color import luminance
+from datagen.inspection.recheck import DEPTH, PARTS, ROULETTE_DEPTH
+from datagen.library import Library, resolve_library_paths
+from datagen.rendering.error import relative_mse_of_parts
+from datagen.rendering.renderer import SceneRenderer
+
+BUNDLED = ("living_room", "kitchen", "bathroom", "dining_room", "study")
+IMPORTED = ("staircase", "veach-ajar", "bathroom2", "staircase2", "contemporary")
+FOLDERS = {"contemporary": "bathroom"}  # of a scene whose name a bundled room has
+IMAGE = Path(__file__).resolve().parents[1] / "docs" / "images" / "recorded_error.png"
+
+
+@dataclass(frozen=True)
+class Point:
+    """A view: recorded and true exposed relMSE, the latter's standard error, and how its brightness is
+    off."""
+
+    room: str
+    view: int
+    samples: float
+    recorded: float
+    true: float
+    true_error: float
+    bias: float
+    cell_m: float | None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the references say well enough what is true."""
+        return self.true_error < 0.25 * self.true
+
+
+def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tuple[Configuration, Library]:
+    """Configuration and library of a room."""
+    from datagen.assembly.plan import assemble
+
+    if name in IMPORTED:
+        library = converted(FOLDERS.get(name, name), cache)
+        return configuration_of(library, views, size), library
+    library = Library(resolve_library_paths(("bundled",), Path()))
+    recipe = Recipe(
+        name=f"error-{name}",
+        seed=70 + BUNDLED.index(name),
+        configurations=1,
+        views=views,
+        resolution=size,
+        environments=AssetFilter(include=(name,)),
+    )
+    return assemble(recipe, 0, library), library
+
+
+def references(
+    renderer: SceneRenderer, room: str, view: int, samples: int, cache: Path
+) -> list[NDArray[np.float32]]:
+    """Independent images of reflected light, (H, W, 3) each; made where they are not in ``cache`` yet."""
+    from datagen.rendering.path_tracer import PathTracer
+
+    camera = renderer.configuration.cameras[view].camera()
+    paths = [cache / f"{room}-{camera.width_px}-{samples}-{view}-{part}.npy" for part in range(PARTS)]
+    for part, path in enumerate(paths):
+        if not path.is_file():
+            tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)
+            tracer.guide_by(renderer._tracer.sky_guide)
+            sums = tracer.add_up(renderer._sensor(camera), samples // PARTS, 0x5EED0000 + part)
+            np.save(path, sums.mean())
+    return [np.load(path) for path in paths]
+
+
+def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
+    """Every view of a room."""
+    size = (arguments.size[0], arguments.size[1])
+    configuration, library = room_named(room, arguments.views, size, arguments.cache)
+    recipe = parse_model(RenderRecipe, {"quality": arguments.quality}, "recipe")
+    renderer = SceneRenderer(configuration, library, recipe)
+    for index in range(arguments.views):
+        lights = renderer._begin(index).seen_lights
+        folder = arguments.cache / "plain"
+        folder.mkdir(parents=True, exist_ok=True)
+        parts = [p + lights for p in references(renderer, room, index, arguments.samples, folder)]
+        view = renderer.render_view(index)
+        image, record = view.buffers["beauty"], view.render
+        true, true_error = relative_mse_of_parts(image, parts, exposed=True)
+        bias = float(luminance(image).mean() / np.mean([luminance(part) for part in parts])) - 1.0
+        assert record.estimated_rel_mse is not None
+        yield Point(
+            room, index, record.path_samples, record.estimated_rel_mse, true, true_error, bias,
+            record.irradiance_cell_m,
+        )  # fmt: skip
+    renderer.close()
+
+
+def figures(points: list[Point]) -> dict[str, Any]:
+    """Shares within a factor, worst ratios of recorded to true, over the views whose true error is known."""
+    known = [p for p in points if p.is_known]
+    ratios = np.array([p.recorded / p.true for p in known])
+    return {
+        "views": len(points),
+        "known": len(known),
+        "within_2": round(float(np.mean((ratios >= 0.5) & (ratios <= 2.0))), 3),
+        "below_a_fourth": int((ratios < 0.25).sum()),
+        "least": round(float(ratios.min()), 3),
+        "median": round(float(np.median(ratios)), 3),
+        "most": round(float(ratios.max()), 3),
+    }
+
+
+def plot(points: list[Point], path: Path) -> None:
+    """Recorded against true error, both logarithmic, with what the references leave open."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+    axes = figure.add_subplot()
+    for number, room in enumerate(dict.fromkeys(p.room for p in points)):
+        own = [p for p in points if p.room == room and p.true > 0.0]
+        color = f"C{number}"
+        true, recorded = [p.true for p in own], [p.recorded for p in own]
+        low = [min(p.true_error, 0.9 * p.true) for p in own]
+        bars = [low, [p.true_error for p in own]]
+        axes.errorbar(true, recorded, xerr=bars, fmt="o", ms=4, lw=0.7, color=color, label=room)
+    ends = np.array([2e-4, 0.1])
+    axes.plot(ends, ends, color="grey", lw=1)
+    axes.fill_between(ends, ends / 2, ends * 2, color="grey", alpha=0.12, lw=0)
+    axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
+    axes.set(xlabel="true relMSE, against plain paths", ylabel="recorded relMSE")
+    axes.set_aspect("equal")
+    axes.legend(fontsize=8, loc="upper left")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Parse, make references, measure, write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rooms", nargs="+", choices=BUNDLED + IMPORTED, default=BUNDLED + IMPORTED)
+    parser.add_argument("--size", type=int, nargs=2, default=(96, 64))
+    parser.add_argument("--views", type=int, default=4)
+    parser.add_argument("--samples", type=int, default=256, help=f"plain paths a pixel, in {PARTS} parts")
+    parser.add_argument("--quality", choices=("draft", "standard"), default="standard")
+    parser.add_argument("--cache", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS / "bench_recorded_error.json")
+    parser.add_argument("--plot", type=Path, default=IMAGE)
+    arguments = parser.parse_args()
+    points: list[Point] = []
+    for room in arguments.rooms:
+        for point in points_of(room, arguments):
+            points.append(point)
+            print(json.dumps(asdict(point)), file=sys.stderr, flush=True)
+    result = {"arguments": {k: str(v) for k, v in vars(arguments).items()}, **figures(points)}
+    print(json.dumps(result, indent=1))
+    result["points"] = [asdict(p) for p in points]
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    plot(points, arguments.plot)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""Where an image keeps its noisy pixels: beside what is many times brighter than white, the denoiser bleeds.
+
+OIDN errs by a few per cent of the brightest thing that its network sees around a pixel. For what is up to
+white that is less than the noise which it removes. Of panes at forty times white it is more than a dark bar
+between them shows at all, while the bar's own samples are few but right.
+
+Two independent halves a and b of the samples tell which pixels these are. With F, their denoised image, the
+expectation of (a - F)(b - F) is F's squared error, as far as F does not depend on the noise of that pixel; a
+firefly is in one half only and makes it negative. So the noisy image N replaces F with the share
+
+    g max(0, 1 - v / ((a - F)(b - F)))
+
+where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
+Iglesias-Guitian and Moon 2022) that leaves F alone wherever the noise may explain what it differs by. v is
+relative to the darker of F and N, and pooled, because two halves alone say little of a pixel's variance. g
+rises from 0 to 1 where something that both halves agree to be ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE`` times
+white lies within ``REACH_PX``. Without it samples that are low by chance would pass for dark things
+(decision 78 has the figures).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import exposure_for, luminance
+
+FAINTEST_SOURCE, BRIGHT_SOURCE = 4.0, 8.0
+"""Luminance, over the exposed image's white, from which neighbours are mistrusted, and wholly so."""
+REACH_PX = 5
+"""Side of the square around a pixel in which such a source lies."""
+NEAR_PX, WIDE_PX = 3, 15
+"""Sides of the squares over which relative variances are pooled; the larger of the two means counts: noise
+that is wild here, or wild somewhere around and not yet met here."""
+LEAST_LEVEL = 0.01
+"""Of white: what keeps relative variances of black pixels finite."""
+
+
+def noisy_share(
+    halves: tuple[NDArray[np.floating], NDArray[np.floating]],
+    denoised: NDArray[np.floating],
+    seen_lights: NDArray[np.floating],
+) -> NDArray[np.float32]:
+    """Share of the noisy image (a + b) / 2 in the finished one, (H, W, 1) in [0, 1].
+
+    ``halves`` and ``denoised`` (H, W, 3) hold reflected light, linear; ``seen_lights`` (H, W, 3) is what is
+    added to it and counts for the exposure alone. Zero nearly everywhere in nearly all images.
+    """
+    from scipy import ndimage
+
+    scale = exposure_for(denoised.astype(np.float64) + seen_lights)
+    a, b, clean = (scale * image.astype(np.float64) for image in (*halves, denoised))
+    agreed = np.minimum(np.minimum(luminance(a), luminance(b)), luminance(clean))
+    source = ndimage.maximum_filter(agreed, REACH_PX)
+    gate = np.clip((source - FAINTEST_SOURCE) / (BRIGHT_SOURCE - FAINTEST_SOURCE), 0.0, 1.0)
+    if not gate.any():
+        return np.zeros((*gate.shape, 1), np.float32)
+    noisy = 0.5 * (a + b)
+    power = [(image**2).mean(axis=-1) + LEAST_LEVEL**2 for image in (clean, noisy)]
+    relative = ((a - b) ** 2).mean(axis=-1) / (power[0] + power[1])  # of a half
+    relative = np.maximum(*(ndimage.uniform_filter(relative, side) for side in (NEAR_PX, WIDE_PX)))
+    variance = relative * np.minimum(*power)
+    squared_error = ((a - clean) * (b - clean)).mean(axis=-1)
+    share = np.clip(1.0 - variance / np.maximum(squared_error, 1e-30), 0.0, 1.0)
+    return (gate * np.where(squared_error > 0.0, share, 0.0))[..., None].astype(np.float32)
+
+
+def blended(
+    denoised: NDArray[np.float32], noisy: NDArray[np.float32], share: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """``denoised`` with ``share`` (H, W, 1) of ``noisy`` in its place, both (H, W, 3)."""
+    return denoised + share * (noisy - denoised) if share.any() else denoised
