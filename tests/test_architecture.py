@@ -67,6 +67,8 @@ MATRIX = {
         "model.reconstruction.geometry model.reconstruction.stages",
         "model.reconstruction.light": f"{_RENDER} {_NETWORKS} model.checkpoint model.reconstruction.captures "
         f"{_ATLAS} model.reconstruction.level model.reconstruction.found_lights model.reconstruction.stages",
+        "model.reconstruction.radiometry": f"{_GROUND} model.reconstruction.geometry "
+        "model.reconstruction.light model.reconstruction.stages",
         "model.reconstruction.unwrap": f"{_GROUND} {_ATLAS}",
         "model.reconstruction.merge": f"{_GROUND} datagen.multiview {_ATLAS} model.reconstruction.unwrap",
         "model.reconstruction.export": f"{_GROUND} {_ATLAS} model.reconstruction.found_lights",
@@ -78,7 +80,8 @@ MATRIX = {
         "model.reconstruction.found_lights",
         "model.reconstruction.infer": f"{_GROUND} datagen.multiview mitsuba_plugins {_ATLAS} "
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
-        "model.reconstruction.unwrap model.reconstruction.merge model.reconstruction.export "
+        "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
+        "model.reconstruction.export "
         "model.reconstruction.infer_options model.reconstruction.report_page model.reconstruction.stages",
         "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.events model.reconstruction",
         "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "

@@ -91,10 +91,13 @@ class CaptureFile(StrictModel):
 @dataclass(frozen=True)
 class ColorImage:
     """``color`` (H, W, 3) float32 linear; ``valid_mask`` (H, W): False where undoing the distortion left
-    nothing."""
+    nothing; ``clipped_mask`` (H, W, 3): True where a channel is at the sensor's ``limit``, a radiance, so
+    that ``color`` is a lower bound; None where no limit is known."""
 
     color: NDArray[np.float32]
     valid_mask: NDArray[np.bool_]
+    clipped_mask: NDArray[np.bool_] | None = None
+    limit: float | None = None
 
 
 class ImageSource(Protocol):

@@ -30,6 +30,7 @@ from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.random import digest
 from model.evaluation.mesh_errors import GeometryError
+from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 
 _EVERY = 7  # pixels that the common exposure is measured on: one in so many
 _LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve falls again
@@ -192,7 +193,8 @@ class _Taken:
     def read(self, camera: Camera) -> ColorImage:
         there = self.source.read(replace(camera, world_from_camera=self.true_camera.world_from_camera))
         color = photographed(there.color.astype(np.float64) * self.scale, camera, self.faults, self.view)
-        return ColorImage((color / self.scale).astype(np.float32), there.valid_mask)
+        read = (color / self.scale).astype(np.float32)
+        return ColorImage(read, there.valid_mask, color >= CLIPPED_LEVEL, 1.0 / self.scale)
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
         return self.source.read_maps(names)

@@ -55,7 +55,9 @@ def infer(
         str, typer.Option("--unit", help="Metres in a unit of cameras and mesh, or auto.")
     ] = "auto",
     encoding: Annotated[str, typer.Option("--encoding", help="auto, linear, srgb or gamma22.")] = "auto",
-    exposure: Annotated[str, typer.Option("--exposure", help="common, or exif to even it out.")] = "common",
+    exposure: Annotated[
+        str, typer.Option("--exposure", help="auto: what EXIF and overlaps tell; exif alone; or common.")
+    ] = "auto",
     max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = 640,
     atlas: Annotated[str, typer.Option("--atlas", help="Side in texels, or auto.")] = "auto",
     visibility: Annotated[str, typer.Option("--visibility", help="depth, or trace.")] = "depth",
@@ -122,6 +124,7 @@ def infer(
         device=device,
         is_checked=not no_check,
         has_punctual=punctual,
+        is_evened=exposure == "auto",
         **doing,
     )
     try:
@@ -184,7 +187,7 @@ def check(
     mesh_up: Annotated[str, typer.Option("--mesh-up", help="As for infer.")] = "same",
     unit: Annotated[str, typer.Option("--unit", help="As for infer.")] = "auto",
     encoding: Annotated[str, typer.Option("--encoding", help="As for infer.")] = "auto",
-    exposure: Annotated[str, typer.Option("--exposure", help="As for infer.")] = "common",
+    exposure: Annotated[str, typer.Option("--exposure", help="As for infer.")] = "auto",
     max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = 640,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
 ) -> None:
@@ -240,7 +243,7 @@ def _reading(
             "--up": (up, ("auto", *AXES)),
             "--mesh-up": (mesh_up, ("same", *AXES)),
             "--encoding": (encoding, ("auto", "linear", "srgb", "gamma22")),
-            "--exposure": (exposure, ("common", "exif")),
+            "--exposure": (exposure, ("auto", "common", "exif")),
         }
     )
     try:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""The way from a capture to an asset: traced → checked → predicted → leveled → merged → filled → exported.
+"""The way from a capture to an asset: traced → checked → completed → predicted → leveled → merged → filled →
+exported.
 
 OUT/state.json      what the work belongs to: a hash over checkpoint, cameras, geometry and options
 OUT/views/          predicted maps, one EXR a view; a run that was stopped continues after them
@@ -44,6 +45,7 @@ from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import MapSource, MapStage, Run
 from model.reconstruction.unwrap.uv import unwrapped
@@ -142,6 +144,8 @@ def _claim(capture: Capture, source: MapSource, run: Run) -> None:
         "precision": run.options.precision,
         "is_filtered": run.options.is_filtered,
     }
+    if not run.options.is_evened:
+        work["is_evened"] = False
     state = canonical_json({"format": "scene-materials/inference", "work": sha256_hex(canonical_json(work))})
     path = run.out / "state.json"
     if path.is_file() and path.read_bytes() != state:
@@ -152,10 +156,12 @@ def _claim(capture: Capture, source: MapSource, run: Run) -> None:
 
 
 def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
-    """Traced → checked → predicted → leveled."""
+    """Traced → checked → completed → predicted → leveled."""
     with run.report.stage("trace"):
         traced = trace_capture(capture, lambda done, total: run.tell("trace", done, total))
     _check(traced, run)
+    if source.is_predicted:
+        traced = completed(traced, run)
     maps = source.maps(traced, run)
     for stage in map_stages(source, run.options):
         maps = stage(traced, maps, run)

@@ -26,7 +26,8 @@ class InferOptions:
     whether predicted diffuse albedo takes its level from the light between the surfaces
     (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
     alone, or both, the network's as the prior (``light``). ``has_punctual``: whether the GLB has small lamps
-    as point lights, too."""
+    as point lights, too. ``is_evened``: whether exposures, vignetting and response are found from photographs
+    that overlap (``radiometry``)."""
 
     atlas: int | Literal["auto"] = "auto"
     visibility: Literal["depth", "trace"] = "depth"
@@ -41,6 +42,7 @@ class InferOptions:
     is_leveled: bool = True
     materials: Materials = "both"
     has_punctual: bool = False
+    is_evened: bool = True
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
@@ -52,7 +54,8 @@ class InferReport:
     """What was done. ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up to
     the end of each; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the lights
     that were found, empty where none were sought; ``warnings`` name views where they concern one;
-    ``albedo_level`` is a :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was
+    ``radiometry`` is what :mod:`~model.reconstruction.radiometry` found; ``albedo_level`` is a
+    :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was
     sought."""
 
     name: str = ""
@@ -64,6 +67,7 @@ class InferReport:
     unwrap: dict[str, Any] = field(default_factory=dict)
     precision: str = ""
     is_filtered: bool = False
+    radiometry: dict[str, Any] = field(default_factory=dict)
     albedo_level: dict[str, Any] = field(default_factory=dict)
     light: dict[str, Any] = field(default_factory=dict)
     gltf_error: dict[str, float] = field(default_factory=dict)

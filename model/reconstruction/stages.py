@@ -33,12 +33,14 @@ class ViewPicture:
 @dataclass
 class Found:
     """What stages find beside maps: ``lights``, the ``confidence_at`` points of the surface on the side of
-    normals (both (..., 3), the result in bytes of D, S and R), and ``pictures`` of views. None and empty
-    where no stage sought them."""
+    normals (both (..., 3), the result in bytes of D, S and R), and ``pictures`` of views; ``doubt_at`` points
+    (N, 3) with normals (N, 3), the diffuse shading (N,), as luminance, that is not sure because photographs
+    clip its source. None and empty where no stage sought them."""
 
     lights: FoundLights | None = None
     confidence_at: Callable[[NDArray, NDArray], NDArray[np.uint8]] | None = None
     pictures: list[ViewPicture] = field(default_factory=list)
+    doubt_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None
 
 
 @dataclass(frozen=True)

@@ -113,13 +113,16 @@ def _radiance(room: Any, camera: Camera, samples: int, seed: int) -> NDArray[np.
 
 @dataclass(frozen=True)
 class Photograph:
-    """``color`` as a file would hold it; ``exposure_scale`` brings white to this value."""
+    """``color`` as a sensor that takes no more than ``white`` has it."""
 
     color: NDArray[np.float32]
-    exposure_scale: float
+    white: float
 
     def read(self, camera: Camera) -> ColorImage:
-        return ColorImage(self.color, np.ones(self.color.shape[:2], dtype=bool))
+        valid = np.ones(self.color.shape[:2], dtype=bool)
+        if np.isinf(self.white):
+            return ColorImage(self.color, valid)
+        return ColorImage(np.minimum(self.color, self.white), valid, self.color >= self.white, self.white)
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
         return {}
@@ -128,7 +131,7 @@ class Photograph:
 def box_capture(white: float = np.inf) -> Capture:
     """The room as photographs of a sensor that takes no more than ``white``."""
     views = [
-        CaptureView(f"view-{index:03d}", view.camera, Photograph(np.minimum(view.color, white), white))
+        CaptureView(f"view-{index:03d}", view.camera, Photograph(view.color, white))
         for index, view in enumerate(photographed_box())
     ]
     return Capture("box", tuple(views), box_geometry())

@@ -23,7 +23,9 @@ from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
 from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
 from model.reconstruction.captures.colmap import MODELS, read_colmap
+from model.reconstruction.captures.exposures import Exposure
 from model.reconstruction.captures.photographs import (
+    PhotographSource,
     fit_orientation,
     lens_pixels,
     linearized,
@@ -356,15 +358,35 @@ def test_exif_exposures_are_evened_out(tmp_path: Path) -> None:
         Image.new("RGB", SIZE, (100, 100, 100)).save(tmp_path / f"{index}.jpg", exif=exif)
         frames.append({"file_path": f"{index}.jpg", "transform_matrix": np.eye(4).tolist(), "fl_x": 50.0})
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
-    levels = [
-        float(view.read().color.mean())
-        for view in read_capture(tmp_path, CaptureOptions(exposure="exif")).views
-    ]
+
+    def levels(exposure: Exposure) -> list[float]:
+        opened = read_capture(tmp_path, CaptureOptions(exposure=exposure))
+        return [float(view.read().color.mean()) for view in opened.views]
+
     base = float(linear_from_srgb(np.array(100 / 255)))
-    np.testing.assert_allclose(levels, [2 * base, base, base / 2], rtol=1e-4)
-    Image.new("RGB", SIZE).save(tmp_path / "1.jpg")
+    np.testing.assert_allclose(levels("exif"), [2 * base, base, base / 2], rtol=1e-4)
+    np.testing.assert_allclose(levels("auto"), [2 * base, base, base / 2], rtol=1e-4)
+    np.testing.assert_allclose(levels("common"), [base] * 3, rtol=1e-4)
+    Image.new("RGB", SIZE, (100, 100, 100)).save(tmp_path / "1.jpg")
+    np.testing.assert_allclose(levels("auto"), [base] * 3, rtol=1e-4)
     with pytest.raises(InputError, match=r"1\.jpg: EXIF"):
-        read_capture(tmp_path, CaptureOptions(exposure="exif"))
+        levels("exif")
+
+
+@pytest.mark.parametrize("exposure_scale", [1.0, 0.5])
+def test_photographs_say_where_they_clip(tmp_path: Path, exposure_scale: float) -> None:
+    """A pixel of 255 in one channel, a quarter of one of the smaller image's; 245 is 0.91 of the limit."""
+    pixels = np.full((6, 8, 3), 128, np.uint8)
+    pixels[2, 4, 1] = 255
+    pixels[0, 0, 0] = 245
+    path = tmp_path / "photograph.png"
+    path.write_bytes(encode_png(pixels))
+    camera = Camera(8, 6, 8.0, 8.0, 4.0, 3.0, np.eye(4))
+    source = PhotographSource(path, camera, None, "auto", exposure_scale)
+    for lens, place in ((camera, (2, 4, 1)), (camera.scaled(4, 3), (1, 2, 1))):
+        image = source.read(lens)
+        assert image.clipped_mask is not None and image.limit == exposure_scale
+        assert [tuple(at) for at in np.argwhere(image.clipped_mask)] == [place]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])

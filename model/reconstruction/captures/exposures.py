@@ -5,17 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from datagen.foundation.errors import InputError, Problem
 from model.reconstruction.captures.photographs import relative_exposure
 
+Exposure = Literal["auto", "common", "exif"]
+"""One for all photographs, what EXIF records, or that where every photograph records it."""
 
-def exposure_scales(images: Sequence[Path]) -> list[float]:
-    """Factors that undo the recorded exposures, 1 at their median.
 
-    Raises :class:`InputError` with every photograph that records none.
+def exposure_scales(images: Sequence[Path], *, is_required: bool) -> list[float]:
+    """Factors that undo the recorded exposures, 1 at their median; 1 for all where a photograph records none.
+
+    Raises :class:`InputError` with every photograph that records none where ``is_required``.
     """
     gathered = [relative_exposure(image) for image in images]
     problems = [
@@ -23,7 +27,9 @@ def exposure_scales(images: Sequence[Path]) -> list[float]:
         for image, value in zip(images, gathered, strict=True)
         if value is None
     ]
-    if problems:
+    if problems and is_required:
         raise InputError(*problems)
+    if problems:
+        return [1.0] * len(gathered)
     values = np.array(gathered, dtype=np.float64)
     return [float(value) for value in np.median(values) / values]

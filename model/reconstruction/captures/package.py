@@ -18,7 +18,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
-from model.reconstruction.captures.exposures import exposure_scales
+from model.reconstruction.captures.exposures import Exposure, exposure_scales
 from model.reconstruction.captures.photograph_files import unread_problems
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import ImageFinder
@@ -33,12 +33,12 @@ def is_package(path: Path) -> bool:
 
 
 def read_package(
-    path: Path, images: Path | None, encoding: Encoding, budget: Budget, has_exposures: bool = False
+    path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
     """The package's cameras for which there are photographs. Raises :class:`InputError` where none has one.
 
     They lie in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
-    ``has_exposures``: even out the exposures that they recorded.
+    ``exposure``: what is made of the exposures that they recorded.
     """
     with open_package(path, budget) as package:
         asset = package.asset
@@ -71,7 +71,9 @@ def read_package(
     if not found:
         expected = f"images in {folder} named after the cameras, such as {asset.cameras[0].name}.jpg"
         raise InputError(Problem(path, "photographs", "none", expected, "name their folder with --images"))
-    scales = exposure_scales([image for *_, image in found]) if has_exposures else [1.0] * len(found)
+    scales = [1.0] * len(found)
+    if exposure != "common":
+        scales = exposure_scales([image for *_, image in found], is_required=exposure == "exif")
     views = [
         CaptureView(name, camera, PhotographSource(image, camera, None, encoding, scale))
         for (name, camera, image), scale in zip(found, scales, strict=True)

@@ -7,7 +7,7 @@ principal point is ours less 0.5. Linearisation comes before any resampling.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,10 @@ from datagen.foundation.images import normalized
 from model.reconstruction.captures.photograph_files import pillow_formats, read_photograph
 
 PAPER_GAMMA = 2.2
-CLIPPED_LEVEL = 0.99  # of the sensor's limit; above, a pixel may have been any brighter
+CLIPPED_LEVEL = 0.96
+"""Of the sensor's limit, linear: JPEG leaves pixels that were clipped a few steps below it."""
+MIN_CLIPPED_SHARE = 0.02
+"""Clipped part of a resampled pixel from which it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
@@ -40,10 +43,14 @@ class PhotographSource:
     def read(self, camera: Camera) -> ColorImage:
         """The photograph as ``camera`` sees it: the same pose, any size and intrinsics, no distortion."""
         pixels = fit_orientation(read_photograph(self.path), self.path, self.calibrated)
-        linear = linearized(pixels, self.encoding) * np.float32(self.exposure_scale)
+        linear = linearized(pixels, self.encoding)
         if not np.isfinite(linear).all():
             raise input_error(self.path, "pixels", "NaN or Inf", "finite values", "export the image again")
-        return undistorted(linear, self.calibrated, self.distortion, camera)
+        has_limit = pixels.dtype.kind == "u"  # floats have none that is known
+        clipped = linear >= CLIPPED_LEVEL if has_limit else None
+        linear *= np.float32(self.exposure_scale)
+        found = undistorted(linear, self.calibrated, self.distortion, camera, clipped)
+        return replace(found, limit=self.exposure_scale) if has_limit else found
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
         """Photographs hold no ground truth."""
@@ -123,28 +130,42 @@ def linearized(pixels: NDArray, encoding: Encoding) -> NDArray[np.float32]:
 
 
 def undistorted(
-    linear: NDArray[np.float32], calibrated: Camera, distortion: Distortion | None, camera: Camera
+    linear: NDArray[np.float32],
+    calibrated: Camera,
+    distortion: Distortion | None,
+    camera: Camera,
+    clipped: NDArray[np.bool_] | None = None,
 ) -> ColorImage:
-    """Resample an image of the ``calibrated`` lens to the pinhole ``camera``.
+    """Resample an image of the ``calibrated`` lens, ``clipped`` (H, W, 3) where it is, to the
+    pinhole ``camera``.
 
     It is first brought to the camera's size by averaging areas, so that shrinking does not alias.
     """
     import cv2
 
     size = (camera.width_px, camera.height_px)
+    share = None if clipped is None else clipped.astype(np.float32)
     if (linear.shape[1], linear.shape[0]) != size:
         is_smaller = linear.shape[1] > size[0]
         how = cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR
         linear = np.asarray(cv2.resize(linear, size, interpolation=how), np.float32)
+        share = None if share is None else np.asarray(cv2.resize(share, size, interpolation=how))
     scaled = calibrated.scaled(*size)
     same = np.allclose(_intrinsics(scaled), _intrinsics(camera), rtol=0, atol=1e-9)
     if distortion is None and same:
-        return ColorImage(linear, np.ones(linear.shape[:2], dtype=bool))
+        return ColorImage(linear, np.ones(linear.shape[:2], dtype=bool), _is_clipped(share))
     x, y = _distorted_pixels(scaled, distortion, camera)
     valid = (x >= -0.5) & (y >= -0.5) & (x <= size[0] - 0.5) & (y <= size[1] - 0.5)
-    color = np.asarray(cv2.remap(linear, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    border = cv2.BORDER_REPLICATE
+    color = np.asarray(cv2.remap(linear, x, y, cv2.INTER_LINEAR, borderMode=border), np.float32)
     color[~valid] = 0
-    return ColorImage(color, valid)
+    if share is not None:
+        share = np.asarray(cv2.remap(share, x, y, cv2.INTER_LINEAR, borderMode=border)) * valid[..., None]
+    return ColorImage(color, valid, _is_clipped(share))
+
+
+def _is_clipped(share: NDArray | None) -> NDArray[np.bool_] | None:
+    return None if share is None else share > MIN_CLIPPED_SHARE
 
 
 def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:

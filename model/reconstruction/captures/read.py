@@ -47,7 +47,7 @@ from model.reconstruction.captures import (
     realitycapture,
     transforms_json,
 )
-from model.reconstruction.captures.exposures import exposure_scales
+from model.reconstruction.captures.exposures import Exposure, exposure_scales
 from model.reconstruction.captures.frames import (
     Axis,
     judged_unit,
@@ -94,7 +94,7 @@ class CaptureOptions:
     ``up`` is the up axis of the cameras' world, ``unit_m`` its unit, "auto" and None judge them
     (``frames``); ``mesh_up`` is the mesh's up axis where it differs. Views wider than ``max_width_px`` are
     shrunk: the networks learn from views of 640 pixels. ``exposure`` "exif" evens out exposures that the
-    cameras recorded. ``limits`` are those of the environment if left out.
+    cameras recorded, "auto" where all of them did. ``limits`` are those of the environment if left out.
     """
 
     mesh: Path | None = None
@@ -103,7 +103,7 @@ class CaptureOptions:
     unit_m: float | None = None
     mesh_up: Literal["same"] | Axis = "same"
     encoding: Encoding = "auto"
-    exposure: Literal["common", "exif"] = "common"
+    exposure: Exposure = "auto"
     max_width_px: int = DEFAULT_MAX_WIDTH_PX
     library: tuple[Path, ...] = ()
     limits: Limits | None = None
@@ -127,7 +127,7 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
         _check_paths(record, file, given)
         return open_capture(record, file.parent, options.max_width_px, budget=budget)
     if is_package(path):
-        capture = read_package(path, options.images, options.encoding, budget, options.exposure == "exif")
+        capture = read_package(path, options.images, options.encoding, budget, options.exposure)
         return _shrunk(capture, options.max_width_px)
     record, notes, mesh = _calibrated(path, options, budget)
     capture = open_capture(record, Path(), options.max_width_px, mesh, budget)
@@ -226,7 +226,7 @@ def _calibrated(
     record = CaptureFile(
         name=slug(path.resolve().name.removesuffix(".json") or "capture"),
         encoding=options.encoding,
-        photographs=tuple(_with_exposures(photographs) if options.exposure == "exif" else photographs),
+        photographs=tuple(_with_exposures(photographs, options.exposure)),
         mesh=MeshRecord(file=str(mesh), world_from_mesh=rows),  # type: ignore[arg-type]
     )
     return record, tuple(notes), loaded
@@ -324,8 +324,11 @@ def _in_world(camera: Camera, rotation: NDArray[np.float64], unit_m: float) -> C
     return replace(camera, world_from_camera=rigid)
 
 
-def _with_exposures(photographs: Sequence[PhotographRecord]) -> list[PhotographRecord]:
-    scales = exposure_scales([Path(photograph.image) for photograph in photographs])
+def _with_exposures(photographs: Sequence[PhotographRecord], exposure: Exposure) -> list[PhotographRecord]:
+    if exposure == "common":
+        return list(photographs)
+    images = [Path(photograph.image) for photograph in photographs]
+    scales = exposure_scales(images, is_required=exposure == "exif")
     return [
         photograph.model_copy(update={"exposure_scale": scale})
         for photograph, scale in zip(photographs, scales, strict=True)

@@ -18,13 +18,17 @@ from model.reconstruction.geometry.traced import TracedGeometry, ViewGeometry
 
 @dataclass(frozen=True)
 class TracedView:
-    """A view: ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False where the photograph has nothing."""
+    """A view: ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False where the photograph has nothing;
+    ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None for no such pixel; ``limit``, the
+    radiance at the sensor's limit, None where none is known."""
 
     camera: Camera
     color: NDArray[np.float32]
     geometry: ViewGeometry
     valid_mask: NDArray[np.bool_]
     name: str = "view"
+    clipped_mask: NDArray[np.bool_] | None = None
+    limit: float | None = None
 
     @property
     def statistics(self) -> StatisticsView:
@@ -58,7 +62,8 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
     for number, view in enumerate(capture.views, start=1):
         image = view.read()
         seen = geometry.trace_view(view.camera, image.valid_mask)
-        views.append(TracedView(view.camera, image.color, seen, image.valid_mask, view.name))
+        shown = image.color, seen, image.valid_mask
+        views.append(TracedView(view.camera, *shown, view.name, image.clipped_mask, image.limit))
         if progress is not None:
             progress(number, len(capture.views))
     if not any(view.geometry.surface_mask.any() for view in views):

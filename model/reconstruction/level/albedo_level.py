@@ -15,7 +15,7 @@ What D does within a region stays the networks'. docs/decisions/0017 has the fig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,18 +24,19 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.multiview.visibility import vectors_from_rows
-from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.geometry.views import TracedCapture, TracedView
+from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.level.radiance_cache import Floats, RadianceCache
 
 NUM_POINTS, NUM_RAYS = 4096, 400
 """Surface points, about evenly spread over what was seen; rays of each, a square number."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
 """Known share of a point's hemisphere, by the cosine: from which it counts fully, below which not at all."""
+LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
+"""Part of a point's light that is not sure: up to which it counts fully, and from which not at all."""
 MIN_POINTS, MIN_USED = 200, 0.4
 """Points, and their mean weight, without which nothing is changed."""
-MAX_SPREAD, MAX_IMPOSSIBLE, MAX_CLIPPED = 0.6, 0.2, 0.02
+MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
 """Of :class:`LevelReport`, above which nothing is changed."""
 _MIN_REFLECTED = 0.02  # D + S below which a ratio says nothing
 _MIN_RADIANCE = 1e-6  # of the median
@@ -89,28 +90,37 @@ def find_level(
     traced: TracedGeometry,
     region_of_face: NDArray[np.int32],
     clipped_share: float = 0.0,
+    doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
 ) -> AlbedoLevel:
     """The level of D in the views' ``maps``. Where there is too little evidence, gains are 1 and the report
-    says why."""
+    says why. ``doubt_at`` positions and normals, the diffuse shading (N,) that is not sure."""
     num_regions = int(region_of_face.max(initial=-1)) + 1
-    if clipped_share > MAX_CLIPPED:
-        return _unchanged(num_regions, f"{clipped_share:.1%} of the pixels are at the sensor's limit",
-                          clipped_share=clipped_share)  # fmt: skip
     try:
         cache = RadianceCache(views)
     except ValueError as error:
         return _unchanged(num_regions, str(error), clipped_share=clipped_share)
     points = _draw_points(cache, views, maps, region_of_face)
     irradiance, coverage = _irradiance(cache, traced, points.position_m, points.normal)
-    return _fit(points, irradiance, coverage, num_regions, clipped_share)
+    sure = np.ones(len(coverage))
+    if doubt_at is not None:
+        arriving = irradiance @ LUMINANCE_WEIGHTS / np.maximum(coverage, 1e-3)
+        unsure = np.pi * doubt_at(points.position_m, points.normal) / np.maximum(arriving, 1e-300)
+        sure = np.clip((NO_DOUBT - unsure) / (NO_DOUBT - LITTLE_DOUBT), 0, 1)
+    return _fit(points, irradiance, coverage, num_regions, clipped_share, sure)
 
 
 def _fit(
-    points: _Points, irradiance: Floats, coverage: Floats, num_regions: int, clipped_share: float
+    points: _Points,
+    irradiance: Floats,
+    coverage: Floats,
+    num_regions: int,
+    clipped_share: float,
+    sure: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Gains out of the points' known irradiance (N, 3) and its share (N,) of the hemisphere."""
+    """Gains out of the points' known irradiance (N, 3) and its share (N,) of the hemisphere; ``sure`` (N,) in
+    [0, 1], how much each counts besides."""
     arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]  # the unknown is taken to be like the rest
-    weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1)
+    weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * sure
     left = points.radiance @ LUMINANCE_WEIGHTS
     weight[(arriving @ LUMINANCE_WEIGHTS <= 0) | (left <= _MIN_RADIANCE * np.median(left))] = 0
     used = weight > 0
@@ -147,16 +157,12 @@ def _fit(
     return AlbedoLevel(gains, LevelReport(True, "", gain=gain, **found))
 
 
-def clipped_share(traced: TracedCapture) -> float:
-    """Share of the pixels of photographs that are at the sensor's limit in a channel. Images with values
-    beyond the white of an 8-bit one have no limit that is known; rendered ones have none."""
-    num_clipped = num_pixels = 0
-    for view, read in zip(traced.capture.views, traced.views, strict=True):
-        limit = getattr(view.source, "exposure_scale", None)
-        num_pixels += read.color.shape[0] * read.color.shape[1]
-        if limit is not None and float(read.color.max(initial=0)) <= 1.001 * limit:
-            num_clipped += int((read.color.max(axis=2) >= CLIPPED_LEVEL * limit).sum())
-    return num_clipped / max(num_pixels, 1)
+def clipped_share(views: Sequence[TracedView]) -> float:
+    """Share of the photographs' pixels that are at the sensor's limit in a channel."""
+    masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
+    return sum(int(mask.any(axis=2).sum()) for mask in masks) / max(
+        sum(view.valid_mask.size for view in views), 1
+    )
 
 
 def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:

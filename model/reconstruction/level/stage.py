@@ -18,7 +18,14 @@ def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
     it tells too little. What lies on disk stays as it was predicted."""
     with run.report.stage("level"):
         region_of_face = smooth_regions(traced.geometry.mesh)
-        level = find_level(traced.views, maps, traced.geometry, region_of_face, clipped_share(traced))
+        level = find_level(
+            traced.views,
+            maps,
+            traced.geometry,
+            region_of_face,
+            clipped_share(traced.views),
+            run.found.doubt_at,
+        )
         run.report.albedo_level = asdict(level.report)
         if not level.report.is_applied:
             run.report.notes.append(f"the level of diffuse albedo is the networks': {level.report.reason}")

@@ -78,7 +78,7 @@ class Background:
         return ((face * PLACES + u) * PLACES + v) * _NUM_DIRECTIONS + row * AZIMUTHS + column
 
 
-def _bins_of(origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
+def bins_of(origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
     """The same (N,) of rays (N, 3) as NumPy arrays."""
     safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
     leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
@@ -130,7 +130,7 @@ def photographed_background(views: Sequence[TracedView], low: NDArray, high: NDA
     is_known, is_photographed = np.zeros(num_bins, dtype=bool), np.zeros(num_bins, dtype=bool)
     if not len(origin):
         return Background(low, high, radiance, is_known, is_photographed)
-    keys, medians = _medians(_bins_of(origin, direction, low, high), color)
+    keys, medians = _medians(bins_of(origin, direction, low, high), color)
     if not len(keys):
         return Background(low, high, radiance, is_known, is_photographed)
     seen = np.zeros(num_bins, dtype=bool)

@@ -12,6 +12,8 @@ NOISE = 1.1
 """Radiance over Ld that a white surface reaches by noise."""
 IMPOSSIBLE = (0.05, 0.09)
 """Impossible share up to which the light counts fully, and from which it does not count."""
+DOUBT = (0.15, 0.6)
+"""Part of a surfel's light that is not sure up to which it counts fully, and from which it does not count."""
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
 """Share of a surfel's hemisphere that photographs show: below the first number the light counts nothing,
 above the second it counts fully."""
@@ -23,6 +25,13 @@ def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
     of_d = _ramp(photographed, D_EVIDENCE)
     of_s = _ramp(photographed, S_EVIDENCE)
     return np.stack([of_d, of_s, of_s], axis=1).astype(np.float32)
+
+
+def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
+    """Factor (N,) of the confidence of surfels of whose shading ``diffuse`` (N, 3) the luminance ``doubt``
+    (N,) is not sure."""
+    part = doubt / np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
+    return 1.0 - _ramp(part, DOUBT)
 
 
 def impossible_share(radiance: NDArray, diffuse: NDArray, weight: NDArray) -> float:

@@ -7,7 +7,6 @@ from dataclasses import asdict
 
 from model.reconstruction.geometry.traced import smooth_regions
 from model.reconstruction.geometry.views import TracedCapture
-from model.reconstruction.level.albedo_level import MAX_CLIPPED, clipped_share
 from model.reconstruction.light.found import found_lights
 from model.reconstruction.light.pictures import view_pictures
 from model.reconstruction.light.stage import LightOptions, materials_from_light
@@ -17,13 +16,7 @@ from model.reconstruction.stages import Maps, Run
 
 def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions | None = None) -> list[Maps]:
     """The maps with D, S and R out of the light that the photographs record. The network's stay where
-    evidence lacks, and everywhere where photographs are clipped. What lies on disk stays as it was
-    predicted."""
-    clipped = clipped_share(traced)
-    if clipped > MAX_CLIPPED:
-        reason = f"{clipped:.1%} of the pixels are at the sensor's limit"
-        run.report.notes.append(f"materials are the networks' alone: {reason}")
-        return maps
+    evidence lacks. What lies on disk stays as it was predicted."""
     options = options or LightOptions(has_prior=run.options.materials == "both")
     with run.report.stage("light"):
         found = materials_from_light(
@@ -34,6 +27,7 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions
             smooth_regions(traced.geometry.mesh),
             run.report.exposure,
             options,
+            run.found.doubt_at,
         )
         with found.report.step("lights"):
             lights = found_lights(found.lit, traced.views, traced.geometry, traced.capture.geometry)

@@ -10,7 +10,7 @@ docs/light.md explains them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.confidence import impossible_share, surfel_confidence, trust_of
+from model.reconstruction.light.confidence import impossible_share, sureness, surfel_confidence, trust_of
 from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels, relight_by_metals
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
@@ -52,9 +52,11 @@ def materials_from_light(
     region_of_face: NDArray[np.int32],
     exposure: float,
     options: LightOptions | None = None,
+    doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
 ) -> LightMaterials:
     """Materials of ``views`` in the light that they record; ``maps`` are the network's, ``emits`` (M,) the
-    triangles that are known to emit, ``exposure`` brings the bright surfaces to 0.9.
+    triangles that are known to emit, ``exposure`` brings the bright surfaces to 0.9, ``doubt_at`` positions
+    and normals is the diffuse shading (N,) that is not sure.
 
     The result does not depend on the order of the views. Raises ValueError where the views see no extended
     surface.
@@ -88,7 +90,10 @@ def materials_from_light(
     with report.step("specular"):
         specular = _specular_parts(lit, segments, segment, options)
     with report.step("correction"):
-        solved, albedo = _solved_surfels(lit, segments, segmentation, specular, options)
+        sure = np.ones(len(surfels))
+        if doubt_at is not None:
+            sure = sureness(doubt_at(surfels.position_m, surfels.normal), lit.diffuse)
+        solved, albedo = _solved_surfels(lit, segments, segmentation, specular, sure, options)
     with report.step("maps"):
         found: list[dict[str, NDArray]] = [{} for _ in views]
         for place, (index, view, view_maps) in enumerate(zip(order, ordered, predicted, strict=True)):
@@ -127,6 +132,7 @@ def _solved_surfels(
     segments: SolvedSegments,
     segmentation: Segmentation,
     specular: NDArray[np.float32],
+    sure: NDArray,
     options: LightOptions,
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
     """What the maps of the views are made of, and the surfels' own diffuse albedo (N, 3)."""
@@ -137,7 +143,7 @@ def _solved_surfels(
     if not options.has_prior:
         ones = np.ones_like(albedo)
         return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0]), albedo
-    confidence = surfel_confidence(lit.irradiance.photographed)
+    confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
     # surfels inside of lampshades are many, but few views see them
     weight = confidence[:, 0] * ~is_metal * np.diff(surfels.observations.start)
     trust = trust_of(impossible_share(surfels.radiance, lit.diffuse, weight))

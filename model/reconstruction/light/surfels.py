@@ -28,7 +28,7 @@ MIN_CELL_PIXELS = 1.0
 """Least side of a cell in pixels at the median depth: smaller cells would be seen by chance."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
-"""Weight of a pixel at a depth edge, where surfaces mix, against 1 elsewhere."""
+"""Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit, against 1 elsewhere."""
 _MAX_EXTENT = 1.25  # of the central 98 % of the pixels: what lies farther out counts as outside
 
 
@@ -191,8 +191,8 @@ def place_pixel(index, depth, width, camera, out):
 
 
 @compiled
-def _classify(depth, normal, usable, camera, low, cell_m, shape):
-    """Cell (P,) of each pixel, -1 for none, and its weight (P,)."""
+def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
+    """Cell (P,) of each pixel, -1 for none, and its weight (P,); ``clipped`` (P,) or empty."""
     width, height = int(camera[16]), int(camera[17])
     cell = np.full(width * height, -1, np.int32)
     weight = np.zeros(width * height, np.float32)
@@ -222,7 +222,8 @@ def _classify(depth, normal, usable, camera, low, cell_m, shape):
             if abs(off) > tolerance or along < 0.8:
                 is_edge = True
                 break
-        weight[index] = EDGE_WEIGHT if is_edge else 1.0
+        is_bound = len(clipped) > 0 and clipped[index]
+        weight[index] = EDGE_WEIGHT if is_edge or is_bound else 1.0
     return cell, weight
 
 
@@ -265,10 +266,12 @@ def _cells_of(
     view: TracedView, row: NDArray, low: NDArray, cell_m: float, shape: NDArray
 ) -> tuple[NDArray[np.int32], Floats32]:
     usable = view.valid_mask & (view.geometry.surface_mask[..., 0] > 0)
+    clipped = np.zeros(0, np.bool_) if view.clipped_mask is None else view.clipped_mask.any(axis=2).ravel()
     return _classify(
         view.geometry.depth_z_m.ravel(),
         np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
         usable.ravel(),
+        clipped,
         row,
         low,
         cell_m,

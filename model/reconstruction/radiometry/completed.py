@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""Photographs brought to one exposure and completed where they clip.
+
+A pixel at the sensor's limit is a lower bound. Where other views show its surface below the limit, it takes
+their median; where none does, it belongs to a source whose radiance follows from what it lights
+(``recovered``), unless light enough arrives there for the surface to be bright by reflection alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.reconstruction.geometry.traced import TracedGeometry
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.background import photographed_background
+from model.reconstruction.light.emitters import photographed_emitters
+from model.reconstruction.light.surfels import Surfels, build_surfels
+from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
+from model.reconstruction.radiometry.recovered import doubt_of, gather, recovered
+from model.reconstruction.radiometry.sources import Sources, find_sources, source_of_pixels
+
+
+@dataclass(frozen=True)
+class Completed:
+    """``views`` of one exposure, completed; what was found of the cameras; the ``sources`` that every view
+    clips, their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; shares of the pixels that are
+    clipped, and of those that nothing completes."""
+
+    views: list[TracedView]
+    radiometry: Radiometry
+    radiance: NDArray[np.float64]
+    spread: NDArray[np.float64]
+    clipped_share: float
+    sources: Sources | None = None
+    doubt_at: Callable[[NDArray, NDArray], NDArray[np.float32]] | None = None
+
+
+def completed_views(
+    views: Sequence[TracedView],
+    traced: TracedGeometry,
+    emits: NDArray[np.bool_],
+    region_of_face: NDArray[np.int32],
+    *,
+    is_evened: bool = True,
+) -> Completed:
+    """``views`` with radiance of one exposure and without limit; ``is_evened``: whether their exposures are
+    sought. Raises ValueError where they see no extended surface."""
+    surfels = build_surfels(views)
+    radiometry = find_radiometry(views, surfels) if is_evened else Radiometry(np.ones((len(views), 3)))
+    found = list(views)
+    if radiometry.changes:
+        found = [radiometry.undone(view, index) for index, view in enumerate(views)]
+        surfels = build_surfels(found)
+    masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
+    num_clipped = sum(int(mask.any(axis=2).sum()) for mask in masks)
+    share = num_clipped / max(sum(view.valid_mask.size for view in views), 1)
+    if not num_clipped:
+        return Completed(found, radiometry, np.zeros((0, 3)), np.zeros(0), share)
+    grid = surfels.grid
+    emitters = photographed_emitters(found, traced.mesh, emits, region_of_face)
+    background = photographed_background(found, grid.low, grid.low + grid.cell_m * grid.shape)
+    sources = find_sources(found, surfels, emitters, background, emits, region_of_face, traced.mesh)
+    radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
+    if len(sources):
+        scenery = traced, surfels, emitters, background, sources
+        told = recovered(gather(*scenery, region_of_face), sources)
+        radiance, spread, doubt_at = told.radiance, told.spread, doubt_of(*scenery, told)
+    for index, view in enumerate(found):
+        if view.clipped_mask is None:
+            continue
+        source = source_of_pixels(view, sources, emitters, background, surfels.pixel_surfel[index])
+        found[index] = _filled(view, source, radiance, surfels, surfels.pixel_surfel[index])
+    return Completed(found, radiometry, radiance, spread, share, sources, doubt_at)
+
+
+def _filled(
+    view: TracedView, source: NDArray, radiance: NDArray, surfels: Surfels, surfel: NDArray
+) -> TracedView:
+    """A view whose clipped pixels have the radiance of their source or, without one, of their surfel."""
+    assert view.clipped_mask is not None
+    color, clipped = view.color.reshape(-1, 3).copy(), view.clipped_mask.reshape(-1, 3)
+    pixel = np.flatnonzero(clipped.any(axis=1))
+    better = color[pixel].astype(np.float64)
+    on_surface = surfel[pixel] >= 0
+    better[on_surface] = surfels.radiance[surfel[pixel][on_surface]]
+    of_source = source[pixel] >= 0
+    better[of_source] = radiance[source[pixel][of_source]]
+    color[pixel] = np.where(clipped[pixel], np.maximum(color[pixel], better), color[pixel])
+    return replace(view, color=color.reshape(view.color.shape).astype(np.float32))

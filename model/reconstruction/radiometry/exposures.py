@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: MIT
+"""Exposure and white balance of each photograph, vignetting and response, out of surfaces that several show.
+
+The logarithm of what view v shows of surfel i at the squared radius r2 of its image (1 in the corners) is
+
+    f(ln L_i + g_v - VIGNETTING r2),    f: linear of (e - c sin(2 pi e)),
+
+with e the sRGB-encoded value as a part of the sensor's limit, g_v the view's gain by channel, and c for a
+curve that is steeper or flatter than sRGB's; a power of the radiance is not to be told from exposures, and is
+left at 1. Least squares with the weights of Cauchy's distribution and L_i eliminated, which highlights and
+faults of the geometry hardly touch. The gauge is that the median gain is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from datagen.foundation.color import linear_from_srgb, srgb_from_linear
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.surfels import Surfels
+
+MAX_SURFELS, MIN_VIEWS = 8_000, 2
+"""Surfels that serve, and views that each needs."""
+DARK, BRIGHT = 0.004, 0.9
+"""Parts of the limit between which values serve: noise below, clipping above."""
+MIN_GAIN, MIN_VIGNETTING = 0.03, 0.05
+"""Root mean square of ln gains and ln of the corners' factor below which photographs stay as they are:
+highlights alone pretend as much."""
+MIN_EXPLAINED = 0.02
+"""Part of the cost that a curve must explain."""
+MIN_SPREAD = 0.1
+"""Standard deviation of ln gains without which no curve is sought: exposures that differ show it."""
+_ROUNDS = 10
+_SCALES = (0.5, 0.06)  # of Cauchy's distribution, in ln L: first and last round
+_PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05
+_PRIOR_WEIGHT = 5.0  # observations that a prior at one standard deviation counts as
+_MAX_CURVE = 0.15  # above 1 / 2 pi the curve falls
+_STEP = 1e-3  # of derivatives
+
+
+@dataclass(frozen=True)
+class Radiometry:
+    """``gain`` (V, 3) of each view, ``vignetting``: -ln of the corners' factor, ``curve``: c."""
+
+    gain: NDArray[np.float64]
+    vignetting: float = 0.0
+    curve: float = 0.0
+
+    @property
+    def changes(self) -> bool:
+        """Whether any photograph is to be changed."""
+        return bool((self.gain != 1).any()) or self.vignetting != 0 or self.curve != 0
+
+    def undone(self, view: TracedView, index: int) -> TracedView:
+        """View ``index`` with radiance of the common exposure."""
+        color = view.color.astype(np.float64)
+        if self.curve and view.limit is not None:
+            color = view.limit * unbent(color / view.limit, self.curve)
+        fall_off = np.exp(self.vignetting * radius_squared(view))[..., None]
+        limit = None if view.limit is None else view.limit / float(self.gain[index].mean())
+        return replace(view, color=(color * fall_off / self.gain[index]).astype(np.float32), limit=limit)
+
+
+def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
+    """What a camera whose encoding has a ``curve`` makes of linear values, parts of the limit, as it is
+    read."""
+    encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
+    return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
+
+
+def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
+    """The linear values that :func:`shown` shows as ``value``."""
+    encoded = np.linspace(0, 1, 4096)
+    bent = encoded - curve * np.sin(2 * np.pi * encoded)
+    of_value = np.asarray(srgb_from_linear(np.clip(value, 0, 1)), np.float64)
+    return np.asarray(linear_from_srgb(np.interp(of_value, bent, encoded)), np.float64)
+
+
+def radius_squared(view: TracedView) -> NDArray[np.float64]:
+    """Squared distance (H, W) from the principal point, 1 in the farthest corner of the image."""
+    camera = view.camera
+    x = np.arange(camera.width_px) + 0.5 - camera.cx_px
+    y = np.arange(camera.height_px) + 0.5 - camera.cy_px
+    r2 = x[None] ** 2 + y[:, None] ** 2
+    return np.asarray(r2 / r2.max())
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Observations (M,) of chosen surfels: ``surfel``, ``view``, squared radius ``r2``, ``value`` (M, 3) as a
+    part of the ``limit`` (M,), and whether each channel ``counts`` (M, 3)."""
+
+    surfel: NDArray[np.int64]
+    view: NDArray[np.int64]
+    r2: NDArray[np.float64]
+    value: NDArray[np.float64]
+    limit: NDArray[np.float64]
+    counts: NDArray[np.bool_]
+
+
+def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
+    """What the surfels that several ``views`` show tell of their cameras. A curve is that of photographs with
+    a limit."""
+    samples = _samples(views, surfels)
+    has_limit = all(view.limit is not None for view in views)
+    num = len(views)
+    if not len(samples.view):
+        return Radiometry(np.ones((num, 3)))
+    gain, vignetting, _, cost = _solved(samples, num, has_curve=False)
+    curve = 0.0
+    if has_limit and gain.std(axis=0).mean() >= MIN_SPREAD:
+        bent = _solved(samples, num, has_curve=True)
+        if bent[3] < (1 - MIN_EXPLAINED) * cost:
+            gain, vignetting, curve, _ = bent
+    gain -= np.median(gain, axis=0)
+    if abs(vignetting) < MIN_VIGNETTING:
+        vignetting = 0.0
+    if np.sqrt((gain**2).mean()) < MIN_GAIN:
+        gain[:] = 0.0
+    return Radiometry(np.exp(gain), vignetting, curve)
+
+
+def _samples(views: Sequence[TracedView], surfels: Surfels) -> _Samples:
+    observations = surfels.observations
+    common = float(np.quantile(surfels.radiance, 0.99))
+    limit = np.array([common if view.limit is None else view.limit for view in views])
+    most = np.array([np.inf if view.limit is None else BRIGHT for view in views])
+    num = np.diff(observations.start)
+    usable = np.flatnonzero(num >= MIN_VIEWS)
+    chosen = np.random.default_rng(0).permutation(usable)[:MAX_SURFELS]
+    is_chosen = np.zeros(len(surfels), dtype=bool)
+    is_chosen[chosen] = True
+    rows = np.flatnonzero(is_chosen[surfels.surfel_of_observation()] & (observations.weight >= 0.5))
+    surfel, view = surfels.surfel_of_observation()[rows].astype(np.int64), observations.view[rows]
+    r2 = np.zeros(len(rows))
+    for index, of_view in enumerate(views):
+        mine = view == index
+        r2[mine] = _radius_at(of_view, surfels.position_m[surfel[mine]])
+    value = observations.radiance[rows].astype(np.float64) / limit[view][:, None]
+    counts = (value > DARK) & (value < most[view][:, None])
+    return _Samples(surfel, view.astype(np.int64), r2, value, limit[view], counts)
+
+
+def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
+    """Squared radius (N,) of positions in a view's image."""
+    camera = view.camera
+    matrix = camera.world_from_camera
+    local = (position_m - matrix[:3, 3]) @ matrix[:3, :3]
+    x = local[:, 0] / np.maximum(local[:, 2], 1e-9) * camera.fx_px
+    y = local[:, 1] / np.maximum(local[:, 2], 1e-9) * camera.fy_px
+    far_x = max(camera.cx_px, camera.width_px - camera.cx_px) - 0.5
+    far_y = max(camera.cy_px, camera.height_px - camera.cy_px) - 0.5
+    return np.clip((x**2 + y**2) / (far_x**2 + far_y**2), 0, 1)
+
+
+def _solved(
+    samples: _Samples, num_views: int, *, has_curve: bool
+) -> tuple[NDArray[np.float64], float, float, float]:
+    """ln gains (V, 3), vignetting, curve and cost, by Gauss-Newton steps. What a view shows is predicted, not
+    the radiance from what it shows: a curve that flattens all values would explain that best."""
+    channels = [_Channel.of(samples, channel) for channel in range(3)]
+    last = 3 * num_views
+    spread = np.array([*[_PRIOR_GAIN] * last, _PRIOR_VIGNETTING, _PRIOR_CURVE if has_curve else 1e-9])
+    state = np.zeros(last + 2)
+    for number in range(_ROUNDS):
+        scale = _SCALES[0] * (_SCALES[1] / _SCALES[0]) ** min(1.0, number / (_ROUNDS - 3))
+        normal = np.diag(_PRIOR_WEIGHT / spread**2)
+        right = -_PRIOR_WEIGHT * state / spread**2
+        steps = []
+        for index, channel in enumerate(channels):
+            step = channel.step(state, index * num_views, last, scale)
+            normal += step[0]
+            right += step[1]
+            steps.append(step[2:])
+        change = np.linalg.solve(normal, right)
+        for channel, (of_surfel, rest) in zip(channels, steps, strict=True):
+            channel.radiance += np.clip(rest - of_surfel @ change, -1, 1)
+        state = state + change
+        state[-1] = np.clip(state[-1], -_MAX_CURVE, _MAX_CURVE)
+    cost = sum(channel.cost(state, index * num_views, last) for index, channel in enumerate(channels))
+    return state[:last].reshape(3, num_views).T.copy(), float(state[last]), float(state[last + 1]), cost
+
+
+@dataclass
+class _Channel:
+    """Samples (M,) of a channel: ``surfel`` from 0 on, ``view``, ``r2``, logarithms of what is ``shown`` and
+    of the ``limit``; ``radiance`` the logarithm of each surfel's."""
+
+    surfel: NDArray[np.int64]
+    view: NDArray[np.int64]
+    r2: NDArray[np.float64]
+    shown: NDArray[np.float64]
+    limit: NDArray[np.float64]
+    radiance: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, samples: _Samples, channel: int) -> _Channel:
+        rows = np.flatnonzero(samples.counts[:, channel])
+        surfel = np.unique(samples.surfel[rows], return_inverse=True)[1]
+        rows = rows[np.bincount(surfel)[surfel] >= MIN_VIEWS]
+        surfel = np.unique(samples.surfel[rows], return_inverse=True)[1]
+        shown, limit = np.log(samples.value[rows, channel]), np.log(samples.limit[rows])
+        radiance = _group_medians(shown + limit, surfel)
+        return cls(surfel, samples.view[rows], samples.r2[rows], shown, limit, radiance)
+
+    def predicted(self, state: NDArray, first: int, last: int) -> tuple[NDArray[np.float64], ...]:
+        """What :func:`_log_shown` says of the samples."""
+        fall_off = state[last] * self.r2
+        arriving = self.radiance[self.surfel] + state[first + self.view] - fall_off - self.limit
+        return _log_shown(arriving, state[last + 1])
+
+    def cost(self, state: NDArray, first: int, last: int) -> float:
+        """Mean cost of Cauchy's distribution at the last scale."""
+        rest = self.shown - self.predicted(state, first, last)[0]
+        return float(np.log1p((rest / _SCALES[1]) ** 2).mean())
+
+    def step(self, state: NDArray, first: int, last: int, scale: float) -> tuple[Any, ...]:
+        """Normal matrix and right side of the cameras' unknowns, the surfels eliminated; and what the
+        surfels' own change depends on: (N, unknowns) and (N,)."""
+        predicted, slope, by_curve = self.predicted(state, first, last)
+        rest = self.shown - predicted
+        weight = 1 / (1 + (rest / scale) ** 2)
+        rows, ones = np.arange(len(rest)), np.ones(len(rest), np.int64)
+        columns = np.concatenate([first + self.view, last * ones, (last + 1) * ones])
+        entries = np.concatenate([slope, -slope * self.r2, by_curve])
+        design = sparse.csr_matrix((entries, (np.tile(rows, 3), columns)), (len(rest), last + 2))
+        group = sparse.csr_matrix((weight * slope, (self.surfel, rows)))
+        total = np.maximum(np.bincount(self.surfel, weight * slope**2), 1e-12)
+        of_surfel = sparse.diags(1 / total) @ (group @ design)
+        of_rest = (group @ rest) / total
+        weighted = sparse.diags(weight) @ design
+        normal = (design.T @ weighted).toarray() - (of_surfel.T @ (sparse.diags(total) @ of_surfel)).toarray()
+        right = weighted.T @ rest - of_surfel.T @ (total * of_rest)
+        return normal, right, of_surfel, of_rest
+
+
+def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ...]:
+    """Logarithm of what is shown of ln radiance, both parts of the limit, and its derivatives by either."""
+    if not curve:
+        here, slope = arriving, np.ones_like(arriving)
+    else:
+        here = np.log(shown(np.exp(arriving), curve))
+        slope = (np.log(shown(np.exp(arriving + _STEP), curve)) - here) / _STEP
+    return here, slope, (np.log(shown(np.exp(arriving), curve + _STEP)) - here) / _STEP
+
+
+def _group_medians(values: NDArray, group: NDArray) -> NDArray[np.float64]:
+    """Median of each group."""
+    order = np.lexsort((values, group))
+    num = np.bincount(group)
+    first = np.cumsum(num) - num
+    ordered = values[order]
+    return 0.5 * (ordered[first + (num - 1) // 2] + ordered[first + num // 2])

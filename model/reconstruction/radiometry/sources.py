@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: MIT
+"""What photographs show at the sensor's limit and nothing darker: emitters, openings and surfaces.
+
+Each emitter that is clipped is a source, each connected part of a face of the room's box through which
+clipped background is seen, and each patch of neighbouring surfels that no view shows below the limit. A
+source has one colour, of which the channels that are clipped are unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from datagen.foundation.meshes.mesh import Mesh
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.background import (
+    AZIMUTHS,
+    HEIGHTS,
+    PLACES,
+    Background,
+    bins_of,
+    photographed_background,
+)
+from model.reconstruction.light.emitters import Emitters, photographed_emitters
+from model.reconstruction.light.surfels import NUM_SIDES, Surfels
+
+CLIPPED_SHARE = 0.5
+"""Part of an emitter's pixels, and of a bin's, from which a channel is unknown."""
+SHUT = 0.9
+"""Part of a surfel's pixels from which it is taken to be clipped wherever it is seen."""
+MIN_CELLS = 4
+"""Surfels of the smallest patch."""
+MIN_BINS, MIN_PIXELS = 8, 0.03
+"""Bins of place and direction of the smallest opening, and its part of all clipped pixels outside."""
+MAX_SOURCES = 24
+"""The largest patches and openings are told apart; the rest of them are one source each."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """``bound`` (S, 3) the radiance that photographs show, ``is_open`` (S, 3) the channels in which it is a
+    lower bound. Which source an emitter (K,), a background's bin (B,) and a surfel (N,) is, -1 for none."""
+
+    bound: NDArray[np.float64]
+    is_open: NDArray[np.bool_]
+    of_emitter: NDArray[np.int64]
+    of_bin: NDArray[np.int64]
+    of_surfel: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.bound)
+
+    def colored(
+        self, values: NDArray, emitters: Emitters, background: Background, surfels: Surfels
+    ) -> Colored:
+        """The emitters, the background and the surfels with ``values`` (S, 3) where a channel of a source is
+        open."""
+        return Colored(
+            _put(emitters.radiance, self.of_emitter, values, self.is_open),
+            _put(background.radiance, self.of_bin, values, self.is_open),
+            _put(surfels.radiance, self.of_surfel, values, self.is_open),
+        )
+
+
+@dataclass(frozen=True)
+class Colored:
+    """Radiance of ``emitters`` (K, 3), ``background`` bins (B, 3) and ``surfels`` (N, 3)."""
+
+    emitters: NDArray[np.float32]
+    background: NDArray[np.float32]
+    surfels: NDArray[np.float32]
+
+
+def _put(radiance: NDArray, source: NDArray, values: NDArray, is_open: NDArray) -> NDArray[np.float32]:
+    found = radiance.astype(np.float32)
+    mine = np.flatnonzero(source >= 0)
+    of = source[mine]
+    found[mine] = np.where(is_open[of], values[of], found[mine])
+    return found
+
+
+def find_sources(
+    views: Sequence[TracedView],
+    surfels: Surfels,
+    emitters: Emitters,
+    background: Background,
+    emits: NDArray[np.bool_],
+    region_of_face: NDArray[np.int32],
+    mesh: Mesh,
+) -> Sources:
+    """The sources that ``views`` show."""
+    marked = [replace(view, color=_mask_of(view).astype(np.float32)) for view in views]
+    emitting = photographed_emitters(marked, mesh, emits, region_of_face).radiance
+    low, high = background.low, background.high
+    bins = photographed_background(marked, low, high).radiance
+    parts = [
+        (emitters.radiance, *_labelled_emitters(emitting)),
+        (background.radiance, *_labelled_bins(bins, _seen_bins(marked, low, high))),
+        (surfels.radiance, *_labelled_surfels(views, surfels)),
+    ]
+    bound: list[NDArray] = []
+    opened: list[NDArray] = []
+    labels: list[NDArray[np.int64]] = []
+    for radiance, label, share in parts:
+        count, first = int(label.max(initial=-1)) + 1, len(np.concatenate([np.zeros((0, 3)), *bound]))
+        bound.append(_label_means(radiance, label, count))
+        opened.append(_label_means(share, label, count))
+        labels.append(np.where(label >= 0, label + first, -1))
+    is_open = np.concatenate(opened) >= CLIPPED_SHARE
+    return Sources(np.concatenate(bound), is_open, labels[0], labels[1], labels[2])
+
+
+def _label_means(values: NDArray, label: NDArray, count: int) -> NDArray[np.float64]:
+    """Means (count, 3) of the ``values`` (N, 3) of each label."""
+    found, mine = np.zeros((count, 3)), label >= 0
+    num = np.maximum(np.bincount(label[mine], minlength=count), 1)
+    for channel in range(3 if count else 0):
+        found[:, channel] = np.bincount(label[mine], values[mine, channel].astype(np.float64), count) / num
+    return found
+
+
+def _mask_of(view: TracedView) -> NDArray[np.bool_]:
+    return np.zeros(view.color.shape, dtype=bool) if view.clipped_mask is None else view.clipped_mask
+
+
+def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
+    clipped = (share >= CLIPPED_SHARE).any(axis=1)
+    label = np.full(len(share), -1, np.int64)
+    label[clipped] = np.minimum(np.arange(int(clipped.sum())), MAX_SOURCES - 1)
+    return label, share
+
+
+def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:
+    """Clipped pixels (B,) that are seen through each bin of the background."""
+    total = np.zeros(6 * PLACES * PLACES * AZIMUTHS * HEIGHTS, np.int64)
+    for view in marked:
+        clipped = (view.geometry.face < 0) & view.valid_mask & (view.color.max(axis=2) > 0)
+        pixel = np.flatnonzero(clipped)
+        way = view.camera.ray_directions().reshape(-1, 3)[pixel]
+        origin = np.broadcast_to(view.camera.position_m, way.shape)
+        total += np.bincount(bins_of(origin, way, low, high), minlength=len(total))
+    return total
+
+
+def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
+    """Openings: connected squares of a face of the box, through which pixels were ``seen`` (B,). Squares that
+    only took their neighbours' radiance belong to the largest."""
+    clipped = (share >= CLIPPED_SHARE).any(axis=1)
+    directions = AZIMUTHS * HEIGHTS
+    num = clipped.reshape(6, PLACES, PLACES, directions).sum(axis=3)
+    label = np.full((6, PLACES, PLACES), -1, np.int64)
+    count = 0
+    for face in range(6):
+        parts, found = ndimage.label(num[face] > 0)
+        label[face] = np.where(parts > 0, parts - 1 + count, -1)
+        count += found
+    of_bin = np.where(clipped.reshape(6, PLACES, PLACES, directions), label[..., None], -1).ravel()
+    pixels = np.bincount(of_bin[clipped], seen[clipped], count)
+    if count:
+        few = pixels < MIN_PIXELS * pixels.sum()
+        of_bin[clipped] = np.where(few[of_bin[clipped]], int(pixels.argmax()), of_bin[clipped])
+    return _largest(of_bin, MIN_BINS), share
+
+
+def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[NDArray[np.int64], NDArray]:
+    """Patches of neighbouring surfels of one side that are clipped wherever they are seen."""
+    clipped, total = np.zeros((len(surfels), 3)), np.zeros(len(surfels))
+    for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
+        mine = surfel >= 0
+        total += np.bincount(surfel[mine], minlength=len(surfels))
+        mask = _mask_of(view).reshape(-1, 3)[mine]
+        for channel in range(3):
+            clipped[:, channel] += np.bincount(surfel[mine], mask[:, channel], len(surfels))
+    share = clipped / np.maximum(total, 1)[:, None]
+    shut = np.flatnonzero((share >= SHUT).any(axis=1))
+    label = np.full(len(surfels), -1, np.int64)
+    if len(shut):
+        shape = surfels.grid.shape
+        key = np.flatnonzero(surfels.grid.surfel >= 0)[shut]
+        side, rest = key % NUM_SIDES, key // NUM_SIDES
+        row, z = np.divmod(rest, shape[2])
+        cell = np.stack([*np.divmod(row, shape[1]), z, side * 4 * int(shape.max())], axis=1)
+        pairs = cKDTree(cell).query_pairs(1.5, p=np.inf, output_type="ndarray")
+        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(shut),) * 2)
+        label[shut] = connected_components(graph, directed=False)[1]
+    return _largest(label, MIN_CELLS), (share >= SHUT).astype(np.float64)
+
+
+def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
+    """Labels by size, the largest first; those after :data:`MAX_SOURCES` are the last one together, those of
+    fewer than ``least`` none."""
+    num = np.bincount(label[label >= 0])
+    order = np.argsort(-num, kind="stable")
+    new = np.full(len(num) + 1, -1, np.int64)  # the last for -1
+    kept = order[num[order] >= least]
+    new[kept] = np.minimum(np.arange(len(kept)), MAX_SOURCES - 1)
+    return new[label]
+
+
+def source_of_pixels(
+    view: TracedView, sources: Sources, emitters: Emitters, background: Background, surfel: NDArray
+) -> NDArray[np.int64]:
+    """Source (P,) that each pixel of a view shows, -1 for none; ``surfel`` (P,) that it shows."""
+    face = view.geometry.face.ravel()
+    found = np.full(len(face), -1, np.int64)
+    on_mesh = np.flatnonzero(face >= 0)
+    if len(sources.of_emitter):
+        emitter = emitters.of_face[face[on_mesh]]
+        found[on_mesh] = np.where(emitter >= 0, sources.of_emitter[np.maximum(emitter, 0)], -1)
+    on_surfel = np.flatnonzero(surfel >= 0)
+    found[on_surfel] = sources.of_surfel[surfel[on_surfel]]
+    outside = np.flatnonzero((face < 0) & view.valid_mask.ravel())
+    if len(outside):
+        way = view.camera.ray_directions().reshape(-1, 3)[outside]
+        origin = np.broadcast_to(view.camera.position_m, way.shape)
+        found[outside] = sources.of_bin[bins_of(origin, way, background.low, background.high)]
+    return found

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""The stage of ``materials infer`` that brings photographs to one exposure and completes what they clip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from model.reconstruction.geometry.traced import smooth_regions
+from model.reconstruction.geometry.views import TracedCapture
+from model.reconstruction.radiometry.completed import Completed, completed_views
+from model.reconstruction.stages import Run
+
+
+def completed(traced: TracedCapture, run: Run) -> TracedCapture:
+    """The capture with views of one exposure that are completed where they clip. Images of floats have no
+    limit: renderings and merged brackets are of one exposure as they come."""
+    if any(view.limit is None for view in traced.views):
+        return traced
+    with run.report.stage("radiometry"):
+        try:
+            found = completed_views(
+                traced.views,
+                traced.geometry,
+                traced.capture.geometry.emitter_mask(),
+                smooth_regions(traced.geometry.mesh),
+                is_evened=run.options.is_evened,
+            )
+        except ValueError as error:
+            run.report.notes.append(f"exposures and clipped pixels stay as they are: {error}")
+            return traced
+    run.report.radiometry = described(found)
+    run.report.notes += notes_of(found)
+    run.found.doubt_at = found.doubt_at
+    return replace(traced, views=tuple(found.views))
+
+
+def described(found: Completed) -> dict[str, Any]:
+    """What was found, for the report."""
+    stops = np.log2(found.radiometry.gain)
+    return {
+        "exposure_stops": [round(float(value), 3) for value in stops.mean(axis=1)],
+        "balance_stops": round(float(np.sqrt((stops - stops.mean(axis=1, keepdims=True)).var())), 3),
+        "vignetting_stops": round(found.radiometry.vignetting / float(np.log(2)), 3),
+        "curve": round(found.radiometry.curve, 4),
+        "clipped_share": round(found.clipped_share, 5),
+        "sources": [
+            {
+                "radiance": [float(v) for v in radiance],
+                "bound": [float(v) for v in bound],
+                "spread": float(spread),
+            }
+            for radiance, bound, spread in zip(
+                found.radiance, found.sources.bound if found.sources else (), found.spread, strict=True
+            )
+        ],
+    }
+
+
+def notes_of(found: Completed) -> list[str]:
+    """What a person should know."""
+    notes = []
+    stops = np.log2(found.radiometry.gain).mean(axis=1)
+    if found.radiometry.changes:
+        low, high = float(stops.min()), float(stops.max())
+        text = f"exposures that differ by {low:+.2f} to {high:+.2f} stops were evened out"
+        if found.radiometry.vignetting:
+            text += f", corners brightened by {found.radiometry.vignetting / np.log(2):.2f} stops"
+        if found.radiometry.curve:
+            text += ", and a response that differs from sRGB's undone"
+        notes.append(text)
+    if found.clipped_share > 0.001:
+        text = f"{found.clipped_share:.1%} of the pixels are at the sensor's limit"
+        unsure = int((found.spread > 0.5).sum())
+        if len(found.radiance):
+            text += f"; the radiance of {len(found.radiance)} sources is found from what they light"
+        if unsure:
+            text += f", that of {unsure} hardly: photograph them with a shorter exposure, too"
+        notes.append(text)
+    return notes

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""Exposures, response and clipped light, found in photographs of a room whose light is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
+from model.reconstruction.geometry.views import TracedView
+from model.reconstruction.light.surfels import build_surfels
+from model.reconstruction.radiometry.completed import Completed, completed_views
+from model.reconstruction.radiometry.exposures import (
+    Radiometry,
+    find_radiometry,
+    radius_squared,
+    shown,
+    unbent,
+)
+from tests.model.light_room import LAMP, SKY, photographed_room, room_geometry
+from tests.model.test_light_room import EXPOSURE, predicted, solved, wall_error
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+LIMIT = 1.2
+"""A twelfth of the lamp, below the sky, five times the median of the surfaces."""
+
+
+def gains(stops: float) -> NDArray[np.float64]:
+    """Exposure of each view, in gains about a median of 1."""
+    drawn = 2.0 ** np.random.default_rng(0).normal(0.0, max(stops, 1e-12), len(photographed_room()))
+    return drawn / np.median(drawn)
+
+
+def taken(stops: float = 0.0, curve: float = 0.0, vignetting: float = 0.0) -> list[TracedView]:
+    """The room as a camera with a limit takes it."""
+    views = []
+    for view, gain in zip(photographed_room(), gains(stops), strict=True):
+        color = view.color * gain * np.exp(-vignetting * radius_squared(view))[..., None]
+        read = (LIMIT * shown(color / LIMIT, curve)).astype(np.float32)
+        views.append(replace(view, color=read, clipped_mask=color >= LIMIT, limit=LIMIT))
+    return views
+
+
+def radiometry(views: Sequence[TracedView]) -> Radiometry:
+    return find_radiometry(views, build_surfels(views))
+
+
+@lru_cache(maxsize=1)
+def completed() -> Completed:
+    """Of exposures that differ by 0.4 stops."""
+    geometry = room_geometry()
+    traced = TracedGeometry(geometry)
+    views = taken(stops=0.4)
+    return completed_views(views, traced, geometry.emitter_mask(), smooth_regions(traced.mesh))
+
+
+def test_exposures_that_differ() -> None:
+    found = radiometry(taken(stops=0.4))
+    assert np.sqrt((np.log(found.gain / gains(0.4)[:, None]) ** 2).mean()) < 0.015
+    assert found.vignetting == 0 and found.curve == 0
+
+
+def test_white_balance_that_differs() -> None:
+    views = taken()
+    views[3] = replace(views[3], color=views[3].color * np.array([0.8, 1.0, 1.25], np.float32))
+    found = radiometry(views)
+    np.testing.assert_allclose(found.gain[3], [0.8, 1.0, 1.25], rtol=0.04)
+
+
+def test_one_exposure_stays_as_it_is() -> None:
+    found = radiometry(taken())
+    assert not found.changes and (found.gain == 1).all()
+
+
+def test_vignetting() -> None:
+    found = radiometry(taken(vignetting=0.7))
+    assert abs(found.vignetting - 0.7) < 0.1
+    assert np.abs(np.log(found.gain)).max() < 0.05
+
+
+def test_response_is_told_where_exposures_differ() -> None:
+    """Without the curve, gains would be off by a tenth."""
+    found = radiometry(taken(stops=0.4, curve=0.08))
+    assert 0.05 < found.curve < 0.1
+    assert np.sqrt((np.log(found.gain / gains(0.4)[:, None]) ** 2).mean()) < 0.035
+
+
+@pytest.mark.parametrize("curve", [-0.1, 0.08])
+def test_curve_is_undone(curve: float) -> None:
+    value = np.linspace(0.001, 0.999, 100)
+    np.testing.assert_allclose(unbent(shown(value, curve), curve), value, atol=1e-3)
+
+
+def test_clipped_lamp_and_sky_are_found_from_what_they_light() -> None:
+    """The lamp within 10 %, the sky within 15 %: surfaces see little of it."""
+    found = completed()
+    assert found.sources is not None and found.clipped_share > 0.04
+    lamp, sky = found.sources.of_emitter.max(), found.sources.of_bin.max()
+    assert found.sources.bound[lamp].max() < 1.1 * LIMIT
+    np.testing.assert_allclose(found.radiance[lamp], LAMP, rtol=0.1)
+    np.testing.assert_allclose(found.radiance[sky], SKY, rtol=0.15)
+    assert found.spread[[lamp, sky]].max() < 0.2
+
+
+def test_materials_of_completed_photographs() -> None:
+    """Within 10 % where exact photographs give 6 %; as they are, the photographs give nothing like it."""
+    found = completed()
+    views = tuple(found.views)
+    ours = solved(views, predicted(views), EXPOSURE)
+    assert wall_error(ours) < 0.1
+    clipped = tuple(taken(stops=0.4))
+    assert wall_error(solved(clipped, predicted(clipped), EXPOSURE)) > 0.3
+
+
+def test_doubt_is_light_of_sources_that_nothing_tells() -> None:
+    """Of the sources' spread, none is near 1, and so little of the light is in doubt."""
+    found = completed()
+    assert found.doubt_at is not None
+    position, normal = np.array([[2.0, 1.5, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+    shading = float(np.median(photographed_room()[0].color)) / 0.3
+    assert 0 < found.doubt_at(position, normal)[0] < 0.3 * shading
