@@ -83,6 +83,8 @@ MATRIX = {
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
         "model.reconstruction.export "
         "model.reconstruction.infer_options model.reconstruction.report_page model.reconstruction.stages",
+        "model.reconstruction.photos": f"{_GROUND} model.reconstruction.captures model.reconstruction.infer "
+        "model.reconstruction.infer_options model.reconstruction.render model.reconstruction.stages",
         "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.events model.reconstruction",
         "model.evaluation": f"{_RENDER} datagen.assembly datagen.farm datagen.importers {_NETWORKS} "
         "model.checkpoint model.training model.reconstruction",

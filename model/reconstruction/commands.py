@@ -20,7 +20,7 @@ def register_verbs(app: typer.Typer) -> None:
     """Add the verbs of a reconstruction to the command."""
     from model.reconstruction.render.commands import render, turntable, view
 
-    for verb in (check, infer, render, turntable, view):
+    for verb in (check, infer, photos, render, turntable, view):
         app.command()(verb)
 
 
@@ -161,6 +161,69 @@ def infer(
     typer.echo(report.table())
     typer.echo(str(out / "asset"))
     typer.echo(str(out / "report.html"))
+
+
+def photos(
+    folder: Annotated[Path, typer.Argument(help="Photographs; or a capture with cameras of its own.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work continues.")],
+    mesh: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--mesh", help="A mesh in the cameras' frame, instead of COLMAP's."),
+    ] = None,
+    checkpoint: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--checkpoint", help="Weights (.safetensors); default: the bundled ones."),
+    ] = None,
+    up: Annotated[str, typer.Option("--up", help="As for infer.")] = "auto",
+    unit: Annotated[str, typer.Option("--unit", help="As for infer.")] = "auto",
+    max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = 640,
+    atlas: Annotated[str, typer.Option("--atlas", help="Side in texels, or auto.")] = "auto",
+    device: Annotated[str, typer.Option("--device", help="cpu or cuda, for the networks.")] = "cpu",
+    colmap: Annotated[str, typer.Option("--colmap", help="COLMAP's program.")] = "colmap",
+    frames: Annotated[int, typer.Option("--frames", min=2, help="Frames of the turntable.")] = 24,
+    samples: Annotated[int, typer.Option("--samples", min=1, help="Light paths a pixel of it.")] = 8,
+    no_check: Annotated[
+        bool, typer.Option("--no-check", help="Do not compare the mesh with the photographs first.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+) -> None:
+    """Turn a folder of photographs into an asset: COLMAP's cameras and mesh, materials, a turntable.
+
+    Stopped, the same command continues. Example: materials photos kitchen --out kitchen-asset
+    """
+    from datagen.foundation.progress import Bars
+    from model.checkpoint import bundled_checkpoint
+    from model.reconstruction.infer import InferOptions
+    from model.reconstruction.photos.pipeline import PhotosOptions, make_asset
+    from model.reconstruction.predict.sources import CheckpointMaps
+
+    if atlas != "auto" and not atlas.isdigit():
+        raise typer.BadParameter(f"{atlas!r}; expected auto or a number", param_hint="--atlas")
+    options = PhotosOptions(
+        program=colmap,
+        reading=_reading(mesh, None, None, up, "same", unit, "auto", "auto", max_width),
+        inference=InferOptions(
+            atlas="auto" if atlas == "auto" else int(atlas), device=device, is_checked=not no_check
+        ),
+        frames=frames,
+        samples=samples,
+    )
+    source = CheckpointMaps(checkpoint or bundled_checkpoint())
+
+    def say(text: str) -> None:
+        typer.echo(text, err=True)
+
+    try:
+        with Bars() if not quiet else nullcontext() as bars:
+            told = (lambda stage, done, total: None) if bars is None else bars.tell
+            made = make_asset(folder, out, source, options, told, say)
+    except KeyboardInterrupt:
+        typer.echo("stopped; the same command continues", err=True)
+        raise typer.Exit(130) from None
+    for text in () if made.report is None else (*made.report.warnings, *made.report.notes):
+        say(f"note: {text}")
+    for path in (out / "asset", out / "report.html", made.turntable):
+        typer.echo(str(path))
 
 
 def check(

@@ -14,9 +14,11 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from datagen.formats.lights import PointLight
+from datagen.formats.package import open_package, write_package
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for
 from datagen.foundation.errors import InputError
+from datagen.foundation.images import read_image
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.render.relight import Lamp, RelightOptions, render_asset, shown_bytes, write_renders
@@ -129,15 +131,36 @@ def test_lamps_replace_the_lights(asset: Path) -> None:
     assert mean(a, b) == pytest.approx(mean(a) + mean(b), rel=0.05)
 
 
-def test_a_sky_over_a_closed_room_is_warned_of(asset: Path, tmp_path: Path) -> None:
+def brightness(path: Path) -> float:
+    return float(read_image(path)[..., :3].mean())
+
+
+def test_a_closed_room_under_a_sky_has_its_own_lights(asset: Path, tmp_path: Path) -> None:
     warnings: list[str] = []
-    dark = RelightOptions(samples=1, views=("view_00", "view_01"), sky=(1.0, 1.0, 1.0))
-    write_renders(asset, tmp_path / "r", dark, warnings.append)
+    sky = RelightOptions(samples=4, views=("view_00",), sky=(1.0, 1.0, 1.0))
+    write_renders(asset, tmp_path / "sky", sky, warnings.append)
     (said,) = warnings
-    assert said.startswith("no light of the sky reaches view_00, view_01: the room is closed")
-    write_renders(asset, tmp_path / "r", replace(dark, lamps=(Lamp((2.0, 1.5, 2.0)),)), warnings.append)
-    write_renders(asset, tmp_path / "r", replace(dark, sky=None), warnings.append)
+    assert said == "no light of the sky reaches view_00: the room is closed; its own lights shine"
+    write_renders(asset, tmp_path / "own", replace(sky, sky=None), warnings.append)
+    write_renders(asset, tmp_path / "lamp", replace(sky, lamps=(Lamp((2.0, 1.5, 2.0)),)), warnings.append)
     assert len(warnings) == 1
+    own, under_sky = (brightness(tmp_path / name / "view_00.exr") for name in ("own", "sky"))
+    assert under_sky == pytest.approx(own, rel=0.01) and own > 0.01
+
+
+@pytest.mark.parametrize("sky", [None, (1.0, 1.0, 1.0)])
+def test_a_room_without_light_has_a_lamp(
+    asset: Path, sky: tuple[float, float, float] | None, tmp_path: Path
+) -> None:
+    with open_package(asset) as package:
+        files = {name: package.read_bytes(name) for name in package.names() if name != "asset.json"}
+        dark = package.asset.model_copy(update={"lights": ()})
+        write_package(tmp_path / "dark", dark, files)
+    warnings: list[str] = []
+    options = RelightOptions(samples=4, views=("view_00",), sky=sky)
+    write_renders(tmp_path / "dark", tmp_path / "renders", options, warnings.append)
+    assert brightness(tmp_path / "renders" / "view_00.exr") > 0.01
+    assert len(warnings) == 1 and "a lamp in the middle of its cameras shines" in warnings[0]
 
 
 def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
@@ -159,7 +182,7 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, [*words, "--lamp", "2,1.5,2", "--way", "cameras", "--quiet"])
     assert done.exit_code == 0 and out.is_file(), done.output
     dark = CliRunner().invoke(app, [*words, "--sky", "1,1,1", "--quiet"])
-    assert dark.exit_code == 0 and "no light of the sky reaches frame-000, frame-001" in dark.output
+    assert dark.exit_code == 0 and "no light of the sky reaches frame-000" in dark.output
     for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 numbers"), (["--way", "up"], "expected orbit"),
                         (["--lamp", "1,2,3,0"], "above 0")):  # fmt: skip
         refused = CliRunner().invoke(app, [*words, *extra])

@@ -232,6 +232,12 @@ def _calibrated(
     return record, tuple(notes), loaded
 
 
+def has_cameras(path: Path) -> bool:
+    """Whether a capture of a known form lies at ``path``; whether it is sound shows when it is read."""
+    is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
+    return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
+
+
 def _form_of(path: Path) -> tuple[Form, Path]:
     for form in FORMS:
         found = form.find(path)

@@ -7,9 +7,9 @@ A package becomes a configuration, and ``datagen``'s renderer does the rest.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -191,16 +191,51 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
         yield path
 
 
-def unlit_warning(images: Sequence[str]) -> str:
-    """What to tell of views that the sky does not reach."""
-    shown = ", ".join(images[:6]) + (f" and {len(images) - 6} more" if len(images) > 6 else "")
-    return (
-        f"no light of the sky reaches {shown}: the room is closed; light it with --lamp X,Y,Z, or leave "
-        "--sky out where the asset has lights of its own"
-    )
+def lit_images(
+    path: Path, options: RelightOptions, warn: Callable[[str], None] | None = None
+) -> Iterator[RenderedImage]:
+    """The images of :func:`render_asset`, in a light that reaches them: where no light of the sky reaches the
+    first one, and where there is no light at all, the asset's own lights or a lamp in the middle of its
+    cameras. ``warn`` is told."""
+    with open_package(path) as package:
+        asset = package.asset
+    assert isinstance(asset, EnvironmentAsset)
+    has_lights = bool(asset.lights) or any(any(m.emission or ()) for m in asset.materials.values())
+    is_told = options.sky is not None or bool(options.lamps)
+    if not is_told and not has_lights:
+        options = _with_own_lamp(options, asset, path)
+        _say(warn, f"the asset has no light: {_OWN_LAMP}")
+    images = render_asset(path, options)
+    first = next(images, None)
+    if first is None:
+        return
+    if _is_unlit(first.color, options):
+        options = replace(options, sky=None) if has_lights else _with_own_lamp(options, asset, path)
+        instead = "its own lights shine" if has_lights else _OWN_LAMP
+        _say(warn, f"no light of the sky reaches {first.name}: the room is closed; {instead}")
+        images = render_asset(path, options)
+        first = next(images)
+    yield first
+    yield from images
 
 
-def is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
+_OWN_LAMP = "a lamp in the middle of its cameras shines (--lamp X,Y,Z places others)"
+
+
+def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path) -> RelightOptions:
+    """With a lamp in the middle of the asset's cameras."""
+    if not asset.cameras:
+        raise input_error(path, "lights", "none", "a light", "give one with --lamp or --sky")
+    x, y, z = (float(v) for v in np.mean([c.camera().position_m for c in asset.cameras], axis=0))
+    return replace(options, lamps=(Lamp((x, y, z)),))
+
+
+def _say(warn: Callable[[str], None] | None, text: str) -> None:
+    if warn is not None:
+        warn(text)
+
+
+def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
     """Whether a view is as good as black although there is a sky, and nothing else that shines."""
     if options.sky is None or options.lamps:
         return False
@@ -222,13 +257,13 @@ def write_renders(
 ) -> list[Path]:
     """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views under the first's exposure).
 
-    ``warn`` is told of views that a sky does not light."""
+    ``warn`` is told where the light is another than was asked for (:func:`lit_images`)."""
     options = options or RelightOptions()
     open_package(path).close()  # a package that cannot be read leaves no folder behind
     out.mkdir(parents=True, exist_ok=True)
-    written, unlit = [], []
+    written = []
     exposure = 0.0
-    for image in render_asset(path, options):
+    for image in lit_images(path, options, warn):
         exposure = exposure or exposure_for(image.color)
         file = out / f"{image.name}.exr"
         with OpenEXR.File(
@@ -238,10 +273,6 @@ def write_renders(
             exr.write(str(file))
         write_bytes_atomically(out / f"{image.name}.png", encode_png(shown_bytes(image.color, exposure)))
         written += [file, out / f"{image.name}.png"]
-        if is_unlit(image.color, options):
-            unlit.append(image.name)
-    if unlit and warn is not None:
-        warn(unlit_warning(unlit))
     return written
 
 

@@ -22,13 +22,7 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
-from model.reconstruction.render.relight import (
-    RelightOptions,
-    is_unlit,
-    render_asset,
-    shown_bytes,
-    unlit_warning,
-)
+from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
 
 SUFFIXES = (".gif", ".mp4")
 MIN_RADIUS_M = 0.15  # a capture from one place is shown from a small circle around it
@@ -78,17 +72,12 @@ def write_turntable(
             raise input_error(path, "kind", asset.kind, expected, "give what `materials infer` wrote")
         made = way_cameras([c.camera() for c in asset.cameras], options)
     frames: list[NDArray[np.uint8]] = []
-    unlit = []
     exposure = 0.0
-    for image in render_asset(path, replace(options.render, views=(), cameras=tuple(made))):
+    for image in lit_images(path, replace(options.render, views=(), cameras=tuple(made)), warn):
         exposure = exposure or exposure_for(image.color)
         frames.append(shown_bytes(image.color, exposure))
-        if is_unlit(image.color, options.render):
-            unlit.append(image.name)
         if progress is not None:
             progress("render", len(frames), len(made))
-    if unlit and warn is not None:
-        warn(unlit_warning(unlit))
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = out.with_name(f".partial-{out.name}")
     try:

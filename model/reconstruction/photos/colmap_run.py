@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: MIT
+"""COLMAP as a program: cameras and a mesh of a folder of photographs, each step once.
+
+WORK/database.db    features and matches
+WORK/found/         the models of the mapper
+WORK/sparse/0/      the largest of them
+WORK/dense/         undistorted photographs and depth, where a GPU allows
+WORK/mesh.ply       a Poisson surface of the dense points, else a Delaunay surface of the sparse ones
+WORK/STEP.done      of each step that ended well; WORK/STEP.log what COLMAP said
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.formats.base import write_bytes_atomically
+from datagen.foundation.errors import input_error
+
+MAX_IMAGE_PX = 2400
+"""Longer sides are shrunk before features are sought."""
+_TAIL = 400  # characters of the log that an error shows
+
+
+@dataclass(frozen=True)
+class Step:
+    """Commands that make something together; ``clears`` what an earlier attempt may have left."""
+
+    name: str
+    commands: tuple[tuple[str, ...], ...]
+    clears: tuple[str, ...] = ()
+
+
+def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...]:
+    """Features, matches and cameras, on the CPU."""
+    database = ("--database_path", str(work / "database.db"))
+    images = ("--image_path", str(photographs))
+    features = (
+        program, "feature_extractor", *database, *images, "--ImageReader.single_camera", "1",
+        "--ImageReader.camera_model", "SIMPLE_RADIAL", "--SiftExtraction.use_gpu", "0",
+        "--SiftExtraction.max_image_size", str(MAX_IMAGE_PX), "--SiftExtraction.peak_threshold", "0.003",
+    )  # fmt: skip
+    matches = (
+        program, "exhaustive_matcher", *database, "--SiftMatching.use_gpu", "0",
+        "--SiftMatching.guided_matching", "1",
+    )  # fmt: skip
+    mapper = (program, "mapper", *database, *images, "--output_path", str(work / "found"))
+    return (
+        Step("features", (features,), ("database.db",)),
+        Step("matches", (matches,)),
+        Step("cameras", (mapper,), ("found",)),
+    )
+
+
+def dense_step(program: str, photographs: Path, work: Path) -> Step:
+    """Depth of every photograph and a Poisson surface; COLMAP needs CUDA for it."""
+    dense, points = str(work / "dense"), str(work / "dense" / "fused.ply")
+    return Step(
+        "dense",
+        (
+            (program, "image_undistorter", "--image_path", str(photographs),
+             "--input_path", str(work / "sparse" / "0"), "--output_path", dense),
+            (program, "patch_match_stereo", "--workspace_path", dense),
+            (program, "stereo_fusion", "--workspace_path", dense, "--output_path", points),
+            (program, "poisson_mesher", "--input_path", points, "--output_path", str(work / "mesh.ply")),
+        ),
+        ("dense", "mesh.ply"),
+    )  # fmt: skip
+
+
+def sparse_step(program: str, work: Path) -> Step:
+    """A Delaunay surface through the sparse points."""
+    model, mesh = str(work / "sparse" / "0"), str(work / "mesh.ply")
+    command = (program, "delaunay_mesher", "--input_path", model, "--input_type", "sparse",
+               "--output_path", mesh)  # fmt: skip
+    return Step("mesh", (command,), ("mesh.ply",))
+
+
+def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
+    """What to install and run where COLMAP lacks; ``rest`` is the command that goes on from there."""
+    largest = work / "sparse" / "0"
+    lines = [
+        "apt-get install colmap    # or https://colmap.github.io/install.html",
+        f"mkdir -p {work / 'found'}",
+    ]
+    steps = [*camera_steps(program, photographs, work), sparse_step(program, work)]
+    for step in steps:
+        if step.name == "mesh":
+            lines.append(
+                f"mkdir -p {largest} && cp {work / 'found' / '0'}/* {largest}    # the largest model"
+            )
+        lines += [shlex.join(command) for command in step.commands]
+    return "\n".join([*lines, shlex.join(rest)])
+
+
+class ColmapRun:
+    """Runs steps in ``work``, those that were not done before; ``tell`` names each that runs."""
+
+    def __init__(self, program: str, photographs: Path, work: Path, tell: Callable[[str], None]):
+        self.program, self.photographs, self.work, self.tell = program, photographs, work, tell
+
+    @property
+    def model(self) -> Path:
+        """The cameras."""
+        return self.work / "sparse" / "0"
+
+    def cameras(self) -> Path:
+        """The folder of the cameras. Raises :class:`InputError` where COLMAP fails."""
+        (self.work / "found").mkdir(parents=True, exist_ok=True)
+        for step in camera_steps(self.program, self.photographs, self.work):
+            self._do(step)
+        models = [folder for folder in (self.work / "found").iterdir() if _size(folder)]
+        if not models:
+            remedy = "take more photographs that overlap, from different places; see the log"
+            raise input_error(
+                self.work / "cameras.log", "cameras", "no model", "overlapping photographs", remedy
+            )
+        if not self.model.is_dir():
+            partial = self.work / "sparse" / "partial"
+            shutil.rmtree(partial, ignore_errors=True)
+            shutil.copytree(max(models, key=_size), partial)
+            partial.rename(self.model)
+        return self.model
+
+    def mesh(self) -> Path:
+        """A mesh in the frame of the cameras: dense where a GPU is at hand and COLMAP can use it."""
+        mesh = self.work / "mesh.ply"
+        if (self.work / "mesh.done").is_file() or (self.work / "dense.done").is_file():
+            return mesh
+        if shutil.which("nvidia-smi") and not (self.work / "dense.failed").is_file():
+            try:
+                self._do(dense_step(self.program, self.photographs, self.work))
+                return mesh
+            except subprocess.SubprocessError:
+                write_bytes_atomically(self.work / "dense.failed", b"")
+                self.tell("dense points need a COLMAP with CUDA; the sparse ones serve")
+        self._do(sparse_step(self.program, self.work))
+        return mesh
+
+    def _do(self, step: Step) -> None:
+        done = self.work / f"{step.name}.done"
+        if done.is_file():
+            return
+        self.tell(step.name)
+        for name in step.clears:
+            path = self.work / name
+            if path.is_dir():
+                shutil.rmtree(path)
+                path.mkdir()
+            else:
+                path.unlink(missing_ok=True)
+        log = self.work / f"{step.name}.log"
+        with log.open("wb") as out:
+            for command in step.commands:
+                ended = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, check=False)
+                if ended.returncode and step.name == "dense":
+                    raise subprocess.CalledProcessError(ended.returncode, command)
+                if ended.returncode:
+                    tail = log.read_text(errors="replace")[-_TAIL:].strip() or "nothing"
+                    got = f"{Path(command[0]).name} {command[1]} ended with {ended.returncode}: {tail}"
+                    raise input_error(log, step.name, got, "a step that ends well", "see the log; then again")
+        write_bytes_atomically(done, b"")
+
+
+def _size(model: Path) -> int:
+    """Bytes of a model's images; 0 for what is none."""
+    for name in ("images.bin", "images.txt"):
+        if (model / name).is_file():
+            return (model / name).stat().st_size
+    return 0

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: MIT
+"""``materials photos``: photographs → cameras and mesh → asset → turntable, each once, in one folder.
+
+OUT/photos.json     what the work belongs to: the photographs, and how they were read
+OUT/colmap/         cameras and mesh by COLMAP, where the photographs come without (``colmap_run``)
+OUT/...             what ``materials infer`` writes
+OUT/turntable.gif   a turn through the room under the lights that were found
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
+from datagen.foundation.errors import InputError, Problem, input_error
+from model.reconstruction.captures import CaptureOptions, read_capture
+from model.reconstruction.captures.photograph_files import KNOWN_SUFFIXES, can_read, unread_problems
+from model.reconstruction.captures.read import has_cameras
+from model.reconstruction.infer import infer
+from model.reconstruction.infer_options import InferOptions, InferReport, Progress
+from model.reconstruction.photos.colmap_run import ColmapRun, missing_program
+from model.reconstruction.render.relight import RelightOptions
+from model.reconstruction.render.turntable import TurntableOptions, write_turntable
+from model.reconstruction.stages import MapSource
+
+MIN_PHOTOGRAPHS = 3
+TURNTABLE = "turntable.gif"
+
+
+@dataclass(frozen=True)
+class PhotosOptions:
+    """``program`` is COLMAP's; ``reading`` and ``inference`` as in ``materials infer``; ``frames`` of the
+    turntable with ``samples`` light paths a pixel."""
+
+    program: str = "colmap"
+    reading: CaptureOptions = field(default_factory=CaptureOptions)
+    inference: InferOptions = field(default_factory=InferOptions)
+    frames: int = 24
+    samples: int = 8
+
+
+@dataclass(frozen=True)
+class Made:
+    """The report, None where the asset was made before, and the turntable."""
+
+    report: InferReport | None
+    turntable: Path
+
+
+def photographs_in(folder: Path) -> list[Path]:
+    """The photographs of a folder. Raises :class:`InputError` where there are few, or of forms that are not
+    read."""
+    if not folder.is_dir():
+        raise input_error(folder, "", "no such folder", "a folder of photographs", "check the path")
+    found = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in KNOWN_SUFFIXES]
+    unread = [file for file in found if not can_read(file)]
+    if unread:
+        raise InputError(*unread_problems(folder, unread))
+    if len(found) < MIN_PHOTOGRAPHS:
+        expected = f"{MIN_PHOTOGRAPHS} photographs or more that overlap, or a capture with cameras"
+        raise input_error(folder, "photographs", len(found), expected, "name the folder that holds them")
+    return found
+
+
+def make_asset(
+    folder: Path,
+    out: Path,
+    source: MapSource,
+    options: PhotosOptions,
+    tell: Progress,
+    say: Callable[[str], None],
+) -> Made:
+    """Everything from ``folder`` to ``out``. What is there from an earlier run is not made again.
+
+    Raises :class:`InputError` where the input is bad, a program lacks or fails, or ``out`` holds other work.
+    """
+    has_own = has_cameras(folder)
+    photographs = [] if has_own else photographs_in(folder)
+    if not has_own and shutil.which(options.program) is None:
+        rest = ["materials", "photos", str(folder), "--out", str(out)]
+        say(missing_program(options.program, folder, out / "colmap", rest))
+        remedy = "install it and give the same command again, or run the commands above"
+        raise InputError(Problem(options.program, "", "no such program", "COLMAP 3.7 or later", remedy))
+    _claim(out, folder, photographs, source, options)
+    if has_own:
+        capture, reading = folder, options.reading
+    else:
+        run = ColmapRun(options.program, folder, out / "colmap", say)
+        capture = run.cameras()
+        mesh = options.reading.mesh or run.mesh()
+        reading = replace(options.reading, mesh=mesh, images=folder)
+    report = None
+    if not (out / "report.json").is_file():
+        opened = replace(read_capture(capture, reading), name="room")
+        registered = len(opened.views)
+        if photographs and registered < len(photographs):
+            say(f"COLMAP placed {registered} of {len(photographs)} photographs")
+        report = infer(opened, out, source, options.inference, tell)
+    turntable = out / TURNTABLE
+    if not turntable.is_file():
+        relight = RelightOptions(samples=options.samples)
+        write_turntable(
+            out / "asset", turntable, TurntableOptions(frames=options.frames, render=relight), tell, say
+        )
+    return Made(report, turntable)
+
+
+def _claim(
+    out: Path, folder: Path, photographs: list[Path], source: MapSource, options: PhotosOptions
+) -> None:
+    """Bind the folder to these photographs; other options make asset and turntable again."""
+    files = [[file.name, file.stat().st_size] for file in photographs]
+    work: dict[str, Any] = {
+        "format": "scene-materials/photos",
+        "folder": folder.resolve().name,
+        "files": files,
+    }
+    told = [repr(options), source.identity]
+    state = canonical_json({**work, "options": sha256_hex(canonical_json(told))})
+    path = out / "photos.json"
+    before = path.read_bytes() if path.is_file() else None
+    if before is not None and before != state:
+        import json
+
+        if {key: json.loads(before).get(key) for key in work} != work:
+            expected = "the photographs that it was started with"
+            raise input_error(out, "photos.json", "other work", expected, "choose another --out or remove it")
+        for name in ("report.json", TURNTABLE):
+            (out / name).unlink(missing_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(path, state)
