@@ -77,6 +77,9 @@ def infer(
     no_check: Annotated[
         bool, typer.Option("--no-check", help="Do not compare the mesh with the photographs first.")
     ] = False,
+    mend_poses: Annotated[
+        bool, typer.Option("--mend-poses", help="Mend cameras that are off by millimetres; says by how much.")
+    ] = False,
     punctual: Annotated[
         bool, typer.Option("--punctual", help="Small lamps in the GLB as point lights, too.")
     ] = False,
@@ -125,6 +128,7 @@ def infer(
         is_checked=not no_check,
         has_punctual=punctual,
         is_evened=exposure == "auto",
+        mends_poses=mend_poses,
         **doing,
     )
     try:

@@ -21,7 +21,7 @@ import hashlib
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +37,7 @@ from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
+from model.reconstruction.geometry.pose_mending import mended_poses
 from model.reconstruction.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
 from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
@@ -146,6 +147,8 @@ def _claim(capture: Capture, source: MapSource, run: Run) -> None:
     }
     if not run.options.is_evened:
         work["is_evened"] = False
+    if run.options.mends_poses:
+        work["mends_poses"] = True
     state = canonical_json({"format": "scene-materials/inference", "work": sha256_hex(canonical_json(work))})
     path = run.out / "state.json"
     if path.is_file() and path.read_bytes() != state:
@@ -162,12 +165,38 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
     _check(traced, run)
     if source.is_predicted:
         traced = completed(traced, run)
+        traced = _mended(traced, run) if run.options.mends_poses else traced
     maps = source.maps(traced, run)
     for stage in map_stages(source, run.options):
         maps = stage(traced, maps, run)
     sides = seen_sides([view.geometry for view in traced.views], run.report.num_triangles)
     footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
     return FinalViews(map_views(traced.views, maps), traced.geometry, sides, footprint_m)
+
+
+def _mended(traced: TracedCapture, run: Run) -> TracedCapture:
+    """The capture with the poses that make its views agree, where that says more than the given ones."""
+    with run.report.stage("poses"):
+        found = mended_poses(traced.views)
+        low, high = found.residual
+        run.report.poses = {
+            "moved_mm": [round(float(value), 2) for value in found.moved_mm],
+            "turned_deg": [round(float(value), 3) for value in found.turned_deg],
+            "residual": [round(low, 5), round(high, 5)],
+        }
+        if not found.is_moved:
+            run.report.notes.append("poses stay: none found that make the views agree better")
+            return traced
+        middle = float(np.median(found.moved_mm)), float(np.median(found.turned_deg))
+        run.report.notes.append(
+            f"poses mended by {middle[0]:.1f} mm and {middle[1]:.2f} degrees (medians); views differ by "
+            f"{100 * high:.1f} % where they did by {100 * low:.1f} %"
+        )
+        views = tuple(
+            replace(view, camera=camera, geometry=traced.geometry.trace_view(camera, view.valid_mask))
+            for view, camera in zip(traced.views, found.cameras, strict=True)
+        )
+        return replace(traced, views=views)
 
 
 def _check(traced: TracedCapture, run: Run) -> None:

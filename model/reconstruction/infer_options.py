@@ -27,7 +27,8 @@ class InferOptions:
     (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
     alone, or both, the network's as the prior (``light``). ``has_punctual``: whether the GLB has small lamps
     as point lights, too. ``is_evened``: whether exposures, vignetting and response are found from photographs
-    that overlap (``radiometry``)."""
+    that overlap (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are sought
+    (``geometry.pose_mending``)."""
 
     atlas: int | Literal["auto"] = "auto"
     visibility: Literal["depth", "trace"] = "depth"
@@ -43,6 +44,7 @@ class InferOptions:
     materials: Materials = "both"
     has_punctual: bool = False
     is_evened: bool = True
+    mends_poses: bool = False
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
@@ -54,7 +56,8 @@ class InferReport:
     """What was done. ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up to
     the end of each; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the lights
     that were found, empty where none were sought; ``warnings`` name views where they concern one;
-    ``radiometry`` is what :mod:`~model.reconstruction.radiometry` found; ``albedo_level`` is a
+    ``radiometry`` is what :mod:`~model.reconstruction.radiometry` found, ``poses`` how far they were mended,
+    empty where that was not asked for; ``albedo_level`` is a
     :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was
     sought."""
 
@@ -68,6 +71,7 @@ class InferReport:
     precision: str = ""
     is_filtered: bool = False
     radiometry: dict[str, Any] = field(default_factory=dict)
+    poses: dict[str, Any] = field(default_factory=dict)
     albedo_level: dict[str, Any] = field(default_factory=dict)
     light: dict[str, Any] = field(default_factory=dict)
     gltf_error: dict[str, float] = field(default_factory=dict)

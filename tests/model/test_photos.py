@@ -81,7 +81,13 @@ def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     calls = (truth / "calls").read_text().split()
-    assert [call for call in calls if call not in ("image_undistorter", "patch_match_stereo")] == ["feature_extractor", "exhaustive_matcher", "mapper", "mapper", "delaunay_mesher"]
+    assert [call for call in calls if call not in ("image_undistorter", "patch_match_stereo")] == [
+        "feature_extractor",
+        "exhaustive_matcher",
+        "mapper",
+        "mapper",
+        "delaunay_mesher",
+    ]
     report = json.loads((out / "report.json").read_text())
     assert report["num_views"] == 12 and report["radiometry"]["clipped_share"] > 0.01
     with Image.open(out / "turntable.gif") as gif:

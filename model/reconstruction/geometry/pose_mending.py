@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: MIT
+"""Small errors of the cameras' poses, found from what other views show of the same points and mended.
+
+Points of the mesh that a view sees, away from depth edges and where its image changes, are looked up in the
+views that see most of them; the median is what the view should show there. Its pose follows from the
+difference by Gauss-Newton, with the weights of Cauchy's distribution and a prior of :data:`SPREAD_M` and
+:data:`SPREAD_DEG`. All views move at once, and the rounds are few. Where the cameras are as a whole is not to
+be told from that: their mean stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import luminance
+from model.reconstruction.geometry.views import TracedView
+
+ROUNDS = 6
+MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
+"""Points of a view, views that they are looked up in at most and at least, and points without which a view
+stays."""
+SPREAD_M, SPREAD_DEG = 0.01, 0.3
+EDGE = 0.03
+"""Relative change of depth over three pixels from which a point lies at an edge."""
+SAME_DEPTH = 0.02
+"""Relative difference of depth up to which two views see the same point."""
+MIN_GAIN = 0.1
+"""Part of the residual that must go for the poses to be taken: right ones would move by half a pixel."""
+_STEP = 0.8  # of a Gauss-Newton step, as all views move at once
+_ALIKE = 25.0  # neighbouring points that err alike
+
+
+@dataclass(frozen=True)
+class MendedPoses:
+    """``cameras`` in the views' order, those that were given where others explain the views little better;
+    ``moved_mm`` and ``turned_deg`` (V,) by how much; ``residual`` before and after: the median of |ln shown -
+    ln median of others|."""
+
+    cameras: tuple[Camera, ...]
+    moved_mm: NDArray[np.float64]
+    turned_deg: NDArray[np.float64]
+    residual: tuple[float, float]
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether any camera was moved."""
+        return bool(self.moved_mm.any())
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A view's logarithm of luminance and its gradients (H, W), depth (H, W), and its points (N, 3)."""
+
+    image: NDArray[np.float32]
+    gradient: tuple[NDArray[np.float32], NDArray[np.float32]]
+    depth: NDArray[np.float32]
+    points: NDArray[np.float64]
+
+
+def mended_poses(views: Sequence[TracedView]) -> MendedPoses:
+    """Better poses of ``views``, whose colours are of one exposure."""
+    looks = [_look(view, number) for number, view in enumerate(views)]
+    given = [view.camera.camera_from_world for view in views]
+    poses = [pose.copy() for pose in given]
+    lenses = [view.camera for view in views]
+    before = after = 0.0
+    for number in range(ROUNDS + 1):
+        steps = [_step(looks, lenses, poses, given, index) for index in range(len(views))]
+        after = float(np.median([rest for _, rest in steps]))
+        before = before if number else after
+        if number < ROUNDS:
+            poses = [_moved(step) @ pose for (step, _), pose in zip(steps, poses, strict=True)]
+    if after >= (1 - MIN_GAIN) * before:
+        nothing = np.zeros(len(views))
+        return MendedPoses(tuple(lenses), nothing, nothing, (before, after))
+    drift = np.mean([_place(new) - _place(old) for new, old in zip(poses, given, strict=True)], axis=0)
+    cameras, moved, turned = [], [], []
+    for lens, pose, old in zip(lenses, poses, given, strict=True):
+        world = np.linalg.inv(pose)
+        world[:3, 3] -= drift
+        cameras.append(replace(lens, world_from_camera=world))
+        moved.append(1000 * float(np.linalg.norm(world[:3, 3] - _place(old))))
+        turned.append(np.degrees(Rotation.from_matrix(pose[:3, :3] @ old[:3, :3].T).magnitude()))
+    return MendedPoses(tuple(cameras), np.array(moved), np.array(turned), (before, after))
+
+
+def _place(camera_from_world: NDArray) -> NDArray[np.float64]:
+    return np.asarray(-camera_from_world[:3, :3].T @ camera_from_world[:3, 3])
+
+
+def _moved(step: NDArray) -> NDArray[np.float64]:
+    """(4, 4) of a rotation vector and a translation in the camera's frame."""
+    found = np.eye(4)
+    found[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
+    found[:3, 3] = step[3:]
+    return found
+
+
+def _look(view: TracedView, number: int) -> _Look:
+    import cv2
+
+    shown = luminance(view.color.astype(np.float64))
+    floor = 0.05 * float(np.median(shown[shown > 0])) if (shown > 0).any() else 1.0
+    image = cv2.GaussianBlur(np.log(shown + floor).astype(np.float32), (0, 0), 1.0)
+    gradient = (
+        cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=0.125),
+        cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=0.125),
+    )
+    depth = view.geometry.depth_z_m[..., 0]
+    around = np.ones((7, 7), np.uint8)
+    is_edge = cv2.dilate(depth, around) - cv2.erode(depth, around) > EDGE * depth
+    usable = (depth > 0) & ~is_edge & view.valid_mask & (view.geometry.surface_mask[..., 0] > 0)
+    if view.clipped_mask is not None:
+        usable &= ~view.clipped_mask.any(axis=2)
+    rows, columns = np.nonzero(usable)
+    strength = np.hypot(gradient[0], gradient[1])[rows, columns]
+    random = np.random.default_rng(number).random(len(rows))
+    chosen = np.argsort(-(random ** (1 / np.maximum(strength, 1e-6))), kind="stable")[:MAX_POINTS]
+    camera, z = view.camera, depth[rows[chosen], columns[chosen]].astype(np.float64)
+    x = (columns[chosen] + 0.5 - camera.cx_px) / camera.fx_px * z
+    y = (rows[chosen] + 0.5 - camera.cy_px) / camera.fy_px * z
+    local = np.stack([x, y, z], axis=1)
+    points = local @ camera.world_from_camera[:3, :3].T + camera.position_m
+    return _Look(image, (gradient[0], gradient[1]), depth, points)
+
+
+def _projected(lens: Camera, pose: NDArray, points: NDArray) -> tuple[NDArray[np.float64], ...]:
+    """Points (N, 3) in the camera's frame, and their pixels (N,) in OpenCV's coordinates."""
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    z = np.maximum(local[:, 2], 1e-6)
+    x = lens.fx_px * local[:, 0] / z + lens.cx_px - 0.5
+    return local, x, lens.fy_px * local[:, 1] / z + lens.cy_px - 0.5
+
+
+def _sampled(image: NDArray, x: NDArray, y: NDArray) -> NDArray[np.float64]:
+    """Bilinear values (N,)."""
+    left = np.clip(np.floor(x).astype(np.int64), 0, image.shape[1] - 2)
+    top = np.clip(np.floor(y).astype(np.int64), 0, image.shape[0] - 2)
+    u, v = np.clip(x - left, 0, 1), np.clip(y - top, 0, 1)
+    upper = image[top, left] * (1 - u) + image[top, left + 1] * u
+    return np.asarray(upper * (1 - v) + (image[top + 1, left] * (1 - u) + image[top + 1, left + 1] * u) * v)
+
+
+def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[np.bool_]:
+    within = (x >= 1) & (y >= 1) & (x <= lens.width_px - 2) & (y <= lens.height_px - 2)
+    return np.asarray(within & (local[:, 2] > 0))
+
+
+def _expected(
+    looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
+) -> NDArray[np.float64]:
+    """What other views show (N,) of a view's points; NaN where too few do."""
+    points, found = looks[index].points, []
+    for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
+        if other == index:
+            continue
+        local, x, y = _projected(lens, pose, points)
+        seen = _is_inside(lens, local, x, y)
+        depth = look.depth[np.clip(np.round(y), 0, lens.height_px - 1).astype(np.int64),
+                           np.clip(np.round(x), 0, lens.width_px - 1).astype(np.int64)]  # fmt: skip
+        seen &= np.abs(local[:, 2] - depth) < SAME_DEPTH * depth
+        if seen.sum() >= MIN_POINTS:
+            found.append(np.where(seen, _sampled(look.image, x, y), np.nan))
+    found.sort(key=lambda values: -int(np.isfinite(values).sum()))
+    if len(found) < MIN_OTHERS:
+        return np.full(len(points), np.nan)
+    stack = np.stack(found[:MAX_OTHERS])
+    enough = np.isfinite(stack).sum(axis=0) >= MIN_OTHERS
+    expected = np.full(len(points), np.nan)
+    expected[enough] = np.nanmedian(stack[:, enough], axis=0)
+    return expected
+
+
+def _step(
+    looks: Sequence[_Look],
+    lenses: Sequence[Camera],
+    poses: Sequence[NDArray],
+    given: Sequence[NDArray],
+    index: int,
+) -> tuple[NDArray[np.float64], float]:
+    """Rotation vector and translation (6,) of a view, and the median of what differs."""
+    look, lens = looks[index], lenses[index]
+    local, x, y = _projected(lens, poses[index], look.points)
+    rest = _sampled(look.image, x, y) - _expected(looks, lenses, poses, index)
+    used = np.isfinite(rest) & _is_inside(lens, local, x, y)
+    if used.sum() < MIN_POINTS:
+        return np.zeros(6), 0.0
+    local, x, y, rest = local[used], x[used], y[used], rest[used]
+    rest -= np.median(rest)  # of exposure
+    spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-3)
+    weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _ALIKE
+    gx, gy = _sampled(look.gradient[0], x, y), _sampled(look.gradient[1], x, y)
+    px, py, pz = local.T
+    by_x, by_y = gx * lens.fx_px / pz, gy * lens.fy_px / pz
+    by_z = -(by_x * px + by_y * py) / pz
+    jacobian = np.stack(
+        [by_z * py - by_y * pz, by_x * pz - by_z * px, by_y * px - by_x * py, by_x, by_y, by_z], axis=1
+    )
+    prior = np.array([np.radians(SPREAD_DEG)] * 3 + [SPREAD_M] * 3) ** -2.0
+    away = poses[index] @ np.linalg.inv(given[index])
+    moved = np.concatenate([Rotation.from_matrix(away[:3, :3]).as_rotvec(), away[:3, 3]])
+    hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
+    step = np.linalg.solve(hessian, -jacobian.T @ (weight * rest) - prior * moved)
+    return _STEP * step, float(np.median(np.abs(rest)))
