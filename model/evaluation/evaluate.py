@@ -57,6 +57,8 @@ _MEASURES = 4
 """Revision of the figures: those of another are measured anew."""
 _RECONSTRUCTION = 3
 """Revision of the maps that ``infer`` makes of a capture: those of another are made anew."""
+_TAKEN = 1
+"""Revision of what is made of photographs with faults, besides."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,7 @@ def _judge(
         base = base.model_copy(update={"checkpoint": f"{Path(method.checkpoint).stem} {weights[:12]}"})
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
-    faults = [camera.model_dump(mode="json")] if camera else []
+    faults = [_TAKEN, camera.model_dump(mode="json")] if camera else []
     key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *faults)
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}

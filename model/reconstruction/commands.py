@@ -160,7 +160,7 @@ def infer(
         f"{report.num_views} views, {report.num_triangles} triangles, UVs from {unwrap['source']}, atlas "
         f"{report.atlas_size} x {report.atlas_size} "
         f"({report.atlas_size / unwrap['metres_per_side']:.0f} texels a metre), "
-        f"{report.seen_share:.0%} of the surface seen"
+        f"{report.seen_of_visible:.0%} of the surface seen that can be seen"
     )
     typer.echo(report.table())
     typer.echo(str(out / "asset"))

@@ -38,7 +38,13 @@ from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
 from model.reconstruction.geometry.pose_mending import mended_poses
-from model.reconstruction.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
+from model.reconstruction.geometry.traced import (
+    TracedGeometry,
+    face_normals,
+    reachable_faces,
+    seen_sides,
+    smooth_regions,
+)
 from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
@@ -59,23 +65,26 @@ MEMORY_ATLAS = 4096
 @dataclass(frozen=True)
 class FinalViews:
     """The views when their maps are final. ``sides`` (M,) of the mesh's triangles that the views see;
-    ``footprint_m`` of their fine pixels, None where they see nothing."""
+    ``footprint_m`` of their fine pixels, None where they see nothing; ``can_be_seen`` (M,) from anywhere
+    before what they see."""
 
     views: list[MapView]
     geometry: TracedGeometry
     sides: NDArray[np.float32]
     footprint_m: float | None
+    can_be_seen: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class PackedMaps:
     """The views' maps in the merger's arrays, and the unwrapped ``mesh`` with ``normals`` (M, 3) of its
-    triangles, for an atlas of ``size`` texels a side."""
+    triangles, for an atlas of ``size`` texels a side; ``can_be_seen`` as in :class:`FinalViews`."""
 
     merger: MapMerger
     mesh: Mesh
     normals: NDArray[np.float32]
     size: int
+    can_be_seen: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -171,7 +180,23 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
         maps = stage(traced, maps, run)
     sides = seen_sides([view.geometry for view in traced.views], run.report.num_triangles)
     footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
-    return FinalViews(map_views(traced.views, maps), traced.geometry, sides, footprint_m)
+    can_be_seen = _can_be_seen(traced)
+    return FinalViews(map_views(traced.views, maps), traced.geometry, sides, footprint_m, can_be_seen)
+
+
+def _can_be_seen(traced: TracedCapture) -> NDArray[np.bool_]:
+    """(M,) triangles that a view sees or could be seen from what views see: not the outside of walls."""
+    found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)
+    places, normals = [], []
+    for view in traced.views:
+        hit = np.flatnonzero(view.geometry.face.ravel() >= 0)
+        found[view.geometry.face.ravel()[hit]] = True
+        pixel = hit[:: max(1, len(hit) // 500)]
+        way = view.camera.ray_directions().reshape(-1, 3)[pixel]
+        distance = view.geometry.depth_z_m.ravel()[pixel] / (way @ view.camera.forward)
+        places.append(view.camera.position_m + way * distance[:, None])
+        normals.append(view.geometry.normal_world.reshape(-1, 3)[pixel])
+    return found | reachable_faces(traced.geometry, np.concatenate(places), np.concatenate(normals))
 
 
 def _mended(traced: TracedCapture, run: Run) -> TracedCapture:
@@ -232,7 +257,7 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
         )
         scene = final.geometry.scene if options.visibility == "trace" else None
         merger = MapMerger(final.views, merge_options, scene, smooth_regions(final.geometry.mesh))
-        return PackedMaps(merger, mesh, face_normals(mesh, final.sides), size)
+        return PackedMaps(merger, mesh, face_normals(mesh, final.sides), size, final.can_be_seen)
 
 
 def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
@@ -245,7 +270,7 @@ def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
         packed.merger.merge(surface, atlas, lambda done, total: run.tell("merge", done, total))
         if confidence_at is not None:
             put_confidence(atlas, surface, confidence_at)
-        run.report.seen_share = _seen_share(atlas)
+        run.report.seen_share, run.report.seen_of_visible = _seen_share(atlas, packed.can_be_seen)
     return MergedAtlas(atlas, packed.mesh)
 
 
@@ -259,12 +284,16 @@ def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atl
         yield empty_atlas(size, Path(folder), has_confidence=has_confidence)
 
 
-def _seen_share(atlas: Atlas) -> float:
-    covered = seen = 0
+def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, float]:
+    """Share of the surface that was seen, of all and of what can be seen."""
+    covered = visible = seen = 0
     for top in range(0, atlas.size, 1024):
-        covered += int((atlas.face[top : top + 1024] >= 0).sum())
-        seen += int((atlas.count[top : top + 1024] > 0).sum())
-    return seen / max(covered, 1)
+        face = atlas.face[top : top + 1024]
+        is_seen = atlas.count[top : top + 1024] > 0
+        covered += int((face >= 0).sum())
+        visible += int(((face >= 0) & (is_seen | can_be_seen[np.maximum(face, 0)])).sum())
+        seen += int(is_seen.sum())
+    return seen / max(covered, 1), seen / max(visible, 1)
 
 
 def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:

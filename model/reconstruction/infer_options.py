@@ -66,6 +66,7 @@ class InferReport:
     num_triangles: int = 0
     atlas_size: int = 0
     seen_share: float = 0.0
+    seen_of_visible: float = 0.0
     exposure: float = 0.0
     unwrap: dict[str, Any] = field(default_factory=dict)
     precision: str = ""

@@ -42,7 +42,7 @@ def report_html(report: InferReport, pictures: Sequence[ViewPicture]) -> str:
     title = html.escape(f"{report.name}: materials")
     done = (
         f"{report.num_views} views, {report.num_triangles} triangles, an atlas of {report.atlas_size} x "
-        f"{report.atlas_size} texels; {report.seen_share:.0%} of the surface was seen."
+        f"{report.atlas_size} texels; {report.seen_of_visible:.0%} of the surface that can be seen was seen."
     )
     parts = [
         f"<h1>{title}</h1><p>{done}</p>",

@@ -99,6 +99,31 @@ class TracedGeometry:
         )
 
 
+def reachable_faces(
+    geometry: TracedGeometry, position_m: NDArray, normal: NDArray, num_rays: int = 400_000
+) -> NDArray[np.bool_]:
+    """(M,) triangles that rays, by the cosine, meet from points (N, 3) with normals (N, 3): what could be
+    seen from the space before them."""
+    import mitsuba as mi
+
+    found = np.zeros(len(geometry.mesh.faces), dtype=bool)
+    if not len(position_m):
+        return found
+    random = np.random.default_rng(0)
+    which = random.integers(0, len(position_m), num_rays)
+    sphere = random.normal(size=(num_rays, 3))
+    way = normal[which] + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    size_m = float(np.linalg.norm(np.ptp(geometry.mesh.positions, axis=0)))
+    start = position_m[which] + normal[which] * (1e-4 * size_m)
+    pi = geometry.scene.ray_intersect_preliminary(
+        mi.Ray3f(mi.Point3f(vectors_from_rows(start)), vectors_from_rows(way))
+    )
+    hit = np.asarray(pi.is_valid().numpy(), dtype=bool)
+    found[np.asarray(pi.prim_index.numpy()).astype(np.int64)[hit]] = True
+    return found
+
+
 def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
     """(M,) 1, or -1 for triangles that the views see mostly from behind: a mesh's winding may be wrong.
 

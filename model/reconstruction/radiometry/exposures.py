@@ -25,8 +25,8 @@ from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.light.surfels import Surfels
 
-MAX_SURFELS, MIN_VIEWS = 8_000, 2
-"""Surfels that serve, and views that each needs."""
+MAX_SURFELS, MIN_VIEWS, MIN_SAMPLES = 8_000, 2, 10
+"""Surfels that serve, views that each needs, and observations a view without which nothing is sought."""
 DARK, BRIGHT = 0.004, 0.9
 """Parts of the limit between which values serve: noise below, clipping above."""
 MIN_GAIN, MIN_VIGNETTING = 0.03, 0.05
@@ -110,7 +110,7 @@ def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry
     samples = _samples(views, surfels)
     has_limit = all(view.limit is not None for view in views)
     num = len(views)
-    if not len(samples.view):
+    if samples.counts.sum(axis=0).min(initial=0) < MIN_SAMPLES * num:
         return Radiometry(np.ones((num, 3)))
     gain, vignetting, _, cost = _solved(samples, num, has_curve=False)
     curve = 0.0
