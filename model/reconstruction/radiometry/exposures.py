@@ -110,7 +110,7 @@ def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry
     samples = _samples(views, surfels)
     has_limit = all(view.limit is not None for view in views)
     num = len(views)
-    if samples.counts.sum(axis=0).min(initial=0) < MIN_SAMPLES * num:
+    if samples.counts.sum(axis=0).min() < MIN_SAMPLES * num:
         return Radiometry(np.ones((num, 3)))
     gain, vignetting, _, cost = _solved(samples, num, has_curve=False)
     curve = 0.0
