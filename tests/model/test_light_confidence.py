@@ -5,14 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from model.reconstruction.light.confidence import (
+    BLOCK_CELLS,
     D_EVIDENCE,
-    IMPOSSIBLE,
-    impossible_share,
+    light_trust,
     surfel_confidence,
-    trust_of,
 )
+from model.reconstruction.light.surfels import CellGrid, Observations, Surfels
 
 
 def test_confidence_grows_with_what_photographs_show() -> None:
@@ -21,12 +22,34 @@ def test_confidence_grows_with_what_photographs_show() -> None:
     assert (found[:, 1] == found[:, 2]).all() and (found[:, 1] >= found[:, 0]).all()
 
 
-def test_rooms_that_reflect_more_than_arrives_are_not_trusted() -> None:
-    """A lamp that no photograph shows lights a quarter of the surfels."""
-    radiance, diffuse = np.full((8, 3), 0.5), np.ones((8, 3))
-    radiance[:2] = 1.5
-    assert impossible_share(radiance, diffuse, np.ones(8)) == pytest.approx(0.25)
-    assert impossible_share(radiance, diffuse, np.array([0.0, 0.0, 1, 1, 1, 1, 1, 1])) == 0.0
-    assert trust_of(0.0) == trust_of(IMPOSSIBLE[0]) == 1.0
-    assert trust_of(IMPOSSIBLE[1]) == trust_of(0.6) == 0.0
-    assert 0.4 < trust_of(np.mean(IMPOSSIBLE)) < 0.6
+def wall(radiance: NDArray) -> Surfels:
+    """A row of surfels along x, one a cell, all facing up."""
+    num = len(radiance)
+    grid = CellGrid(np.zeros(3), 0.1, np.array([num, 1, 1]), np.full(6 * num, -1, np.int32))
+    position = np.stack([0.1 * np.arange(num) + 0.05, np.zeros(num), np.zeros(num)], axis=1)
+    normal = np.tile([0.0, 0.0, 1.0], (num, 1))
+    none = np.zeros(num, np.int32)
+    seen = Observations(np.arange(num + 1), none, radiance, np.ones(num, np.float32))
+    return Surfels(grid, position, normal, none, radiance, seen, np.zeros((1, 3)), (), ())
+
+
+def test_light_is_not_trusted_where_more_is_reflected_than_arrives() -> None:
+    """A lamp that no photograph shows lights one end of a wall: that end is handed over, smoothly."""
+    num = 8 * BLOCK_CELLS
+    radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+    radiance[: 2 * BLOCK_CELLS] = 1.5
+    trust = light_trust(wall(radiance), diffuse, np.zeros(num, dtype=bool))
+    assert trust[:BLOCK_CELLS].max() == 0.0
+    assert trust[5 * BLOCK_CELLS :].min() == 1.0
+    assert (np.diff(trust) >= 0).all() and np.diff(trust).max() < 0.15
+    np.testing.assert_array_equal(light_trust(wall(radiance), diffuse, radiance[:, 0] > 1), 1.0)
+
+
+@pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5), (0.32, 0.0)])
+def test_trust_follows_the_share_around(share: float, trusted: float) -> None:
+    """Noise alone, up to a tenth, takes nothing away; a white surface may shine by a tenth more."""
+    num = 4 * BLOCK_CELLS
+    radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+    radiance[np.arange(num) % 25 < round(25 * share)] = 1.5
+    np.testing.assert_allclose(light_trust(wall(radiance), diffuse, np.zeros(num, bool)), trusted, atol=0.1)
+    np.testing.assert_array_equal(light_trust(wall(0.7 * radiance), diffuse, np.zeros(num, dtype=bool)), 1.0)

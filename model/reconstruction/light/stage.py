@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.confidence import impossible_share, sureness, surfel_confidence, trust_of
+from model.reconstruction.light.confidence import light_trust, sureness, surfel_confidence
 from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels, relight_by_metals
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
@@ -144,12 +144,9 @@ def _solved_surfels(
         ones = np.ones_like(albedo)
         return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0]), albedo
     confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
-    # surfels inside of lampshades are many, but few views see them
-    weight = confidence[:, 0] * ~is_metal * np.diff(surfels.observations.start)
-    trust = trust_of(impossible_share(surfels.radiance, lit.diffuse, weight))
     is_lit = lit.diffuse.max(axis=1) > 0  # nothing is known where nothing arrives
-    confidence *= trust * is_lit[:, None]
-    replaced = (trust * is_lit).astype(np.float32)
+    replaced = light_trust(surfels, lit.diffuse, is_metal) * is_lit
+    confidence *= replaced[:, None]
     diffuse = lit.diffuse
     if options.is_corrected:
         correction = shading_correction(
