@@ -45,6 +45,16 @@ def test_light_is_not_trusted_where_more_is_reflected_than_arrives() -> None:
     np.testing.assert_array_equal(light_trust(wall(radiance), diffuse, radiance[:, 0] > 1), 1.0)
 
 
+def test_few_bright_surfels_of_a_room_take_no_trust_away() -> None:
+    """One block of thirty, 3 %: its own neighbourhood is trusted, too. With three, 10 %, it is not."""
+    num = 30 * BLOCK_CELLS
+    for blocks, trusted in ((1, 1.0), (3, 0.0)):
+        radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+        radiance[: blocks * BLOCK_CELLS] = 1.5
+        trust = light_trust(wall(radiance), diffuse, np.zeros(num, dtype=bool))
+        assert trust[0] == pytest.approx(trusted)
+
+
 @pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5), (0.32, 0.0)])
 def test_trust_follows_the_share_around(share: float, trusted: float) -> None:
     """Noise alone, up to a tenth, takes nothing away; a white surface may shine by a tenth more."""

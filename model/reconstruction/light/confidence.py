@@ -16,6 +16,8 @@ NOISE = 1.1
 IMPOSSIBLE = (0.1, 0.3)
 """Share of the surfels around that reflect more than arrives, up to which the light counts fully, and from
 which it does not count."""
+IMPOSSIBLE_ROOM = (0.05, 0.09)
+"""The same of a whole room: up to the first, its light is trusted everywhere."""
 BLOCK_CELLS = 25
 """Side of the blocks whose shares count, in cells: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
@@ -40,7 +42,9 @@ def light_trust(surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_])
 
     A surfel does where its radiance is above :data:`NOISE` times ``diffuse`` (N, 3). Shares, by views, are
     those of blocks of :data:`BLOCK_CELLS` by side of the surface, interpolated between blocks; metals do not
-    count."""
+    count. Blocks count as far as the share of the whole room is above :data:`IMPOSSIBLE_ROOM`: some surfels
+    are too bright in any room.
+    """
     excess = (surfels.radiance - NOISE * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = np.diff(surfels.observations.start) * ~is_metal
     grid = surfels.grid
@@ -55,7 +59,8 @@ def light_trust(surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_])
     distance, index = cKDTree(centre).query(place, k=np.arange(min(_NEAR_BLOCKS, len(num))) + 1, workers=-1)
     near = np.exp(-0.5 * np.square(distance / (0.7 * side_m)))
     share = (near * shining[index]).sum(axis=1) / np.maximum((near * total[index]).sum(axis=1), 1e-12)
-    return (1 - _ramp(share, IMPOSSIBLE)).astype(np.float32)
+    room = _ramp(shining.sum() / max(float(total.sum()), 1e-12), IMPOSSIBLE_ROOM)
+    return (1 - room * _ramp(share, IMPOSSIBLE)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
