@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import socket
 from collections.abc import Callable
@@ -116,7 +117,7 @@ def test_memory_is_said_in_megabytes(made: Made, tmp_path: Path, monkeypatch: py
     """The system counts in units of 1024 bytes."""
     folder = made.copy("stats", tmp_path / "a")
     usage = SimpleNamespace(ru_maxrss=3000 * 1024)
-    monkeypatch.setattr(work_unit.resource, "getrusage", lambda who: usage)
+    monkeypatch.setattr(resource, "getrusage", lambda who: usage)
     assert run_unit(made.attempt(folder), ["pack"]) is True
     assert manifest_of(folder).peak_memory_mb == 3000.0
 
