@@ -35,7 +35,7 @@ def wall(radiance: NDArray) -> Surfels:
 
 def test_light_is_not_trusted_where_more_is_reflected_than_arrives() -> None:
     """A lamp that no photograph shows lights one end of a wall: that end is handed over, smoothly."""
-    num = 8 * BLOCK_CELLS
+    num = 12 * BLOCK_CELLS
     radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
     radiance[: 2 * BLOCK_CELLS] = 1.5
     trust = light_trust(wall(radiance), diffuse, np.zeros(num, dtype=bool))
@@ -55,7 +55,17 @@ def test_few_bright_surfels_of_a_room_take_no_trust_away() -> None:
         assert trust[0] == pytest.approx(trusted)
 
 
-@pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5), (0.32, 0.0)])
+def test_light_of_a_dark_room_is_trusted_nowhere() -> None:
+    """Where four tenths reflect more than arrives, no photograph shows the lamps: no block is sure."""
+    num = 10 * BLOCK_CELLS
+    for blocks, trusted in ((2, 1.0), (3, 0.5), (4, 0.0)):
+        radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+        radiance[: blocks * BLOCK_CELLS] = 1.5
+        trust = light_trust(wall(radiance), diffuse, np.zeros(num, dtype=bool))
+        assert trust[-1] == pytest.approx(trusted, abs=0.01)
+
+
+@pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5)])
 def test_trust_follows_the_share_around(share: float, trusted: float) -> None:
     """Noise alone, up to a tenth, takes nothing away; a white surface may shine by a tenth more."""
     num = 4 * BLOCK_CELLS

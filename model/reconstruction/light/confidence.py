@@ -18,6 +18,8 @@ IMPOSSIBLE = (0.1, 0.3)
 which it does not count."""
 IMPOSSIBLE_ROOM = (0.05, 0.09)
 """The same of a whole room: up to the first, its light is trusted everywhere."""
+DARK_ROOM = (0.2, 0.4)
+"""The same of a whole room whose lamps no photograph shows: from the second on, its light counts nowhere."""
 BLOCK_CELLS = 25
 """Side of the blocks whose shares count, in cells: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
@@ -59,8 +61,9 @@ def light_trust(surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_])
     distance, index = cKDTree(centre).query(place, k=np.arange(min(_NEAR_BLOCKS, len(num))) + 1, workers=-1)
     near = np.exp(-0.5 * np.square(distance / (0.7 * side_m)))
     share = (near * shining[index]).sum(axis=1) / np.maximum((near * total[index]).sum(axis=1), 1e-12)
-    room = _ramp(shining.sum() / max(float(total.sum()), 1e-12), IMPOSSIBLE_ROOM)
-    return (1 - room * _ramp(share, IMPOSSIBLE)).astype(np.float32)
+    of_room = shining.sum() / max(float(total.sum()), 1e-12)
+    trust = 1 - _ramp(of_room, IMPOSSIBLE_ROOM) * _ramp(share, IMPOSSIBLE)
+    return (trust * (1 - _ramp(of_room, DARK_ROOM))).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
