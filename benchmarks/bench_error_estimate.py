@@ -28,6 +28,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from benchmarks.bench_view import RESULTS, configuration_of, converted
+from benchmarks.error_plot import save_error_plot
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import QUALITIES, AssetFilter, Recipe, RenderRecipe
@@ -241,21 +242,9 @@ def plot(points: list[Point], target: float, reference_samples: int, path: Path)
     )
     values = [v for p in points for v in (p.true, p.estimated)]
     ends_of_axes = np.array([min(values) / 1.3, max(values) * 1.3])
-    axes.plot(ends_of_axes, ends_of_axes, color="grey", lw=1)
-    axes.fill_between(ends_of_axes, ends_of_axes / 2, ends_of_axes * 2, color="grey", alpha=0.12, lw=0)
     axes.axhline(target, color="black", lw=0.7, ls=":")
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlim=ends_of_axes,
-        ylim=ends_of_axes,
-        xlabel=f"true relMSE, against two references of {reference_samples:,} samples",
-        ylabel="estimated relMSE, from two halves",
-    )
-    axes.set_aspect("equal")
-    axes.legend(fontsize=8, loc="upper left")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    xlabel = f"true relMSE, against two references of {reference_samples:,} samples"
+    save_error_plot(figure, axes, ends_of_axes, xlabel, "estimated relMSE, from two halves", path)
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ OLDEST = (4, 5)
 
 
 def fault_of_version() -> tuple[str, str] | None:
-    """What is wrong with this Blender and what to do, or nothing."""
+    """Message that this Blender's version is not supported, with the remedy, or None."""
     if bpy.app.version[:2] >= OLDEST:
         return None
     oldest = ".".join(map(str, OLDEST))

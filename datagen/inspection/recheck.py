@@ -65,7 +65,7 @@ class Rechecked:
         return f"{self.configuration}/{self.view}"
 
     def faults(self) -> Iterable[Fault]:
-        """What is wrong beyond the noise."""
+        """Warnings about deviations that exceed the noise."""
         if (
             self.recorded is not None
             and self.rel_mse - SURE * self.rel_mse_error > MOST_RATIO * self.recorded

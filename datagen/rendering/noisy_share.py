@@ -69,5 +69,5 @@ def noisy_share(
 def blended(
     denoised: NDArray[np.float32], noisy: NDArray[np.float32], share: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """``denoised`` with ``share`` (H, W, 1) of ``noisy`` in its place, both (H, W, 3)."""
+    """Blend of ``denoised`` and ``noisy``, both (H, W, 3): ``share`` (H, W, 1) is the weight of ``noisy``."""
     return denoised + share * (noisy - denoised) if share.any() else denoised

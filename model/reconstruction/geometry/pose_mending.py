@@ -49,7 +49,7 @@ class MendedPoses:
 
     @property
     def is_moved(self) -> bool:
-        """Whether any camera was moved."""
+        """True if the pose of at least one camera changed."""
         return bool(self.moved_mm.any())
 
 
@@ -155,7 +155,7 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 def _expected(
     looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
-    """What other views show (N,) of a view's points; NaN where too few do."""
+    """Median value (N,) of a view's points in the other views; NaN where too few see them."""
     points, found = looks[index].points, []
     for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
         if other == index:

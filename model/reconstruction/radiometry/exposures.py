@@ -54,7 +54,7 @@ class Radiometry:
 
     @property
     def changes(self) -> bool:
-        """Whether any photograph is to be changed."""
+        """True if the correction of at least one photograph is not the identity."""
         return bool((self.gain != 1).any()) or self.vignetting != 0 or self.curve != 0
 
     def undone(self, view: TracedView, index: int) -> TracedView:
@@ -105,8 +105,8 @@ class _Samples:
 
 
 def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
-    """What the surfels that several ``views`` show tell of their cameras. A curve is that of photographs with
-    a limit."""
+    """Radiometric calibration of the cameras from surfels that several ``views`` observe. The
+    response curve is sought only where all photographs have a limit."""
     samples = _samples(views, surfels)
     has_limit = all(view.limit is not None for view in views)
     num = len(views)

@@ -104,7 +104,7 @@ def gather(
     sources: Sources,
     region_of_face: NDArray[np.int32],
 ) -> Gathered:
-    """What the sources light."""
+    """Irradiance that the sources cause on the surfels."""
     field = _Field(traced, surfels, emitters, background)
     clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
     usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))

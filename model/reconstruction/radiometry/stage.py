@@ -38,7 +38,7 @@ def completed(traced: TracedCapture, run: Run) -> TracedCapture:
 
 
 def described(found: Completed) -> dict[str, Any]:
-    """What was found, for the report."""
+    """Entry of the report: exposures, vignetting, response, and recovered sources."""
     stops = np.log2(found.radiometry.gain)
     return {
         "exposure_stops": [round(float(value), 3) for value in stops.mean(axis=1)],
@@ -60,7 +60,7 @@ def described(found: Completed) -> dict[str, Any]:
 
 
 def notes_of(found: Completed) -> list[str]:
-    """What a person should know."""
+    """Notes for the user."""
     notes = []
     stops = np.log2(found.radiometry.gain).mean(axis=1)
     if found.radiometry.changes:
