@@ -82,7 +82,9 @@ MATRIX = {
         "model.reconstruction.check model.reconstruction.level model.reconstruction.light "
         "model.reconstruction.radiometry model.reconstruction.unwrap model.reconstruction.merge "
         "model.reconstruction.export "
-        "model.reconstruction.infer_options model.reconstruction.report_page model.reconstruction.stages",
+        "model.reconstruction.infer_options model.reconstruction.pose_stage model.reconstruction.report_page "
+        "model.reconstruction.stages",
+        "model.reconstruction.pose_stage": "model.reconstruction.geometry model.reconstruction.stages",
         "model.reconstruction.photos": f"{_GROUND} model.reconstruction.captures model.reconstruction.infer "
         "model.reconstruction.infer_options model.reconstruction.render model.reconstruction.stages",
         "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.events model.reconstruction",

@@ -21,7 +21,7 @@ import hashlib
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,21 +37,20 @@ from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
-from model.reconstruction.geometry.pose_mending import mended_poses
 from model.reconstruction.geometry.traced import (
     TracedGeometry,
     face_normals,
-    reachable_faces,
     seen_sides,
     smooth_regions,
 )
-from model.reconstruction.geometry.views import TracedCapture, trace_capture
+from model.reconstruction.geometry.views import TracedCapture, trace_capture, visible_faces
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.pose_stage import mended
 from model.reconstruction.radiometry.stage import completed
 from model.reconstruction.report_page import report_html
 from model.reconstruction.stages import MapSource, MapStage, Run
@@ -174,54 +173,14 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
     _check(traced, run)
     if source.is_predicted:
         traced = completed(traced, run)
-        traced = _mended(traced, run) if run.options.mends_poses else traced
+        traced = mended(traced, run) if run.options.mends_poses else traced
     maps = source.maps(traced, run)
     for stage in map_stages(source, run.options):
         maps = stage(traced, maps, run)
     sides = seen_sides([view.geometry for view in traced.views], run.report.num_triangles)
     footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
-    can_be_seen = _can_be_seen(traced)
+    can_be_seen = visible_faces(traced)
     return FinalViews(map_views(traced.views, maps), traced.geometry, sides, footprint_m, can_be_seen)
-
-
-def _can_be_seen(traced: TracedCapture) -> NDArray[np.bool_]:
-    """(M,) triangles that a view sees or could be seen from what views see: not the outside of walls."""
-    found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)
-    places, normals = [], []
-    for view in traced.views:
-        hit = np.flatnonzero(view.geometry.face.ravel() >= 0)
-        found[view.geometry.face.ravel()[hit]] = True
-        pixel = hit[:: max(1, len(hit) // 500)]
-        way = view.camera.ray_directions().reshape(-1, 3)[pixel]
-        distance = view.geometry.depth_z_m.ravel()[pixel] / (way @ view.camera.forward)
-        places.append(view.camera.position_m + way * distance[:, None])
-        normals.append(view.geometry.normal_world.reshape(-1, 3)[pixel])
-    return found | reachable_faces(traced.geometry, np.concatenate(places), np.concatenate(normals))
-
-
-def _mended(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with the poses that make its views agree, where that says more than the given ones."""
-    with run.report.stage("poses"):
-        found = mended_poses(traced.views)
-        low, high = found.residual
-        run.report.poses = {
-            "moved_mm": [round(float(value), 2) for value in found.moved_mm],
-            "turned_deg": [round(float(value), 3) for value in found.turned_deg],
-            "residual": [round(low, 5), round(high, 5)],
-        }
-        if not found.is_moved:
-            run.report.notes.append("poses stay: none found that make the views agree better")
-            return traced
-        middle = float(np.median(found.moved_mm)), float(np.median(found.turned_deg))
-        run.report.notes.append(
-            f"poses mended by {middle[0]:.1f} mm and {middle[1]:.2f} degrees (medians); views differ by "
-            f"{100 * high:.1f} % where they did by {100 * low:.1f} %"
-        )
-        views = tuple(
-            replace(view, camera=camera, geometry=traced.geometry.trace_view(camera, view.valid_mask))
-            for view, camera in zip(traced.views, found.cameras, strict=True)
-        )
-        return replace(traced, views=views)
 
 
 def _check(traced: TracedCapture, run: Run) -> None:

@@ -13,7 +13,7 @@ from datagen.formats.capture import Capture
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
 from datagen.multiview.statistics import StatisticsView
-from model.reconstruction.geometry.traced import TracedGeometry, ViewGeometry
+from model.reconstruction.geometry.traced import TracedGeometry, ViewGeometry, reachable_faces
 
 
 @dataclass(frozen=True)
@@ -71,3 +71,18 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
         remedy = "check that mesh and cameras share their frame, axes and unit"
         raise input_error(capture.name, "geometry", "no view sees the mesh", expected, remedy)
     return TracedCapture(capture, geometry, tuple(views))
+
+
+def visible_faces(traced: TracedCapture) -> NDArray[np.bool_]:
+    """(M,) triangles that a view sees or could be seen from what views see: not the outside of walls."""
+    found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)
+    places, normals = [], []
+    for view in traced.views:
+        hit = np.flatnonzero(view.geometry.face.ravel() >= 0)
+        found[view.geometry.face.ravel()[hit]] = True
+        pixel = hit[:: max(1, len(hit) // 500)]
+        way = view.camera.ray_directions().reshape(-1, 3)[pixel]
+        distance = view.geometry.depth_z_m.ravel()[pixel] / (way @ view.camera.forward)
+        places.append(view.camera.position_m + way * distance[:, None])
+        normals.append(view.geometry.normal_world.reshape(-1, 3)[pixel])
+    return found | reachable_faces(traced.geometry, np.concatenate(places), np.concatenate(normals))
