@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The BSDF at its extremes: the figures of docs/bsdf.md.
+"""The BSDF at its extremes: the figures of docs/measurements.md.
 
     python -m benchmarks.bsdf_extremes errors       float32 against the float64 oracle, in eps
     python -m benchmarks.bsdf_extremes density      three ways to compute D in float32, in eps

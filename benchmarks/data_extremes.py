@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Statistics, projection, encodings and rendering at their extremes: the tables of docs/speed.md.
+"""Statistics, projection, encodings and rendering at their extremes: the tables of docs/measurements.md.
 
     python -m benchmarks.data_extremes            all tables as Markdown
 

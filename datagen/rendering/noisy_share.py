@@ -16,7 +16,7 @@ Iglesias-Guitian and Moon 2022) that leaves F alone wherever the noise may expla
 relative to the darker of F and N, and pooled, because two halves alone say little of a pixel's variance. g
 rises from 0 to 1 where something that both halves agree to be ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE`` times
 white lies within ``REACH_PX``. Without it samples that are low by chance would pass for dark things
-(decision 78 has the figures).
+(decision 78).
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ irradiance E(x), and with it what the surface reflects (inverse global illuminat
 It does not depend on exposure. Light that no photograph shows makes rho too large where it falls: lamps
 behind the photographers, sun through a window. So rho corrects D by smooth regions of the mesh, robustly: by
 the mode of ln(rho / (D + S)) over a region's points, drawn to the room's mode where there are few of them.
-What D does within a region stays the networks'. docs/decisions/0017 has the figures.
+What D does within a region stays the networks'. docs/measurements.md has the figures.
 """
 
 from __future__ import annotations
