@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Statistics, projection, depth tests, encodings and rendering at their extremes (tables: docs/measurements.md)."""
+"""Statistics, projection, depth tests, encodings and rendering at their extremes (docs/measurements.md)."""
 
 from __future__ import annotations
 
