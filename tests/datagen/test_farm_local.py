@@ -43,10 +43,10 @@ def _hashes(folder: DatasetFolder) -> dict[str, str]:
     return {shard.configuration: shard.sha256 for shard in collect(folder.root, deep=True).shards}
 
 
-def _start(folder: DatasetFolder, *arguments: str) -> subprocess.Popen:
+def _start(folder: DatasetFolder, stage: str) -> subprocess.Popen:
     code = "from datagen.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", code, *arguments, str(folder.root)],
+        [sys.executable, "-c", code, "run", str(folder.root), "--only", stage],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -124,7 +124,17 @@ def test_two_runs_at_once_make_no_double(finished: DatasetFolder, tmp_path: Path
     folder = plan_small(tmp_path / "twice", library_root)
     both = [
         subprocess.Popen(
-            [sys.executable, "-m", "datagen", "unit", str(folder.root), str(index)],
+            [
+                sys.executable,
+                "-m",
+                "datagen",
+                "run",
+                str(folder.root),
+                "--unit",
+                str(index),
+                "--attempts",
+                "0",
+            ],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
