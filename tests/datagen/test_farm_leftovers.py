@@ -171,6 +171,7 @@ def test_a_full_disk_stops_the_run_at_its_first_word(tmp_path: Path, library_roo
         folder = plan_small(disk.root / "set", library_root)
         disk.fill(leave=400_000)  # a view or two
         command = [sys.executable, "-m", "datagen", "run", str(folder.root), "--only", "render"]
+        command.append("--no-space-check")
         result = subprocess.run(command, capture_output=True, text=True)
         said = " ".join(result.stderr.split())
         assert result.returncode == 1 and "Traceback" not in said, said

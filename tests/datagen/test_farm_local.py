@@ -159,7 +159,7 @@ def test_failing_unit_is_set_aside_with_log_and_command(tmp_path: Path, library_
     assert summary.done == ["small-00000"] and summary.set_aside == ["small-00001"]
     failure = folder.read_failure("small-00001")
     assert failure.attempts == 2 and "not what was planned" in failure.reason
-    assert failure.command.endswith("failing 1")
+    assert failure.command.endswith("failing --unit 1 --attempts 0")
     assert "not what was planned" in (folder.root / failure.log).read_text()
     status = read_status(folder.root)
     assert (status.done, len(status.failed), status.array_spec) == (1, 1, "1")

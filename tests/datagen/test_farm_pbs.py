@@ -42,7 +42,7 @@ echo "7.server"
 """
 _DATAGEN = r"""#!/bin/bash
 printf '%s\n' "datagen $*" >> "$NOTES"
-[ "$1" = unit ] && [ "$3" = "${SLOW_UNIT:-}" ] && [ ! -e "$NOTES.slow" ] || exit 0
+[ "$3" = --unit ] && [ "$4" = "${SLOW_UNIT:-}" ] && [ ! -e "$NOTES.slow" ] || exit 0
 touch "$NOTES.slow"
 trap 'exit 75' USR1
 for k in $(seq 100); do sleep 0.1; done
