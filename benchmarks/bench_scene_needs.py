@@ -10,8 +10,8 @@
 * recordings: paths recorded once for all views of a scene, against for each.
 
 Seconds are processor seconds, medians of --repeats; kernels are in the cache on disk. The length of paths is
-measured by bench_path_depth, textures by ``python -m datagen.tradeoff --sweep texture_shrink``
-(docs/decisions/0072), kernels on disk by bench_first_pixel.
+measured by bench_path_depth, textures by ``datagen tradeoff --sweep texture_shrink`` (docs/decisions/0072),
+kernels on disk by bench_first_pixel.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def main() -> None:
     arguments = parser.parse_args()
     select_variant("llvm_ad_rgb")
     folder = DatasetFolder(planned_folder(arguments.out, tuple(arguments.size), arguments.views, 2))
-    library = Library(folder.read_record().library_paths)
+    library = Library(folder.library_paths())
     first, second = (folder.read_configuration(unit) for unit in folder.read_plan().units)
     rows = loading((first, second), library, arguments.repeats)
     rows += rendering(first, library, arguments.repeats)

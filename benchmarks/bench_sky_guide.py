@@ -76,7 +76,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "sky_guide")
     arguments = parser.parse_args()
     folder = DatasetFolder(planned_folder(arguments.out, arguments.configurations))
-    library = Library(folder.read_record().library_paths)
+    library = Library(folder.library_paths())
     results = {}
     print("| room | sky's share | learning s | variance | time | same noise in |\n|---|---|---|---|---|---|")
     for unit in folder.read_plan().units:

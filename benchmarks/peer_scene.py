@@ -45,7 +45,7 @@ def open_folder(path: Path) -> tuple[Configuration, Library, DatasetFolder]:
     """The first configuration of a planned folder, its library, the folder."""
     folder = DatasetFolder(path)
     configuration = folder.read_configuration(folder.read_plan().units[0])
-    return configuration, Library(folder.read_record().library_paths), folder
+    return configuration, Library(folder.library_paths()), folder
 
 
 class RoomExport:

@@ -6,6 +6,7 @@ Opening a library reads descriptions only (``asset.json``), no meshes and no pix
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -118,6 +119,13 @@ class Library:
         hint = f"did you mean {', '.join(near)}?" if near else "add the folder that holds it with --library"
         where = ", ".join(str(p) for p in self.paths) or "empty library"
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
+
+    def including(self, package: Package) -> Library:
+        """This library with one package more, or another of its id; both share all others."""
+        other = copy.copy(self)
+        other._packages = {**self._packages, package.id: package}
+        other.__dict__.pop("sha256", None)
+        return other
 
     def root_of(self, package: Package) -> Path:
         """The folder of :attr:`paths` in which a package was found."""

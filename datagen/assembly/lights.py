@@ -20,7 +20,7 @@ from datagen.assembly.daylight import (
     rotation_about_up,
 )
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
-from datagen.assembly.light_probe import LUMINANCE, is_from_outside
+from datagen.assembly.light_probe import is_from_outside
 from datagen.assembly.materials import MeanMaterial
 from datagen.assembly.things import fibonacci_sphere
 from datagen.formats.asset import EnvironmentAsset, LightSlot, ObjectAsset
@@ -35,6 +35,7 @@ from datagen.formats.lights import (
     SkyLight,
 )
 from datagen.formats.recipe import LightRecipe
+from datagen.foundation.color import color_of_temperature
 from datagen.foundation.random import Draws
 from datagen.library import Library
 
@@ -66,32 +67,6 @@ class RoomToLight:
     assigned: tuple[dict[str, MeanMaterial], ...]
     eyes: Floats
     has_solid_backs: bool
-
-
-def color_of_temperature(kelvin: float) -> tuple[float, float, float]:
-    """Linear Rec.709 colour of a black body of luminance 1 (Kim et al. 2002's fit, 1667 to 25000 K)."""
-    t = min(max(kelvin, 1667.0), 25000.0)
-    if t < 4000:
-        x = -0.2661239e9 / t**3 - 0.2343589e6 / t**2 + 0.8776956e3 / t + 0.179910
-    else:
-        x = -3.0258469e9 / t**3 + 2.1070379e6 / t**2 + 0.2226347e3 / t + 0.240390
-    if t < 2222:
-        y = -1.1063814 * x**3 - 1.34811020 * x**2 + 2.18555832 * x - 0.20219683
-    elif t < 4000:
-        y = -0.9549476 * x**3 - 1.37418593 * x**2 + 2.09137015 * x - 0.16748867
-    else:
-        y = 3.0817580 * x**3 - 5.87338670 * x**2 + 3.75112997 * x - 0.37001483
-    xyz = np.array([x / y, 1.0, (1 - x - y) / y])
-    rgb_from_xyz = np.array(
-        [
-            [3.2404542, -1.5371385, -0.4985314],
-            [-0.9692660, 1.8760108, 0.0415560],
-            [0.0556434, -0.2040259, 1.0572252],
-        ]
-    )
-    rgb = np.maximum(rgb_from_xyz @ xyz, 0.0)
-    rgb /= float(rgb @ LUMINANCE)
-    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
 
 
 def plan_lights(

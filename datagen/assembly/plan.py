@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from datagen.assembly.coverage import Shell, measure
 from datagen.assembly.free_space import FreeSpace
+from datagen.assembly.generated import generated_room
 from datagen.assembly.geometry import AssetGeometry, GeometryCache, WorldScene
 from datagen.assembly.light_levels import light_room
 from datagen.assembly.lights import RoomToLight
@@ -107,16 +108,23 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
     """The recipe's configuration number ``index``: equal arguments give equal ``canonical_json`` bytes.
 
     Where the draws come out badly (too few things stand, too few views pass), things, lights and cameras are
-    drawn again in the same room, at most :data:`NUM_TRIES` times in all; ``rejections`` counts it as
-    ``configuration.retried``. Raises :class:`InputError` where the library cannot give what the recipe asks.
+    drawn again in the same room, or in another where rooms are generated, at most :data:`NUM_TRIES` times in
+    all; ``rejections`` counts it as ``configuration.retried``. Raises :class:`InputError` where the library
+    cannot give what the recipe asks.
     """
     if not 0 <= index < recipe.configurations:
         raise IndexError(f"configuration {index} of {recipe.configurations}")
     split = split_of(recipe, index)
     pools = pools_of_split(recipe, library, split)
-    environment = Draws(recipe.seed, index, "environment").choice(pools.environments)
     earlier: Counter[str] = Counter()
     for attempt in range(NUM_TRIES):
+        generated = generated_room(recipe, index, attempt)
+        if generated is not None:
+            environment = generated.package
+            library = library.including(environment)
+            pools = replace(pools, foreign_slots=pools.foreign_slots | generated.bare_slots)
+        else:
+            environment = Draws(recipe.seed, index, "environment").choice(pools.environments)
         rejections: Counter[str] = Counter()
         key = (recipe.seed, index) if attempt == 0 else (recipe.seed, index, "again", attempt)
         try:

@@ -231,7 +231,7 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
     where = f"recipe {recipe.name}"
     problems = _name_problems(recipe, library, where)
     pools = _everything(recipe, library)
-    if not pools.environments:
+    if not pools.environments and recipe.environments.needs_library:
         got = "no usable environment" + (
             " (evaluation_only ones do not count)"
             if library.select("environment", for_training=False)
@@ -281,7 +281,9 @@ def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem
     for split in SPLITS:
         if getattr(recipe.splits, split) <= 0:
             continue
-        lacking = [] if any(home[p.id] == split for p in pools.environments) else ["environment"]
+        lacking = []
+        if recipe.environments.needs_library and not any(home[p.id] == split for p in pools.environments):
+            lacking.append("environment")
         if recipe.objects.count[0] > 0 and not any(home[p.id] == split for p in pools.objects):
             lacking.append("object")
         usable = [p for p in pools.materials if home[p.id] == split]

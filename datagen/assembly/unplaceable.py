@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from datagen.assembly.generated import example_rooms
 from datagen.assembly.geometry import load_geometry
 from datagen.assembly.placement import CONTACT_TOLERANCE_M, surfaces_for
 from datagen.assembly.splits import pools_of_split, splits_in_use
@@ -53,12 +54,16 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
     for split in splits_in_use(recipe):
         pools = pools_of_split(recipe, library, split)
         rooms = [p.asset for p in pools.environments if isinstance(p.asset, EnvironmentAsset)]
+        more = example_rooms(recipe)
         for package in pools.objects:
             asset = package.asset
             assert isinstance(asset, ObjectAsset)
             if asset.id in placeable:
                 continue
             why = _why_no_surface(asset, rooms)
+            while why and (room := next(more, None)) is not None:  # made only where none before will do
+                rooms.append(room)
+                why = _why_no_surface(asset, rooms)
             if not why and not Thing(asset, load_geometry(package)).can_stand(CONTACT_TOLERANCE_M):
                 why = "it would topple on level ground; give it feet, or turn it upright"
             if why:

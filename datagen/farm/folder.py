@@ -4,6 +4,7 @@
     recipe.yaml                   the resolved recipe
     dataset.json                  what the folder was started with (recipe, library, versions)
     configurations/<id>.json      one configuration each
+    rooms/<id>.zip                environment packages that were made for this dataset (parametric rooms)
     plan.json                     the immutable list of units; written last, so its presence means "planned"
     work/<id>-<key>/rendered/     finished views before statistics (EXR + JSON)
     work/<id>-<key>/complete/     finished views with statistics
@@ -158,6 +159,17 @@ class DatasetFolder:
     def sheets_path(self) -> Path:
         return self.root / "sheets"
 
+    @property
+    def rooms_path(self) -> Path:
+        return self.root / "rooms"
+
+    def room_path(self, asset_id: str) -> Path:
+        return self.rooms_path / f"{asset_id}.zip"
+
+    def library_paths(self) -> list[Path]:
+        """The library that the folder was started with, and the rooms that were made for it."""
+        return [*map(Path, self.read_record().library_paths), *rooms_of(self.root)]
+
     def configuration_path(self, unit_id: str) -> Path:
         return self.root / "configurations" / f"{unit_id}.json"
 
@@ -264,10 +276,16 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
     return sha256_hex(canonical_json(parts))
 
 
+def rooms_of(path: Path) -> list[Path]:
+    """The folder of rooms that were generated for a dataset folder; none where there are none."""
+    rooms = DatasetFolder(path).rooms_path
+    return [rooms] if rooms.is_dir() else []
+
+
 def library_of(path: Path) -> list[Path] | None:
     """Library folders that a dataset folder was made from, or None where they are not there any more."""
     try:
-        paths = [Path(p) for p in DatasetFolder(path).read_record().library_paths]
+        paths = DatasetFolder(path).library_paths()
     except InputError:
         return None
     return paths if all(p.exists() for p in paths) else None

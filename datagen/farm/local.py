@@ -179,7 +179,7 @@ class _WorkerContext:
         self.folder = folder
         self.plan = folder.read_plan()
         self.recipe = folder.read_recipe()
-        self.library = Library([Path(path) for path in folder.read_record().library_paths])
+        self.library = Library(folder.library_paths())
         self.threads = threads
         self.is_ready = False
 
@@ -459,7 +459,7 @@ def _failed(
         attempts=attempts[unit.id],
         reason=reason,
         log=str(log.relative_to(folder.root)) if log else "",
-        command=f"datagen run {shlex.quote(str(folder.root.resolve()))} --unit {unit.index} --attempts 0",
+        command=f"datagen unit {shlex.quote(str(folder.root.resolve()))} {unit.index}",
     )
     summary.failures.append(record)
     # A full disk fails units and their records alike; the caller has them in the summary.

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import yaml
 
-from datagen.assembly.plan import assemble, check_recipe, configuration_id
+from datagen.assembly.generated import room_of
+from datagen.assembly.plan import NUM_TRIES, assemble, check_recipe, configuration_id
 from datagen.assembly.unplaceable import implausible_sizes, unplaceable
-from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, unit_key
+from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, rooms_of, unit_key
 from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import Recipe
@@ -58,6 +59,11 @@ def _assemble_one(index: int) -> int:
     recipe, library, folder = _WORKER["recipe"], _WORKER["library"], _WORKER["folder"]
     assert isinstance(recipe, Recipe) and isinstance(library, Library) and isinstance(folder, DatasetFolder)
     configuration = assemble(recipe, index, library)
+    room = room_of(recipe, configuration, NUM_TRIES)
+    if room is not None:
+        path = folder.room_path(room.package.id)
+        path.parent.mkdir(exist_ok=True)
+        write_bytes_atomically(path, room.data)
     write_bytes_atomically(folder.configuration_path(configuration.id), canonical_json(configuration))
     return index
 
@@ -78,7 +84,7 @@ def create_plan(
     folder = start_folder(recipe, library, root)
     if folder.plan_path.exists():
         return folder.read_plan()
-    missing = [i for i in range(recipe.configurations) if not _is_assembled(folder, recipe, i)]
+    missing = [i for i in range(recipe.configurations) if not _is_assembled(folder, recipe, library, i)]
     done = recipe.configurations - len(missing)
     report(done, recipe.configurations)
     if missing:
@@ -109,12 +115,14 @@ def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:
         yield read_json(Configuration, folder.configuration_path(unit.id))
 
 
-def _is_assembled(folder: DatasetFolder, recipe: Recipe, index: int) -> bool:
+def _is_assembled(folder: DatasetFolder, recipe: Recipe, library: Library, index: int) -> bool:
     path = folder.configuration_path(configuration_id(recipe, index))
     if not path.exists():
         return False
     try:
-        return read_json(Configuration, path).index == index
+        configuration = read_json(Configuration, path)
+        room = configuration.environment.asset
+        return configuration.index == index and (room in library or folder.room_path(room).exists())
     except InputError:
         return False  # damaged: it is assembled again
 
@@ -141,8 +149,10 @@ def write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
             )
         )
     assets = {}
+    rooms = rooms_of(folder.root)
+    whole = Library([*library.paths, *rooms]) if rooms else library
     for asset_id in sorted(used):
-        package = library.package(asset_id)
+        package = whole.package(asset_id)
         provenance = package.asset.provenance
         assets[asset_id] = AssetRecord(
             kind=package.asset.kind,

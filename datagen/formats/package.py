@@ -301,6 +301,23 @@ def _open_zip(path: Path, budget: Budget | None) -> Package:
 FileSource = bytes | Path
 
 
+def package_in_memory(asset: AnyAsset, files: Mapping[str, bytes]) -> tuple[bytes, Package]:
+    """The bytes of a zip with an asset and its files, and the package opened from them, without a file.
+
+    The zip's bytes depend on content alone; written to disk they are a package like any other.
+    """
+    sink = io.BytesIO()
+    _write_zip(sink, {ASSET_FILE: canonical_json(asset), **files})
+    data = sink.getvalue()
+    archive = zipfile.ZipFile(io.BytesIO(data))
+    where = Path(f"{asset.id}{ZIP_SUFFIX}")
+    parsed, value = _parse(archive.read(ASSET_FILE), str(where))
+    missing = sorted({name for _, name in referenced_files(parsed)} - set(files))
+    if missing:
+        raise input_error(where, "files", ", ".join(missing), "every file that the asset names", "add them")
+    return data, Package(where, parsed, value, archive, "")
+
+
 def write_package(
     path: str | Path,
     asset: AnyAsset,
@@ -381,7 +398,7 @@ def _write_folder(folder: Path, content: Mapping[str, FileSource]) -> None:
                     shutil.copyfileobj(file, sink, 1 << 20)
 
 
-def _write_zip(target: Path, content: Mapping[str, FileSource]) -> None:
+def _write_zip(target: Path | io.BytesIO, content: Mapping[str, FileSource]) -> None:
     with zipfile.ZipFile(target, "w") as archive:
         for name in sorted(content):
             info = zipfile.ZipInfo(name, _ZIP_TIME)

@@ -34,6 +34,34 @@ class AssetFilter(StrictModel):
     exclude: tuple[Slug, ...] = ()
 
 
+RoomKind = Literal[
+    "bathroom", "bedroom", "bedsit", "cafe", "childs_room", "dining_room", "hallway", "kitchen", "laundry",
+    "living_room", "meeting_room", "office", "reading_room", "study", "workshop",
+]  # fmt: skip
+"""Kinds of rooms that ``datagen.parametric`` makes."""
+
+
+class ParametricRecipe(StrictModel):
+    """Rooms made by rules, a new one for each configuration: ``share`` of the configurations have one.
+
+    ``kinds`` are drawn alike; empty: all. The others take an environment of the library.
+    """
+
+    share: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    kinds: tuple[RoomKind, ...] = ()
+
+
+class EnvironmentRecipe(AssetFilter):
+    """Rooms: environments of the library, and with ``parametric`` rooms that are made for the dataset."""
+
+    parametric: ParametricRecipe | None = Field(default=None, exclude_if=lambda value: value is None)
+
+    @property
+    def needs_library(self) -> bool:
+        """Whether some configuration may take an environment of the library."""
+        return self.parametric is None or self.parametric.share < 1
+
+
 class ObjectRecipe(AssetFilter):
     """Things to place. ``count`` a configuration; ``category_weights`` default to 1 a category.
 
@@ -283,7 +311,7 @@ class Recipe(StrictModel):
         384,
     )
     library: tuple[str, ...] = ("bundled",)
-    environments: AssetFilter = AssetFilter()
+    environments: EnvironmentRecipe = EnvironmentRecipe()
     objects: ObjectRecipe = ObjectRecipe()
     materials: MaterialRecipe = MaterialRecipe()
     lights: LightRecipe = LightRecipe()

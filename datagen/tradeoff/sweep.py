@@ -86,7 +86,7 @@ class Sweep:
                     for index in wrong
                 )
             )
-        paths = folder.read_record().library_paths
+        paths = folder.library_paths()
         subjects = []
         for index in options.configurations:
             configuration = sized(folder.read_configuration(units[index]), options.size, options.views)

@@ -24,7 +24,7 @@ from datagen.assembly.free_space import FreeSpace
 from datagen.assembly.geometry import WorldScene, load_geometry
 from datagen.assembly.light_levels import Lighting
 from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe
-from datagen.assembly.lights import RoomToLight, color_of_temperature, is_blocked
+from datagen.assembly.lights import RoomToLight, is_blocked
 from datagen.assembly.things import pose
 from datagen.formats.asset import Box, LightSlot, SlotMaterial
 from datagen.formats.base import canonical_json
@@ -41,6 +41,7 @@ from datagen.formats.lights import (
     SpotLight,
 )
 from datagen.formats.recipe import Recipe
+from datagen.foundation.color import color_of_temperature
 from datagen.foundation.errors import InputError
 from datagen.foundation.random import Draws
 from datagen.library import Library

@@ -32,7 +32,6 @@ from datagen.formats.shard import Dataset, DatasetIndex
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.color_maps import cividis
 from datagen.foundation.errors import InputError, input_error
-from datagen.foundation.progress import Progress
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
 from datagen.inspection.report.predictions import (
@@ -72,6 +71,7 @@ _LABELS = {
     "color_max": "maximum",
     "observation_count": "observation count",
 }
+Progress = Callable[[str, int, int], object]
 
 
 @dataclass(frozen=True)

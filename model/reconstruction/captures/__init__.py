@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from model.reconstruction.capture_options import CaptureOptions
+from model.reconstruction.captures.frames import AXES
 from model.reconstruction.captures.read import (
+    CaptureOptions,
     capture_file,
     open_capture,
     read_capture,
@@ -13,6 +14,7 @@ from model.reconstruction.captures.read import (
 )
 
 __all__ = [
+    "AXES",
     "CaptureOptions",
     "capture_file",
     "open_capture",

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.farm.folder import DatasetFolder
+from datagen.farm.folder import DatasetFolder, rooms_of
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
 from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
@@ -64,11 +64,11 @@ class ShardSource:
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
     """The library of a shard: the given paths, those that its dataset folder was started with, or the bundled
     one. Whether it is the right one is told by the hashes in the configuration."""
-    if paths:
-        return Library(paths)
     folder = DatasetFolder(shard.parent.parent)
+    if paths:
+        return Library([*paths, *rooms_of(folder.root)])
     if folder.record_path.is_file():
-        return Library(folder.read_record().library_paths)
+        return Library(folder.library_paths())
     return Library([bundled_library()])
 
 

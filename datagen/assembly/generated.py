@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: MIT
+"""Rooms that are made for a configuration instead of taken from a library (``environments.parametric``).
+
+Which room a configuration has follows from (recipe seed, index) alone. The room is an environment package in
+memory; a dataset folder keeps it in ``rooms/`` for all that comes after planning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+from datagen.assembly.looks import KEPT
+from datagen.formats.asset import EnvironmentAsset
+from datagen.formats.configuration import Configuration
+from datagen.formats.package import Package
+from datagen.formats.recipe import ParametricRecipe, Recipe
+from datagen.foundation.random import Draws
+from datagen.parametric.kinds import KINDS
+from datagen.parametric.packing import room_package
+
+_KEPT_IN_MEMORY = 4
+
+
+@dataclass(frozen=True)
+class GeneratedRoom:
+    """An environment package, and ``data``, the bytes of its zip."""
+
+    data: bytes
+    package: Package
+
+    @cached_property
+    def bare_slots(self) -> frozenset[tuple[str, str]]:
+        """(asset id, slot) that have only a plain colour to show and must be dressed."""
+        asset = self.package.asset
+        assert isinstance(asset, EnvironmentAsset)
+        return frozenset(
+            (asset.id, slot)
+            for slot, material in asset.materials.items()
+            if material.replaceable_by and material.surface not in KEPT
+        )
+
+
+def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
+    """The room of a configuration; None where it takes one of the library. Other attempts, other rooms."""
+    wanted = recipe.environments.parametric
+    draws = Draws(recipe.seed, index, "parametric")
+    if wanted is None or not draws.chance(wanted.share):
+        return None
+    kind = draws.choice(_kinds(wanted))
+    return _made(kind, f"{recipe.seed}/{index}" if attempt == 0 else f"{recipe.seed}/{index}/{attempt}")
+
+
+def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
+    """The generated room that a configuration of the recipe stands in; None where it is the library's."""
+    for attempt in range(num_tries):
+        room = generated_room(recipe, configuration.index, attempt)
+        if room is None or room.package.id == configuration.environment.asset:
+            return room
+    raise ValueError(f"{configuration.id} is no configuration of recipe {recipe.name}")
+
+
+def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
+    """One room of each kind that the recipe may make, when asked for."""
+    wanted = recipe.environments.parametric
+    for kind in _kinds(wanted) if wanted is not None else ():
+        asset = _made(kind, "example").package.asset
+        assert isinstance(asset, EnvironmentAsset)
+        yield asset
+
+
+def _kinds(wanted: ParametricRecipe) -> list[str]:
+    return sorted(set(wanted.kinds)) or sorted(KINDS)
+
+
+@lru_cache(maxsize=_KEPT_IN_MEMORY)
+def _made(kind: str, seed: str) -> GeneratedRoom:
+    return GeneratedRoom(*room_package(kind, seed))

@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: MIT
+"""What hangs on walls and lies about: radiators, curtains and blinds, rugs, pictures, mirrors, plants."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from datagen.foundation.random import Draws
+from datagen.parametric.items import Item, Style
+from datagen.parametric.joinery import ring_of
+from datagen.parametric.shapes import (
+    Shape,
+    box,
+    cylinder,
+    flat,
+    flipped,
+    grid,
+    joined,
+    lathe,
+    rounded_box,
+    tube,
+)
+
+
+def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
+    """A panel radiator or one of columns, on the wall 0.1 m above the floor."""
+    item = Item("radiator", hold="wall")
+    if draws.chance(0.6):
+        item.add("radiator", rounded_box((width, 0.07, height), 0.012, (0, -0.075, 0), 2))
+        count = int(width / 0.05)
+        for k in range(count):
+            x = -width / 2 + (k + 0.5) * width / count
+            item.add("radiator", box((0.022, 0.008, height - 0.06), (x, -0.112, 0.03), 0.0035))
+    else:
+        count = int(width / 0.055)
+        for k in range(count):
+            x = -width / 2 + (k + 0.5) * width / count
+            for y in (-0.05, -0.095):
+                item.add("radiator", tube([(x, y, 0.0), (x, y, height)], 0.0165, 8))
+        for z in (0.03, height - 0.03):
+            item.add("radiator", box((width, 0.06, 0.035), (0, -0.0725, z - 0.0175), 0.01))
+    for x in (-0.4 * width, 0.4 * width):
+        item.add("metal", box((0.03, 0.045, 0.03), (x, -0.0235, height - 0.08), 0.002))
+    item.add("metal", cylinder(0.018, 0.07, (width / 2 + 0.03, -0.075, 0.02), 12, 0.005))
+    item.add("metal", tube([(width / 2 - 0.01, -0.075, 0.03), (width / 2 + 0.03, -0.075, 0.03)], 0.008, 6))
+    return item
+
+
+def curtains(style: Style, draws: Draws, window: float, height: float, floor: float) -> Item:
+    """Two drawn-back curtains on a rail; ``height`` of the rail above the hem, ``floor`` their length."""
+    item = Item("curtains", hold="wall")
+    open_share = draws.uniform(0.16, 0.34)
+    half = window / 2 + 0.24
+    item.add("metal", tube([(-half, -0.125, height), (half, -0.125, height)], 0.012, 10))
+    for x in (-half, half):
+        item.add(
+            "metal",
+            cylinder(0.02, 0.03, bevel=0.006, segments=12).turned("y", 90).moved(x - 0.015, -0.125, height),
+        )
+    for x in (-half + 0.06, half - 0.06):
+        item.add("metal", tube([(x, -0.0005, height), (x, -0.123, height)], 0.007, 6))
+    for side in (-1, 1):
+        width = max(open_share * (window + 0.3), 0.24)
+        outer = side * (half - 0.03)
+        inner = outer - side * width
+        item.add("curtain", _drape(draws, min(inner, outer), max(inner, outer), height - 0.016, floor))
+    return item
+
+
+def _drape(draws: Draws, x0: float, x1: float, top: float, length: float) -> Shape:
+    folds = max(3, round((x1 - x0) / 0.075))
+    s = np.linspace(0, 1, folds * 12 + 1)
+    t = np.linspace(0, 1, 8)
+    ss, tt = np.meshgrid(s, t)
+    phase = draws.uniform(0, 6)
+    wander = 0.3 * np.sin(3.0 * ss + phase) * tt
+    depth = (0.024 + 0.012 * (1 - tt)) * np.sin(2 * np.pi * folds * ss + wander)
+    points = np.empty((*ss.shape, 3))
+    points[..., 0] = x0 + ss * (x1 - x0) + 0.003 * np.sin(4 * np.pi * folds * ss + phase) * tt
+    points[..., 1] = -0.125 - depth
+    points[..., 2] = top - (1 - tt) * length
+    front = grid(points)
+    back = points.copy()
+    back[..., 1] += 0.004
+    return joined([front, flipped(grid(back))])
+
+
+def roller_blind(style: Style, draws: Draws, window: float, height: float) -> Item:
+    """A blind rolled down over part of a window; z = 0 is the window's lower edge."""
+    item = Item("blind", hold="wall")
+    drop = draws.uniform(0.15, 0.55) * height
+    item.add(
+        "metal",
+        tube(
+            [(-window / 2 - 0.092, -0.05, height + 0.06), (window / 2 + 0.092, -0.05, height + 0.06)],
+            0.024,
+            12,
+        ),
+    )
+    item.add("blind", box((window + 0.06, 0.002, drop), (0, -0.073, height + 0.06 - drop), 0.0))
+    item.add("blind", box((window + 0.06, 0.012, 0.024), (0, -0.073, height + 0.06 - drop - 0.022), 0.004))
+    for x in (-window / 2 - 0.1, window / 2 + 0.1):
+        item.add("metal", box((0.012, 0.075, 0.07), (x, -0.038, height + 0.025), 0.003))
+    return item
+
+
+def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> Item:
+    """Horizontal slats, turned open, over part of a window; z = 0 is the window's lower edge."""
+    item = Item("blind", hold="wall")
+    drop = draws.uniform(0.3, 0.95) * height
+    tilt = draws.uniform(-12, 18)
+    w = window + 0.18
+    item.add("slats", box((w, 0.05, 0.045), (0, -0.05, height + 0.03), 0.004))
+    slat = box((w, 0.046, 0.0025), (0, 0, -0.00125), 0.0006, grain=0).turned("x", tilt)
+    z = height
+    while z > height + 0.03 - drop:
+        item.add("slats", slat.moved(0, -0.05, z))
+        z -= 0.045
+    item.add("slats", box((w, 0.05, 0.016), (0, -0.05, z - 0.012), 0.003))
+    for x in (-0.36 * w, 0.36 * w):
+        item.add("slats", tube([(x, -0.05, z), (x, -0.05, height + 0.04)], 0.0012, 4))
+    for x in (-w / 2 - 0.008, w / 2 + 0.008):
+        item.add("slats", box((0.014, 0.076, 0.05), (x, -0.0385, height + 0.028), 0.003))
+    return item
+
+
+def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool = False) -> Item:
+    """A rug, 9 mm thick, around its middle (y from -depth to 0)."""
+    item = Item("rug")
+    if is_round:
+        r = width / 2
+        item.add("rug", lathe([(0, 0), (r, 0), (r, 0.006), (r - 0.004, 0.009), (0, 0.0095)], (0, -r, 0), 48))
+        return item
+    if draws.chance(0.45):
+        b = draws.uniform(0.06, 0.16)
+        item.add("rug", box((width - 2 * b, depth - 2 * b, 0.0085), (0, -depth / 2, 0), 0.001, grain=0))
+        for y in (-b / 2, -depth + b / 2):
+            item.add("rug_border", box((width, b, 0.009), (0, y, 0), 0.003, grain=0))
+        for x in (-width / 2 + b / 2, width / 2 - b / 2):
+            item.add("rug_border", box((b, depth - 2 * b, 0.009), (x, -depth / 2, 0), 0.003, grain=1))
+    else:
+        item.add("rug", box((width, depth, 0.009), (0, -depth / 2, 0), 0.004, grain=0))
+    return item
+
+
+def picture(style: Style, draws: Draws, width: float, height: float, art: str) -> Item:
+    """A framed picture: frame, mount and a print in the slot ``art``; z = 0 is the frame's lower edge."""
+    item = Item("picture", hold="wall")
+    f = draws.uniform(0.012, 0.035)
+    for z in (0.0, height - f):
+        item.add("frame", box((width, 0.022, f), (0, -0.012, z), 0.003, grain=0))
+    for x in (-width / 2 + f / 2, width / 2 - f / 2):
+        item.add("frame", box((f, 0.0219, height - 2 * f + 0.001), (x, -0.012, f - 0.0005), 0.003, grain=2))
+    item.add(
+        "mount", box((width - 2 * f + 0.001, 0.006, height - 2 * f + 0.001), (0, -0.008, f - 0.0005), 0.0)
+    )
+    m = draws.choice((0.0, 0.06, 0.09)) if min(width, height) > 0.3 else 0.0
+    w, h = width / 2 - f - m, height - f - m
+    quad = np.array([[[-w, -0.0118, f + m], [w, -0.0118, f + m], [w, -0.0118, h], [-w, -0.0118, h]]])
+    item.add(art, flat(quad, is_print=True))
+    return item
+
+
+def mirror(style: Style, draws: Draws, width: float, height: float) -> Item:
+    """A framed mirror."""
+    item = Item("mirror", hold="wall")
+    f = draws.uniform(0.008, 0.03)
+    for z in (0.0, height - f):
+        item.add("frame", box((width, 0.024, f), (0, -0.013, z), 0.002, grain=0))
+    for x in (-width / 2 + f / 2, width / 2 - f / 2):
+        item.add("frame", box((f, 0.0239, height - 2 * f + 0.001), (x, -0.013, f - 0.0005), 0.002, grain=2))
+    item.add(
+        "mirror", box((width - 2 * f + 0.001, 0.006, height - 2 * f + 0.001), (0, -0.012, f - 0.0005), 0.0)
+    )
+    return item
+
+
+def board(style: Style, draws: Draws, width: float, height: float, slot: str) -> Item:
+    """A white board or a slate on the wall, with a tray."""
+    item = Item("board", hold="wall")
+    for z in (0.0, height - 0.02):
+        item.add(
+            "metal" if slot == "white_board" else "second",
+            box((width, 0.02, 0.02), (0, -0.011, z), 0.003, grain=0),
+        )
+    for x in (-width / 2 + 0.01, width / 2 - 0.01):
+        item.add(
+            "metal" if slot == "white_board" else "second",
+            box((0.02, 0.0198, height - 0.04), (x, -0.011, 0.02), 0.003),
+        )
+    item.add(slot, box((width - 0.039, 0.01, height - 0.039), (0, -0.008, 0.0195), 0.0))
+    if slot == "white_board":
+        item.add("metal", box((0.5, 0.06, 0.008), (0, -0.049, -0.0085), 0.002))
+        for k, colour in enumerate(("toy_a", "toy_b", "dark")):
+            item.add(
+                colour,
+                tube([(-0.18 + 0.15 * k, -0.05, 0.0075), (-0.06 + 0.15 * k, -0.05, 0.0075)], 0.0078, 8),
+            )
+    return item
+
+
+def television(style: Style, draws: Draws, width: float) -> Item:
+    """A television on its stand."""
+    item = Item("television", hold="surface")
+    h = width * 0.575
+    item.add("machine", box((width, 0.035, h), (0, -0.13, 0.07), 0.006))
+    item.add("screen", box((width - 0.02, 0.003, h - 0.03), (0, -0.1485, 0.09), 0.001))
+    for x in (-0.3 * width, 0.3 * width):
+        item.add("machine", box((0.03, 0.2, 0.012), (x, -0.13, 0), 0.003))
+        item.add("machine", box((0.03, 0.03, 0.07), (x, -0.13, 0.005), 0.003))
+    return item
+
+
+def clock(style: Style, draws: Draws) -> Item:
+    """A round wall clock; z = 0 is its lowest point."""
+    item = Item("clock", hold="wall")
+    r = draws.uniform(0.13, 0.18)
+    rim = lathe([(0, 0), (r, 0), (r, 0.035), (r - 0.012, 0.035), (r - 0.014, 0.025)], segments=40)
+    item.add("frame", rim.turned("x", 90).moved(0, -0.0005, r))
+    face = lathe([(0, 0.024), (r - 0.0145, 0.024), (r - 0.0145, 0.026), (0, 0.026)], segments=40)
+    item.add("mount", face.turned("x", 90).moved(0, -0.0005, r))
+    for length, angle in ((0.55, draws.uniform(0, 360)), (0.78, draws.uniform(0, 360))):
+        hand = box((0.007, 0.002, length * r), (0, 0, -0.02), 0.0).turned("y", angle)
+        item.add("dark", hand.moved(0, -0.0295 - 0.001 * length, r))
+    return item
+
+
+def plant(style: Style, draws: Draws) -> Item:
+    """A tall plant in a pot on the floor."""
+    item = Item("plant")
+    r, h = draws.uniform(0.14, 0.2), draws.uniform(0.24, 0.36)
+    c = -0.42
+    profile = [
+        (0, 0),
+        (0.72 * r, 0),
+        (0.76 * r, 0.01),
+        (r, h - 0.01),
+        (r, h),
+        (r - 0.016, h),
+        (r - 0.02, h - 0.035),
+        (0, h - 0.035),
+    ]
+    item.add("pot", lathe(profile, (0, c, 0), 28))
+    item.add("soil", cylinder(r - 0.019, 0.012, (0, c, h - 0.0365), 20))
+    count = draws.integer(10, 18)
+    is_broad = draws.chance(0.5)
+    for k in range(count):
+        angle = 2.4 * k + draws.uniform(-0.3, 0.3)
+        tall = draws.uniform(0.35, 1.15)
+        lean = draws.uniform(0.05, 0.24) if not is_broad else draws.uniform(0.12, 0.3)
+        dx, dy = np.cos(angle), np.sin(angle)
+        foot = (0.03 * dx, c + 0.03 * dy, h - 0.03)
+        tip = (lean * dx, c + lean * dy, h + tall * 0.7)
+        middle = (0.3 * lean * dx, c + 0.3 * lean * dy, h + tall * 0.45)
+        item.add("stem", tube([foot, middle, tip], 0.005, 5))
+        length = draws.uniform(0.2, 0.34) if is_broad else draws.uniform(0.32, 0.55)
+        width = 0.3 * length if is_broad else 0.1 * length
+        reach = min(0.42 - lean - 0.03, length)
+        item.add("leaf", _leaf(tip, angle, reach, length, width))
+    return item
+
+
+def _leaf(tip: tuple[float, float, float], angle: float, reach: float, length: float, width: float) -> Shape:
+    t = np.linspace(0, 1, 9)
+    rise = length * (0.55 * t - 0.5 * t**2)
+    half = width * np.sqrt(np.maximum(np.sin(np.pi * np.clip(t * 0.94 + 0.04, 0, 1)), 0.0))
+    points = np.empty((9, 3, 3))
+    for j, side in enumerate((-1.0, 0.0, 1.0)):
+        points[:, j, 0] = t * reach
+        points[:, j, 1] = side * half
+        points[:, j, 2] = rise + (0.2 * half if side else 0.0)
+    front = grid(points)
+    under = grid(points - np.array([0, 0, 0.0008]))
+    leaf = (
+        joined([front, flipped(under)]) if front.normals[:, 2].mean() > 0 else joined([flipped(front), under])
+    )
+    return leaf.turned("z", float(np.degrees(angle))).moved(*tip)
+
+
+def shoes(style: Style, draws: Draws) -> Item:
+    """A pair of shoes."""
+    item = Item("shoes")
+    slot = draws.choice(("dark", "seat", "grip"))
+    for side in (-1, 1):
+        x = 0.075 * side
+        item.add("dark", rounded_box((0.095, 0.27, 0.022), 0.01, (x, -0.16, 0), 2))
+        item.add(slot, rounded_box((0.09, 0.26, 0.06), 0.028, (x, -0.16, 0.018), 2))
+        item.add(slot, rounded_box((0.085, 0.11, 0.1), 0.025, (x, -0.085, 0.02), 2))
+    return item
+
+
+def teepee(style: Style, draws: Draws) -> Item:
+    """A child's tent of cloth on poles."""
+    item = Item("tent")
+    r, h, c = 0.55, 1.45, -0.58
+    feet = ring_of(4, r, np.pi / 4)
+    for x, y in feet:
+        item.add("wood", tube([(x, c + y, 0.006), (-0.12 * x, c - 0.12 * y, h)], 0.013, 8))
+    top = 0.86
+    for k in range(4):
+        (xa, ya), (xb, yb) = feet[k], feet[(k + 1) % 4]
+        if k == 2:  # the entrance looks into the room
+            continue
+        low = np.array([[xa, c + ya, 0.03], [xb, c + yb, 0.03]])
+        high = np.array([[xa, c + ya, 0.0], [xb, c + yb, 0.0]]) * (1 - top) + np.array([0, c, 0]) * top
+        high[:, 2] = top * h
+        rows = np.linspace(0, 1, 5)[:, None, None]
+        columns = np.linspace(0, 1, 9)[None, :, None]
+        lower = low[0] + columns * (low[1] - low[0])
+        upper = high[0] + columns * (high[1] - high[0])
+        sheet = lower + rows * (upper - lower)
+        inward = np.array([0, c, 0]) - sheet
+        inward[..., 2] = 0
+        sag = 0.05 * np.sin(np.pi * columns) * np.sin(np.pi * rows * 0.9)
+        sheet = sheet + sag * inward / np.maximum(np.linalg.norm(inward, axis=2, keepdims=True), 1e-9)
+        front = grid(sheet)
+        item.add("bedding", joined([front, flipped(grid(sheet + 0.003 * inward))]))
+    return item

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: MIT
+"""What rooms of many kinds have: windows dressed, pictures, plants, rugs, chairs around tables, lamps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from datagen.foundation.random import Draws
+from datagen.parametric import fittings, lamps, seating, storage, tables
+from datagen.parametric.items import Item, Placed
+from datagen.parametric.layout import SIDES, Furnisher, Unfit
+
+_SPACING_M = 2.5  # between ceiling lamps of one room
+
+
+def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
+    """Radiators below windows, curtains or blinds before them: one decision a room, with exceptions."""
+    draws, style = room.draws, room.style
+    pick = draws.unit()
+    slatted = draws.chance(0.5)
+    for window in room.shell.windows:
+        if window.sill > 0.62 and draws.chance(radiators):
+            height = min(0.55, window.sill - 0.28)
+            item = fittings.radiator(style, draws, min(window.width, 1.6) * draws.uniform(0.65, 1.0), height)
+            room.hang(item, draws.uniform(0.1, 0.15), [window.wall], window.s, -1.0)
+        if pick < curtains:
+            top = min(window.sill + window.height + draws.uniform(0.1, 0.2), room.shell.height - 0.06)
+            long = draws.chance(0.7) or window.sill < 0.4
+            hem = 0.03 if long else window.sill - 0.2
+            item = fittings.curtains(style, draws, window.width, top - hem, top - hem - 0.02)
+            if room.hang(item, hem, [window.wall], window.s, -1.0) is not None:
+                continue
+        if pick < curtains + blinds:
+            make = fittings.slatted_blind if slatted else fittings.roller_blind
+            room.hang(
+                make(style, draws, window.width, window.height), window.sill, [window.wall], window.s, -1.0
+            )
+
+
+def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> int:
+    """Chairs at the long sides (``along`` each) and at the ends; returns how many found place."""
+    half = float(table.item.bounds[1, 0])
+    made = 0
+    for side in SIDES[:2]:
+        for k in range(along):
+            offset = (k + 0.5) * 2 * half / along - half
+            made += room.seat(chair, table, side, offset, 0.16) is not None
+    for side in SIDES[2 : 2 + 2 * ends]:
+        made += room.seat(chair, table, side, 0.0, 0.16) is not None
+    return made
+
+
+def seats(room: Furnisher, count: int) -> list[Placed]:
+    """Armchairs in corners or free, turned into the room."""
+    found = []
+    for _ in range(count):
+        item = seating.armchair(room.style, room.draws)
+        placed = room.at_wall(item, where="corner", gap=0.14) or room.in_middle(item)
+        if placed is not None:
+            found.append(placed)
+    return found
+
+
+def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
+    """A lamp on a table."""
+    support = host.item.supports[0]
+    back = max(0.02, support.size[1] / 2 - 0.16)
+    return room.on(lamps.table_lamp(room.draws, room.glow()), host, 0, x, back)
+
+
+def floor_lamp_somewhere(room: Furnisher) -> Placed | None:
+    """A standard lamp in a corner or at a wall."""
+    if room.draws.chance(0.75):
+        return room.at_wall(lamps.floor_lamp(room.draws, room.glow()), where="corner", gap=0.05)
+    return None
+
+
+def plant_somewhere(room: Furnisher) -> Placed | None:
+    """A plant in a corner or at a wall."""
+    return room.at_wall(fittings.plant(room.style, room.draws), where="corner", gap=0.04)
+
+
+def pictures(room: Furnisher, most: int) -> None:
+    """Up to ``most`` pictures on free walls, at eye height, some in rows."""
+    draws, style = room.draws, room.style
+    for _ in range(most):
+        w, h = draws.choice(
+            ((0.4, 0.5), (0.5, 0.7), (0.7, 0.5), (0.9, 0.6), (0.6, 0.8), (0.3, 0.4), (1.1, 0.75))
+        )
+        z = 1.52 - h / 2 + draws.uniform(-0.06, 0.12)
+        item = fittings.picture(style, draws, w, h, room.art())
+        first = room.hang(item, z)
+        if first is not None and draws.chance(0.35):
+            wall = room.wall_of(first)
+            twin = fittings.picture(style, draws, w, h, room.art())
+            if wall is not None:
+                along = float(first.room_from_item[:2, 0] @ first.at[:2])
+                room.hang(twin, z, [wall], along + w + draws.uniform(0.05, 0.12))
+
+
+def decorate(
+    room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 3, cushions: bool = True
+) -> None:
+    """Pictures, shelves, plants and a rug where the floor is free."""
+    draws, style = room.draws, room.style
+    if draws.chance(0.4):
+        room.hang(
+            storage.wall_shelf(style, draws, draws.uniform(0.6, 1.1), draws.integer(1, 2)),
+            draws.uniform(1.25, 1.5),
+        )
+    pictures(room, draws.integer(1, most) if cushions else draws.integer(0, 2))
+    if draws.chance(0.45):
+        plant_somewhere(room)
+    if draws.chance(rug):
+        _free_rug(room, draws.chance(round_rug))
+
+
+def _free_rug(room: Furnisher, is_round: bool) -> None:
+    draws, style = room.draws, room.style
+    for _ in range(10):
+        if is_round:
+            d = draws.uniform(1.0, 1.7)
+            item = fittings.rug(style, draws, d, d, True)
+        else:
+            item = fittings.rug(style, draws, draws.uniform(1.1, 2.2), draws.uniform(0.7, 1.5))
+        x = draws.uniform(-0.4, 0.4) * room.shell.width
+        y = draws.uniform(-0.4, 0.4) * room.shell.depth
+        if room.lay(item, x, y, 0.5 * math.pi * draws.integer(0, 1)) is not None:
+            return
+
+
+def ceiling_light(
+    room: Furnisher, kinds: Sequence[str], over: Placed | None = None, many: bool = False
+) -> None:
+    """Lamps under the ceiling, all alike: one in the middle, a row over a table, or a grid of ``many``."""
+    draws, shell = room.draws, room.shell
+    kind, look = draws.choice(kinds), draws.integer(0, 2**31)
+    places: list[tuple[float, float]] = []
+    if over is not None and kind in ("pendant", "globe"):
+        middle = over.room_from_item @ [*over.item.bounds.mean(axis=0)[:2], 0.0, 1.0]
+        length = float(over.item.bounds[1, 0] - over.item.bounds[0, 0])
+        count = 1 if length < 1.5 else draws.integer(2, 3)
+        drop = shell.height - draws.uniform(1.45, 1.65)
+        along = over.room_from_item[:2, 0]
+        for k in range(count):
+            x, y = middle[:2] + along * (k - (count - 1) / 2) * length / (count + 0.4)
+            places.append((float(x), float(y)))
+    else:
+        columns = max(1, round(shell.width / _SPACING_M)) if many else 1
+        rows = max(1, round(shell.depth / _SPACING_M)) if many else 1
+        drop = draws.uniform(0.35, 0.6) if shell.height < 2.7 else draws.uniform(0.5, 0.95)
+        for c in range(columns):
+            for r in range(rows):
+                x = -shell.width / 2 + (c + 0.5) * shell.width / columns
+                places.append((x, -shell.depth / 2 + (r + 0.5) * shell.depth / rows))
+    made = 0
+    for x, y in places:
+        item = _ceiling_lamp(room.glow(), kind, drop, Draws("lamp", look))
+        for dx, dy in ((0.0, 0.0), (0.3, 0.25), (-0.3, 0.25), (0.4, -0.4)):  # a beam may be in the way
+            if room.ceil(item, x + dx, y + dy) is not None:
+                made += 1
+                break
+    if not made:
+        raise Unfit("the ceiling has no room for a lamp")
+
+
+def _ceiling_lamp(slot: str, kind: str, drop: float, draws: Draws) -> Item:
+    if kind == "disc":
+        return lamps.ceiling_disc(draws, slot)
+    if kind == "panel":
+        return lamps.panel(draws, slot)
+    if kind == "batten":
+        return lamps.batten(draws, slot)
+    if kind == "spots":
+        return lamps.spots(draws, slot)
+    return lamps.pendant(draws, slot, drop, kind == "globe")
+
+
+def desk_place(room: Furnisher, needed: bool) -> bool:
+    """A desk at a wall with a chair, a screen and a lamp."""
+    draws, style = room.draws, room.style
+    desk = room.at_wall(tables.desk(style, draws, draws.uniform(1.1, 1.6)), needed=needed)
+    if desk is None:
+        return False
+    chair = seating.office_chair(style, draws) if draws.chance(0.6) else seating.chair(style, draws)
+    seated = room.seat(chair, desk, "front", draws.uniform(-0.1, 0.1), 0.1)
+    if seated is None and needed:
+        raise Unfit("no room for a chair at the desk")
+    if draws.chance(0.7):
+        room.on(tables.monitor(style, draws), desk, 0, draws.uniform(-0.2, 0.2), 0.02)
+    if draws.chance(0.6):
+        side = draws.choice((-1, 1)) * (desk.item.bounds[1, 0] - 0.2)
+        room.on(lamps.desk_lamp(draws, room.glow()), desk, 0, side, 0.04)
+    return True

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: MIT
+"""What goes into the rooms of a home, piece by piece: needed pieces first, then what finds place."""
+
+from __future__ import annotations
+
+from datagen.parametric import fittings, lamps, sanitary, seating, storage, tables, units
+from datagen.parametric.furnish import (
+    ceiling_light,
+    chairs_around,
+    decorate,
+    desk_place,
+    floor_lamp_somewhere,
+    lamp_on,
+    plant_somewhere,
+    seats,
+)
+from datagen.parametric.layout import LEFT_RIGHT, SIDES, Furnisher, Unfit
+
+
+def bedroom(room: Furnisher) -> None:
+    """A bed with bedside tables, wardrobe, chest."""
+    draws, style = room.draws, room.style
+    bed = seating.bed(style, draws, draws.choice((1.4, 1.6, 1.8)))
+    placed = room.at_wall(bed, where="middle", needed=True)
+    assert placed is not None
+    for side in LEFT_RIGHT:
+        table = storage.bedside(style, draws)
+        found = room.beside(table, placed, side)
+        if found is not None and draws.chance(0.8):
+            lamp_on(room, found)
+    room.at_wall(storage.wardrobe(style, draws, draws.integer(2, 4)), where="corner")
+    room.at_wall(storage.chest(style, draws, draws.uniform(0.7, 1.2)))
+    extra = draws.unit()
+    if extra < 0.35:
+        room.at_wall(seating.armchair(style, draws), where="corner", gap=0.12)
+    elif extra < 0.65:
+        desk_place(room, False)
+    else:
+        room.before(seating.bench(style, draws, 1.2, False), placed, 0.04)
+    if draws.chance(0.5):
+        room.hang(fittings.mirror(style, draws, draws.uniform(0.4, 0.6), draws.uniform(1.2, 1.6)), 0.35)
+    decorate(room, rug=0.6)
+    ceiling_light(room, ("disc", "pendant", "spots"))
+
+
+def childs_room(room: Furnisher) -> None:
+    """Bed, shelf of toys, a table or a tent."""
+    draws, style = room.draws, room.style
+    room.at_wall(seating.bed(style, draws, 0.9, is_child=True), where="corner", needed=True)
+    room.at_wall(storage.cube_shelf(style, draws, draws.integer(2, 4), draws.integer(2, 3)), needed=True)
+    if draws.chance(0.6):
+        desk_place(room, False)
+    else:
+        table = room.in_middle(tables.table(style, draws, 0.75, 0.55, 0.5, "low_table"))
+        if table is not None:
+            for side in draws.shuffled(SIDES)[:2]:
+                room.seat(seating.stool(style, draws, 0.3), table, side, 0.0, 0.1)
+    if draws.chance(0.5):
+        room.at_wall(fittings.teepee(style, draws), where="corner", gap=0.06)
+    room.at_wall(storage.wardrobe(style, draws, 2), where="corner")
+    if draws.chance(0.6):
+        room.at_wall(storage.basket(style, draws))
+    decorate(room, rug=0.8, round_rug=0.5)
+    ceiling_light(room, ("globe", "disc", "pendant"))
+
+
+def study(room: Furnisher) -> None:
+    """A desk and bookcases."""
+    draws, style = room.draws, room.style
+    desk_place(room, True)
+    for _ in range(draws.integer(1, 3)):
+        room.at_wall(
+            storage.bookcase(style, draws, draws.uniform(0.8, 1.8), draws.uniform(1.5, 2.2), fill=0.85)
+        )
+    if draws.chance(0.7):
+        room.at_wall(seating.armchair(style, draws), where="corner", gap=0.15)
+        floor_lamp_somewhere(room)
+    if draws.chance(0.4):
+        room.at_wall(storage.sideboard(style, draws, draws.uniform(0.9, 1.5)))
+    decorate(room, rug=0.6)
+    ceiling_light(room, ("pendant", "disc", "spots"))
+
+
+def living_room(room: Furnisher) -> None:
+    """A sofa, a table before it, a television across, seats and shelves."""
+    draws, style = room.draws, room.style
+    sofa = room.at_wall(
+        seating.sofa(style, draws, draws.integer(2, 3)),
+        where="middle",
+        needed=True,
+        gap=draws.uniform(0.03, 0.25),
+    )
+    assert sofa is not None
+    wide = float(sofa.item.bounds[1, 0] - sofa.item.bounds[0, 0])
+    width, depth = draws.uniform(0.9, min(1.25, wide - 0.5)), draws.uniform(0.5, 0.65)
+    table = tables.table(style, draws, width, depth, draws.uniform(0.38, 0.46), "coffee_table")
+    rug = None
+    if draws.chance(0.65):
+        rug = room.before(
+            fittings.rug(style, draws, draws.uniform(1.9, 2.6), draws.uniform(1.3, 1.7)), sofa, 0.06
+        )
+    if rug is not None:
+        h = rug.item.bounds
+        at = rug.room_from_item @ [0.0, 0.5 * h[0, 1] + depth / 2, h[1, 2], 1.0]
+        room.offer(table, (float(at[0]), float(at[1]), float(at[2])), rug.yaw_rad, stands_on=rug.name)
+    else:
+        room.before(table, sofa, draws.uniform(0.36, 0.45))
+    bench = storage.sideboard(style, draws, draws.uniform(1.4, 2.0), draws.uniform(0.42, 0.56))
+    across = room.before(bench, sofa, room.shell.depth, turned=True)
+    stand = across or room.at_wall(bench, where="middle")
+    if stand is not None:
+        size = min(1.35, float(stand.item.bounds[1, 0] * 2) - 0.3)
+        room.on(fittings.television(style, draws, size), stand, 0, 0.0, 0.06)
+    seats(room, draws.integer(0, 2))
+    if draws.chance(0.7):
+        room.at_wall(storage.bookcase(style, draws, draws.uniform(0.8, 1.7), draws.uniform(1.1, 2.1)))
+    if draws.chance(0.5):
+        side = room.beside(
+            tables.round_table(style, draws, 0.45, 0.52), sofa, draws.choice(("left", "right")), 0.06
+        )
+        if side is not None:
+            lamp_on(room, side)
+    floor_lamp_somewhere(room)
+    decorate(room, rug=0.0 if rug else 0.3)
+    ceiling_light(room, ("pendant", "globe", "disc", "spots"))
+
+
+def dining_room(room: Furnisher) -> None:
+    """A table with chairs and a sideboard."""
+    draws, style = room.draws, room.style
+    is_round = draws.chance(0.3)
+    long = draws.uniform(1.4, 2.2)
+    item = (
+        tables.round_table(style, draws, draws.uniform(1.05, 1.3))
+        if is_round
+        else tables.table(style, draws, long, draws.uniform(0.85, 1.0))
+    )
+    table = room.in_middle(item, True, 0.25)
+    assert table is not None
+    chair = seating.chair(style, draws)
+    chairs_around(room, table, chair, 1 if is_round else max(2, int(long / 0.68)), 1)
+    room.at_wall(
+        storage.sideboard(style, draws, draws.uniform(1.2, 2.0), draws.uniform(0.75, 0.95)), where="middle"
+    )
+    if draws.chance(0.5):
+        room.at_wall(
+            storage.bookcase(style, draws, draws.uniform(0.8, 1.2), draws.uniform(1.8, 2.1), 0.36, 0.25),
+            where="corner",
+        )
+    decorate(room, rug=0.0)
+    ceiling_light(room, ("pendant", "pendant", "globe"), over=table)
+
+
+def kitchen(room: Furnisher) -> None:
+    """A row of units; a table or another row."""
+    draws, style = room.draws, room.style
+    wanted = draws.integer(5, 7)
+    run = None
+    for count in range(wanted, 2, -1):
+        ends = draws.shuffled(["fridge", "tall", "doors"])[: min(2, count - 2)]
+        core = ["sink", "hob", *(draws.choice(("drawers", "doors")) for _ in range(count - 2 - len(ends)))]
+        modules = [*ends[:1], *draws.shuffled(core), *ends[1:]]
+        low = [m if m not in ("tall", "fridge") else "doors" for m in modules]
+        run = room.at_wall(units.kitchen_run(style, draws, modules, True), room.blank_walls(), "corner")
+        run = run or room.at_wall(units.kitchen_run(style, draws, low, False), where="corner")
+        if run is not None:
+            break
+    if run is None:
+        raise Unfit("no wall has room for the kitchen")
+    extra = draws.unit()
+    if extra < 0.6:
+        is_round = draws.chance(0.4)
+        item = (
+            tables.round_table(style, draws, draws.uniform(0.8, 1.05))
+            if is_round
+            else tables.table(style, draws, draws.uniform(0.9, 1.4), draws.uniform(0.7, 0.85))
+        )
+        table = room.in_middle(item)
+        if table is not None:
+            chairs_around(room, table, seating.chair(style, draws), 1 if is_round else 2, 1)
+    else:
+        item = units.kitchen_run(style, draws, ["drawers", "doors"], False)
+        room.at_wall(item, where="any")
+    if draws.chance(0.6):
+        room.hang(storage.wall_shelf(style, draws, draws.uniform(0.7, 1.2), draws.integer(1, 2)), 1.45)
+    decorate(room, rug=0.0, most=1)
+    ceiling_light(room, ("spots", "disc", "pendant", "panel"))
+
+
+def bathroom(room: Furnisher) -> None:
+    """Bath, basin with a mirror, toilet."""
+    draws, style = room.draws, room.style
+    if max(room.shell.width, room.shell.depth) > 2.1:
+        room.at_wall(sanitary.bathtub(style, draws), where="corner", gap=0.016, needed=draws.chance(0.6))
+    basin = room.at_wall(sanitary.vanity(style, draws, draws.uniform(0.6, 1.2)), needed=True, gap=0.016)
+    assert basin is not None
+    width = float(basin.item.bounds[1, 0] * 2) * draws.uniform(0.7, 1.0)
+    top = 1.2
+    glass = room.over(fittings.mirror(style, draws, width, draws.uniform(0.6, 0.85)), basin, top)
+    if glass is not None:
+        room.over(lamps.wall_lamp(draws, room.glow()), basin, 2.13)
+    room.at_wall(sanitary.toilet(style, draws), needed=True, gap=0.016)
+    if draws.chance(0.7):
+        room.hang(sanitary.towel_rail(style, draws), 0.5)
+    if draws.chance(0.5):
+        room.at_wall(storage.basket(style, draws))
+    if draws.chance(0.4):
+        room.at_wall(
+            storage.cabinet(
+                "cupboard",
+                style,
+                (0.4, 0.34, draws.uniform(1.5, 1.8)),
+                [("door", 0.8), ("door", 0.8)],
+                1,
+                0.06,
+            ),
+            where="corner",
+        )
+    if draws.chance(0.3):
+        plant_somewhere(room)
+    ceiling_light(room, ("disc", "spots", "panel"))
+
+
+def hallway(room: Furnisher) -> None:
+    """Console or cabinet with a mirror, coats, shoes."""
+    draws, style = room.draws, room.style
+    kind = draws.unit()
+    if kind < 0.5:
+        d = 0.34
+        console = tables.table(style, draws, draws.uniform(0.8, 1.2), d, 0.82, "console")
+        console.front_m = 0.4
+        host = room.at_wall(console, where="any")
+        if host is not None:
+            room.over(
+                fittings.mirror(style, draws, draws.uniform(0.45, 0.7), draws.uniform(0.6, 0.95)), host, 1.05
+            )
+            lamp_on(room, host, 0.3)
+    else:
+        host = room.at_wall(storage.sideboard(style, draws, draws.uniform(0.8, 1.4), draws.uniform(0.8, 1.0)))
+        if host is not None:
+            room.over(
+                fittings.mirror(style, draws, draws.uniform(0.45, 0.7), draws.uniform(0.6, 0.8)), host, 1.2
+            )
+    coats = room.hang(storage.coat_rail(style, draws, draws.uniform(0.8, 1.3)), 1.6)
+    if coats is not None and draws.chance(0.7):
+        wall = room.wall_of(coats)
+        bench = seating.bench(style, draws, draws.uniform(0.8, 1.1), False)
+        bench.front_m = 0.3
+        if wall is not None:
+            room.at_wall(bench)
+    if draws.chance(0.5):
+        room.at_wall(storage.wardrobe(style, draws, draws.integer(2, 3)), where="corner")
+    for _ in range(draws.integer(0, 3)):
+        room.at_wall(fittings.shoes(style, draws))
+    if draws.chance(0.5):
+        room.at_wall(storage.basket(style, draws))
+    decorate(room, rug=0.7)
+    ceiling_light(
+        room, ("disc", "globe", "spots", "pendant"), many=max(room.shell.width, room.shell.depth) > 4
+    )
+
+
+def bedsit(room: Furnisher) -> None:
+    """Kitchen, bed, table and seats in one room."""
+    draws, style = room.draws, room.style
+    modules = ["fridge", "sink", "drawers", "hob"] if draws.chance(0.6) else ["sink", "hob", "fridge"]
+    room.at_wall(units.kitchen_run(style, draws, modules, True), room.blank_walls(), "corner", needed=True)
+    bed = room.at_wall(seating.bed(style, draws, draws.choice((0.9, 1.2, 1.4))), where="corner", needed=True)
+    assert bed is not None
+    table = room.in_middle(tables.round_table(style, draws, draws.uniform(0.7, 0.9)))
+    if table is not None:
+        chairs_around(room, table, seating.chair(style, draws), 1, 1)
+    room.at_wall(storage.wardrobe(style, draws, 2), where="corner")
+    if draws.chance(0.6):
+        room.at_wall(seating.sofa(style, draws, 2))
+    else:
+        desk_place(room, False)
+    floor_lamp_somewhere(room)
+    decorate(room, rug=0.4)
+    ceiling_light(room, ("disc", "pendant", "spots"), many=True)

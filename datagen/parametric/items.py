@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Pieces of furniture as data: shapes by slot, surfaces for things, lamps, and the space that they need.
+
+An item's frame is that of a wall: its back is the plane y = 0, its front looks along -y, x runs to the right
+for who looks at it, z = 0 is where it rests. What hangs from a ceiling has z = 0 there and reaches down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from datagen.formats.asset import SupportKind
+from datagen.foundation.random import Draws
+from datagen.parametric.shapes import Floats, Point, Shape, rotation
+
+Handle = Literal["bar", "knob", "grip"]
+Front = Literal["flat", "framed"]
+Legs = Literal["square", "round", "tapered", "metal"]
+Hold = Literal["floor", "wall", "ceiling", "surface"]
+_STEP = np.array([0.6180339887, 0.7548776662])  # low discrepancy: no two pieces read one place of a pattern
+_PATTERN_M = 4.0
+
+
+@dataclass(frozen=True)
+class Style:
+    """What all furniture of a room has in common."""
+
+    front: Front
+    handle: Handle
+    legs: Legs
+    is_soft: bool
+    """Rounded rather than boxy upholstery."""
+
+    @classmethod
+    def draw(cls, draws: Draws) -> Style:
+        front: Front = draws.weighted(("flat", "framed"), (0.6, 0.4))
+        handle: Handle = draws.weighted(("bar", "knob", "grip"), (0.45, 0.3, 0.25))
+        legs: Legs = draws.weighted(("square", "round", "tapered", "metal"), (0.3, 0.2, 0.3, 0.2))
+        return cls(front, handle, legs, draws.chance(0.55))
+
+
+@dataclass(frozen=True)
+class Support:
+    """A rectangle of an item on which things may stand: middle (x, y), size, height, free height above."""
+
+    kind: SupportKind
+    middle: tuple[float, float]
+    size: tuple[float, float]
+    z: float
+    clearance_m: float
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A luminous slot: its colour temperature and luminous flux; ``area_m2`` is the surface that emits."""
+
+    slot: str
+    kelvin: float
+    lumen: float
+    area_m2: float
+
+
+@dataclass(frozen=True)
+class LampPlace:
+    """Where a configuration may put a lamp of its own: a point, or a rectangle about it that shines down."""
+
+    at: Point
+    size: tuple[float, float] | None = None
+
+
+def hull_of(boxes: Floats) -> Floats:
+    """The box (2, 3) around boxes (k, 2, 3)."""
+    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+
+@dataclass
+class Item:
+    """A piece of furniture. ``front_m``: floor before its front that must stay free."""
+
+    name: str
+    hold: Hold = "floor"
+    front_m: float = 0.0
+    shapes: list[tuple[str, Shape]] = field(default_factory=list)
+    supports: list[Support] = field(default_factory=list)
+    lamps: list[Lamp] = field(default_factory=list)
+    places: list[LampPlace] = field(default_factory=list)
+    _boxes: Floats = field(default_factory=lambda: np.zeros((0, 2, 3)))
+
+    def add(self, slot: str, *shapes: Shape) -> None:
+        """Append shapes of a slot; each reads its own piece of the slot's pattern."""
+        for shape in shapes:
+            shift = _PATTERN_M * ((len(self.shapes) + 1) * _STEP % 1.0)
+            self.shapes.append((slot, shape.shifted_uv(float(shift[0]), float(shift[1]))))
+
+    def support(
+        self,
+        kind: SupportKind,
+        middle: tuple[float, float],
+        size: tuple[float, float],
+        z: float,
+        clearance_m: float = 1.2,
+    ) -> None:
+        self.supports.append(Support(kind, middle, size, z, clearance_m))
+
+    def boxes(self) -> Floats:
+        """Boxes (k, 2, 3) of its shapes in its own frame."""
+        if len(self._boxes) != len(self.shapes):
+            self._boxes = np.stack([shape.bounds for _, shape in self.shapes])
+        return self._boxes
+
+    @property
+    def bounds(self) -> Floats:
+        """Lowest and highest corner (2, 3) in its own frame."""
+        return hull_of(self.boxes())
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An item in the room: turned by ``yaw_rad`` about z, then moved. ``stands_on`` names what bears it."""
+
+    item: Item
+    name: str
+    at: Point
+    yaw_rad: float
+    stands_on: str = ""
+
+    @property
+    def room_from_item(self) -> Floats:
+        """The placement as a matrix (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.round(rotation("z", self.yaw_rad), 12)
+        matrix[:3, 3] = self.at
+        return matrix
+
+    def boxes(self) -> Floats:
+        """Axis-aligned boxes (k, 2, 3) of the item's shapes in the room, from their vertices."""
+        matrix = self.room_from_item
+        turn = matrix[:3, :3]
+        if np.allclose(np.abs(turn), np.round(np.abs(turn)), atol=1e-5):  # a box stays one
+            ends = self.item.boxes() @ np.round(turn).T + matrix[:3, 3]
+            return np.sort(ends, axis=1)
+        found = []
+        for _, shape in self.item.shapes:
+            points = shape.points @ turn.T + matrix[:3, 3]
+            found.append((points.min(axis=0), points.max(axis=0)))
+        return np.array(found)

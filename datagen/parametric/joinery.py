@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: MIT
+"""What furniture is made of: fronts with handles, legs, rows of books. All in an item's frame."""
+
+from __future__ import annotations
+
+import math
+
+from datagen.foundation.random import Draws
+from datagen.parametric.items import Item, Style
+from datagen.parametric.shapes import box, cylinder, lathe, tube
+from datagen.parametric.slots import BOOKS
+
+GAP = 0.0035  # between neighbouring fronts
+_FRONT = 0.019
+
+
+def front(
+    item: Item,
+    style: Style,
+    size: tuple[float, float],
+    at: tuple[float, float, float],
+    *,
+    slot: str = "front",
+    handle: str = "middle",
+    is_drawer: bool = False,
+) -> None:
+    """A door or drawer front of ``size`` (width, height) whose back's lower middle is ``at``.
+
+    ``handle``: ``left``, ``right``, ``middle``, ``top`` or "" for none.
+    """
+    w, h = size[0] - GAP, size[1] - GAP
+    x, y, z = at[0], at[1] - _FRONT / 2, at[2] + GAP / 2
+    if style.front == "framed" and min(w, h) > 0.16:
+        rail = min(0.065, 0.22 * min(w, h))
+        item.add(slot, box((w - rail, 0.011, h - rail), (x, y + 0.004, z + rail / 2), 0.001))
+        for side in (-1, 1):
+            item.add(slot, box((rail, _FRONT, h), (x + side * (w - rail) / 2, y, z), 0.002, grain=2))
+        for dz in (0.0, h - rail):
+            item.add(slot, box((w - 2 * rail + 0.0004, _FRONT, rail), (x, y, z + dz), 0.002, grain=0))
+    else:
+        item.add(slot, box((w, _FRONT, h), (x, y, z), 0.002, grain=0 if is_drawer else 2))
+    if handle:
+        _handle(item, style, (w, h), (x, at[1] - _FRONT, z), handle, is_drawer)
+
+
+def _handle(
+    item: Item,
+    style: Style,
+    size: tuple[float, float],
+    at: tuple[float, float, float],
+    where: str,
+    is_drawer: bool,
+) -> None:
+    w, h = size
+    x, y, z = at
+    dx = {"left": -1, "right": 1}.get(where, 0) * (w / 2 - 0.035)
+    level = z + h - 0.04 if where == "top" or (h > 1.6 and where == "") else z + h / 2
+    if h > 1.5:
+        level = min(max(1.05 - z * 0.3, z + 0.3), z + h - 0.1)
+    if style.handle == "knob":
+        knob = lathe(
+            [(0, 0), (0.006, 0.0), (0.006, 0.012), (0.014, 0.018), (0.015, 0.024), (0.011, 0.029), (0, 0.03)],
+            segments=14,
+        )
+        item.add("metal", knob.turned("x", 90).moved(x + dx, y, level))
+    elif style.handle == "bar":
+        length = min(
+            0.16 if is_drawer or where in ("middle", "top") else 0.18, 0.55 * w if is_drawer else 0.5 * h
+        )
+        ends = (-length / 2, length / 2)
+        is_level = is_drawer or where in ("middle", "top")
+        if is_level:
+            item.add(
+                "metal",
+                tube(
+                    [(x + dx + e, y - 0.028, level) for e in (ends[0] - 0.012, 0.0, ends[1] + 0.012)], 0.0055
+                ),
+            )
+            feet = [(x + dx + e, y - 0.014, level) for e in ends]
+        else:
+            item.add(
+                "metal",
+                tube(
+                    [(x + dx, y - 0.028, level + e) for e in (ends[0] - 0.012, 0.0, ends[1] + 0.012)], 0.0055
+                ),
+            )
+            feet = [(x + dx, y - 0.014, level + e) for e in ends]
+        for fx, _, fz in feet:
+            item.add("metal", tube([(fx, y + 0.001, fz), (fx, y - 0.026, fz)], 0.0042, 6))
+    else:
+        width = min(0.5 * w, 0.14)
+        top = z + h if (is_drawer or h < 1.2) else level
+        if is_drawer or h < 1.2:
+            item.add("metal", box((width, 0.022, 0.003), (x, y - 0.006, top + 0.0002), 0.001))
+        else:
+            item.add("metal", box((0.012, 0.022, 0.16), (x + (dx or 0.3 * w), y - 0.01, top), 0.002))
+
+
+def fronts(
+    item: Item,
+    style: Style,
+    width: float,
+    at: tuple[float, float, float],
+    rows: list[tuple[str, float]],
+    columns: int = 1,
+    slot: str = "front",
+) -> None:
+    """Rows of fronts from the bottom, ("drawer" or "door", height); ``at``: the lower middle at the back."""
+    z = at[2]
+    each = width / columns
+    for kind, height in rows:
+        for k in range(columns):
+            x = at[0] - width / 2 + (k + 0.5) * each
+            where = "middle" if kind == "drawer" else ("right" if k % 2 == 0 and columns > 1 else "left")
+            front(
+                item,
+                style,
+                (each, height),
+                (x, at[1], z),
+                slot=slot,
+                handle=where,
+                is_drawer=kind == "drawer",
+            )
+        z += height
+
+
+def legs(
+    item: Item,
+    style: Style,
+    corners: tuple[float, float, float, float],
+    height: float,
+    thickness: float = 0.045,
+    slot: str | None = None,
+) -> None:
+    """Four legs at the corners of x0, x1, y0, y1 (their outer faces), from the floor up to ``height``."""
+    x0, x1, y0, y1 = corners
+    t = thickness
+    for x in (x0 + t / 2, x1 - t / 2):
+        for y in (y0 + t / 2, y1 - t / 2):
+            if style.legs == "square":
+                item.add(slot or "legs", box((t, t, height), (x, y, 0), 0.004, grain=2))
+            elif style.legs == "metal":
+                item.add(slot or "legs", box((0.7 * t, 0.7 * t, height), (x, y, 0), 0.003, grain=2))
+            else:
+                low = 0.3 * t if style.legs == "tapered" else 0.42 * t
+                profile = [(0, 0), (low, 0), (low + 0.001, 0.004), (0.5 * t, height), (0, height)]
+                item.add(slot or "legs", lathe(profile, (x, y, 0), 12))
+
+
+def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, height: float) -> float:
+    """Upright books from x0 on, their backs at ``y``; returns where the row ends."""
+    x = x0
+    slots = draws.shuffled(BOOKS)[: draws.integer(3, 6)]
+    while True:
+        w, h, d = (
+            draws.uniform(0.016, 0.046),
+            draws.uniform(0.62, 0.93) * min(height, 0.33),
+            draws.uniform(0.13, 0.19),
+        )
+        if x + w > x1:
+            return x
+        middle = x + w / 2
+        item.add(draws.choice(slots), box((w - 0.001, d, h), (middle, y - d / 2, z), 0.0015, grain=2))
+        if w > 0.02:
+            item.add("pages", box((w - 0.005, d - 0.006, 0.002), (middle, y - d / 2 + 0.004, z + h), 0.0))
+        x += w
+
+
+def castor(item: Item, x: float, y: float, radius: float = 0.026) -> None:
+    wheel = cylinder(radius, 0.02, bevel=0.004, segments=14).turned("x", 90).moved(x, y + 0.01, radius)
+    item.add("dark", wheel)
+
+
+def ring_of(count: int, radius: float, start: float = 0.0) -> list[tuple[float, float]]:
+    """Places on a circle."""
+    return [
+        (
+            radius * math.cos(start + 2 * math.pi * k / count),
+            radius * math.sin(start + 2 * math.pi * k / count),
+        )
+        for k in range(count)
+    ]

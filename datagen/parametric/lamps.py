@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: MIT
+"""Lamps: luminous bodies of real size, colour temperature and flux, with shades that throw shadows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from datagen.foundation.random import Draws
+from datagen.parametric.items import Item, Lamp, LampPlace
+from datagen.parametric.shapes import ball, box, cylinder, lathe, rounded_box, tube
+
+_WARM = (2500.0, 3100.0)  # incandescent, halogen and warm LED
+_COOL = (3500.0, 5000.0)  # offices and workshops
+_THIN = 0.0025
+
+
+def _bulb(
+    item: Item, slot: str, at: tuple[float, float, float], kelvin: float, lumen: float, radius: float = 0.03
+) -> None:
+    item.add(slot, ball(radius, (at[0], at[1], at[2] - radius), 12))
+    item.lamps.append(Lamp(slot, kelvin, lumen, 4 * math.pi * radius**2))
+
+
+def _shade(item: Item, at: tuple[float, float, float], low: float, high: float, height: float) -> None:
+    """An open shade whose lower rim is at ``at``: radii ``low`` below and ``high`` above."""
+    t = _THIN
+    profile = [(low, 0), (high, height), (high - t, height), (low - t, 0), (low, 0)]
+    item.add("shade", lathe(profile, at, 32))
+
+
+def ceiling_disc(draws: Draws, slot: str) -> Item:
+    """A flat opal disc under the ceiling."""
+    item = Item("ceiling_lamp", hold="ceiling")
+    r = draws.uniform(0.16, 0.26)
+    item.add("metal", cylinder(r + 0.008, 0.03, (0, 0, -0.03), 36, 0.003))
+    dome = [(r * math.cos(a), -0.032 - 0.045 * math.sin(a)) for a in np.linspace(math.pi / 2, 0, 7)]
+    item.add(slot, lathe([*dome, (0, -0.032)], segments=36))
+    item.lamps.append(Lamp(slot, draws.uniform(*_WARM), draws.uniform(1500, 2600), math.pi * r**2))
+    s = 0.62 * r
+    item.places.append(LampPlace((0, 0, -0.085), (2 * s, 2 * s)))
+    return item
+
+
+def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Item:
+    """A lamp on a cord: a shade with a bulb, or an opal globe; its lowest point is ``drop`` down."""
+    item = Item("pendant", hold="ceiling")
+    item.add("metal", cylinder(0.05, 0.025, (0, 0, -0.025), 20, 0.005))
+    kelvin = draws.uniform(*_WARM)
+    kind = "globe" if is_globe else draws.choice(("cone", "drum", "bell"))
+    if kind == "globe":
+        r = draws.uniform(0.1, 0.17)
+        item.add("dark", tube([(0, 0, -0.024), (0, 0, -drop + 2 * r + 0.04)], 0.003, 6))
+        item.add("metal", cylinder(0.03, 0.05, (0, 0, -drop + 2 * r - 0.006), 16, 0.004))
+        item.add(slot, ball(r, (0, 0, -drop), 24))
+        item.lamps.append(Lamp(slot, kelvin, draws.uniform(600, 1100), 4 * math.pi * r**2))
+        item.places.append(LampPlace((0, 0, -drop - 0.07)))
+        return item
+    low = draws.uniform(0.15, 0.26)
+    h = draws.uniform(0.14, 0.26)
+    high = {"cone": 0.05, "drum": low - 0.01, "bell": 0.45 * low}[kind]
+    item.add("dark", tube([(0, 0, -0.024), (0, 0, -drop + h - 0.02)], 0.003, 6))
+    item.add("metal", cylinder(0.02, 0.07, (0, 0, -drop + h - 0.075), 12, 0.003))
+    if kind == "drum":
+        for angle in (0.0, 2.1, 4.2):
+            end = ((high - 0.001) * math.cos(angle), (high - 0.001) * math.sin(angle), -drop + h - 0.02)
+            item.add("metal", tube([(0, 0, -drop + h - 0.03), end], 0.002, 4))
+    else:
+        item.add("metal", cylinder(high + 0.003, 0.01, (0, 0, -drop + h - 0.004), 20))
+    _shade(item, (0, 0, -drop), low, high, h)
+    _bulb(item, slot, (0, 0, -drop + h - 0.105), kelvin, draws.uniform(700, 1300))
+    item.places.append(LampPlace((0, 0, -drop + 0.03), (0.9 * low, 0.9 * low)))
+    return item
+
+
+def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
+    """A flat office luminaire under the ceiling."""
+    item = Item("panel_lamp", hold="ceiling")
+    w = draws.uniform(0.25, 0.6)
+    item.add("metal", box((length + 0.03, w + 0.03, 0.055), (0, 0, -0.055), 0.004))
+    item.add(slot, box((length, w, 0.006), (0, 0, -0.0605), 0.001))
+    item.lamps.append(Lamp(slot, draws.uniform(*_COOL), draws.uniform(3000, 4500), length * w))
+    item.places.append(LampPlace((0, 0, -0.064), (length * 0.95, w * 0.95)))
+    return item
+
+
+def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
+    """A tube on a batten, as in workshops and cellars."""
+    item = Item("batten_lamp", hold="ceiling")
+    item.add("radiator", box((length, 0.07, 0.05), (0, 0, -0.05), 0.006))
+    item.add("radiator", box((0.03, 0.05, 0.05), (-length / 2 + 0.02, 0, -0.098), 0.004))
+    item.add("radiator", box((0.03, 0.05, 0.05), (length / 2 - 0.02, 0, -0.098), 0.004))
+    item.add(slot, tube([(-length / 2 + 0.036, 0, -0.078), (length / 2 - 0.036, 0, -0.078)], 0.014, 12))
+    item.places.append(LampPlace((0, 0, -0.1), (0.9 * length, 0.06)))
+    item.lamps.append(
+        Lamp(slot, draws.uniform(*_COOL), draws.uniform(2800, 4200), 2 * math.pi * 0.014 * length)
+    )
+    return item
+
+
+def spots(draws: Draws, slot: str, length: float = 1.2) -> Item:
+    """A rail with three or four spots."""
+    item = Item("spots", hold="ceiling")
+    item.add("metal", box((length, 0.034, 0.03), (0, 0, -0.03), 0.004))
+    count = draws.integer(3, 4)
+    for k in range(count):
+        x = -length / 2 + (k + 0.5) * length / count
+        item.add("metal", tube([(x, 0, -0.028), (x, 0, -0.075)], 0.008, 8))
+        tilt, turn = draws.uniform(10, 40), draws.uniform(0, 360)
+        body = lathe(
+            [(0.02, 0.1), (0.032, 0.09), (0.034, 0.0), (0.031, 0.0), (0.029, 0.02), (0, 0.02)][::-1],
+            segments=18,
+        )
+        glass = cylinder(0.0285, 0.004, (0, 0, 0.012), 16, 0.0005)
+        for name, shape in (("metal", body), (slot, glass)):
+            item.add(name, shape.moved(0, 0, -0.09).turned("x", tilt).turned("z", turn).moved(x, 0, -0.08))
+    item.places.append(LampPlace((0, 0, -0.2), (0.9 * length, 0.06)))
+    kelvin, lumen = draws.uniform(2700, 3500), 420.0
+    item.lamps.append(Lamp(slot, kelvin, lumen * count, count * math.pi * 0.0285**2))
+    return item
+
+
+def floor_lamp(draws: Draws, slot: str) -> Item:
+    """A standard lamp: a foot, a pole and a shade."""
+    item = Item("floor_lamp")
+    c, h = -0.22, draws.uniform(1.45, 1.65)
+    item.add(
+        "metal",
+        lathe([(0, 0), (0.14, 0), (0.14, 0.012), (0.132, 0.02), (0.02, 0.03), (0, 0.03)], (0, c, 0), 28),
+    )
+    if draws.chance(0.3):
+        for k in range(3):
+            angle = 2 * math.pi * k / 3 + 0.5
+            item.add(
+                "wood",
+                tube(
+                    [
+                        (0.2 * math.cos(angle), c + 0.2 * math.sin(angle), 0.002),
+                        (0.015 * math.cos(angle), c + 0.015 * math.sin(angle), h - 0.24),
+                    ],
+                    0.013,
+                    8,
+                ),
+            )
+    item.add("metal", tube([(0, c, 0.02), (0, c, h - 0.14)], 0.011, 10))
+    low, high = draws.uniform(0.17, 0.21), draws.uniform(0.12, 0.17)
+    for angle in (0.3, 2.4, 4.5):
+        reach = low - 0.004
+        item.add(
+            "metal",
+            tube(
+                [(0, c, h - 0.25), (reach * math.cos(angle), c + reach * math.sin(angle), h - 0.279)],
+                0.0022,
+                4,
+            ),
+        )
+    _shade(item, (0, c, h - 0.28), low, high, 0.28)
+    _bulb(item, slot, (0, c, h - 0.11), draws.uniform(*_WARM), draws.uniform(500, 900))
+    item.places.append(LampPlace((0, c, h - 0.04)))
+    return item
+
+
+def table_lamp(draws: Draws, slot: str) -> Item:
+    """A lamp with a turned foot and a small shade."""
+    item = Item("table_lamp", hold="surface")
+    h, c = draws.uniform(0.36, 0.5), -0.14
+    if draws.chance(0.6):
+        r = draws.uniform(0.05, 0.085)
+        body = [
+            (0, 0),
+            (0.75 * r, 0),
+            (0.8 * r, 0.006),
+            (r, 0.3 * h),
+            (0.75 * r, 0.45 * h),
+            (0.2 * r, 0.52 * h),
+            (0.012, 0.54 * h),
+            (0, 0.54 * h),
+        ]
+        item.add("pot", lathe(body, (0, c, 0), 28))
+    else:
+        item.add(
+            "metal",
+            lathe(
+                [(0, 0), (0.075, 0), (0.075, 0.012), (0.01, 0.018), (0.009, 0.54 * h), (0, 0.54 * h)],
+                (0, c, 0),
+                28,
+            ),
+        )
+    item.add("metal", tube([(0, c, 0.53 * h), (0, c, 0.7 * h)], 0.006, 8))
+    low, high = draws.uniform(0.1, 0.135), draws.uniform(0.07, 0.1)
+    for angle in (0.3, 2.4, 4.5):
+        reach = low - 0.003
+        item.add(
+            "metal",
+            tube(
+                [(0, c, 0.62 * h), (reach * math.cos(angle), c + reach * math.sin(angle), 0.581 * h)],
+                0.0018,
+                4,
+            ),
+        )
+    _shade(item, (0, c, 0.58 * h), low, high, 0.42 * h)
+    _bulb(item, slot, (0, c, 0.78 * h), draws.uniform(*_WARM), draws.uniform(250, 500), 0.024)
+    item.places.append(LampPlace((0, c, 0.93 * h)))
+    return item
+
+
+def desk_lamp(draws: Draws, slot: str) -> Item:
+    """A jointed lamp."""
+    item = Item("desk_lamp", hold="surface")
+    c = -0.12
+    item.add("metal", cylinder(0.085, 0.02, (0, c, 0), 28, 0.005))
+    item.add("metal", tube([(0, c, 0.015), (0.1, c, 0.26)], 0.007, 8))
+    item.add("metal", tube([(0.1, c - 0.008, 0.255), (-0.1, c - 0.06, 0.44)], 0.007, 8))
+    head = lathe(
+        [(0.06, 0), (0.022, 0.1), (0, 0.1), (0, 0.097), (0.02, 0.097), (0.0575, 0), (0.06, 0)], segments=24
+    )
+    item.add("shade", head.turned("x", -12).moved(-0.1, c - 0.075, 0.35))
+    _bulb(item, slot, (-0.1, c - 0.07, 0.39), draws.uniform(2700, 4200), draws.uniform(300, 500), 0.02)
+    return item
+
+
+def wall_lamp(draws: Draws, slot: str) -> Item:
+    """An opal bar over a mirror or a cup on the wall; z = 0 is its middle."""
+    item = Item("wall_lamp", hold="wall")
+    if draws.chance(0.5):
+        item.add("metal", box((0.1, 0.03, 0.06), (0, -0.0155, -0.03), 0.004))
+        item.add("metal", rounded_box((0.5, 0.03, 0.02), 0.006, (0, -0.045, 0.012), 2))
+        item.add(slot, tube([(-0.24, -0.05, -0.006), (0.24, -0.05, -0.006)], 0.017, 12))
+        item.lamps.append(Lamp(slot, draws.uniform(2700, 4000), 900, 2 * math.pi * 0.017 * 0.48))
+    else:
+        item.add("metal", cylinder(0.05, 0.02, bevel=0.004).turned("x", 90).moved(0, -0.0005, 0))
+        item.add("metal", tube([(0, -0.018, 0), (0, -0.09, 0), (0, -0.1, 0.02)], 0.008, 8))
+        item.add(slot, ball(0.06, (0, -0.1, 0.015), 18))
+        item.lamps.append(Lamp(slot, draws.uniform(*_WARM), 500, 4 * math.pi * 0.06**2))
+    return item

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: MIT
+"""Rooms as environment packages in memory: meshes, slots, supports, places for lamps and for cameras."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.asset import (
+    Box,
+    EnvironmentAsset,
+    LightSlot,
+    Opening,
+    Part,
+    Provenance,
+    SlotMaterial,
+    SupportSurface,
+    Texture,
+)
+from datagen.formats.base import quantized, sha256_hex
+from datagen.formats.package import Package, package_in_memory
+from datagen.foundation.color import color_of_temperature
+from datagen.foundation.meshes.mesh import Mesh, with_sound_normals
+from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.random import Draws
+from datagen.parametric.checks import CELL_M, walkable
+from datagen.parametric.items import Lamp, Placed
+from datagen.parametric.kinds import KINDS, Kind
+from datagen.parametric.prints import print_image
+from datagen.parametric.room import MadeRoom, make_room
+from datagen.parametric.shapes import Floats, Shape, joined
+from datagen.parametric.shell import (
+    openings,
+)
+from datagen.parametric.slots import SLOTS
+
+_LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, as renderers use it
+_ON = 0.8  # share of lamps that are switched on
+_REGION_TOP_M = 2.2
+_AUTHOR = "the scene-materials authors"
+
+
+def room_id(kind: str, seed: str) -> str:
+    """Id of the package of a room; no two seeds share one."""
+    return f"room-{kind}-{sha256_hex(f'{kind}/{seed}'.encode())[:12]}"
+
+
+def room_package(kind: str, seed: str) -> tuple[bytes, Package]:
+    """The room of a kind and seed as the bytes of a zip and as an opened package."""
+    return package_of(make_room(kind, seed))
+
+
+def package_of(room: MadeRoom) -> tuple[bytes, Package]:
+    """An environment package of a room, in memory."""
+    draws = Draws("parametric room", room.kind, room.seed, "package")
+    files: dict[str, bytes] = {}
+    parts: list[Part] = []
+    names_of: dict[int, list[tuple[str, str, float | None]]] = {}
+    placed = [*room.furnished.built, *room.furnished.items, *room.scenery]
+    used: dict[str, None] = {}
+    for p in placed:
+        if id(p.item) not in names_of:
+            names_of[id(p.item)] = _write_meshes(p, len(names_of), files)
+        for slot, mesh, density in names_of[id(p.item)]:
+            used.setdefault(slot)
+            rows: Any = tuple(map(tuple, np.round(p.room_from_item, 9).tolist()))
+            part = f"{p.name}.{slot}"
+            parts.append(Part(name=part, mesh=mesh, material=slot, asset_from_part=rows, uv_per_m=density))
+    lamps = {lamp.slot: lamp for p in placed for lamp in p.item.lamps}
+    materials = {slot: _material(slot, KINDS[room.kind], lamps, draws, files) for slot in sorted(used)}
+    if lamps and not any(m.emission for m in materials.values()):
+        slot = min(lamps)
+        materials[slot] = _glowing(lamps[slot])
+    shell = room.furnished.shell
+    asset = EnvironmentAsset(
+        id=room_id(room.kind, room.seed),
+        title=f"{room.kind.replace('_', ' ').capitalize()}, generated",
+        provenance=Provenance(
+            license="CC0-1.0", author=_AUTHOR, source=f"datagen.parametric {room.kind} {room.seed}"
+        ),
+        materials=materials,
+        parts=tuple(parts),
+        support_surfaces=tuple(_supports(room)),
+        light_slots=tuple(_light_slots(room)),
+        openings=tuple(
+            Opening(name=name, origin_m=_vector(o), edge_u_m=_vector(u), edge_v_m=_vector(v))
+            for name, o, u, v in openings(shell)
+        ),
+        camera_regions=tuple(_regions(room)),
+    )
+    return package_in_memory(asset, files)
+
+
+def _write_meshes(
+    placed: Placed, number: int, files: dict[str, bytes]
+) -> list[tuple[str, str, float | None]]:
+    """One mesh a slot of an item, shared by all places where it stands."""
+    by_slot: dict[str, list[Shape]] = {}
+    for slot, shape in placed.item.shapes:
+        by_slot.setdefault(slot, []).append(shape)
+    found = []
+    for slot in sorted(by_slot):
+        mesh = _mesh(joined(by_slot[slot]))
+        name = f"meshes/{number:02d}_{placed.item.name}_{slot}.ply"
+        files[name] = encode_ply(mesh)
+        is_print = by_slot[slot][0].is_print
+        found.append((slot, name, None if is_print else quantized(mesh.uv_per_m() or 1.0, 6)))
+    return found
+
+
+def _mesh(shape: Shape) -> Mesh:
+    mesh = Mesh(
+        shape.points.astype(np.float32),
+        shape.faces.astype(np.int32),
+        shape.normals.astype(np.float32),
+        shape.uv.astype(np.float32),
+    )
+    return with_sound_normals(mesh)[0]
+
+
+def _material(
+    slot: str, kind: Kind, lamps: dict[str, Lamp], draws: Draws, files: dict[str, bytes]
+) -> SlotMaterial:
+    if slot.startswith("glow"):
+        return _glowing(lamps[slot]) if draws.chance(_ON) else SLOTS["opal"].material()
+    if slot.startswith("art"):
+        name = f"textures/{slot}.png"
+        files[name] = print_image(Draws("print", draws.integer(0, 2**31)))
+        return SlotMaterial(
+            classes=("paper",),
+            diffuse_albedo=Texture(texture=name, encoding="srgb"),
+            roughness=0.7,
+            surface="cover",
+        )
+    return SLOTS[slot].material(kind.floor if slot == "floor" else None)
+
+
+def _glowing(lamp: Lamp) -> SlotMaterial:
+    """A luminous slot: radiance of a Lambertian emitter of the lamp's flux and colour."""
+    radiance = lamp.lumen / (_LUMEN_PER_WATT * math.pi * lamp.area_m2)
+    red, green, blue = (quantized(radiance * c, 5) for c in color_of_temperature(lamp.kelvin))
+    return SLOTS["opal"].material().model_copy(update={"emission": (red, green, blue)})
+
+
+def _vector(value: Floats) -> tuple[float, float, float]:
+    x, y, z = np.round(np.asarray(value, dtype=np.float64), 6).tolist()
+    return (x, y, z)
+
+
+def _supports(room: MadeRoom) -> list[SupportSurface]:
+    found = []
+    shell_supports = [p for p in room.furnished.built if p.item.supports]
+    for p in (*room.furnished.items, *shell_supports):
+        matrix = p.room_from_item
+        for k, s in enumerate(p.item.supports):
+            (x, y), (w, d) = s.middle, s.size
+            if min(w, d) < 0.05:
+                continue
+            origin = matrix @ np.array([x - w / 2, y - d / 2, s.z, 1.0])
+            clear = min(s.clearance_m, room.furnished.shell.height - float(origin[2]) - 0.05)
+            found.append(
+                SupportSurface(
+                    name=f"{p.name} {k}",
+                    kind=s.kind,
+                    origin_m=_vector(origin[:3]),
+                    edge_u_m=_vector(matrix[:3, 0] * w),
+                    edge_v_m=_vector(matrix[:3, 1] * d),
+                    clearance_m=quantized(clear, 4),
+                )
+            )
+    for k, (low, high) in enumerate(_free_rectangles(room, 0.0, 3)):
+        size = high - low
+        found.append(
+            SupportSurface(
+                name=f"floor {k}",
+                kind="floor",
+                origin_m=_vector(np.array([*low, 0.0])),
+                edge_u_m=(quantized(size[0], 4), 0.0, 0.0),
+                edge_v_m=(0.0, quantized(size[1], 4), 0.0),
+                clearance_m=2.0,
+            )
+        )
+    return found
+
+
+def _light_slots(room: MadeRoom) -> list[LightSlot]:
+    found = []
+    for p in room.furnished.items:
+        for k, place in enumerate(p.item.places):
+            at = (p.room_from_item @ np.array([*place.at, 1.0]))[:3]
+            name = f"{p.name} {k}"
+            if place.size is None:
+                found.append(LightSlot(name=name, kind="point", origin_m=_vector(at)))
+                continue
+            w, d = place.size
+            origin = at + np.array([-w / 2, d / 2, 0.0])
+            found.append(
+                LightSlot(
+                    name=name,
+                    kind="area",
+                    origin_m=_vector(origin),
+                    edge_u_m=(quantized(w, 6), 0.0, 0.0),
+                    edge_v_m=(0.0, -quantized(d, 6), 0.0),
+                )
+            )
+    return found
+
+
+def _regions(room: MadeRoom) -> list[Box]:
+    """Where a person with a camera stands: the largest free rectangles of the floor."""
+    top = min(_REGION_TOP_M, room.furnished.shell.height - 0.15)
+    return [
+        Box(minimum_m=_vector(np.array([*low, 0.0])), maximum_m=_vector(np.array([*high, top])))
+        for low, high in _free_rectangles(room, 0.1, 6)
+    ]
+
+
+def _free_rectangles(room: MadeRoom, least_m: float, most: int) -> list[tuple[Floats, Floats]]:
+    """Up to ``most`` disjoint rectangles of the walkable floor, largest first."""
+    shell = room.furnished.shell
+    boxes = np.concatenate([p.boxes() for p in room.furnished.items])
+    free, _ = walkable(shell, boxes)
+    free = free.copy()
+    origin = np.array([-shell.width / 2, -shell.depth / 2])
+    found = []
+    for _ in range(most):
+        r0, r1, c0, c1 = _largest_rectangle(free)
+        if min(r1 - r0, c1 - c0) * CELL_M < max(least_m, 2 * CELL_M):
+            break
+        found.append((origin + CELL_M * np.array([c0, r0]), origin + CELL_M * np.array([c1, r1])))
+        free[r0:r1, c0:c1] = False
+    return found
+
+
+def _largest_rectangle(free: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Rows and columns (r0, r1, c0, c1) of the largest rectangle of True, by the histogram method."""
+    best, where = 0, (0, 0, 0, 0)
+    heights = np.zeros(free.shape[1] + 1, dtype=np.int64)
+    for r in range(free.shape[0]):
+        heights[:-1] = np.where(free[r], heights[:-1] + 1, 0)
+        stack: list[int] = []
+        for c, h in enumerate(heights.tolist()):
+            while stack and heights[stack[-1]] >= h:
+                tall = int(heights[stack.pop()])
+                left = stack[-1] + 1 if stack else 0
+                if tall * (c - left) > best:
+                    best, where = tall * (c - left), (r + 1 - tall, r + 1, left, c)
+            stack.append(c)
+    return where

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""A furnished room from (kind, seed): shell, furniture and checks.
+
+A room that comes out badly is drawn again with another sub-seed; which one it took follows from the seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from datagen.formats.base import quantized
+from datagen.foundation.errors import input_error
+from datagen.foundation.random import Draws
+from datagen.parametric.checks import Fault, Furnished, faults_of
+from datagen.parametric.furnish import dress_windows
+from datagen.parametric.items import Placed, Style
+from datagen.parametric.kinds import KINDS, Kind
+from datagen.parametric.layout import Furnisher, Unfit
+from datagen.parametric.shell import (
+    CASING_M,
+    WALLS,
+    Door,
+    Shell,
+    Wall,
+    Window,
+    outside,
+    shell_items,
+)
+
+MAX_TRIES = 40
+_HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
+
+
+@dataclass(frozen=True)
+class MadeRoom:
+    """A sound room. ``tries`` is how many were drawn; ``rejected`` says why the others were not taken."""
+
+    kind: str
+    seed: str
+    furnished: Furnished
+    scenery: tuple[Placed, ...]
+    tries: int
+    rejected: tuple[str, ...]
+
+
+def make_room(kind: str, seed: str) -> MadeRoom:
+    """The room of a kind and seed. Raises :class:`InputError` where none of :data:`MAX_TRIES` is sound."""
+    rejected: list[str] = []
+    for attempt in range(MAX_TRIES):
+        key = ("parametric room", kind, seed, attempt)
+        shell = draw_shell(KINDS[kind], Draws(*key, "shell"))
+        room = Furnisher(shell, Style.draw(Draws(*key, "style")), Draws(*key, "furniture"))
+        built = shell_items(shell, Draws(*key, "built"))
+        spec = KINDS[kind]
+        if shell.has_beams:
+            room.reserve(next(p for p in built if p.name == "beams"))
+        try:
+            dress_windows(room, spec.curtains, spec.blinds, spec.radiators)
+            spec.furnish(room)
+        except Unfit as why:
+            rejected.append(str(why))
+            continue
+        furnished = Furnished(shell, tuple(built), tuple(room.placed))
+        faults: list[Fault] = faults_of(furnished)
+        if faults:
+            rejected.append("; ".join(map(str, faults)))
+            continue
+        scenery = tuple(outside(shell, Draws(*key, "outside"))) if shell.windows else ()
+        return MadeRoom(kind, seed, furnished, scenery, attempt + 1, tuple(rejected))
+    raise input_error(
+        f"room of kind {kind}",
+        "seed",
+        f"{seed!r}: {MAX_TRIES} rooms drawn, none sound (last: {rejected[-1]})",
+        "a room in which everything has its place",
+        "take another seed, or leave this kind out",
+    )
+
+
+def draw_shell(kind: Kind, draws: Draws) -> Shell:
+    """Size, door and windows."""
+    width, depth = draws.uniform(*kind.width), draws.uniform(*kind.depth)
+    if draws.chance(0.5):
+        width, depth = depth, width
+    width, depth, height = (quantized(x, 3) for x in (width, depth, draws.uniform(*kind.height)))
+    base = Shell(width, depth, height, (), ())
+    doors = _doors(kind, base, draws)
+    windows = _windows(kind, base, doors, draws)
+    tiled = tuple(draws.shuffled(WALLS)[: draws.integer(*kind.tiled)])
+    plain = [w for w in WALLS if w not in tiled]
+    accent = draws.choice(plain) if plain and draws.chance(0.3) else None
+    return Shell(
+        width, depth, height, windows, doors, accent, tiled,
+        storey_m=draws.choice((0.35, 0.35, 3.2, 6.2)), has_beams=height > 2.55 and draws.chance(kind.beams),
+    )  # fmt: skip
+
+
+def _doors(kind: Kind, shell: Shell, draws: Draws) -> tuple[Door, ...]:
+    doors: list[Door] = []
+    for wall in draws.shuffled(WALLS)[: draws.integer(*kind.doors)]:
+        width = draws.choice((0.76, 0.82, 0.86, 0.92))
+        reach = shell.length(wall) / 2 - width / 2 - CASING_M - 0.02
+        # doors are near a corner in most rooms
+        s = (
+            reach * draws.choice((-1.0, 1.0)) * (1 - 0.35 * draws.unit() ** 2)
+            if draws.chance(0.75)
+            else reach * draws.uniform(-1, 1)
+        )
+        doors.append(Door(wall, quantized(s, 3), width, draws.choice(_HINGES)))
+    return tuple(doors)
+
+
+def _windows(kind: Kind, shell: Shell, doors: Sequence[Door], draws: Draws) -> tuple[Window, ...]:
+    """Windows of one make on one wall or two."""
+    count = draws.integer(*kind.windows)
+    sill = draws.uniform(*kind.sill)
+    top = min(shell.height - draws.uniform(0.18, 0.35), sill + draws.uniform(1.1, 1.7))
+    wide = draws.uniform(0.75, 1.75)
+    panes = (1 if wide < 0.85 else 2 if wide < 1.5 else 3, draws.choice((1, 1, 2, 3)))
+    found: list[Window] = []
+    main = draws.choice(WALLS)
+    order: list[Wall] = [main, main, *draws.shuffled(WALLS)]
+    for wall in order:
+        if len(found) == count:
+            break
+        length = shell.length(wall)
+        width = min(wide, length - 0.8)
+        if width < 0.55:
+            continue
+        for _ in range(8):
+            reach = length / 2 - width / 2 - 0.3
+            s = draws.uniform(-reach, reach)
+            others = [(d.s, d.width) for d in doors if d.wall == wall] + [
+                (w.s, w.width) for w in found if w.wall == wall
+            ]
+            if all(abs(s - t) > (width + w) / 2 + 2 * CASING_M + 0.12 for t, w in others):
+                found.append(
+                    Window(
+                        wall,
+                        quantized(s, 3),
+                        quantized(width, 3),
+                        quantized(sill, 3),
+                        quantized(top - sill, 3),
+                        panes,
+                    )
+                )
+                break
+    return tuple(found)

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: MIT
+"""Things to sit and lie on: chairs, stools, sofas, benches, beds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from datagen.foundation.random import Draws
+from datagen.parametric.items import Item, Style
+from datagen.parametric.joinery import castor, legs, ring_of
+from datagen.parametric.shapes import Shape, box, cylinder, flipped, grid, joined, lathe, rounded_box, tube
+
+
+def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
+    """A chair of 0.42 to 0.48 m; back of slats, of one board or upholstered."""
+    item = Item("chair")
+    w, d = draws.uniform(0.42, 0.48), draws.uniform(0.44, 0.5)
+    back = draws.choice(("slats", "board", "soft"))
+    top = draws.uniform(0.8, 0.92)
+    legs(item, style, (-w / 2, w / 2, -d, -d + 0.04), seat_height - 0.03, 0.038, "wood")
+    for side in (-1, 1):
+        x = side * (w / 2 - 0.019)
+        path = [
+            (x, -0.05, 0.0),
+            (x, -0.045, 0.25),
+            (x, -0.05, seat_height),
+            (x, -0.03, 0.65),
+            (x, -0.018, top),
+        ]
+        item.add("wood", tube(path, 0.0165, 10))
+    for y in (-d + 0.02, -0.055):
+        item.add("wood", box((w - 0.04, 0.02, 0.05), (0, y, seat_height - 0.08), 0.003, grain=0))
+    for side in (-1, 1):
+        item.add(
+            "wood",
+            box((0.02, d - 0.09, 0.045), (side * (w / 2 - 0.02), -d / 2 - 0.015, seat_height - 0.08), 0.003),
+        )
+    if back == "soft" or draws.chance(0.5):
+        item.add(
+            "seat",
+            rounded_box((w, d - 0.055, 0.06), 0.022, (0, -d / 2 - 0.0275, seat_height - 0.029), 2, 0.008),
+        )
+    else:
+        item.add(
+            "wood", box((w, d - 0.055, 0.022), (0, -d / 2 - 0.0275, seat_height - 0.029), 0.008, grain=0)
+        )
+    if back == "slats":
+        for z in np.linspace(seat_height + 0.13, top - 0.075, 3):
+            y = float(np.interp(z, [seat_height, 0.65, top], [-0.05, -0.03, -0.018]))
+            item.add("wood", box((w - 0.04, 0.014, 0.055), (0, y, float(z)), 0.004, grain=0))
+    elif back == "board":
+        item.add("wood", box((w - 0.035, 0.016, 0.24), (0, -0.027, top - 0.26), 0.006, grain=0))
+    else:
+        item.add(
+            "seat",
+            rounded_box(
+                (w - 0.03, 0.05, top - seat_height - 0.1), 0.02, (0, -0.03, seat_height + 0.1), 2, 0.006
+            ),
+        )
+    return item
+
+
+def stool(style: Style, draws: Draws, height: float = 0.46) -> Item:
+    """A round stool."""
+    item = Item("stool")
+    r = draws.uniform(0.16, 0.19)
+    seat = [
+        (0, height - 0.035),
+        (r - 0.012, height - 0.035),
+        (r, height - 0.024),
+        (r, height - 0.008),
+        (r - 0.01, height),
+        (0, height - 0.003),
+    ]
+    item.add("wood", lathe(seat, (0, -0.2, 0), 28))
+    slot = "legs" if style.legs == "metal" else "wood"
+    for x, y in ring_of(4, 1.0, math.pi / 4):
+        item.add(
+            slot,
+            tube([(0.17 * x, -0.2 + 0.17 * y, 0.0036), (0.1 * x, -0.2 + 0.1 * y, height - 0.03)], 0.014, 10),
+        )
+    rest = ring_of(20, 0.15 if height < 0.6 else 0.152)
+    path = [(x, -0.2 + y, 0.35 * height) for x, y in [*rest, rest[0]]]
+    item.add(slot, tube(path, 0.008, 6))
+    return item
+
+
+def office_chair(style: Style, draws: Draws) -> Item:
+    """A swivel chair on five castors."""
+    item = Item("office_chair")
+    c = -0.33
+    for x, y in ring_of(5, 0.27, draws.uniform(0, 1)):
+        item.add("legs", tube([(0.03 * x / 0.27, c + 0.03 * y / 0.27, 0.09), (x, c + y, 0.06)], 0.016, 8))
+        castor(item, x, c + y)
+    item.add("metal", cylinder(0.024, 0.33, (0, c, 0.08), 14))
+    item.add("machine", cylinder(0.035, 0.12, (0, c, 0.1), 16, 0.004))
+    item.add("machine", box((0.24, 0.26, 0.035), (0, c, 0.4), 0.01))
+    item.add("seat", rounded_box((0.49, 0.47, 0.075), 0.035, (0, c - 0.01, 0.433), 2, 0.012))
+    tall = draws.uniform(0.42, 0.62)
+    item.add(
+        "machine",
+        tube([(0, c + 0.1, 0.415), (0, c + 0.25, 0.43), (0, c + 0.295, 0.55), (0, c + 0.3, 0.8)], 0.019, 8),
+    )
+    item.add("seat", rounded_box((0.44, 0.06, tall), 0.028, (0, c + 0.263, 0.58), 2, 0.01))
+    if draws.chance(0.7):
+        for side in (-1, 1):
+            x = side * 0.275
+            item.add("machine", tube([(side * 0.2, c, 0.42), (x, c, 0.44), (x, c, 0.63)], 0.013, 8))
+            item.add("machine", rounded_box((0.06, 0.25, 0.03), 0.013, (x, c, 0.63), 2))
+    return item
+
+
+def armchair(style: Style, draws: Draws) -> Item:
+    """A sofa for one."""
+    return sofa(style, draws, 1)
+
+
+def sofa(style: Style, draws: Draws, seats: int) -> Item:
+    """An upholstered sofa of ``seats`` places on short legs, with loose cushions."""
+    item = Item("sofa" if seats > 1 else "armchair")
+    arm = draws.uniform(0.12, 0.2) if style.is_soft else draws.uniform(0.09, 0.14)
+    each, d = (
+        (draws.uniform(0.58, 0.68), draws.uniform(0.82, 0.94))
+        if seats > 1
+        else (0.56, draws.uniform(0.76, 0.84))
+    )
+    w = seats * each + 2 * arm
+    foot, seat, top, side = (
+        0.11,
+        draws.uniform(0.41, 0.45),
+        draws.uniform(0.76, 0.88),
+        draws.uniform(0.56, 0.64),
+    )
+    r = 0.05 if style.is_soft else 0.022
+    for x in (-w / 2 + 0.07, w / 2 - 0.07):
+        for y in (-d + 0.07, -0.07):
+            item.add(
+                "legs", lathe([(0, 0), (0.013, 0), (0.022, foot + 0.01), (0, foot + 0.01)], (x, y, 0), 12)
+            )
+    item.add(
+        "sofa",
+        rounded_box((w - 2 * arm + 0.02, d - 0.06, seat - 0.13 - foot), 0.02, (0, -d / 2 - 0.02, foot), 2),
+    )
+    for s in (-1, 1):
+        item.add("sofa", rounded_box((arm, d, side - foot), r, (s * (w - arm) / 2, -d / 2, foot), 3))
+    item.add(
+        "sofa", rounded_box((w - 2 * arm + 0.004, 0.2, top - foot - 0.03), r, (0, -0.1, foot + 0.002), 3)
+    )
+    for k in range(seats):
+        x = -w / 2 + arm + (k + 0.5) * each
+        item.add(
+            "sofa",
+            rounded_box((each - 0.006, d - 0.19, 0.14), 0.045, (x, -d / 2 - 0.1, seat - 0.135), 2, 0.012),
+        )
+        height = top - seat + 0.04
+        pillow = rounded_box((each - 0.012, 0.15, height), 0.055, (0, 0, 0), 2, 0.02)
+        item.add("sofa", pillow.turned("x", -9).moved(x, -0.235, seat - 0.012))
+    for k in range(draws.integer(0, 2) if seats > 1 else draws.integer(0, 1)):
+        x = (-1) ** k * (w / 2 - arm - 0.23) if seats > 1 else 0.0
+        throw = rounded_box((0.42, 0.13, 0.42), 0.05, (0, 0, 0), 2, 0.03)
+        tilt = throw.turned("y", draws.uniform(-8, 8)).turned("x", -20)
+        lowest = float(tilt.points[:, 2].min())
+        item.add("cushion_a" if k == 0 else "cushion_b", tilt.moved(x, -0.43, seat + 0.012 - lowest))
+    item.support("seat", (0, -d / 2 - 0.16), (w - 2 * arm - 0.08, d - 0.5), seat + 0.012, 0.8)
+    item.front_m = 0.45
+    return item
+
+
+def bench(style: Style, draws: Draws, width: float, upholstered: bool) -> Item:
+    """A bench along a wall; upholstered ones have a back."""
+    item = Item("bench")
+    d = 0.4 if not upholstered else 0.5
+    if upholstered:
+        item.add("wood", box((width, d - 0.06, 0.32), (0, -d / 2 + 0.03, 0), 0.004, grain=0))
+        count = max(1, round(width / 0.7))
+        for k in range(count):
+            x = -width / 2 + (k + 0.5) * width / count
+            item.add(
+                "seat",
+                rounded_box(
+                    (width / count - 0.004, d - 0.06, 0.11), 0.03, (x, -d / 2 - 0.03, 0.322), 2, 0.01
+                ),
+            )
+            item.add(
+                "seat", rounded_box((width / count - 0.006, 0.09, 0.4), 0.03, (x, -0.05, 0.45), 2, 0.008)
+            )
+    else:
+        legs(item, style, (-width / 2 + 0.03, width / 2 - 0.03, -d + 0.02, -0.02), 0.42, 0.045)
+        for k in range(3):
+            item.add("wood", box((width, 0.12, 0.028), (0, -0.07 - k * 0.13, 0.42), 0.004, grain=0))
+        item.support("seat", (0, -d / 2), (width - 0.1, d - 0.1), 0.448, 0.8)
+    item.front_m = 0.4
+    return item
+
+
+def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Item:
+    """A bed with mattress, duvet and pillows; its head is at the wall."""
+    item = Item("bed")
+    length = draws.uniform(2.0, 2.08) if not is_child else 1.78
+    head = draws.uniform(0.85, 1.15)
+    w = width + 0.08
+    level = draws.uniform(0.27, 0.34)
+    kind = draws.choice(("board", "soft", "slats"))
+    if kind == "soft":
+        item.add("sofa", rounded_box((w + 0.04, 0.1, head), 0.04, (0, -0.051, 0), 3, 0.01))
+    elif kind == "board":
+        item.add("wood", box((w + 0.02, 0.035, head), (0, -0.03, 0), 0.008, grain=0))
+    else:
+        for x in (-w / 2 + 0.02, w / 2 - 0.02):
+            item.add("wood", box((0.05, 0.05, head), (x, -0.03, 0), 0.006, grain=2))
+        for z in np.linspace(level + 0.12, head - 0.09, 4):
+            item.add("wood", box((w - 0.05, 0.02, 0.07), (0, -0.03, float(z)), 0.004, grain=0))
+    y0 = -0.075 if kind != "soft" else -0.115
+    for x in (-w / 2 + 0.014, w / 2 - 0.014):
+        item.add(
+            "wood", box((0.028, length - 0.04, 0.17), (x, y0 - length / 2, level - 0.12), 0.004, grain=1)
+        )
+    item.add("wood", box((w - 0.057, 0.028, 0.17), (0, y0 - length + 0.03, level - 0.12), 0.004, grain=0))
+    item.add("wood", box((w - 0.06, length - 0.08, 0.02), (0, y0 - length / 2, level - 0.04), 0.0))
+    for x in (-w / 2 + 0.05, w / 2 - 0.05):
+        for y in (y0 - 0.06, y0 - length + 0.08):
+            item.add("legs", box((0.05, 0.05, level - 0.12), (x, y, 0), 0.004, grain=2))
+    thick = draws.uniform(0.18, 0.24)
+    base = level - 0.018
+    item.add("mattress", rounded_box((width, length - 0.09, thick), 0.045, (0, y0 - length / 2, base), 3))
+    top = base + thick
+    cover = draws.uniform(0.62, 0.72) * length
+    item.add("bedding", _duvet(width + 0.1, cover, top, y0 - length + 0.012))
+    if draws.chance(0.5):
+        item.add("throw", _duvet(width + 0.15, 0.5, top + 0.028, y0 - length + draws.uniform(0.1, 0.3)))
+    count = 2 if width > 1.2 else 1
+    for k in range(count):
+        x = (k - (count - 1) / 2) * width / count
+        pillow = rounded_box((min(0.68, width / count - 0.06), 0.42, 0.13), 0.055, (0, 0, 0), 2, 0.04)
+        item.add("bedding", pillow.turned("x", draws.uniform(4, 12)).moved(x, y0 - 0.28, top + 0.03))
+        if draws.chance(0.35):
+            scatter = rounded_box((0.4, 0.4, 0.11), 0.045, (0, 0, 0), 2, 0.03)
+            item.add("cushion_a", scatter.turned("x", 60).moved(x, y0 - 0.57, top + 0.13))
+    item.support("bed", (0, y0 - length * 0.72), (width - 0.2, length * 0.4), top + 0.05, 1.2)
+    item.front_m = 0.55
+    return item
+
+
+def _duvet(width: float, length: float, z: float, y: float) -> Shape:
+    """A blanket that lies on a mattress's top ``z`` from ``y`` backwards and hangs over its sides."""
+    s = np.linspace(-1, 1, 41)
+    t = np.linspace(0, 1, 26)
+    half = width / 2
+    hang = 0.16
+    run = s * (half + hang)
+    over = np.maximum(np.abs(run) - half + 0.04, 0.0)
+    x = np.sign(run) * np.minimum(np.abs(run), half - 0.04 + 0.04 * np.tanh(over / 0.04))
+    drop = np.maximum(over - 0.03, 0.0)
+    ss, tt = np.meshgrid(s, t)
+    wave = 0.006 * np.sin(7.0 * tt + 3.1 * ss) * np.cos(5.3 * ss + 2.0 * tt) + 0.004 * np.sin(
+        17 * ss + 4 * tt
+    )
+    top = np.empty((len(t), len(s), 3))
+    top[..., 0] = x[None] + np.where(drop[None] > 0, 0.008 * np.sin(21 * tt + 2.0), 0.0) * np.sign(ss)
+    top[..., 1] = y + tt * length
+    edge = 0.018 * np.exp(-tt / 0.02) + 0.012 * np.exp(-(1 - tt) / 0.03)
+    top[..., 2] = z + 0.045 - drop[None] + wave - edge
+    under = top.copy()
+    under[..., 2] -= np.where(drop[None] > 0, 0.0, 0.025)
+    under[..., 0] -= np.sign(ss) * np.where(drop[None] > 0, 0.018, 0.0)
+    return joined([grid(top), flipped(grid(under))])

@@ -1,0 +1,402 @@
+# SPDX-License-Identifier: MIT
+"""Modelling with plain arrays: every function returns a :class:`Shape` in metres, Z up, with UVs in metres.
+
+Letters: n vertices, m triangles. A grain runs along u. Solids are closed and wound counter-clockwise seen
+from outside. ``at`` is the middle of a shape's foot unless a function says otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Point = tuple[float, float, float]
+_SHARP_COSINE = math.cos(math.radians(40.0))  # edges of a profile that turn more stay sharp
+_ORIGIN: Point = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Triangles: ``points``, ``normals`` (n, 3), ``uv`` (n, 2), ``faces`` (m, 3).
+
+    ``is_print`` marks a unique layout in [0, 1].
+    """
+
+    points: Floats
+    normals: Floats
+    uv: Floats
+    faces: Ints
+    is_print: bool = False
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
+        return replace(self, points=self.points + np.array([x, y, z]))
+
+    def turned(self, axis: str, degrees: float) -> Shape:
+        """Rotated about an axis through the origin, right-handed."""
+        matrix = rotation(axis, math.radians(degrees))
+        return replace(self, points=self.points @ matrix.T, normals=self.normals @ matrix.T)
+
+    def shifted_uv(self, u: float, v: float) -> Shape:
+        """The same reading another piece of its pattern; prints stay."""
+        return self if self.is_print else replace(self, uv=self.uv + np.array([u, v]))
+
+    @property
+    def bounds(self) -> Floats:
+        """Lowest and highest corner (2, 3)."""
+        return np.stack([self.points.min(axis=0), self.points.max(axis=0)])
+
+
+def rotation(axis: str, angle_rad: float) -> Floats:
+    """Rotation matrix (3, 3) about ``x``, ``y`` or ``z``."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    k = "xyz".index(axis)
+    a, b = (k + 1) % 3, (k + 2) % 3
+    matrix = np.eye(3)
+    matrix[a, a], matrix[a, b], matrix[b, a], matrix[b, b] = c, -s, s, c
+    return matrix
+
+
+def joined(shapes: Sequence[Shape]) -> Shape:
+    """One shape of several."""
+    starts = np.cumsum([0] + [len(s.points) for s in shapes[:-1]])
+    return Shape(
+        np.concatenate([s.points for s in shapes]),
+        np.concatenate([s.normals for s in shapes]),
+        np.concatenate([s.uv for s in shapes]),
+        np.concatenate([s.faces + start for s, start in zip(shapes, starts, strict=True)]),
+        shapes[0].is_print,
+    )
+
+
+@lru_cache(maxsize=1)
+def _box_topology() -> tuple[Ints, Ints, Ints]:
+    """Faces (44, 3) of a bevelled box over 24 vertices, and for each vertex its axis and signs."""
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    axis_sign = [(a, s) for a in range(3) for s in (-1, 1)]
+    vertex: dict[tuple[int, tuple[int, ...]], int] = {}
+    place: list[tuple[int, list[int]]] = []
+    for a, s in axis_sign:
+        for sb, sc in signs.tolist():
+            corner = [0, 0, 0]
+            corner[a], corner[(a + 1) % 3], corner[(a + 2) % 3] = s, sb, sc
+            vertex[a, tuple(corner)] = len(place)
+            place.append((a, corner))
+    points = np.array([[c * (1.0 if k == a else 0.8) for k, c in enumerate(corner)] for a, corner in place])
+    polygons = [tuple(range(4 * k, 4 * k + 4)) for k in range(6)]
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    for c in corners:
+        for e in range(3):
+            if c[e] == -1:
+                other = list(c)
+                other[e] = 1
+                a, b = (e + 1) % 3, (e + 2) % 3
+                polygons.append(
+                    (vertex[a, c], vertex[a, tuple(other)], vertex[b, tuple(other)], vertex[b, c])
+                )
+        polygons.append((vertex[0, c], vertex[1, c], vertex[2, c]))
+    faces = []
+    for polygon in polygons:
+        p = points[list(polygon)]
+        outward = np.cross(p[1] - p[0], p[2] - p[0]) @ p.mean(axis=0)
+        ring = polygon if outward > 0 else polygon[::-1]
+        faces += [(ring[0], ring[k], ring[k + 1]) for k in range(1, len(ring) - 1)]
+    return np.array(faces), np.array([a for a, _ in place]), np.array([corner for _, corner in place])
+
+
+def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | None = None) -> Shape:
+    """A box with bevelled edges that shade round; ``grain`` is the axis along which u runs (the longest)."""
+    half = 0.5 * np.array(size, dtype=np.float64)
+    r = min(bevel, 0.45 * float(half.min()))
+    faces, axis, corner = _box_topology()
+    is_axis = np.arange(3)[None] == axis[:, None]
+    local = corner * np.where(is_axis, half, half - r)
+    normals = np.where(is_axis, corner, 0).astype(np.float64)
+    uv = _box_uv(local, normals, int(np.argmax(half)) if grain is None else grain, half)
+    flat_faces = faces if r > 0 else faces[:12]  # without a bevel its strips have no area
+    return Shape(local + np.array(at) + np.array([0.0, 0.0, half[2]]), normals, uv, flat_faces)
+
+
+def _box_uv(points: Floats, normals: Floats, grain: int, half: Floats) -> Floats:
+    """Box projection (n, 2): u along the grain where a face has it, else along the face's longer side."""
+    uv = np.zeros((len(points), 2))
+    axis, sign = np.argmax(np.abs(normals), axis=1), 1.0
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        along = grain if grain in (b, c) else (b if half[b] >= half[c] else c)
+        rows = axis == a
+        facing = np.sign(normals[rows, a])
+        if along == b:
+            uv[rows] = np.stack([points[rows, b], sign * facing * points[rows, c]], axis=1)
+        else:
+            uv[rows] = np.stack([points[rows, c], -sign * facing * points[rows, b]], axis=1)
+    return uv
+
+
+def rounded_box(
+    size: Point, radius: float, at: Point = _ORIGIN, segments: int = 2, bulge: float = 0.0
+) -> Shape:
+    """A box with round edges; ``bulge`` metres blow its large faces outwards like a cushion's."""
+    half = 0.5 * np.array(size, dtype=np.float64)
+    r = min(radius, 0.98 * float(half.min()))
+    angles = np.linspace(-math.pi / 4, 0, segments + 1)
+    inner = 3 if bulge else 0
+    thin = int(np.argmin(half))
+    shapes = []
+    for a in range(3):
+        for s in (-1.0, 1.0):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            grids = []
+            for k in (b, c):
+                flat = half[k] - r
+                middle = np.linspace(-flat, flat, inner + 2)[1:-1]
+                base = np.concatenate([np.full(segments + 1, -flat), middle, np.full(segments + 1, flat)])
+                grids.append((base, np.concatenate([angles, np.zeros(inner), -angles[::-1]])))
+            (pb, ab), (pc, ac) = grids
+            rows, columns = len(pc), len(pb)
+            direction = np.zeros((rows, columns, 3))
+            direction[..., a] = s
+            direction[..., b] = np.tan(ab)[None]
+            direction[..., c] = np.tan(ac)[:, None]
+            direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+            points = r * direction
+            points[..., a] += s * (half[a] - r)
+            points[..., b] += pb[None]
+            points[..., c] += pc[:, None]
+            uv = np.stack(np.broadcast_arrays((pb + r * ab)[None] * s, (pc + r * ac)[:, None]), axis=-1)
+            faces = _lattice_faces(rows, columns)
+            shapes.append(
+                Shape(
+                    points.reshape(-1, 3),
+                    direction.reshape(-1, 3),
+                    uv.reshape(-1, 2),
+                    faces if s > 0 else faces[:, ::-1],
+                )
+            )
+    shape = joined(shapes)
+    points = shape.points
+    if bulge:
+        others = [k for k in range(3) if k != thin]
+        share = np.clip(1 - (points[:, others] / half[others]) ** 2, 0, 1).prod(axis=1)
+        points = points.copy()
+        points[:, thin] += bulge * share * np.sign(points[:, thin]) * np.abs(points[:, thin]) / half[thin]
+        shape = smooth(replace(shape, points=points))
+    return shape.moved(at[0], at[1], at[2] + half[2])
+
+
+def _lattice_faces(rows: int, columns: int) -> Ints:
+    """Triangles over a (rows, columns) lattice, counter-clockwise for columns along x and rows along y."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    return np.concatenate(
+        [np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)]
+    )
+
+
+def smooth(shape: Shape) -> Shape:
+    """The shape with normals averaged over all triangles that meet at a place."""
+    _, spot = np.unique(np.round(shape.points, 7), axis=0, return_inverse=True)
+    spot = spot.reshape(-1)
+    p = shape.points[shape.faces]
+    cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    total = np.zeros((int(spot.max()) + 1, 3))
+    for k in range(3):
+        np.add.at(total, spot[shape.faces[:, k]], cross)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return replace(shape, normals=(total / np.maximum(length, 1e-30))[spot])
+
+
+def grid(points: Floats, is_print: bool = False) -> Shape:
+    """A smooth sheet over a (rows, columns, 3) lattice, seen from where columns run right and rows up."""
+    rows, columns = points.shape[:2]
+    along = np.linalg.norm(np.diff(points, axis=1), axis=2).mean(axis=0)
+    up = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+    u, v = np.concatenate([[0.0], np.cumsum(along)]), np.concatenate([[0.0], np.cumsum(up)])
+    if is_print:
+        u, v = u / u[-1], v / v[-1]
+    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    flat = points.reshape(-1, 3)
+    shape = Shape(flat, np.zeros_like(flat), uv, _lattice_faces(rows, columns), is_print)
+    return without_slivers(smooth(shape))
+
+
+def flipped(shape: Shape) -> Shape:
+    """The other side of a sheet."""
+    return replace(shape, normals=-shape.normals, faces=shape.faces[:, ::-1])
+
+
+def without_slivers(shape: Shape) -> Shape:
+    """The shape less triangles without area."""
+    p = shape.points[shape.faces]
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    return replace(shape, faces=shape.faces[area > 1e-12])
+
+
+def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments: int = 24) -> Shape:
+    """A body of revolution about z from (radius, height) pairs, from its foot up the outside and in again.
+
+    u runs along the profile, v around. Corners of the profile that turn more than 40 degrees stay sharp.
+    """
+    steps = np.array(profile, dtype=np.float64)
+    steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # a cosine that is not quite zero would leave a hole
+    edges = np.diff(steps, axis=0)
+    unit = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+    runs, start = [], 0
+    for k in range(1, len(unit) + 1):
+        if k == len(unit) or float(unit[k] @ unit[k - 1]) < _SHARP_COSINE:
+            runs.append((start, k))
+            start = k
+    angle = np.linspace(0, 2 * math.pi, segments + 1)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle[-1] = circle[0]
+    widest = float(steps[:, 0].max())
+    shapes, length = [], 0.0
+    for first, last in runs:
+        ring = steps[first : last + 1]
+        side = np.stack([unit[first:last, 1], -unit[first:last, 0]], axis=1)  # outward in (r, z)
+        mean = np.concatenate([side[:1], 0.5 * (side[1:] + side[:-1]), side[-1:]])
+        mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+        run = np.linalg.norm(np.diff(ring, axis=0), axis=1)
+        u = length + np.concatenate([[0.0], np.cumsum(run)])
+        length = float(u[-1])
+        count = len(ring)
+        points = np.empty((count, segments + 1, 3))
+        points[..., :2] = ring[:, None, :1] * circle[None]
+        points[..., 2] = ring[:, None, 1]
+        normals = np.empty_like(points)
+        normals[..., :2] = mean[:, None, :1] * circle[None]
+        normals[..., 2] = mean[:, None, 1]
+        uv = np.stack(np.broadcast_arrays(u[:, None], (angle * widest)[None]), axis=-1)
+        shapes.append(
+            Shape(
+                points.reshape(-1, 3),
+                normals.reshape(-1, 3),
+                uv.reshape(-1, 2),
+                _lattice_faces(count, segments + 1),
+            )
+        )
+    return without_slivers(joined(shapes)).moved(*at)
+
+
+def cylinder(
+    radius: float, height: float, at: Point = _ORIGIN, segments: int = 20, bevel: float = 0.002
+) -> Shape:
+    """A round rod or disc with bevelled rims."""
+    b = min(bevel, 0.4 * radius, 0.4 * height)
+    r, h = radius, height
+    return lathe([(0, 0), (r - b, 0), (r, b), (r, h - b), (r - b, h), (0, h)], at, segments)
+
+
+def ball(radius: float, at: Point = _ORIGIN, segments: int = 16) -> Shape:
+    """A sphere whose lowest point is ``at``."""
+    angle = np.linspace(-math.pi / 2, math.pi / 2, segments // 2 + 1)
+    return lathe([(radius * math.cos(a), radius + radius * math.sin(a)) for a in angle], at, segments)
+
+
+def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
+    """A round bar along a path, with flat ends; u runs along it."""
+    points = np.array(path, dtype=np.float64)
+    ahead = np.gradient(points, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    side = np.cross(ahead[0], [0.0, 0.0, 1.0] if abs(ahead[0, 2]) < 0.9 else [1.0, 0.0, 0.0])
+    rings, normals = [], []
+    angle = np.linspace(0, 2 * math.pi, segments + 1)
+    turn = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    turn[-1] = turn[0]
+    for place, forward in zip(points, ahead, strict=True):
+        side = side - (side @ forward) * forward
+        side /= np.linalg.norm(side)
+        other = np.cross(forward, side)
+        normal = turn[:, :1] * side + turn[:, 1:] * other
+        rings.append(place + radius * normal)
+        normals.append(normal)
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    uv = np.stack(np.broadcast_arrays(run[:, None], (angle * radius)[None]), axis=-1)
+    count = len(points)
+    body = Shape(
+        np.concatenate(rings),
+        np.concatenate(normals),
+        uv.reshape(-1, 2),
+        _lattice_faces(count, segments + 1)[:, ::-1],
+    )
+    return joined([_wound(body), _cap(rings[0], -ahead[0]), _cap(rings[-1], ahead[-1])])
+
+
+def _wound(shape: Shape) -> Shape:
+    """The shape with triangles turned to the side of their normals."""
+    p = shape.points[shape.faces]
+    cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    inward = (cross * shape.normals[shape.faces].mean(axis=1)).sum(axis=1) < 0
+    faces = np.where(inward[:, None], shape.faces[:, ::-1], shape.faces)
+    return replace(shape, faces=faces)
+
+
+def _cap(ring: Floats, normal: Floats) -> Shape:
+    rim = ring[:-1]
+    count = len(rim)
+    faces = np.array([(0, k, k + 1) for k in range(1, count - 1)])
+    side = (rim[0] - rim.mean(axis=0)) / np.linalg.norm(rim[0] - rim.mean(axis=0))
+    uv = np.stack([(rim - rim[0]) @ side, (rim - rim[0]) @ np.cross(normal, side)], axis=1)
+    return _wound(Shape(rim, np.broadcast_to(normal, rim.shape).copy(), uv, faces))
+
+
+def flat(quads: Floats, is_print: bool = False) -> Shape:
+    """Flat quads (q, 4, 3), each with its own normal and UVs; u along the first edge."""
+    a, b, d = quads[:, 0], quads[:, 1], quads[:, 3]
+    normal = np.cross(b - a, d - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    u = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)
+    v = np.cross(normal, u)
+    if is_print:
+        uv = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), (len(quads), 1))
+    else:
+        uv = np.stack(
+            [np.einsum("qcx,qx->qc", quads, u), np.einsum("qcx,qx->qc", quads, v)], axis=-1
+        ).reshape(-1, 2)
+    start = 4 * np.arange(len(quads))[:, None]
+    faces = np.concatenate([start + np.array([0, 1, 2]), start + np.array([0, 2, 3])])
+    return Shape(quads.reshape(-1, 3), np.repeat(normal, 4, axis=0), uv, faces, is_print)
+
+
+def loft(rings: Floats, caps: tuple[bool, bool] = (False, False)) -> Shape:
+    """A smooth skin over closed rings (k, c, 3), counter-clockwise seen from above, from the foot upwards.
+
+    Inner skins (of a basin) go on downwards. ``caps`` close the first and the last ring with a fan.
+    """
+    closed = np.concatenate([rings, rings[:, :1]], axis=1)
+    skin = grid(closed)
+    shapes = [skin]
+    for is_capped, ring, sign in ((caps[0], rings[0], -1.0), (caps[1], rings[-1], 1.0)):
+        if is_capped:
+            closed_ring = np.concatenate([ring, ring[:1]])
+            shapes.append(_cap(closed_ring, np.array([0.0, 0.0, sign])))
+    return joined(shapes)
+
+
+def rounded_ring(
+    width: float,
+    depth: float,
+    radius: float,
+    z: float,
+    centre: tuple[float, float] = (0.0, 0.0),
+    steps: int = 4,
+) -> Floats:
+    """A rounded rectangle (4 (steps + 1), 3) at height z, counter-clockwise."""
+    r = min(radius, 0.499 * width, 0.499 * depth)
+    points = []
+    for k, (sx, sy) in enumerate(((1, -1), (1, 1), (-1, 1), (-1, -1))):
+        for angle in np.linspace(-math.pi / 2, 0, steps + 1) + k * math.pi / 2:
+            points.append(
+                (
+                    centre[0] + sx * (0.5 * width - r) + r * math.cos(angle),
+                    centre[1] + sy * (0.5 * depth - r) + r * math.sin(angle),
+                    z,
+                )
+            )
+    return np.array(points)

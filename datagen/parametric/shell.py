@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: MIT
+"""The shell of a room: walls with openings, floor, ceiling, skirting, windows, doors, and what lies outside.
+
+The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height]. A *wall frame* looks at
+a wall from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from datagen.foundation.random import Draws
+from datagen.parametric.items import Item, Placed
+from datagen.parametric.shapes import Floats, Shape, box, cylinder, flat, grid, lathe, rotation, tube
+
+Wall = Literal["north", "west", "south", "east"]
+WALLS: tuple[Wall, ...] = ("north", "west", "south", "east")
+THICKNESS = 0.28
+_RECESS = 0.55 * THICKNESS  # of the window frames behind the wall's face
+_YAW: dict[Wall, float] = {"north": 0.0, "west": 0.5 * math.pi, "south": math.pi, "east": -0.5 * math.pi}
+CASING_M = 0.09  # how far frames of doors and windows reach beyond the opening
+DOOR_HEIGHT = 2.03
+
+
+@dataclass(frozen=True)
+class Window:
+    """An opening in a wall: middle ``s``, ``width``, ``height`` above ``sill``; panes across and up."""
+
+    wall: Wall
+    s: float
+    width: float
+    sill: float
+    height: float
+    panes: tuple[int, int] = (2, 1)
+
+
+@dataclass(frozen=True)
+class Door:
+    """A closed door that opens inwards: middle ``s``, leaf ``width``, ``hinge`` at its left (-1) or right."""
+
+    wall: Wall
+    s: float
+    width: float
+    hinge: Literal[-1, 1]
+    height: float = DOOR_HEIGHT
+
+
+@dataclass(frozen=True)
+class Shell:
+    """Size and openings of a room. ``accent`` is a wall of another colour, ``tiled`` those with tiles."""
+
+    width: float
+    depth: float
+    height: float
+    windows: tuple[Window, ...]
+    doors: tuple[Door, ...]
+    accent: Wall | None = None
+    tiled: tuple[Wall, ...] = ()
+    storey_m: float = 0.35
+    has_beams: bool = False
+
+    def length(self, wall: Wall) -> float:
+        return self.width if wall in ("north", "south") else self.depth
+
+    def yaw(self, wall: Wall) -> float:
+        """What turns a wall's frame into the room's."""
+        return _YAW[wall]
+
+    def point(self, wall: Wall, s: float, gap: float = 0.0) -> tuple[float, float]:
+        """(x, y) of the place ``s`` along a wall, ``gap`` in front of it."""
+        half = 0.5 * (self.depth if wall in ("north", "south") else self.width)
+        x, y, _ = rotation("z", _YAW[wall]) @ np.array([s, half - gap, 0.0])
+        return round(float(x), 9), round(float(y), 9)
+
+    def on_wall(self, item: Item, name: str, wall: Wall, s: float, z: float, gap: float = 0.0) -> Placed:
+        """An item with its back ``gap`` off a wall."""
+        return Placed(item, name, (*self.point(wall, s, gap), z), _YAW[wall])
+
+    def spans(self, wall: Wall) -> list[tuple[float, float, float, float]]:
+        """Openings of a wall with their frames: s0, s1, z0, z1."""
+        found = []
+        for w in self.windows:
+            if w.wall == wall:
+                found.append((w.s - w.width / 2, w.s + w.width / 2, w.sill, w.sill + w.height))
+        for d in self.doors:
+            if d.wall == wall:
+                found.append((d.s - d.width / 2, d.s + d.width / 2, 0.0, d.height))
+        return [(a - CASING_M, b + CASING_M, max(0.0, c - CASING_M), e + CASING_M) for a, b, c, e in found]
+
+
+def swing(shell: Shell, door: Door) -> Floats:
+    """Corners (k, 2) of the sector that a door's leaf sweeps, in the room."""
+    hinge = door.s + door.hinge * door.width / 2
+    angles = np.linspace(0, 0.5 * math.pi, 10)
+    arc = [(hinge - door.hinge * door.width * math.cos(a), -door.width * math.sin(a)) for a in angles]
+    yaw = rotation("z", _YAW[door.wall])[:2, :2]
+    foot = np.array(shell.point(door.wall, 0.0))
+    return np.array([(hinge, 0.0), *arc]) @ yaw.T + foot
+
+
+def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
+    """Everything that is built, as placed items."""
+    w, d, h, t = shell.width, shell.depth, shell.height, THICKNESS
+    body = Item("shell")
+    body.shapes.append(("floor", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), 0.0, grain=0)))
+    body.shapes.append(("ceiling", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), 0.0)))
+    found = [Placed(body, "shell", (0.0, 0.0, 0.0), 0.0)]
+    for wall in WALLS:
+        found.append(Placed(_wall(shell, wall), f"wall_{wall}", (*shell.point(wall, 0.0), 0.0), _YAW[wall]))
+    skirting = draws.uniform(0.06, 0.14)
+    cornice = draws.chance(0.25)
+    for wall in WALLS:
+        trim = Item("trim", hold="wall")
+        if wall not in shell.tiled:
+            _skirting(trim, shell, wall, skirting)
+        if cornice and not shell.tiled:
+            _cornice(trim, shell, wall)
+        if trim.shapes:
+            found.append(shell.on_wall(trim, f"trim_{wall}", wall, 0.0, 0.0))
+    for k, window in enumerate(shell.windows):
+        found.append(shell.on_wall(_window(window), f"window_{k}", window.wall, window.s, window.sill))
+    panels = draws.choice(("framed", "flat", "glazed"))
+    for k, door in enumerate(shell.doors):
+        found.append(shell.on_wall(_door(door, panels), f"door_{k}", door.wall, door.s, 0.0))
+    if shell.has_beams:
+        found.append(_beams(shell))
+    return found
+
+
+def _wall(shell: Shell, wall: Wall) -> Item:
+    """A thick wall with holes for its windows; north and south fill the corners."""
+    reach = THICKNESS if wall in ("north", "south") else 0.0
+    half = shell.length(wall) / 2 + reach
+    holes = [
+        (x.s - x.width / 2, x.s + x.width / 2, x.sill, x.sill + x.height)
+        for x in shell.windows
+        if x.wall == wall
+    ]
+    xs = sorted({-half, half, *(v for hole in holes for v in hole[:2])})
+    zs = sorted({-0.05, shell.height + 0.05, *(v for hole in holes for v in hole[2:])})
+
+    def is_solid(i: int, j: int) -> bool:
+        if not (0 <= i < len(xs) - 1 and 0 <= j < len(zs) - 1):
+            return False
+        x, z = (xs[i] + xs[i + 1]) / 2, (zs[j] + zs[j + 1]) / 2
+        return not any(a < x < b and c < z < e for a, b, c, e in holes)
+
+    quads = []
+    for i in range(len(xs) - 1):
+        for j in range(len(zs) - 1):
+            if not is_solid(i, j):
+                continue
+            x0, x1, z0, z1 = xs[i], xs[i + 1], zs[j], zs[j + 1]
+            near = [(x0, 0.0, z0), (x1, 0.0, z0), (x1, 0.0, z1), (x0, 0.0, z1)]
+            far = [(x, THICKNESS, z) for x, _, z in near]
+            quads.append(near)
+            quads.append([far[1], far[0], far[3], far[2]])
+            for a, b, di, dj in ((0, 1, 0, -1), (1, 2, 1, 0), (2, 3, 0, 1), (3, 0, -1, 0)):
+                if not is_solid(i + di, j + dj):
+                    quads.append([near[b], near[a], far[a], far[b]])
+    slot = "wall_tiles" if wall in shell.tiled else "wall_accent" if wall == shell.accent else "walls"
+    item = Item("wall", hold="wall")
+    item.shapes.append((slot, flat(np.array(quads))))
+    return item
+
+
+def _skirting(item: Item, shell: Shell, wall: Wall, height: float) -> None:
+    half = shell.length(wall) / 2
+    gaps = sorted((a, b) for a, b, low, _ in shell.spans(wall) if low < height + 0.02)
+    start = -half
+    for a, b in [*gaps, (half, half)]:
+        if a - start > 0.02:
+            middle = (a + start) / 2
+            item.add("trim", box((a - start, 0.014, height), (middle, -0.007, 0), 0.003, grain=0))
+            item.add(
+                "trim", box((a - start, 0.009, 0.014), (middle, -0.0045, height - 0.002), 0.003, grain=0)
+            )
+        start = b
+
+
+def _cornice(item: Item, shell: Shell, wall: Wall) -> None:
+    length, h = shell.length(wall), shell.height
+    for depth, low, high in ((0.05, 0.022, 0.0), (0.032, 0.045, 0.021), (0.016, 0.08, 0.044)):
+        item.add("trim", box((length, depth, low - high), (0, -depth / 2, h - low), 0.003, grain=0))
+
+
+def _beams(shell: Shell) -> Placed:
+    item = Item("beams", hold="ceiling")
+    count = max(2, round(shell.width / 1.1))
+    for k in range(count):
+        x = -shell.width / 2 + (k + 0.5) * shell.width / count
+        item.add("second", box((0.12, shell.depth, 0.14), (x, 0, -0.14), 0.008, grain=1))
+    return Placed(item, "beams", (0.0, 0.0, shell.height), 0.0)
+
+
+def _window(window: Window) -> Item:
+    """Frame, casements with handles, sill board and casing; z = 0 is the opening's lower edge."""
+    item = Item("window", hold="wall")
+    w, h, y = window.width, window.height, _RECESS
+    frame = 0.055
+    for z in (0.0, h - frame):
+        item.add("trim", box((w, 0.06, frame), (0, y, z), 0.004, grain=0))
+    for side in (-1, 1):
+        item.add(
+            "trim", box((frame, 0.06, h - 2 * frame), (side * (w - frame) / 2, y, frame), 0.004, grain=2)
+        )
+    columns, rows = window.panes
+    inner_w, inner_h = w - 2 * frame, h - 2 * frame
+    for k in range(columns):
+        cw = inner_w / columns
+        x = -inner_w / 2 + (k + 0.5) * cw
+        for z in (0.002, inner_h - 0.052):
+            item.add("trim", box((cw - 0.004, 0.045, 0.05), (x, y - 0.012, frame + z), 0.004, grain=0))
+        for side in (-1, 1):
+            at = (x + side * (cw / 2 - 0.027), y - 0.012, frame + 0.052)
+            item.add("trim", box((0.05, 0.045, inner_h - 0.104), at, 0.004, grain=2))
+        for r in range(1, rows):
+            at = (x, y - 0.012, frame + r * inner_h / rows - 0.011)
+            item.add("trim", box((cw - 0.104, 0.03, 0.022), at, 0.003, grain=0))
+        hx = x + (cw / 2 - 0.027) * (1 if k % 2 == 0 else -1)
+        level = min(0.45 * h, 1.05)
+        item.add("metal", box((0.026, 0.01, 0.07), (hx, y - 0.038, level), 0.003))
+        item.add(
+            "metal",
+            tube(
+                [
+                    (hx, y - 0.04, level + 0.035),
+                    (hx, y - 0.065, level + 0.033),
+                    (hx, y - 0.068, level - 0.08),
+                ],
+                0.0075,
+                8,
+            ),
+        )
+    if window.sill > 0.3:
+        item.add("sill", box((w + 0.12, 0.07, 0.03), (0, -0.0345, -0.029), 0.006, grain=0))
+        item.add(
+            "sill", box((w - 0.002, y - 0.03, 0.0305), (0, (y - 0.03) / 2 + 0.0001, -0.029), 0.0005, grain=0)
+        )
+        item.support("sill", (0, y / 2 - 0.05), (w - 0.12, y - 0.02), 0.0015, 0.45)
+    foot = 0.001 if window.sill > 0.3 else 0.0
+    for side in (-1, 1):
+        item.add(
+            "trim",
+            box((0.07, 0.018, h + 0.012 - foot), (side * (w / 2 + 0.03), -0.009, foot), 0.004, grain=2),
+        )
+    item.add("trim", box((w + 0.16, 0.022, 0.075), (0, -0.011, h + 0.012), 0.005, grain=0))
+    return item
+
+
+def _door(door: Door, panels: str) -> Item:
+    """A closed leaf with panels, handle, casing and hinges on the wall's face."""
+    item = Item("door", hold="wall")
+    w, h = door.width, door.height
+    item.add("door", box((w, 0.03, h), (0, -0.003, 0.006), 0.003, grain=2))
+    if panels == "framed":
+        for low, high in ((0.14, 0.8), (0.94, h - 0.14)):
+            for side in (-1, 1):
+                pw = (w - 0.36) / 2
+                x = side * (pw / 2 + 0.06)
+                item.add("door", box((pw, 0.012, high - low), (x, -0.0195, low), 0.009, grain=2))
+    elif panels == "glazed":
+        for r in range(3):
+            z = 0.75 + r * (h - 0.95) / 3
+            item.add("opal", box((w - 0.3, 0.004, (h - 0.95) / 3 - 0.05), (0, -0.0195, z), 0.001))
+    for side in (-1, 1):
+        item.add("trim", box((0.08, 0.03, h + 0.01), (side * (w / 2 + 0.0415), -0.015, 0), 0.005, grain=2))
+    item.add("trim", box((w + 0.18, 0.034, 0.08), (0, -0.017, h + 0.01), 0.005, grain=0))
+    x = -door.hinge * (w / 2 - 0.07)
+    item.add("metal", box((0.042, 0.006, 0.2), (x, -0.0205, 0.94), 0.002))
+    reach = door.hinge * 0.12
+    lever = [(x, -0.02, 1.06), (x, -0.062, 1.06), (x + reach * 0.2, -0.068, 1.06), (x + reach, -0.066, 1.058)]
+    item.add("metal", tube(lever, 0.009, 10))
+    for z in (0.25, h - 0.3):
+        item.add("metal", cylinder(0.008, 0.1, (door.hinge * (w / 2 + 0.001), -0.032, z), 10))
+    return item
+
+
+def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
+    """Windows as (name, corner, edge_u, edge_v) on the outer face; edge_u x edge_v points into the room."""
+    found = []
+    for k, window in enumerate(shell.windows):
+        yaw = rotation("z", _YAW[window.wall])
+        corner = np.array([*shell.point(window.wall, window.s, -(THICKNESS + 0.005)), window.sill])
+        right = yaw @ np.array([1.0, 0.0, 0.0])
+        found.append(
+            (
+                f"window {k}",
+                corner - 0.5 * window.width * right,
+                window.width * right,
+                np.array([0.0, 0.0, window.height]),
+            )
+        )
+    return found
+
+
+def outside(shell: Shell, draws: Draws) -> list[Placed]:
+    """What windows look out onto: ground below, then hedges, trees or the houses across, by draw."""
+    item = Item("outside")
+    level = -shell.storey_m
+    scene = draws.choice(("garden", "street", "trees"))
+    reach = 30.0
+    ground = "asphalt" if scene == "street" else "lawn"
+    item.add(ground, box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), 0.0, grain=0))
+    for wall in sorted({w.wall for w in shell.windows}):
+        turn = math.degrees(_YAW[wall])
+        start = 0.5 * (shell.depth if wall in ("north", "south") else shell.width) + THICKNESS
+        if scene == "street":
+            for shape, slot in _houses(draws, start + draws.uniform(9, 14), level):
+                item.add(slot, shape.turned("z", turn))
+        else:
+            far = start + draws.uniform(5, 10)
+            if scene == "garden":
+                item.add("hedge", _hedge(draws, far, level).turned("z", turn))
+            for _ in range(draws.integer(4, 8) if scene == "trees" else draws.integer(1, 3)):
+                x, y = draws.uniform(-9, 9), far + draws.uniform(1.0, 8.0)
+                for shape, slot in _tree(draws, level):
+                    item.add(slot, shape.moved(x, y).turned("z", turn))
+            for shape, slot in _houses(draws, far + 11, level):
+                item.add(slot, shape.turned("z", turn))
+    return [Placed(item, "outside", (0.0, 0.0, 0.0), 0.0)]
+
+
+def _hedge(draws: Draws, y: float, level: float) -> Shape:
+    s = np.linspace(-14, 14, 57)
+    height = draws.uniform(1.2, 2.2)
+    rows = np.array([0.0, 0.4, 0.8, 1.0, 1.0])
+    depth = np.array([0.0, -0.06, 0.0, 0.12, 0.8])
+    noise = draws.units(5, 57) - 0.5
+    points = np.empty((5, 57, 3))
+    points[..., 0] = s[None] + 0.15 * noise
+    points[..., 1] = y + depth[:, None] + 0.18 * noise
+    points[..., 2] = level + rows[:, None] * height + 0.12 * noise
+    return grid(points)
+
+
+def _tree(draws: Draws, level: float) -> list[tuple[Shape, str]]:
+    tall = draws.uniform(3.5, 8.0)
+    found: list[tuple[Shape, str]] = [
+        (
+            tube(
+                [(0, 0, level), (0.1, 0, level + 0.3 * tall), (0.0, 0.05, level + 0.75 * tall)],
+                0.06 + 0.012 * tall,
+                8,
+            ),
+            "bark",
+        )
+    ]
+    for _ in range(9):
+        radius = draws.uniform(0.12, 0.22) * tall
+        angle = np.linspace(-math.pi / 2, math.pi / 2, 7)
+        crown = lathe([(radius * math.cos(a), radius * math.sin(a)) for a in angle], segments=11)
+        bumps = 1 + 0.22 * np.sin(7 * crown.points @ draws.sphere(1)[0] / radius + draws.uniform(0, 6))
+        place = draws.sphere(1)[0] * tall * np.array([0.2, 0.2, 0.16])
+        shape = Shape(crown.points * bumps[:, None], crown.normals, crown.uv, crown.faces)
+        found.append((shape.moved(place[0], place[1], level + 0.72 * tall + place[2]), "foliage"))
+    return found
+
+
+def _houses(draws: Draws, y: float, level: float) -> list[tuple[Shape, str]]:
+    """A row of houses with windows whose fronts are at ``y``, seen from the south."""
+    found: list[tuple[Shape, str]] = []
+    x = -24.0
+    while x < 24.0:
+        w, h = draws.uniform(6, 11), draws.uniform(5.5, 13.0)
+        slot = draws.choice(("facade", "facade_b", "facade"))
+        back = draws.uniform(0.0, 1.2)
+        found.append((box((w, 6.0, h), (x + w / 2, y + 3 + back, level), 0.0), slot))
+        found.append((box((w + 0.4, 6.6, 0.35), (x + w / 2, y + 3 + back, level + h - 0.01), 0.02), "roof"))
+        columns, rows = max(2, round(w / 2.4)), max(1, int(h / 2.9))
+        for c in range(columns):
+            for r in range(rows):
+                at = (x + (c + 0.5) * w / columns, y + back, level + 0.9 + r * 2.9)
+                found.append((box((1.25, 0.08, 1.65), (at[0], at[1] - 0.01, at[2] - 0.05), 0.01), "mount"))
+                found.append((box((1.1, 0.06, 1.5), (at[0], at[1] - 0.04, at[2]), 0.01), "pane"))
+        x += w + draws.choice((0.02, 0.02, 2.5))
+    return found

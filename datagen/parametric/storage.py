@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: MIT
+"""Things that hold things: wardrobes, chests, bookcases, racks, boards with tools."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from datagen.foundation.random import Draws
+from datagen.parametric.items import Item, Style
+from datagen.parametric.joinery import books, fronts, legs
+from datagen.parametric.shapes import Shape, box, lathe, loft, rounded_box, tube
+
+
+def cabinet(
+    name: str,
+    style: Style,
+    size: tuple[float, float, float],
+    rows: list[tuple[str, float]],
+    columns: int,
+    foot: float,
+    slots: tuple[str, str] = ("wood", "front"),
+) -> Item:
+    """A closed cabinet (width, depth, height) on feet or a plinth of height ``foot``."""
+    w, d, h = size
+    item = Item(name, front_m=0.5)
+    body, face = slots
+    if foot > 0.09:
+        legs(item, style, (-w / 2 + 0.03, w / 2 - 0.03, -d + 0.04, -0.03), foot + 0.0005, 0.04)
+    elif foot > 0:
+        item.add(body, box((w - 0.03, d - 0.07, foot + 0.0005), (0, -d / 2 + 0.015, 0), 0.002, grain=0))
+    item.add(
+        body, box((w, d - 0.02, h - foot - 0.02), (0, -d / 2 + 0.01, foot), 0.002, grain=0 if w > h else 2)
+    )
+    item.add(body, box((w + 0.01, d + 0.004, 0.02), (0, -d / 2, h - 0.02), 0.003, grain=0))
+    scale = (h - foot - 0.026) / sum(height for _, height in rows)
+    fronts(
+        item,
+        style,
+        w - 0.004,
+        (0, -d + 0.02, foot + 0.002),
+        [(k, height * scale) for k, height in rows],
+        columns,
+        face,
+    )
+    return item
+
+
+def chest(style: Style, draws: Draws, width: float, name: str = "chest") -> Item:
+    """A chest of drawers."""
+    h = draws.uniform(0.74, 0.95)
+    rows = [("drawer", 0.26), ("drawer", 0.22), ("drawer", 0.2)] + ([("drawer", 0.17)] if h > 0.84 else [])
+    item = cabinet(
+        name,
+        style,
+        (width, draws.uniform(0.42, 0.48), h),
+        rows,
+        1 if width < 0.7 else 2,
+        draws.choice((0.05, 0.13)),
+    )
+    d = -item.bounds[0, 1]
+    item.support("table", (0, -d / 2), (width - 0.06, d - 0.1), h)
+    return item
+
+
+def bedside(style: Style, draws: Draws) -> Item:
+    """A bedside table with a drawer or two."""
+    w, h = draws.uniform(0.38, 0.5), draws.uniform(0.46, 0.58)
+    rows = [("drawer", 0.2), ("drawer", 0.16)] if draws.chance(0.6) else [("door", 0.3)]
+    item = cabinet("bedside", style, (w, 0.4, h), rows, 1, draws.choice((0.05, 0.15)))
+    item.front_m = 0.3
+    item.support("table", (0, -0.2), (w - 0.05, 0.34), h, 0.6)
+    return item
+
+
+def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) -> Item:
+    """A long low cabinet with doors and drawers."""
+    count = max(2, round(width / 0.5))
+    rows = [("door", 0.46), ("drawer", 0.17)] if height > 0.6 and draws.chance(0.6) else [("door", 0.5)]
+    item = cabinet(
+        "sideboard", style, (width, draws.uniform(0.4, 0.47), height), rows, count, draws.choice((0.06, 0.14))
+    )
+    d = -item.bounds[0, 1]
+    item.support("table", (0, -d / 2), (width - 0.06, d - 0.1), height)
+    return item
+
+
+def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
+    """A wardrobe with two to five doors."""
+    w, h = doors * draws.uniform(0.45, 0.52), draws.uniform(2.0, 2.25)
+    rows = [("drawer", 0.22), ("door", 1.7)] if draws.chance(0.35) else [("door", 1.9)]
+    item = cabinet("wardrobe", style, (w, draws.uniform(0.56, 0.62), h), rows, doors, 0.06)
+    item.front_m = 0.6
+    return item
+
+
+def bookcase(
+    style: Style, draws: Draws, width: float, height: float, depth: float = 0.3, fill: float = 0.6
+) -> Item:
+    """Open shelves with uprights, a back and rows of books; free stretches bear things."""
+    item = Item("bookcase", front_m=0.45)
+    t = 0.024
+    item.add("wood", box((width - 2 * t, 0.008, height - 0.06), (0, -0.006, 0.05), 0.0))
+    columns = max(1, round(width / 0.8))
+    for k in range(columns + 1):
+        x = -width / 2 + t / 2 + k * (width - t) / columns
+        item.add("wood", box((t, depth, height), (x, -depth / 2, 0), 0.002, grain=2))
+    bay = (width - t) / columns - t
+    count = max(2, round((height - 0.1) / 0.34))
+    pitch = (height - 0.07 - t) / count
+    for c in range(columns):
+        x = -width / 2 + t + bay / 2 + c * (bay + t)
+        item.add("wood", box((bay, 0.02, 0.066), (x, -depth + 0.03, 0), 0.001))
+        for k in range(count + 1):
+            z = 0.066 + k * pitch
+            item.add("wood", box((bay, depth - 0.018, t), (x, -depth / 2 - 0.003, z), 0.001, grain=0))
+            if k == count:
+                continue
+            free = pitch - t
+            left, right = x - bay / 2 + 0.005, x + bay / 2 - 0.005
+            if draws.chance(fill):
+                stop = left + draws.uniform(0.25, 1.0) * (right - left)
+                left = books(item, draws, left, stop, -0.02 - draws.uniform(0.0, 0.04), z + t, free) + 0.02
+            if right - left > 0.12:
+                item.support(
+                    "shelf",
+                    (0.5 * (left + right), -depth / 2 - 0.02),
+                    (right - left, depth - 0.06),
+                    z + t,
+                    free - 0.02,
+                )
+    if height < 1.5:
+        item.support("shelf", (0, -depth / 2), (width - 0.06, depth - 0.06), 0.066 + count * pitch + t, 0.6)
+    return item
+
+
+def cube_shelf(style: Style, draws: Draws, columns: int, rows: int) -> Item:
+    """A shelf of square bays, some with baskets or toys."""
+    item = Item("cube_shelf", front_m=0.45)
+    each, d, t = 0.36, 0.38, 0.03
+    w, h = columns * each + t, rows * each + t
+    for k in range(columns + 1):
+        item.add("wood", box((t, d, h), (-w / 2 + t / 2 + k * each, -d / 2, 0), 0.003, grain=2))
+    for c in range(columns):
+        x = -w / 2 + t / 2 + (c + 0.5) * each
+        for r in range(rows + 1):
+            item.add("wood", box((each - t, d - 0.004, t), (x, -d / 2, r * each), 0.002, grain=0))
+        for r in range(rows):
+            z = r * each + t
+            pick = draws.unit()
+            if pick < 0.35:
+                item.add(
+                    "basket", rounded_box((each - t - 0.03, d - 0.05, 0.24), 0.02, (x, -d / 2 - 0.005, z), 2)
+                )
+            elif pick < 0.5:
+                books(item, draws, x - 0.15, x + 0.15, -0.05, z, 0.31)
+            elif pick < 0.62:
+                for j in range(3):
+                    slot = ("toy_a", "toy_b", "book_f")[j]
+                    item.add(
+                        slot,
+                        box((0.075, 0.075, 0.075), (x - 0.09 + 0.09 * j, -d / 2 - 0.06 * (j % 2), z), 0.006),
+                    )
+            else:
+                item.support("shelf", (x, -d / 2), (each - t - 0.02, d - 0.06), z, each - t - 0.02)
+    item.support("table" if h < 1.0 else "shelf", (0, -d / 2), (w - 0.04, d - 0.06), h, 0.7)
+    return item
+
+
+def rack(style: Style, draws: Draws, width: float) -> Item:
+    """A shelf of steel uprights and boards with boxes and cans, for stores and workshops."""
+    item = Item("rack", front_m=0.5)
+    h, d = draws.uniform(1.75, 2.0), draws.uniform(0.38, 0.5)
+    for x in (-width / 2 + 0.02, width / 2 - 0.02):
+        for y in (-0.02, -d + 0.02):
+            item.add("steel", box((0.035, 0.035, h), (x, y, 0), 0.002, grain=2))
+    for k in range(4):
+        z = 0.12 + k * (h - 0.2) / 3
+        for y in (-0.006, -d + 0.006):
+            item.add(
+                "steel",
+                box((width - 0.075, 0.012, 0.05), (0, y - 0.008 if y > -0.1 else y + 0.008, z - 0.03), 0.001),
+            )
+        item.add("wood", box((width - 0.076, d - 0.045, 0.018), (0, -d / 2, z), 0.001, grain=0))
+        x = -width / 2 + 0.07
+        while x < width / 2 - 0.3 and k < 3:
+            bw, bh = draws.uniform(0.2, 0.36), draws.uniform(0.14, min(0.32, (h - 0.2) / 3 - 0.1))
+            if x + bw > width / 2 - 0.06:
+                break
+            if draws.chance(0.55):
+                item.add("box", box((bw, d - 0.12, bh), (x + bw / 2, -d / 2, z + 0.018), 0.004))
+                item.add(
+                    "mount", box((0.09, 0.002, 0.05), (x + bw / 2, -d + 0.059, z + 0.018 + bh * 0.45), 0.0)
+                )
+            elif draws.chance(0.4):
+                item.add(
+                    "tool",
+                    lathe(
+                        [(0, 0), (0.08, 0), (0.082, 0.004), (0.082, 0.16), (0.076, 0.166), (0, 0.166)],
+                        (x + 0.1, -d / 2, z + 0.018),
+                        20,
+                    ),
+                )
+            else:
+                item.support("shelf", (x + bw / 2, -d / 2), (bw, d - 0.1), z + 0.018, (h - 0.2) / 3 - 0.08)
+            x += bw + 0.03
+    item.support("shelf", (0, -d / 2), (width - 0.12, d - 0.1), 0.12 + (h - 0.2) + 0.018, 0.4)
+    return item
+
+
+def wall_shelf(style: Style, draws: Draws, width: float, boards: int = 2) -> Item:
+    """Boards on brackets, hung on the wall; the item's z = 0 is the lowest board's underside."""
+    item = Item("wall_shelf", hold="wall")
+    d = 0.24
+    for k in range(boards):
+        z = 0.36 * k
+        item.add("second", box((width, d, 0.026), (0, -d / 2, z), 0.003, grain=0))
+        for x in (-0.38 * width, 0.38 * width):
+            item.add("metal", box((0.025, 0.004, 0.12), (x, -0.002, z - 0.121), 0.001))
+            item.add("metal", tube([(x, -0.006, z - 0.11), (x, -d * 0.7, z - 0.012)], 0.006, 6))
+            item.add("metal", box((0.025, d * 0.75, 0.004), (x, -d * 0.375, z - 0.0045), 0.001))
+        left = -width / 2 + 0.03
+        if draws.chance(0.5):
+            left = books(item, draws, left, left + 0.5 * width, -0.03, z + 0.026, 0.3) + 0.02
+        if width / 2 - left > 0.15:
+            item.support(
+                "shelf",
+                (0.5 * (left + width / 2 - 0.03), -d / 2),
+                (width / 2 - 0.03 - left, d - 0.05),
+                z + 0.026,
+                0.3,
+            )
+    return item
+
+
+def tool_board(style: Style, draws: Draws, width: float) -> Item:
+    """A board on the wall with tools on hooks."""
+    item = Item("tool_board", hold="wall")
+    h = 0.72
+    item.add("second", box((width, 0.018, h), (0, -0.009, 0), 0.002, grain=0))
+    x = -width / 2 + 0.12
+    while x < width / 2 - 0.1:
+        kind, top = (
+            draws.choice(("hammer", "saw", "driver", "square", "tongs")),
+            h - draws.uniform(0.08, 0.16),
+        )
+        if kind == "hammer":
+            item.add("grip", tube([(x, -0.04, top - 0.3), (x, -0.04, top)], 0.013, 10))
+            item.add("tool", box((0.11, 0.026, 0.03), (x, -0.04, top - 0.012), 0.004))
+        elif kind == "saw":
+            item.add("tool", box((0.075, 0.002, 0.36), (x, -0.03, top - 0.4), 0.0))
+            item.add("grip", rounded_box((0.1, 0.022, 0.11), 0.01, (x, -0.031, top - 0.05), 2))
+        elif kind == "driver":
+            for k in range(3):
+                item.add(
+                    "grip",
+                    tube(
+                        [(x + 0.04 * k - 0.04, -0.035, top), (x + 0.04 * k - 0.04, -0.035, top - 0.1)],
+                        0.012,
+                        8,
+                    ),
+                )
+                item.add(
+                    "tool",
+                    tube(
+                        [(x + 0.04 * k - 0.04, -0.035, top - 0.1), (x + 0.04 * k - 0.04, -0.035, top - 0.21)],
+                        0.0035,
+                        6,
+                    ),
+                )
+        elif kind == "square":
+            item.add("tool", box((0.03, 0.003, 0.26), (x - 0.05, -0.03, top - 0.26), 0.001))
+            item.add("grip", box((0.13, 0.014, 0.03), (x, -0.03, top - 0.03), 0.003))
+        else:
+            for side in (-1, 1):
+                item.add(
+                    "grip",
+                    tube(
+                        [
+                            (x + side * 0.004, -0.034, top - 0.06),
+                            (x + side * 0.025, -0.034, top - 0.12),
+                            (x + side * 0.022, -0.034, top - 0.2),
+                        ],
+                        0.009,
+                        8,
+                    ),
+                )
+            item.add("tool", box((0.03, 0.014, 0.07), (x, -0.034, top - 0.07), 0.004))
+        item.add("metal", tube([(x, -0.017, top - 0.01), (x, -0.055, top - 0.008)], 0.003, 6))
+        x += draws.uniform(0.16, 0.24)
+    return item
+
+
+def coat_rail(style: Style, draws: Draws, width: float) -> Item:
+    """A board with hooks, and coats and bags on some."""
+    item = Item("coat_rail", hold="wall")
+    item.add("second", box((width, 0.022, 0.12), (0, -0.011, 0), 0.004, grain=0))
+    count = max(3, round(width / 0.19))
+    for k in range(count):
+        x = -width / 2 + (k + 0.5) * width / count
+        item.add("metal", tube([(x, -0.02, 0.075), (x, -0.06, 0.07), (x, -0.075, 0.095)], 0.006, 8))
+        item.add("metal", tube([(x, -0.02, 0.04), (x, -0.04, 0.025), (x, -0.048, 0.045)], 0.005, 8))
+        if draws.chance(0.4):
+            slot = draws.choice(("towel", "cushion_a", "cushion_b", "throw"))
+            item.add(slot, _coat(draws, width / count).moved(x, -0.012, 0.055))
+    return item
+
+
+def _coat(draws: Draws, room: float) -> Shape:
+    """A garment that hangs from a hook: its loop is the origin."""
+    length, half = draws.uniform(0.7, 1.0), min(0.23, 0.45 * room + 0.02)
+    phase = draws.uniform(0, 6)
+    rings = []
+    for t in np.linspace(1, 0, 14):
+        w = half * (0.18 + 0.82 * min(1.0, (t * 3.2) ** 0.7)) * (1 - 0.08 * t)
+        deep = 0.05 * (0.35 + 0.65 * min(1.0, 3 * t))
+        angle = np.linspace(0, 2 * np.pi, 25)[:-1]
+        fold = 1 + 0.16 * t * np.sin(5 * angle + phase) + 0.06 * np.sin(9 * angle)
+        ring = np.stack(
+            [w * np.cos(angle) * fold, -0.062 + deep * np.sin(angle) * fold, np.full(24, -t * length)], axis=1
+        )
+        ring[:, 1] = np.minimum(ring[:, 1], -0.012)
+        rings.append(ring)
+    return loft(np.array(rings), (True, True))
+
+
+def drying_rack(style: Style, draws: Draws) -> Item:
+    """A folding rack with laundry over some bars."""
+    item = Item("drying_rack", front_m=0.3)
+    w, d, h = 0.56, draws.uniform(1.0, 1.3), 0.92
+    for x in (-w / 2, w / 2):
+        item.add("metal", tube([(x, -0.12, 0.008), (x, -d + 0.1, h)], 0.008))
+        item.add("metal", tube([(x, -d + 0.12, 0.008), (x, -0.1, h)], 0.008))
+        item.add("metal", tube([(x, -0.04, h), (x, -d + 0.04, h)], 0.008))
+    count = 9
+    for k in range(count):
+        y = -0.06 - k * (d - 0.12) / (count - 1)
+        item.add("metal", tube([(-w / 2, y, h + 0.001), (w / 2, y, h + 0.001)], 0.0035, 6))
+        if draws.chance(0.35) and k % 2 == 0:
+            lw, lh = draws.uniform(0.2, w - 0.1), draws.uniform(0.2, 0.42)
+            slot = draws.choice(("towel", "bedding", "throw"))
+            for side in (-1, 1):
+                item.add(slot, box((lw, 0.005, lh), (0, y + side * 0.0085, h - lh + 0.003), 0.002))
+            item.add(slot, box((lw, 0.022, 0.006), (0, y, h + 0.004), 0.0028))
+    return item
+
+
+def basket(style: Style, draws: Draws) -> Item:
+    """A tall basket."""
+    item = Item("basket")
+    r, h = draws.uniform(0.17, 0.23), draws.uniform(0.3, 0.55)
+    profile = [
+        (0, 0),
+        (0.82 * r, 0),
+        (0.86 * r, 0.015),
+        (r, h - 0.01),
+        (r + 0.006, h),
+        (r - 0.008, h),
+        (0.84 * r, 0.02),
+        (0, 0.02),
+    ]
+    item.add("basket", lathe(profile, (0, -r - 0.02, 0), 28))
+    if draws.chance(0.6):
+        item.add("towel", rounded_box((1.25 * r, 1.2 * r, 0.14), 0.06, (0, -r - 0.02, h - 0.12), 2, 0.03))
+    return item

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: MIT
+"""What goes into rooms for work and guests, piece by piece: needed pieces first, then what finds place."""
+
+from __future__ import annotations
+
+from datagen.parametric import fittings, seating, storage, tables, units
+from datagen.parametric.furnish import (
+    ceiling_light,
+    chairs_around,
+    decorate,
+    desk_place,
+    floor_lamp_somewhere,
+    lamp_on,
+    seats,
+)
+from datagen.parametric.layout import SIDES, Furnisher, Unfit
+from datagen.parametric.shell import WALLS
+
+
+def office(room: Furnisher) -> None:
+    """Desks with screens, cabinets, a board."""
+    draws, style = room.draws, room.style
+    pods = draws.integer(1, 2) if room.shell.width > 4.8 else 0
+    made = 0
+    for _ in range(pods):
+        width = draws.uniform(1.3, 1.6)
+        first = room.in_middle(tables.table(style, draws, width, 0.75, name="desk_row"))
+        if first is None:
+            continue
+        made += 1
+        room.seat(seating.office_chair(style, draws), first, "front", 0.0, 0.1)
+        room.on(tables.monitor(style, draws), first, 0, draws.uniform(-0.2, 0.2), 0.05)
+    for _ in range(draws.integer(1, 3)):
+        made += desk_place(room, False)
+    if not made:
+        desk_place(room, True)
+    for _ in range(draws.integer(1, 2)):
+        pick = draws.unit()
+        if pick < 0.5:
+            room.at_wall(
+                storage.bookcase(style, draws, draws.uniform(0.8, 1.6), draws.uniform(1.2, 2.05), 0.36)
+            )
+        else:
+            room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8), draws.uniform(0.7, 1.1)))
+    if draws.chance(0.6):
+        room.hang(fittings.board(style, draws, draws.uniform(1.2, 1.8), 0.95, "white_board"), 0.95)
+    if draws.chance(0.6):
+        room.hang(fittings.clock(style, draws), 1.95)
+    decorate(room, rug=0.1, cushions=False)
+    ceiling_light(room, ("panel", "panel", "spots"), many=True)
+
+
+def meeting_room(room: Furnisher) -> None:
+    """A long table with chairs and a board."""
+    draws, style = room.draws, room.style
+    length = draws.uniform(1.9, min(3.0, max(room.shell.width, room.shell.depth) - 2.1))
+    table = room.in_middle(tables.table(style, draws, length, draws.uniform(0.95, 1.15)), True, 0.15)
+    assert table is not None
+    office = draws.chance(0.5)
+    chair = seating.office_chair(style, draws) if office else seating.chair(style, draws)
+    chairs_around(room, table, chair, max(2, int(length / 0.72)), 1)
+    room.hang(fittings.board(style, draws, draws.uniform(1.5, 2.0), 1.05, "white_board"), 0.9)
+    room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8)))
+    if draws.chance(0.5):
+        room.hang(fittings.clock(style, draws), 1.95)
+    decorate(room, rug=0.0, cushions=False)
+    ceiling_light(room, ("panel", "pendant", "spots"), over=table, many=True)
+
+
+def reading_room(room: Furnisher) -> None:
+    """Bookcases all around and seats."""
+    draws, style = room.draws, room.style
+    for _ in range(draws.integer(3, 5)):
+        room.at_wall(
+            storage.bookcase(style, draws, draws.uniform(1.0, 2.4), draws.uniform(1.9, 2.25), fill=0.9)
+        )
+    group = seats(room, draws.integer(2, 3))
+    if not group:
+        raise Unfit("nobody can sit in the reading room")
+    if draws.chance(0.6):
+        table = room.in_middle(tables.round_table(style, draws, draws.uniform(0.5, 0.7), 0.5))
+        if table is not None:
+            lamp_on(room, table)
+    floor_lamp_somewhere(room)
+    decorate(room, rug=0.7)
+    ceiling_light(room, ("pendant", "globe", "spots"))
+
+
+def laundry(room: Furnisher) -> None:
+    """Washing machines, racks and baskets."""
+    draws, style = room.draws, room.style
+    made = None
+    if draws.chance(0.5):
+        run = units.utility_run(style, draws, draws.integer(1, 2))
+        made = room.at_wall(run, room.blank_walls(), "corner")
+    if made is None:
+        first = room.at_wall(
+            units.washing_machine(style, draws, draws.chance(0.4)), where="corner", needed=True
+        )
+        assert first is not None
+        if draws.chance(0.6):
+            room.beside(units.washing_machine(style, draws), first, draws.choice(("left", "right")))
+    room.in_middle(storage.drying_rack(style, draws)) if draws.chance(0.6) else None
+    for _ in range(draws.integer(1, 2)):
+        room.at_wall(storage.basket(style, draws))
+    if draws.chance(0.7):
+        room.at_wall(storage.rack(style, draws, draws.uniform(0.8, 1.2)))
+    if draws.chance(0.6):
+        room.hang(storage.wall_shelf(style, draws, draws.uniform(0.8, 1.3), draws.integer(1, 2)), 1.5)
+    ceiling_light(room, ("batten", "disc", "panel"))
+
+
+def workshop(room: Furnisher) -> None:
+    """A bench under a board of tools, racks."""
+    draws, style = room.draws, room.style
+    bench = room.at_wall(tables.workbench(style, draws, draws.uniform(1.5, 2.3)), where="middle", needed=True)
+    assert bench is not None
+    room.over(storage.tool_board(style, draws, draws.uniform(1.0, 1.5)), bench, 1.15)
+    for _ in range(draws.integer(1, 3)):
+        room.at_wall(storage.rack(style, draws, draws.uniform(0.9, 1.5)))
+    if draws.chance(0.6):
+        item = storage.cabinet(
+            "drawers",
+            style,
+            (0.7, 0.45, 0.95),
+            [("drawer", 0.3), ("drawer", 0.15), ("drawer", 0.15), ("drawer", 0.1)],
+            1,
+            0.1,
+            ("steel", "steel"),
+        )
+        item.support("table", (0, -0.23), (0.62, 0.36), 0.95)
+        room.at_wall(item)
+    if draws.chance(0.7):
+        stool = room.in_middle(seating.stool(style, draws, 0.6))
+        del stool
+    if draws.chance(0.5):
+        table = tables.table(
+            style, draws, draws.uniform(1.2, 1.7), draws.uniform(0.7, 0.9), 0.85, "work_table"
+        )
+        room.in_middle(table)
+    room.hang(fittings.clock(style, draws), 2.0)
+    ceiling_light(room, ("batten", "batten", "pendant"), many=True)
+
+
+def cafe(room: Furnisher) -> None:
+    """A counter with shelves, small tables with chairs, a bench."""
+    draws, style = room.draws, room.style
+    width = draws.uniform(1.8, min(2.8, max(room.shell.width, room.shell.depth) - 1.6))
+    counter = units.bar_counter(style, draws, width)
+    counter.front_m = 0.8
+    bar = None
+    for wall in draws.shuffled(WALLS):
+        bar = room.at_wall(counter, [wall], "any", gap=draws.uniform(0.95, 1.1))
+        if bar is not None:
+            shelf = storage.wall_shelf(style, draws, width * 0.8, 3)
+            where = bar.room_from_item[:2, :2] @ [1.0, 0.0] @ bar.at[:2]
+            room.hang(shelf, 1.3, [wall], float(where))
+            board = fittings.board(style, draws, min(1.4, width * 0.5), 0.7, "slate_board")
+            room.hang(board, 1.5)
+            break
+    if bar is None:
+        raise Unfit("no wall has room for the counter")
+    chair = seating.chair(style, draws)
+    made = 0
+    if draws.chance(0.6):
+        bench = room.at_wall(seating.bench(style, draws, draws.uniform(1.6, 2.6), True), where="any")
+        if bench is not None:
+            half = float(bench.item.bounds[1, 0])
+            for x in (-half / 2, half / 2):
+                at = bench.room_from_item @ [x, -0.62, 0.0, 1.0]
+                table = room.offer(
+                    tables.round_table(style, draws, 0.62),
+                    (float(at[0]), float(at[1]), 0.0),
+                    bench.yaw_rad,
+                    near=(bench,),
+                    ignores=(bench.name,),
+                )
+                if table is not None:
+                    made += 1
+                    room.seat(chair, table, "front", 0.0, 0.1)
+    for _ in range(6):
+        size = draws.uniform(0.6, 0.75)
+        item = (
+            tables.round_table(style, draws, size)
+            if draws.chance(0.6)
+            else tables.table(style, draws, size, size)
+        )
+        table = room.in_middle(item)
+        if table is None:
+            continue
+        sides = draws.shuffled(SIDES)[: draws.integer(2, 3)]
+        made += any([room.seat(chair, table, side, 0.0, 0.12) is not None for side in sides])
+    if made < 2:
+        raise Unfit("too few tables for guests")
+    decorate(room, rug=0.0, cushions=False)
+    ceiling_light(room, ("pendant", "globe", "spots"), many=True)
