@@ -5,7 +5,7 @@
     python -m benchmarks.bench_first_pixel --cold             an empty cache of compiled kernels each time
     python -m benchmarks.bench_first_pixel --profile          what takes the time of building the scene
 
-A process of its own does what ``datagen unit`` does: imports, opens the library, reads plan and
+A process of its own does what ``datagen run --unit`` does: imports, opens the library, reads plan and
 configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view at one path
 and one auxiliary sample a pixel: what then stands in memory are the first pixels. Warm means that the
 operating system has the files and Dr.Jit the kernels of an earlier run; one run beforehand sees to that.

@@ -38,8 +38,9 @@ from model.reconstruction.geometry.traced import ViewGeometry, face_normals, see
 from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.merge.fill import fill_unseen
-from model.reconstruction.merge.merger import MapMerger, MergeOptions, Weights, map_views
+from model.reconstruction.merge.merger import MapMerger, MergeOptions, map_views
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
+from model.reconstruction.merge.weights import Weights
 from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.predict.view_maps import predicted_maps
 from model.reconstruction.stages import Run

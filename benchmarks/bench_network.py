@@ -29,8 +29,9 @@ from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS
 from datagen.foundation.exr import decode_view, encode_view
 from model.networks import NetworkConfig, Track
 from model.training.config import PRESETS, TrainingConfig, resolve_config
+from model.training.context import make_context
 from model.training.dataset import buffer_names
-from model.training.dry_run import make_workshop, synthetic_batch, timed_step
+from model.training.dry_run import synthetic_batch, timed_step
 from model.training.phases import Phase
 from model.training.sources import TrainingData
 from model.training.stopwatch import Stopwatch
@@ -76,8 +77,8 @@ def measure_steps(
     results: dict[str, dict[str, float]] = {}
     for index, phase_config in enumerate(config.phases):
         watch = Stopwatch(device)
-        shop = make_workshop(config, data, device, watch)
-        phase = Phase(shop, index, num_steps=1)
+        context = make_context(config, data, device, watch)
+        phase = Phase(context, index, num_steps=1)
         timed_step(phase, batch, 0, watch)
         watch.seconds.clear()
         totals = [timed_step(phase, batch, k + 1, watch) for k in range(repeats)]

@@ -7,9 +7,9 @@
     python -m benchmarks.bench_peer --peer-views 40        the peer renders every view instead of a sample
     python -m benchmarks.bench_peer --views 4 --size 96 64 --quality draft --out /tmp/peer      a quick look
 
-Ours: ``datagen unit`` on a planned folder, from the start of the process to the committed shard: loading,
-compilation, paths, buffers, denoiser, statistics of all views, compression. Twice: with an empty kernel
-cache, and as the second configuration of a dataset finds it.
+Ours: ``datagen run --unit`` on a planned folder, from the start of the process to the committed shard:
+loading, compilation, paths, buffers, denoiser, statistics of all views, compression. Twice: with an empty
+kernel cache, and as the second configuration of a dataset finds it.
 
 The peer: bpy as BlenderProc drives it (peer_cycles.py): one process, persistent data, path tracing with the
 same number of segments, OIDN with prefiltered albedo and normal, an EXR a view with depth, normal, diffuse
@@ -259,7 +259,7 @@ class Comparison:
     # ---------------------------------------------------------------- time
 
     def ours(self, name: str, *, is_cold: bool) -> dict[str, Any]:
-        """One ``datagen unit`` on a fresh copy of the plan."""
+        """One ``datagen run --unit`` on a fresh copy of the plan."""
         root = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -268,7 +268,17 @@ class Comparison:
             with tempfile.TemporaryDirectory() as home:
                 environment = {"HOME": home} if is_cold else {}  # Dr.Jit keeps kernels in ~/.drjit
                 log = self.folder / f"{name}.log"
-                return timed("datagen", "unit", str(root), "0", log=log, environment=environment)
+                return timed(
+                    "datagen",
+                    "run",
+                    str(root),
+                    "--unit",
+                    "0",
+                    "--attempts",
+                    "0",
+                    log=log,
+                    environment=environment,
+                )
 
         return step(self.folder / f"{name}.json", make)
 

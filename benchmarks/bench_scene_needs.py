@@ -10,8 +10,8 @@
 * recordings: paths recorded once for all views of a scene, against for each.
 
 Seconds are processor seconds, medians of --repeats; kernels are in the cache on disk. The length of paths is
-measured by bench_path_depth, textures by ``datagen tradeoff --sweep texture_shrink`` (docs/decisions/0072),
-kernels on disk by bench_first_pixel.
+measured by bench_path_depth, textures by ``python -m datagen.tradeoff --sweep texture_shrink``
+(docs/decisions/0072), kernels on disk by bench_first_pixel.
 """
 
 from __future__ import annotations

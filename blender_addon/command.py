@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 REFUSED, CANCELLED = 2, 130
 _BAR_WIDTH = 30
+_SILENCE_S = 30.0
 
 
 def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentParser:
@@ -84,14 +85,29 @@ def quiet_stdout() -> Iterator[None]:
         os.close(null)
 
 
-def _show(progress: Progress, started: float) -> None:
-    if not sys.stderr.isatty():
-        return
-    filled = int(progress.fraction * _BAR_WIDTH)
-    elapsed = time.monotonic() - started
-    left = f"{elapsed / progress.fraction - elapsed:4.0f} s left" if progress.fraction > 0.02 else ""
-    bar = "#" * filled + "." * (_BAR_WIDTH - filled)
-    print(f"\r\033[K[{bar}] {progress.fraction:4.0%} {left} {progress.text[:60]}", end="", file=sys.stderr)
+class ProgressLine:
+    """Progress on standard error: a bar on a terminal; elsewhere, as in a log, a line every half a minute."""
+
+    def __init__(self) -> None:
+        self.is_terminal = sys.stderr.isatty()
+        self.started = self.said = time.monotonic()
+
+    def __call__(self, progress: Progress) -> None:
+        now = time.monotonic()
+        elapsed, fraction = now - self.started, progress.fraction
+        left = f"{elapsed / fraction - elapsed:4.0f} s left" if fraction > 0.02 else ""
+        if self.is_terminal:
+            filled = int(fraction * _BAR_WIDTH)
+            bar = "#" * filled + "." * (_BAR_WIDTH - filled)
+            print(f"\r\033[K[{bar}] {fraction:4.0%} {left} {progress.text[:60]}", end="", file=sys.stderr)
+        elif now - self.said >= _SILENCE_S:
+            self.said = now
+            print(f"{time.strftime('%H:%M:%S')} {fraction:4.0%} {left} {progress.text}", file=sys.stderr)
+
+    def end(self) -> None:
+        """Take the bar away."""
+        if self.is_terminal:
+            print("\r\033[K", end="", file=sys.stderr)
 
 
 def _list(problems: Sequence[Problem]) -> None:
@@ -121,24 +137,24 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"error: {arguments.out}: {error.strerror}; choose another --out", file=sys.stderr)
         return REFUSED
-    steps, started = export_steps(arguments.out, settings), time.monotonic()
+    steps, show = export_steps(arguments.out, settings), ProgressLine()
     result: ExportResult | None = None
     try:
         with quiet_stdout():
             while result is None:
                 try:
-                    _show(next(steps), started)
+                    show(next(steps))
                 except StopIteration as stop:
                     result = stop.value
     except ExportRefused as refused:
-        print("\r\033[K" if sys.stderr.isatty() else "", end="", file=sys.stderr)
+        show.end()
         _list(refused.problems)
         return REFUSED
     except KeyboardInterrupt:
         steps.close()
         print("\ncancelled: nothing was written", file=sys.stderr)
         return CANCELLED
-    print("\r\033[K" if sys.stderr.isatty() else "", end="", file=sys.stderr)
+    show.end()
     _list(result.problems)
     for path in [*result.packages, *([result.report] if result.report else [])]:
         print(path)

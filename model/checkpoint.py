@@ -176,16 +176,6 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
     return Checkpoint(network, confidence, card)
 
 
-def publish_checkpoint(source: Path, target: Path) -> None:
-    """Write a checkpoint for others: in half precision, without the paths of the machine that trained it."""
-    checkpoint = load_checkpoint(source)
-    training = {**checkpoint.card.training, "initial_checkpoint": None}
-    if "perceptual" in training:
-        training["perceptual"] = {**training["perceptual"], "vgg": None, "heads": None}
-    card = checkpoint.card.model_copy(update={"training": training})
-    save_checkpoint(target, card, checkpoint.network, checkpoint.confidence, torch.float16)
-
-
 def checkpoint_sha256(path: Path) -> str:
     """Hash of the weights' file, which identifies a checkpoint."""
     return sha256_file(path)

@@ -16,7 +16,9 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import typer
 
 from datagen.foundation.errors import InputError, Problem
 
@@ -40,6 +42,10 @@ class Event:
 
 
 Listener = Callable[[Event], object]
+ListenerOption = Annotated[
+    list[str] | None,
+    typer.Option("--listener", help="MODULE:FUNCTION that hears of what happens, repeatable."),
+]
 
 
 class Listeners:

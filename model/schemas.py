@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""JSON Schemas of what people write for ``materials``: suites, and settings of training."""
+"""JSON Schemas of what people write for ``materials``: suites, and settings of training, which editors
+complete by. ``python -m model.schemas`` writes them to ``docs/schemas``."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from datagen.formats.schemas import DIALECT
+import typer
+
+from datagen.formats.schemas import DIALECT, SCHEMA_FOLDER, SchemaFolder, write_schemas
+from datagen.foundation.command_line import run_function
 from model.evaluation.suite import Suite
 from model.training.config import TrainingConfig
 
@@ -16,3 +20,13 @@ def json_schemas() -> dict[str, dict[str, Any]]:
     training = TrainingConfig.model_json_schema()
     training.pop("required", None)
     return {"suite": {**DIALECT, **Suite.model_json_schema()}, "training": {**DIALECT, **training}}
+
+
+def main(out: SchemaFolder = SCHEMA_FOLDER) -> None:
+    """Write the JSON Schemas of suites and of settings of training."""
+    for path in write_schemas(out, json_schemas()):
+        typer.echo(path)
+
+
+if __name__ == "__main__":
+    run_function(main)

@@ -40,8 +40,9 @@ MATRIX = {
         "datagen.inspection": f"{_RENDER} datagen.farm",
         "datagen.tradeoff": f"{_RENDER} datagen.farm",
         "datagen.exports": f"{_LIBRARY} datagen.farm.folder",
-        "datagen.cli": f"{_LIBRARY} datagen.exports datagen.farm datagen.importers datagen.inspection "
-        "datagen.tradeoff",
+        "datagen.run_command": f"{_LIBRARY} datagen.farm datagen.inspection",
+        "datagen.cli": "datagen.foundation datagen.exports datagen.farm datagen.importers datagen.inspection "
+        "datagen.run_command",
         "datagen.__main__": "datagen.cli",
         "mitsuba_plugins": "datagen.foundation",
         "blender_addon": "",
@@ -53,8 +54,11 @@ MATRIX = {
         "model.checkpoint": f"{_GROUND} {_NETWORKS}",
         "model.loading": _GROUND,
         "model.events": "datagen.foundation",
+        "model.publish": "datagen.foundation model.checkpoint",
         "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.events model.shading",
-        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder",
+        "model.reconstruction.capture_options": "datagen.foundation",
+        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder "
+        "model.reconstruction.capture_options",
         "model.reconstruction.atlas": "datagen.foundation",
         "model.reconstruction.geometry": f"{_GROUND} datagen.multiview mitsuba_plugins",
         "model.reconstruction.check": f"{_GROUND} mitsuba_plugins model.reconstruction.captures "
@@ -313,5 +317,5 @@ def test_schemas_in_the_docs_are_current() -> None:
     for name, schema in {**json_schemas(), **schemas_of_model()}.items():
         path = REPOSITORY / "docs" / "schemas" / f"{name}.schema.json"
         assert json.loads(path.read_text()) == schema, (
-            f"{path.name} is stale: datagen schema; materials schema"
+            f"{path.name} is stale: python -m datagen.formats.schemas; python -m model.schemas"
         )

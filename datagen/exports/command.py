@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,17 +22,20 @@ FORMATS = {
 
 
 def export(
-    layout: Annotated[str, typer.Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
+    layout: Annotated[
+        Literal["hypersim", "nerfstudio", "coco", "bop", "flow"],
+        typer.Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}."),
+    ],
     folder: Annotated[Path, typer.Argument(help="Dataset folder.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
-    split: Annotated[Optional[str], typer.Option(help="train, validation or test; all if left out.")] = None,  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
+    split: Annotated[
+        Literal["train", "validation", "test"] | None, typer.Option(help="One alone; all if left out.")
+    ] = None,
     configuration: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--configuration", help="Id of a configuration, repeatable; all if left out."),
+        list[str] | None, typer.Option(help="Id of a configuration, repeatable; all if left out.")
     ] = None,
     library: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--library", help="Library folder, repeatable; the dataset's own if left out."),
+        list[str] | None, typer.Option(help="Library folder, repeatable; the dataset's own if left out.")
     ] = None,
     neighbours: Annotated[int, typer.Option(min=1, help="Flow: views that each view flows to.")] = 2,
     min_overlap: Annotated[
@@ -45,15 +48,10 @@ def export(
     Example: datagen export coco rooms --out rooms-coco
     """
     from datagen.exports.rooms import Export, claim_folder, open_rooms
-    from datagen.formats.configuration import Split
-    from datagen.foundation.command_line import check_choices
-    from datagen.foundation.progress import ProgressBar
+    from datagen.foundation.progress import Bars
     from datagen.library import Library
 
-    check_choices({"FORMAT": (layout, tuple(FORMATS))})
-    if split is not None:
-        check_choices({"--split": (split, tuple(Split.__args__))})  # type: ignore[attr-defined]
-    rooms = open_rooms(folder, split, configuration or ())  # type: ignore[arg-type]
+    rooms = open_rooms(folder, split, configuration or ())
     typer.echo(f"{out}: {len(rooms)} configurations as {layout}: {FORMATS[layout]}")
     if dry_run:
         return
@@ -63,10 +61,11 @@ def export(
         job = Export(rooms, out, opened, neighbours, min_overlap)
         write = _writer(layout, job)
         claim_folder(out, layout, folder, {"split": split or "all"})
-        with ProgressBar(f"exporting to {layout}", len(rooms), "configurations") as bar:
-            for number, room in enumerate(rooms, start=1):
+        with Bars("configurations") as bars:
+            for number, room in enumerate(rooms):
+                bars.tell(layout, number, len(rooms))
                 write.add(room)
-                bar.set(number)
+            bars.tell(layout, len(rooms), len(rooms))
         write.finish()
     typer.echo(f"{out}: {job.num_files} files written")
 

@@ -36,7 +36,7 @@ class Engine(Protocol):
         """Raise :class:`InputError` for what the queue's scripts cannot say."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
-        """Scripts that run ``datagen unit FOLDER INDEX`` for each index (ascending), again after 75."""
+        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index (ascending), again after 75."""
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
         """The script that collects, verifies and reports when the units have ended."""
@@ -66,7 +66,7 @@ def collect_commands(options: SlurmOptions) -> str:
     """What every collecting job runs; it ends with the code of the last step that found something wrong."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
-datagen farm collect "$folder" --deep || code=$?
+datagen run "$folder" --only index --deep || code=$?
 datagen verify "$folder" --workers {options.collect_cpus} || code=$?
 datagen report "$folder" --workers {options.collect_cpus} || code=$?
 exit "$code"

@@ -12,6 +12,9 @@ import subprocess
 import unicodedata
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from datagen.foundation.errors import InputError, Problem
 
@@ -62,28 +65,36 @@ class SlurmOptions:
     from the units, the partition too unless it has one. Raises :class:`InputError` with all that is wrong.
     """
 
-    time_limit: str = "04:00:00"
-    memory: str = "8G"
-    cpus: int = 4
-    gpus: int = 0
-    throttle: int = 0
-    notice_s: int = 120
-    attempts: int = 3
-    setup: str = ""
-    partition: str = ""
-    account: str = ""
-    max_array: int = 1001
-    qos: str = ""
-    constraint: str = ""
-    exclude: str = ""
-    mail_user: str = ""
-    mail_type: str = ""
-    sbatch_options: tuple[str, ...] = ()
-    collect_time: str = "04:00:00"
-    collect_memory: str = "4G"
-    collect_cpus: int = 1
-    collect_partition: str = ""
-    collect_options: tuple[str, ...] = ()
+    time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00"
+    memory: Annotated[str, typer.Option(help="Memory of a unit.")] = "8G"
+    cpus: Annotated[int, typer.Option(min=1, help="Processors of a unit.")] = 4
+    gpus: Annotated[int, typer.Option(min=0, help="GPUs of a unit.")] = 0
+    throttle: Annotated[int, typer.Option(min=0, help="Units at a time; 0 = no limit.")] = 0
+    notice_s: Annotated[
+        int, typer.Option("--notice", min=1, help="Seconds of notice before the time limit.")
+    ] = 120
+    attempts: Annotated[int, typer.Option(min=1, help="Tries a unit before it is set aside.")] = 3
+    setup: Annotated[str, typer.Option(help="Shell code that makes `datagen` callable on a node.")] = ""
+    partition: Annotated[str, typer.Option(help="Slurm partition, or PBS queue.")] = ""
+    account: Annotated[str, typer.Option(help="Account.")] = ""
+    max_array: Annotated[int, typer.Option(min=2, help="The cluster's longest array (MaxArraySize).")] = 1001
+    qos: Annotated[str, typer.Option(help="Slurm quality of service.")] = ""
+    constraint: Annotated[str, typer.Option(help="Features that the units' nodes have.")] = ""
+    exclude: Annotated[str, typer.Option(help="Nodes to leave out.")] = ""
+    mail_user: Annotated[str, typer.Option(help="Address that Slurm writes to.")] = ""
+    mail_type: Annotated[str, typer.Option(help="What Slurm writes about, as END,FAIL.")] = ""
+    sbatch_options: Annotated[
+        tuple[str, ...],
+        typer.Option("--sbatch-option", help="NAME or NAME=VALUE for sbatch, for the units; repeatable."),
+    ] = ()
+    collect_time: Annotated[str, typer.Option(help="Time limit of the job that collects.")] = "04:00:00"
+    collect_memory: Annotated[str, typer.Option(help="Memory of the job that collects.")] = "4G"
+    collect_cpus: Annotated[int, typer.Option(min=1, help="Processors of the job that collects.")] = 1
+    collect_partition: Annotated[str, typer.Option(help="Its partition; else that of the units.")] = ""
+    collect_options: Annotated[
+        tuple[str, ...],
+        typer.Option("--collect-option", help="As --sbatch-option, for the job that collects."),
+    ] = ()
 
     def __post_init__(self) -> None:
         problems = [*self._wrong_forms(), *self._wrong_numbers(), *_wrong_setup(self.setup)]

@@ -459,7 +459,7 @@ def _failed(
         attempts=attempts[unit.id],
         reason=reason,
         log=str(log.relative_to(folder.root)) if log else "",
-        command=f"datagen unit {shlex.quote(str(folder.root.resolve()))} {unit.index}",
+        command=f"datagen run {shlex.quote(str(folder.root.resolve()))} --unit {unit.index} --attempts 0",
     )
     summary.failures.append(record)
     # A full disk fails units and their records alike; the caller has them in the summary.

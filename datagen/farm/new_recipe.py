@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -37,10 +37,10 @@ def _recipe() -> None:
 @recipe.command()
 def new(
     file: Annotated[Path, typer.Argument(help="Recipe to write (YAML); its name names the dataset.")],
-    configurations: Annotated[Optional[int], typer.Option(min=1, help="How many rooms.")] = None,  # noqa: UP045
-    views: Annotated[Optional[int], typer.Option(min=1, help="How many views of each.")] = None,  # noqa: UP045
-    resolution: Annotated[Optional[str], typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,  # noqa: UP045
-    quality: Annotated[Optional[str], typer.Option(help="draft, standard or reference.")] = None,  # noqa: UP045
+    configurations: Annotated[int | None, typer.Option(min=1, help="How many rooms.")] = None,
+    views: Annotated[int | None, typer.Option(min=1, help="How many views of each.")] = None,
+    resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,
+    quality: Annotated[str | None, typer.Option(help="draft, standard or reference.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed: another one, other rooms.")] = 0,
 ) -> None:
     """Ask four questions and write a recipe; options answer them beforehand.

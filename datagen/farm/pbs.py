@@ -113,7 +113,7 @@ exec >> "$folder/logs/pbs-unit-$unit.log" 2>&1
 
 # {options.notice_s} s before the time limit the unit is told to finish its view;
 # it then ends with {EXIT_INTERRUPTED}.
-datagen unit "$folder" "$unit" --attempts {options.attempts} &
+datagen run "$folder" --unit "$unit" --attempts {options.attempts} &
 worker=$!
 trap 'kill -USR1 "$worker" 2>/dev/null' USR1 TERM
 ( sleep {wait_s}; kill -USR1 "$worker" 2>/dev/null ) > /dev/null 2>&1 &

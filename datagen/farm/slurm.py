@@ -75,7 +75,7 @@ task="${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}"
 
 # Slurm tells the script {options.notice_s} s before the time limit; the unit finishes its view and
 # ends with {EXIT_INTERRUPTED}.
-datagen unit "$folder" "$unit" --attempts {options.attempts} &
+datagen run "$folder" --unit "$unit" --attempts {options.attempts} &
 worker=$!
 trap 'kill -USR1 "$worker" 2>/dev/null' USR1 TERM
 wait "$worker"
@@ -115,7 +115,7 @@ def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
     """One command a line, for any other queue (GNU parallel, xargs, SGE, HTCondor, ...)."""
     check_folder(root, "shell")
     folder = shlex.quote(str(root.resolve()))
-    lines = [f"datagen unit {folder} {index} --attempts {options.attempts}" for index in indices]
+    lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]
     return "\n".join(lines) + "\n"
 
 

@@ -246,7 +246,7 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
 
 
 def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:
-    remedy = f"run `datagen {stage} {run.folder.root}` first"
+    remedy = f"run `datagen run {run.folder.root} --only {stage}` first"
     return input_error(path, "", "not there yet", "every view of the configuration", remedy)
 
 

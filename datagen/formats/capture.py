@@ -20,13 +20,13 @@ from datagen.formats.base import IDENTITY4, Matrix4, Positive, Slug, StrictModel
 from datagen.formats.configuration import ViewCamera
 from datagen.formats.lights import Light
 from datagen.foundation.cameras import Camera
+from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from datagen.foundation.meshes.mesh import Mesh
 
 CAPTURE_FILE = "capture.json"
-Encoding = Literal["auto", "linear", "srgb", "gamma22"]
 
 
 class Distortion(StrictModel):

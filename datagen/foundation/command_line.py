@@ -1,14 +1,25 @@
 # SPDX-License-Identifier: MIT
-"""How the project's commands end, whichever of them runs."""
+"""What the project's commands share: options declared as dataclasses, verbs of before, and how a run ends.
+
+An option is stated once, as an annotated field of a dataclass: its type, default and help. A verb takes the
+dataclass as a parameter, and :func:`with_options` shows the command line its fields instead.
+"""
 
 from __future__ import annotations
 
 import errno
+import inspect
 import sys
-from collections.abc import Callable
-from typing import Annotated
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from functools import wraps
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
+from typer.core import TyperGroup
+from typer.models import ParameterInfo
+
+T = TypeVar("T")
 
 _REMEDIES = {
     errno.ENOENT: "check the path",
@@ -35,6 +46,7 @@ VersionOption = Annotated[
     typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version and stop."),
 ]
 """Of the commands themselves."""
+QuietOption = Annotated[bool, typer.Option("--quiet", help="No progress.")]
 
 
 def run_command(app: Callable[[], object]) -> None:
@@ -61,8 +73,89 @@ def run_command(app: Callable[[], object]) -> None:
         raise SystemExit(1 if is_full else 2) from None
 
 
-def check_choices(choices: dict[str, tuple[str, tuple[str, ...]]]) -> None:
-    """Option -> (its value, what is allowed). Raises ``BadParameter`` for another value."""
-    for option, (value, allowed) in choices.items():
-        if value not in allowed:
-            raise typer.BadParameter(f"{value!r}; expected {', '.join(allowed)}", param_hint=option)
+def run_function(function: Callable[..., None]) -> None:
+    """Run a module's function as a command of its own: ``python -m`` with the options that it takes."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app.command()(function)
+    run_command(app)
+
+
+def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
+    """The class of a command whose verbs of before end with code 2 and name what is in their place."""
+
+    class Group(TyperGroup):
+        """Verbs, and where those of before have gone."""
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            from datagen.foundation.errors import input_error
+
+            if args and args[0] in moved:
+                verb = f"{ctx.command_path} {args[0]}"
+                raise input_error(verb, got=f"is now `{moved[args[0]]}`")
+            return super().resolve_command(ctx, args)
+
+    return Group
+
+
+def with_options(verb: Callable[..., T]) -> Callable[..., T]:
+    """A verb for typer: each parameter that is a dataclass of options becomes those options.
+
+    Fields without an annotation of typer's keep their defaults. ``tuple[X, ...]`` is a repeatable option.
+    """
+    hints = get_type_hints(verb, include_extras=True)
+    shown: list[inspect.Parameter] = []
+    taken: dict[str, tuple[type, list[str]]] = {}  # parameter -> its dataclass, and the options in it
+    repeatable: set[str] = set()
+    for parameter in inspect.signature(verb).parameters.values():
+        hint = hints[parameter.name]
+        if is_dataclass(hint) and isinstance(hint, type):
+            options = _options_of(hint)
+            taken[parameter.name] = hint, [name for name, *_ in options]
+        else:
+            options = [(parameter.name, hint, parameter.default)]
+        for name, kind, default in options:
+            if get_origin(kind) is Annotated and _is_repeatable(kind):
+                repeatable.add(name)
+            shown.append(_shown(name, kind, default))
+
+    @wraps(verb)
+    def called(**given: Any) -> T:
+        given |= {name: tuple(given[name] or ()) for name in repeatable}
+        for name, (kind, options) in taken.items():
+            given[name] = kind(**{option: given.pop(option) for option in options})
+        return verb(**given)
+
+    called.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+    called.__annotations__ = {option.name: option.annotation for option in shown}
+    return called
+
+
+def _options_of(kind: type) -> list[tuple[str, Any, Any]]:
+    """Name, annotation and default of each option of a dataclass."""
+    hints = get_type_hints(kind, include_extras=True)
+    return [
+        (
+            field.name,
+            hints[field.name],
+            inspect.Parameter.empty if field.default is MISSING else field.default,
+        )
+        for field in fields(kind)
+        if any(isinstance(extra, ParameterInfo) for extra in get_args(hints[field.name])[1:])
+    ]
+
+
+def _is_repeatable(hint: Any) -> bool:
+    kind = get_args(hint)[0]
+    return get_origin(kind) is tuple and get_args(kind)[1:] == (...,)
+
+
+def _shown(name: str, hint: Any, default: Any) -> inspect.Parameter:
+    """The parameter that typer reads: lists for tuples of any length, text for what a parser takes."""
+    if get_origin(hint) is Annotated:
+        kind, *extras = get_args(hint)
+        if any(isinstance(extra, ParameterInfo) and extra.parser is not None for extra in extras):
+            kind = str
+        elif _is_repeatable(hint):
+            kind, default = list[get_args(kind)[0]], list(default) or None  # type: ignore[misc]
+        hint = Annotated[(kind, *extras)]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)

@@ -1,75 +1,101 @@
 # SPDX-License-Identifier: MIT
-"""The progress bars of the commands, on standard error."""
+"""The progress of the commands, on standard error."""
 
 from __future__ import annotations
 
-from typing import Any
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.progress import Task
 
+Progress = Callable[[str, int, int], None]
+"""Takes (stage, done, total); :meth:`Bars.tell` is one."""
 
-class ProgressBar:
-    """A progress bar with the rate of this run and the time left; ``before`` was done by earlier runs."""
-
-    def __init__(self, description: str, total: int, unit: str = "views", before: int = 0):
-        self.progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn(unit),
-            TextColumn("{task.fields[rate]}"),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-        )
-        self.before = before
-        self.task = self.progress.add_task(description, total=total, completed=before, rate="")
-
-    def __enter__(self) -> ProgressBar:
-        self.progress.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if exception[0] is not None:
-            self.progress.update(self.task, visible=False)  # a bar that stands still says less than the error
-        self.progress.stop()
-
-    def set(self, done: int) -> None:
-        """Move the bar to ``done`` of its total."""
-        self.progress.update(self.task, completed=done)
-        elapsed_s = self.progress.tasks[0].elapsed
-        if elapsed_s and done > self.before:
-            rate = (done - self.before) / elapsed_s * 3600
-            self.progress.update(self.task, rate=f"{rate:,.0f}/h")
-
-    def say(self, text: str) -> None:
-        """Print a line above the bar."""
-        self.progress.console.print(text, highlight=False)
+SILENCE_S = 30.0
 
 
 class Bars:
-    """A progress bar with the time left for each stage, on a terminal's standard error."""
+    """A bar for each stage with its rate and the time left, on a terminal.
 
-    def __init__(self) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description:<8}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-        )
+    Elsewhere, as in the log of a job: a line for each further stage, one every half a minute, and one at the
+    end. ``unit`` is what is counted; with ``is_transient`` a stage's bar goes when the next begins. With
+    ``is_quiet`` nothing is shown.
+    """
+
+    def __init__(self, unit: str = "", *, is_transient: bool = False, is_quiet: bool = False):
+        from rich.console import Console
+
+        self.unit, self.is_transient, self.is_quiet = unit, is_transient, is_quiet
+        self._console = Console(stderr=True)
+        self._bars: Any = None
         self._tasks: dict[str, Any] = {}
+        self._first: dict[str, tuple[int, float]] = {}  # stage -> what was done when it was first heard of
+        self._stage, self._line, self._said_at = "", "", time.monotonic()
 
     def __enter__(self) -> Bars:
-        self._progress.start()
+        if not self.is_quiet and self._console.is_terminal:
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            self._bars = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn(self.unit),
+                TextColumn("{task.fields[rate]}"),
+                TimeRemainingColumn(elapsed_when_finished=True),
+                TextColumn("{task.fields[note]}"),
+                console=self._console,
+                transient=self.is_transient,
+                refresh_per_second=4,
+            )
+            self._bars.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+    def __exit__(self, *exception: object) -> None:
+        if self._bars is None:
+            if exception[0] is None and self._line:
+                self._say_line()
+            return
+        if exception[0] is not None:  # a bar that stands still says less than the error
+            for task in self._unfinished():
+                self._bars.update(task.id, visible=False)
+        self._bars.stop()
 
-    def tell(self, stage: str, done: int, total: int) -> None:
-        """Show where a stage is."""
+    def _unfinished(self) -> list[Task]:
+        return [task for task in self._bars.tasks if not task.finished]
+
+    def tell(self, stage: str, done: int, total: int, note: str = "") -> None:
+        """Show where a stage is. What was done when it is first told of is no work of this run."""
+        if self.is_quiet:
+            return
+        now = time.monotonic()
+        first, begun = self._first.setdefault(stage, (done, now))
+        rate = f"{(done - first) / (now - begun) * 3600:,.0f}/h" if done > first and now > begun else ""
+        if self._bars is None:
+            counted = f"{done} of {total} {self.unit}".rstrip()
+            self._tell_in_lines(stage, ", ".join(text for text in (counted, rate, note) if text), now)
+            return
         if stage not in self._tasks:
-            self._tasks[stage] = self._progress.add_task(stage, total=total)
-        self._progress.update(self._tasks[stage], completed=done)
+            if self.is_transient:
+                for task in self._tasks.values():
+                    self._bars.remove_task(task)
+                self._tasks.clear()
+            self._tasks[stage] = self._bars.add_task(stage, total=total, completed=done, rate="", note="")
+        self._bars.update(self._tasks[stage], completed=done, total=total, rate=rate, note=note)
+
+    def _tell_in_lines(self, stage: str, figures: str, now: float) -> None:
+        is_next = self._stage not in ("", stage)
+        self._stage, self._line = stage, f"{stage}: {figures}"
+        if is_next or now - self._said_at >= SILENCE_S:
+            self._say_line()
+
+    def _say_line(self) -> None:
+        self.say(f"{time.strftime('%H:%M:%S')} {self._line}")
+        self._line, self._said_at = "", time.monotonic()
+
+    def say(self, text: str) -> None:
+        """Print a line, above the bars where there are any."""
+        if not self.is_quiet:
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)

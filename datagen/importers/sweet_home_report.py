@@ -9,8 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
+    from datagen.foundation.progress import Bars
     from datagen.importers.sweet_home import Step
 
 
@@ -22,8 +21,8 @@ class ImportWatch:
 
     def __init__(self) -> None:
         self.steps: list[Step] = []
-        self._bar: Progress | None = None
-        self._tasks: dict[Path, TaskID] = {}
+        self._bars: Bars | None = None
+        self._done: Counter[Path] = Counter()
 
     def __enter__(self) -> ImportWatch:
         return self
@@ -34,31 +33,21 @@ class ImportWatch:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if self._bar is None:
+        if self._bars is None:
             return
-        self._bar.stop()
+        self._bars.__exit__(kind, error, traceback)
         self._print_summary()
         if kind is KeyboardInterrupt:
             print("interrupted; the same command goes on where it stopped")
 
     def step(self, path: Path, step: Step, total: int) -> None:
         """One piece of the catalogue at ``path``, which has ``total``, is done."""
-        if self._bar is None:
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        if self._bars is None:
+            from datagen.foundation.progress import Bars
 
-            self._bar = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeRemainingColumn(),
-                TextColumn("{task.fields[piece]}"),
-                console=Console(stderr=True),
-            )
-            self._bar.start()
-        if path not in self._tasks:
-            self._tasks[path] = self._bar.add_task(path.stem, total=total, piece="")
-        self._bar.update(self._tasks[path], advance=1, piece=step.name)
+            self._bars = Bars("pieces").__enter__()
+        self._done[path] += 1
+        self._bars.tell(path.stem, self._done[path], total, step.name)
         self.steps.append(step)
 
     def _print_summary(self) -> None:

@@ -8,10 +8,11 @@ at. The checks themselves are in ``checks``, ``reprojection`` and ``shard_check`
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ from datagen.formats.configuration import Configuration
 from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.paths import inside
+from datagen.foundation.progress import Bars
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
 from datagen.inspection.recheck import Rechecked, figures, print_rechecked
 from datagen.inspection.recheck import recheck as recheck_views
@@ -99,9 +101,8 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
     for stray in sorted({*on_disk, *leftovers} - listed):
         what = f"{stray.relative_to(folder)} is not listed"
         if stray in leftovers:
-            what = (
-                f"{stray.relative_to(folder)} was left by a killed attempt; `datagen farm collect` removes it"
-            )
+            remedy = "`datagen run --only index` removes it"
+            what = f"{stray.relative_to(folder)} was left by a killed attempt; {remedy}"
         add(what, "only what the index knows", "warning")
     sums = {
         "num_configurations": len(index.shards),
@@ -232,13 +233,14 @@ def verify_command(
             path, "--recheck", got, "its assets, to render views again", "name it with --library"
         )
     found: list[Rechecked] = []
-    if not library_paths:
-        report = _verify_with_progress(path, None, workers, as_json)
-    else:
-        with Library(library_paths) as library:
-            report = _verify_with_progress(path, library, workers, as_json)
-            if recheck:
-                found = _recheck_with_progress(path, library, recheck, recheck_samples, report, as_json)
+    with ExitStack() as stack:
+        library = stack.enter_context(Library(library_paths)) if library_paths else None
+        bars = stack.enter_context(Bars(is_transient=True, is_quiet=as_json))
+        report = verify_dataset(path, library, workers, partial(bars.tell, "verify"))
+        if library is not None and recheck:
+            told = partial(bars.tell, "recheck")
+            found = recheck_views(path, library, recheck, recheck_samples, report, told)
+            report.rechecked = figures(found)
     if as_json:
         print(report.to_json())
     else:
@@ -246,36 +248,6 @@ def verify_command(
         if found:
             print_rechecked(found, recheck_samples)
     return report.exit_code(strict)
-
-
-def _verify_with_progress(path: Path, library: Library | None, workers: int, is_quiet: bool) -> Report:
-    with _progress("verify", is_quiet) as advance:
-        return verify_dataset(path, library, workers, advance)
-
-
-def _recheck_with_progress(
-    path: Path, library: Library, count: int, samples: int, report: Report, is_quiet: bool
-) -> list[Rechecked]:
-    with _progress("recheck", is_quiet) as advance:
-        found = recheck_views(path, library, count, samples, report, advance)
-    report.rechecked = figures(found)
-    return found
-
-
-@contextmanager
-def _progress(verb: str, is_quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar on the error stream, and what moves it: (done, total)."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn(verb), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=is_quiet) as bar:
-        task = bar.add_task(verb, total=None)
-
-        def advance(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        yield advance
 
 
 def print_report(report: Report) -> None:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``datagen tradeoff``; heavy imports happen in the body."""
+"""The command ``python -m datagen.tradeoff``; heavy imports happen in the body."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,11 +19,11 @@ def tradeoff(
     folder: Annotated[Path, typer.Argument(help="Planned dataset folder whose configurations are measured.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for references, trials and results.")],
     configuration: Annotated[
-        Optional[list[int]],  # noqa: UP045 - typer reads this at run time, on Python 3.10 too
+        list[int] | None,
         typer.Option("--configuration", help="Index of a configuration, repeatable; the first if left out."),
     ] = None,
     sweep: Annotated[
-        Optional[list[str]],  # noqa: UP045
+        list[str] | None,
         typer.Option(help="What to vary: NAME or NAME=VALUE,VALUE, repeatable; everything if left out."),
     ] = None,
     factorial: Annotated[
@@ -35,26 +35,26 @@ def tradeoff(
         int, typer.Option(min=16, help="Paths a pixel in each of the reference's two images.")
     ] = 512,
     max_rel_mse: Annotated[
-        Optional[float],  # noqa: UP045
+        float | None,
         typer.Option(min=0, help="Recommend the cheapest setting with at most this relMSE of beauty."),
     ] = None,
     max_maps_error: Annotated[
-        Optional[float],  # noqa: UP045
+        float | None,
         typer.Option(min=0, help="... and at most this mean absolute error of the ground-truth maps."),
     ] = None,
     max_statistics_error: Annotated[
-        Optional[float],  # noqa: UP045
+        float | None,
         typer.Option(min=0, help="... and at most this mean absolute error of the statistics."),
     ] = None,
     variant: Annotated[
-        Optional[str],  # noqa: UP045
+        str | None,
         typer.Option(help="Mitsuba variant of the base point; the machine's best if left out."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be measured and stop.")] = False,
 ) -> None:
     """Measure error against time over everything that costs time, and recommend a setting for an error.
 
-    Example: datagen tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
+    Example: python -m datagen.tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
     """
     from datagen.tradeoff.settings import SWEEPS
     from datagen.tradeoff.sweep import Sweep, SweepOptions
@@ -90,16 +90,17 @@ def _announce(sweep: Sweep) -> None:
 
 def _run(sweep: Sweep) -> None:
     """Measure with a bar; an interrupt ends the command with 75."""
-    from datagen.foundation.progress import ProgressBar
+    from datagen.foundation.progress import Bars
 
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
-    with ProgressBar("measuring", total, "steps") as progress:
+    with Bars("steps") as bars:
+        bars.tell("measuring", 0, total)
 
         def report(what: str, steps: int) -> None:
             nonlocal done
             done += steps
-            progress.set(done)
+            bars.tell("measuring", done, total, what)
 
         try:
             sweep.run(report)

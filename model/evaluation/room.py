@@ -11,7 +11,6 @@ stopped.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -38,6 +37,7 @@ from datagen.formats.light_changes import moved_light
 from datagen.formats.package import Package, is_package
 from datagen.formats.recipe import CameraRecipe, Recipe, RenderRecipe
 from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.progress import Progress
 from datagen.foundation.random import digest
 from datagen.foundation.versions import RESULT_REVISION
 from datagen.importers.common import ImportOptions
@@ -45,9 +45,6 @@ from datagen.library import Library
 from model.checkpoint import CheckpointCard
 from model.evaluation.drawn_room import RECIPE_SUFFIXES, draw_room, imported, recipe_library
 from model.evaluation.photographer import choose_cameras
-
-Progress = Callable[[str, int, int], None]
-"""(stage, done, total); the stages are "render", "stats" and "pack"."""
 
 _SCENE_FILE = "scene.xml"
 

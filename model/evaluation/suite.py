@@ -21,7 +21,7 @@ from model.evaluation.camera_faults import CameraFaults, chosen_cameras
 from model.evaluation.mesh_errors import GeometryError
 from model.evaluation.room import TestScene
 from model.reconstruction.infer_options import Materials
-from model.reconstruction.merge.merger import Weights
+from model.reconstruction.merge.weights import Weights
 
 BUNDLED = "bundled"
 

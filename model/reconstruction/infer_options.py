@@ -4,51 +4,84 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import typer
 
 from datagen.foundation.errors import input_error
 from datagen.foundation.peak_memory import peak_mb
-from model.reconstruction.found_lights import lights_text
-from model.reconstruction.merge.merger import Weights
+from datagen.foundation.progress import Progress
+from model.reconstruction.merge.weights import Weights
 
-Progress = Callable[[str, int, int], None]
+__all__ = ["AssetOptions", "InferOptions", "InferReport", "Materials", "Progress"]
 Materials = Literal["network", "light", "both"]
 
 
+def _atlas_side(text: str) -> int | Literal["auto"]:
+    if text == "auto":
+        return "auto"
+    if not text.isdigit():
+        raise typer.BadParameter(f"{text!r}; expected auto or a number")
+    return int(text)
+
+
 @dataclass(frozen=True)
-class InferOptions:
+class AssetOptions:
     """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``is_checked``:
-    whether the mesh is compared with the photographs first. ``weights`` of the medians over views, see
-    :class:`MergeOptions`; confidence takes the checkpoint's. ``is_leveled``:
-    whether predicted diffuse albedo takes its level from the light between the surfaces
+    whether the mesh is compared with the photographs first."""
+
+    atlas: Annotated[
+        int | Literal["auto"],
+        typer.Option(parser=_atlas_side, metavar="SIDE", help="Side in texels, or auto."),
+    ] = "auto"
+    device: Annotated[str, typer.Option(help="cpu or cuda, for the networks.")] = "cpu"
+    is_checked: Annotated[
+        bool, typer.Option("--check/--no-check", help="Compare the mesh with the photographs first.")
+    ] = True
+
+    def __post_init__(self) -> None:
+        if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
+            raise input_error("infer", "atlas", self.atlas, "auto, or a side in [16, 16384]", "correct it")
+
+
+@dataclass(frozen=True)
+class InferOptions(AssetOptions):
+    """``weights`` of the medians over views, see :class:`MergeOptions`; confidence takes the checkpoint's.
+    ``is_leveled``: whether predicted diffuse albedo takes its level from the light between the surfaces
     (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
     alone, or both, the network's as the prior (``light``). ``has_punctual``: whether the GLB has small lamps
     as point lights, too. ``is_evened``: whether exposures, vignetting and response are found from photographs
     that overlap (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are sought
     (``geometry.pose_mending``)."""
 
-    atlas: int | Literal["auto"] = "auto"
-    visibility: Literal["depth", "trace"] = "depth"
-    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    visibility: Annotated[
+        Literal["depth", "trace"], typer.Option(help="What a texel's views are found by.")
+    ] = "depth"
+    weights: Annotated[Weights, typer.Option(help="Of the medians over views.")] = "none"
+    materials: Annotated[Materials, typer.Option(help="From the network, from light, or both.")] = "both"
+    precision: Annotated[Literal["auto", "float32", "bfloat16"], typer.Option(help="Of the networks.")] = (
+        "auto"
+    )
     batch: int = 4
-    is_filtered: bool = True
-    device: str = "cpu"
+    is_filtered: Annotated[
+        bool, typer.Option("--filter/--no-filter", help="Run the bilateral solver over predicted maps.")
+    ] = True
     has_exr: bool = True
-    is_checked: bool = True
     jobs: int = 2
-    weights: Weights = "none"
-    is_leveled: bool = True
-    materials: Materials = "both"
-    has_punctual: bool = False
+    is_leveled: Annotated[
+        bool,
+        typer.Option("--level/--no-level", help="Fit the level of predicted diffuse albedo to the light."),
+    ] = True
+    has_punctual: Annotated[
+        bool, typer.Option("--punctual", help="Small lamps in the GLB as point lights, too.")
+    ] = False
     is_evened: bool = True
-    mends_poses: bool = False
-
-    def __post_init__(self) -> None:
-        if self.atlas != "auto" and not 16 <= self.atlas <= 16384:
-            raise input_error("infer", "atlas", self.atlas, "auto, or a side in [16, 16384]", "correct it")
+    mends_poses: Annotated[
+        bool, typer.Option("--mend-poses", help="Mend cameras that are off by millimetres; says by how much.")
+    ] = False
 
 
 @dataclass
@@ -94,6 +127,8 @@ class InferReport:
     def table(self) -> str:
         """The stages, their seconds and the memory, those of the light stage by step, and the lights that
         were found, for the end of a run."""
+        from model.reconstruction.found_lights import lights_text
+
         lines = []
         for name, seconds, share, memory in self.costs():
             lines.append(f"{name:<14}{seconds:>8.1f} s{share:>8.0%}{memory:>10.0f} MB")

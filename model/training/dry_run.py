@@ -17,12 +17,10 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from model.networks import num_parameters
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
-from model.training.losses import MaterialLoss
-from model.training.perceptual import make_perceptual
-from model.training.phases import Models, Phase, Ranks, Workshop
-from model.training.sources import TrainingData, open_data, validation_note
+from model.training.context import make_context
+from model.training.phases import Phase
+from model.training.sources import open_data, validation_note
 from model.training.stopwatch import Stopwatch
-from model.training.train import default_device
 
 
 def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) -> dict[str, Tensor]:
@@ -98,25 +96,11 @@ def saved_bytes(run: Callable[[], Any]) -> int:
     return sum(seen.values())
 
 
-def make_workshop(
-    config: TrainingConfig, data: TrainingData, device: torch.device, stopwatch: Stopwatch | None = None
-) -> Workshop:
-    """Models, loss and data of a configuration, without a run's folder."""
-    chosen = config.perceptual
-    wants = config.loss.perceptual_weight > 0
-    perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads, chosen.precision) if wants else None
-    models = Models(config).to(device)
-    if config.channels_last:
-        models.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    loss = MaterialLoss(config.loss, perceptual).to(device)
-    return Workshop(config, data, models, loss, device, Ranks(), stopwatch or Stopwatch())
-
-
 def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
     """Text for ``--dry-run``. Steps of a few crops are timed a phase and scaled to the whole."""
-    device = device or default_device()
     data = open_data(folders, config.network, config.data.crop_px)
-    shop = make_workshop(config, data, device)
+    context = make_context(config, data, device)
+    device = context.device
     lines = [yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False).rstrip(), ""]
     width, height = data.size_px
     lines.append(
@@ -124,18 +108,18 @@ def describe_run(config: TrainingConfig, folders: list[Path], device: torch.devi
     )
     if note := validation_note(data, config.validation.num_views):
         lines.append(note)
-    for name, track in shop.models.network.tracks.items():
+    for name, track in context.models.network.tracks.items():
         lines.append(f"{name} track: {num_parameters(track):,} parameters")
-    lines.append(f"confidence: {num_parameters(shop.models.confidence):,} parameters")
-    lines.append(f"loss: {shop.loss.name}; device: {device}, {torch.get_num_threads()} threads")
+    lines.append(f"confidence: {num_parameters(context.models.confidence):,} parameters")
+    lines.append(f"loss: {context.loss.name}; device: {device}, {torch.get_num_threads()} threads")
     batch = synthetic_batch(1, config.data.crop_px, device)
     total = 0.0
     for index in range(len(config.phases)):
-        phase = Phase(shop, index)
+        phase = Phase(context, index)
         steps = phase.num_steps
         activations = saved_bytes(lambda p=phase: p.terms(batch, generator_for(0)))  # type: ignore[misc]
         seconds, crops = predicted_step(phase, config, device)
-        weights = sum(p.numel() for p in shop.models.parameters()) * 4
+        weights = sum(p.numel() for p in context.models.parameters()) * 4
         moving = sum(p.numel() for p in phase.parameters) * 4 * 3  # gradient and two moments
         memory = (activations * config.batch_size + weights + moving) / 2**30
         hours = steps * config.accumulation * seconds / 3600

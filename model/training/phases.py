@@ -1,68 +1,27 @@
 # SPDX-License-Identifier: MIT
-"""The parts of a training run: the ranks that share it, what is trained, and one phase ready to step."""
+"""One phase of a training, ready to step: what is trained, its optimiser, its data and its loss."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import torch
-import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from datagen.foundation.buffers import MATERIAL_MAPS
-from model.confidence import ConfidenceNets
+from datagen.foundation.errors import InputError, Problem
 from model.networks import MaterialNetwork, TrackName, encode_color
 from model.training.conditions import Geometry, SampleDraws
 from model.training.confidence import confidence_loss
-from model.training.config import PHASE_TRACKS, TrainingConfig
-from model.training.dataset import BatchPlan, CropDataset, CropOrder, make_loader
-from model.training.losses import LossTerms, MaterialLoss
-from model.training.sources import TrainingData
-from model.training.stopwatch import Stopwatch
+from model.training.config import PHASE_TRACKS
+from model.training.context import TrainingContext
+from model.training.dataset import CropDataset, make_loader
+from model.training.losses import LossTerms
 from model.training.validation import network_predictor
-
-
-class Ranks:
-    """This process among those that train together; one process where ``torchrun`` did not start it."""
-
-    def __init__(self) -> None:
-        self.count = int(os.environ.get("WORLD_SIZE", "1"))
-        self.index = int(os.environ.get("RANK", "0"))
-        self.local_index = int(os.environ.get("LOCAL_RANK", "0"))
-        if self.count > 1 and torch.cuda.is_available():
-            torch.cuda.set_device(self.local_index)
-        if self.count > 1 and not dist.is_initialized():
-            dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
-
-    @property
-    def is_first(self) -> bool:
-        return self.index == 0
-
-    def mean(self, values: dict[str, Tensor]) -> dict[str, float]:
-        """Means of scalars over the ranks."""
-        stacked = torch.stack([v.detach().float() for v in values.values()])
-        if self.count > 1:
-            dist.all_reduce(stacked)
-            stacked /= self.count
-        return dict(zip(values, stacked.tolist(), strict=True))
-
-    def barrier(self) -> None:
-        """Wait for every rank."""
-        if self.count > 1:
-            dist.barrier()
-
-
-class Models(nn.Module):
-    """Everything that is trained, under one state dictionary."""
-
-    def __init__(self, config: TrainingConfig):
-        super().__init__()
-        self.network = MaterialNetwork(config.network)
-        self.confidence = ConfidenceNets()
 
 
 class TrackModule(nn.Module):
@@ -81,66 +40,39 @@ class TrackModule(nn.Module):
             return self._network[0](batch, batch["exposure"], batch["depth_max_m"], self.tracks)
 
 
-@dataclass(frozen=True)
-class Workshop:
-    """What all phases of a run share."""
-
-    config: TrainingConfig
-    data: TrainingData
-    models: Models
-    loss: MaterialLoss
-    device: torch.device
-    ranks: Ranks
-    stopwatch: Stopwatch
-
-    def order(self, index: int) -> tuple[CropOrder, int]:
-        """The order of crops of a phase, and the phase's seed."""
-        data, seed = self.config.data, self.config.seed * 16 + index
-        return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
-
-    def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """This rank's micro-batches of a phase from step ``start`` on."""
-        config, ranks = self.config, self.ranks
-        order, _ = self.order(index)
-        return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)
-
-    def num_steps(self, index: int) -> int:
-        """Optimiser steps of a phase."""
-        phase = self.config.phases[index]
-        return phase.steps or (phase.epochs or 1) * self.plan(index, 0).steps_per_epoch
-
-
 class Phase:
     """One phase ready to run: what is trained, its optimiser, its data and its loss."""
 
-    def __init__(self, shop: Workshop, index: int, num_steps: int | None = None):
+    def __init__(self, context: TrainingContext, index: int, num_steps: int | None = None):
         """``num_steps`` replaces the configuration's, for measurements without data."""
-        config, models = shop.config, shop.models
+        config, models = context.config, context.models
         self.config = config.phases[index]
         self.index = index
         self.tracks = PHASE_TRACKS[self.config.name]
-        self.shop = shop
+        self.context = context
         module: nn.Module = models.confidence
         if self.tracks:
             module = TrackModule(models.network, self.tracks, config.precision)
-        module.to(shop.device)
+        module.to(context.device)
         models.requires_grad_(False)
         module.requires_grad_(True)
         models.eval()
         module.train()
-        self.num_steps = num_steps or shop.num_steps(index)
+        self.num_steps = num_steps or context.num_steps(index)
         self.optimizer = torch.optim.Adam(module.parameters(), self.learning_rate(0), betas=config.adam_betas)
         self.parameters = list(module.parameters())
         self.module = module
-        if shop.ranks.count > 1:
+        if context.ranks.count > 1:
             self.module = DistributedDataParallel(module)
-        _, self.seed = shop.order(index)
-        self.dataset = CropDataset(shop.data.train, config.data, config.network, self.seed, shop.data.size_px)
+        _, self.seed = context.order(index)
+        self.dataset = CropDataset(
+            context.data.train, config.data, config.network, self.seed, context.data.size_px
+        )
 
     def learning_rate(self, step: int) -> float:
         """The rate of a step of the phase, counted from 0: constant, or half a cosine to the final one."""
-        first = self.config.learning_rate or self.shop.config.learning_rate
-        last = self.config.final_learning_rate or self.shop.config.final_learning_rate
+        first = self.config.learning_rate or self.context.config.learning_rate
+        last = self.config.final_learning_rate or self.context.config.final_learning_rate
         if last is None:
             return first
         return last + (first - last) * 0.5 * (1 + math.cos(math.pi * step / max(1, self.num_steps - 1)))
@@ -148,27 +80,43 @@ class Phase:
     @property
     def steps_per_epoch(self) -> int:
         """Optimiser steps that a pass over the data takes."""
-        return self.shop.plan(self.index, 0).steps_per_epoch
+        return self.context.plan(self.index, 0).steps_per_epoch
 
-    def loader(self, start: int) -> Iterator[dict[str, Tensor]]:
-        """Batches from step ``start`` to the phase's end."""
-        plan = self.shop.plan(self.index, start, self.num_steps)
-        workers, pin = self.shop.config.data.workers, self.shop.device.type == "cuda"
-        return iter(make_loader(self.dataset, plan, workers=workers, pin_memory=pin))
+    def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
+        """Batches from step ``start`` to the phase's end. An error of a loader's process comes without its
+        traceback."""
+        plan = self.context.plan(self.index, start, self.num_steps)
+        workers, pin = self.context.config.data.workers, self.context.device.type == "cuda"
+        try:
+            yield from make_loader(self.dataset, plan, workers=workers, pin_memory=pin)
+        except InputError as error:
+            _, is_from_worker, text = str(error).rpartition("datagen.foundation.errors.InputError: ")
+            if not is_from_worker:
+                raise
+            where, _, rest = text.strip().partition(": ")
+            raise InputError(Problem(where, got=rest)) from None
+
+    def gradient_sync(self, is_last: bool) -> AbstractContextManager[Any]:
+        """Ranks exchange gradients only in the last micro-batch of a step."""
+        if isinstance(self.module, DistributedDataParallel) and not is_last:
+            return self.module.no_sync()
+        return nullcontext()
 
     def terms(self, batch: dict[str, Tensor], generator: torch.Generator) -> LossTerms:
         """Loss of one micro-batch."""
-        shop = self.shop
+        context = self.context
         truth = {name: batch[name] for name in MATERIAL_MAPS}
-        watch = shop.stopwatch
+        watch = context.stopwatch
         if not self.tracks:
-            network = shop.models.network
+            network = context.models.network
             with torch.no_grad():
-                predicted = network_predictor(network, ("diffuse", "specular"), shop.config.precision)(batch)
+                predicted = network_predictor(network, ("diffuse", "specular"), context.config.precision)(
+                    batch
+                )
             image = encode_color(batch["beauty"], batch["exposure"].reshape(-1, 1, 1, 1))
-            return confidence_loss(self.module, image, predicted, truth, batch["mask"], shop.config.solver)
+            return confidence_loss(self.module, image, predicted, truth, batch["mask"], context.config.solver)
         with watch.section("forward"):
             predicted = self.module(batch)
         geometry = Geometry(batch["position"], batch["normal_camera"], batch["mask"])
         draws = SampleDraws.for_samples(self.seed, batch["sample_id"].tolist())
-        return shop.loss(predicted, truth, geometry, draws, generator, watch)
+        return context.loss(predicted, truth, geometry, draws, generator, watch)

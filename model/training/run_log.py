@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""What a run leaves to look at: a CSV, TensorBoard scalars and image panels, a progress bar, a stopwatch."""
+"""What a run leaves to look at: a CSV, TensorBoard scalars and image panels."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +48,12 @@ class RunLog:
             from torch.utils.tensorboard import SummaryWriter
 
             self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1 if step else None)
+
+    def __enter__(self) -> RunLog:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def scalars(self, step: int, phase: str, epoch: int, kind: str, values: Mapping[str, float]) -> None:
         """Record figures by name; ``kind`` is ``train``, ``validation`` or ``speed``."""
@@ -115,23 +120,3 @@ def view_panel(batch: Mapping[str, Tensor], predicted: Mapping[str, Tensor]) -> 
         shown = [t if name == "roughness" else t.pow(1 / 2.2) for t in (ours, theirs)]
         rows.append(torch.cat([t.expand(3, -1, -1) for t in (*shown, error)], dim=2))
     return torch.cat(rows, dim=1).clamp(0, 1).cpu()
-
-
-@contextmanager
-def progress_bar(total_steps: int, start: int, *, shown: bool) -> Iterator[Any]:
-    """A function ``advance(step, text)``; the bar shows the phase, throughput and the time left."""
-    if not shown:
-        yield lambda step, text: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Progress(*columns, console=Console(stderr=True), refresh_per_second=2) as progress:
-        task = progress.add_task("training", total=total_steps, completed=start)
-        yield lambda step, text: progress.update(task, completed=step, description=text)

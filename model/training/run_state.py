@@ -72,6 +72,20 @@ class RunProgress(StrictModel):
     num_skipped: int = 0
     is_finished: bool = False
 
+    def after_step(self, num_skipped: int) -> RunProgress:
+        """One step further, with ``num_skipped`` crops of bad views in it."""
+        return self.model_copy(
+            update={
+                "step": self.step + 1,
+                "total_step": self.total_step + 1,
+                "num_skipped": self.num_skipped + num_skipped,
+            }
+        )
+
+    def after_phase(self) -> RunProgress:
+        """At the first step of the next phase."""
+        return self.model_copy(update={"phase": self.phase + 1, "step": 0, "best_score": None})
+
 
 class NonFiniteError(RuntimeError):
     """Training met a loss or a gradient that is NaN or Inf; the batch was saved."""

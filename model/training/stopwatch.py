@@ -26,6 +26,11 @@ class Stopwatch:
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + self._now() - start
 
+    def take(self) -> dict[str, float]:
+        """The seconds since this was last asked for."""
+        taken, self.seconds = self.seconds, {}
+        return taken
+
     def _now(self) -> float:
         if self._synchronize:
             torch.cuda.synchronize()

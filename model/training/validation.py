@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -14,8 +15,15 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from model.bilateral_solver import SolverConfig
 from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
 from model.networks import MaterialNetwork, TrackName, encode_color
-from model.training.dataset import load_view, view_sample
+from model.training.config import PHASE_TRACKS, PhaseName
+from model.training.dataset import buffer_names, load_view, view_sample
+from model.training.run_log import RunLog, view_panel
+from model.training.sources import spread
 
+if TYPE_CHECKING:
+    from model.training.context import TrainingContext
+
+ALL_TRACKS = PHASE_TRACKS["joint"]
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 """From a batch of buffers to maps by name."""
 
@@ -100,6 +108,40 @@ def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverC
         return {name: result[name] for name in FILTERED_MAPS}
 
     return filtered
+
+
+def phase_metrics(
+    context: TrainingContext, phase: PhaseName, views: Sequence[ViewPlace], log: RunLog, step: int
+) -> dict[str, float]:
+    """Errors of the maps that a phase trains, with panels of some views in the log; empty without views."""
+    if not views:
+        return {}
+    config, models = context.config, context.models
+    predict = network_predictor(models.network, PHASE_TRACKS[phase] or ALL_TRACKS, config.precision)
+    if not PHASE_TRACKS[phase]:
+        predict = filtered_predictor(predict, models.confidence, config.solver)
+    names = buffer_names(config.network)
+    metrics = evaluate(predict, whole_views(views, names, context.device))
+    shown = spread(views, config.validation.num_panels)
+    for index, batch in enumerate(whole_views(shown, names, context.device)):
+        with torch.no_grad():
+            log.panel(step, f"{phase}/view{index}", view_panel(batch, predict(batch)))
+    return metrics
+
+
+def final_metrics(context: TrainingContext, views: Sequence[ViewPlace]) -> dict[str, float]:
+    """Errors of all maps, and after the filter where confidence was trained last; empty without views."""
+    if not views:
+        return {}
+    config, models = context.config, context.models
+    names = buffer_names(config.network)
+    predict = network_predictor(models.network, ALL_TRACKS, config.precision)
+    metrics = evaluate(predict, whole_views(views, names, context.device))
+    if config.phases[-1].name == "confidence":
+        filtered = filtered_predictor(predict, models.confidence, config.solver)
+        after = evaluate(filtered, whole_views(views, names, context.device))
+        metrics |= {f"filtered_{key}": value for key, value in after.items()}
+    return metrics
 
 
 def mean_maps(batches: Iterable[Mapping[str, Tensor]]) -> dict[str, Tensor]:

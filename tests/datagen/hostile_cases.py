@@ -96,7 +96,7 @@ def valid_documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
     }  # fmt: skip
     failure = {
         "id": "small-00000", "index": 0, "attempts": 3, "reason": "r", "log": "logs/small-00000.3.log",
-        "command": "datagen unit x 0",
+        "command": "datagen run x --unit 0 --attempts 0",
     }  # fmt: skip
     record = {
         "recipe_sha256": "0", "library_sha256": "0", "library_paths": ["library"], "versions": {"a": "1"},

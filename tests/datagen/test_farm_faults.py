@@ -235,7 +235,7 @@ def test_full_disk_keeps_what_is_finished(
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    command = [sys.executable, "-m", "datagen", "unit", str(folder.root), "0"]
+    command = [sys.executable, "-m", "datagen", "run", str(folder.root), "--unit", "0", "--attempts", "0"]
     result = subprocess.run(command, preexec_fn=limit_files, capture_output=True, text=True)
     assert result.returncode == 1 and "File too large" in result.stderr
     assert not list(folder.root.glob("**/*.partial"))
@@ -270,9 +270,9 @@ def test_a_read_only_folder_is_said_to_be_and_left_alone(
             run_local(folder.root, LocalOptions())
         root = str(folder.root)
         for words in (
-            ["unit", root, "1"],
+            ["run", root, "--unit", "1", "--attempts", "0"],
             ["farm", "submit", root],
-            ["farm", "collect", root],
+            ["run", root, "--only", "index"],
         ):
             command = [sys.executable, "-m", "datagen", *words]
             result = subprocess.run(command, capture_output=True, text=True)

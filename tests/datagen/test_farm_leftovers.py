@@ -88,7 +88,7 @@ def test_a_crash_between_the_shard_and_its_marker(
     assert removed == [orphan] and not orphan.exists() and index.missing == ("small-00001",)
     orphan.write_bytes(orphan_bytes)
     faults = [fault for fault in verify_dataset(folder.root).faults if orphan.name in fault.got]
-    assert len(faults) == 1 and "`datagen farm collect` removes it" in faults[0].got
+    assert len(faults) == 1 and "`datagen run --only index` removes it" in faults[0].got
     assert run_unit(_attempt(folder, 1), ("pack",))
     assert collect(folder.root).is_complete and orphan.read_bytes() == orphan_bytes
 
@@ -170,7 +170,8 @@ def test_a_full_disk_stops_the_run_at_its_first_word(tmp_path: Path, library_roo
     with small_disk(tmp_path / "disk", 16) as disk:
         folder = plan_small(disk.root / "set", library_root)
         disk.fill(leave=400_000)  # a view or two
-        command = [sys.executable, "-m", "datagen", "render", str(folder.root)]
+        command = [sys.executable, "-m", "datagen", "run", str(folder.root), "--only", "render"]
+        command.append("--no-space-check")
         result = subprocess.run(command, capture_output=True, text=True)
         said = " ".join(result.stderr.split())
         assert result.returncode == 1 and "Traceback" not in said, said

@@ -43,10 +43,10 @@ def _hashes(folder: DatasetFolder) -> dict[str, str]:
     return {shard.configuration: shard.sha256 for shard in collect(folder.root, deep=True).shards}
 
 
-def _start(folder: DatasetFolder, *arguments: str) -> subprocess.Popen:
+def _start(folder: DatasetFolder, stage: str) -> subprocess.Popen:
     code = "from datagen.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", code, *arguments, str(folder.root)],
+        [sys.executable, "-c", code, "run", str(folder.root), "--only", stage],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -124,7 +124,17 @@ def test_two_runs_at_once_make_no_double(finished: DatasetFolder, tmp_path: Path
     folder = plan_small(tmp_path / "twice", library_root)
     both = [
         subprocess.Popen(
-            [sys.executable, "-m", "datagen", "unit", str(folder.root), str(index)],
+            [
+                sys.executable,
+                "-m",
+                "datagen",
+                "run",
+                str(folder.root),
+                "--unit",
+                str(index),
+                "--attempts",
+                "0",
+            ],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
@@ -149,7 +159,7 @@ def test_failing_unit_is_set_aside_with_log_and_command(tmp_path: Path, library_
     assert summary.done == ["small-00000"] and summary.set_aside == ["small-00001"]
     failure = folder.read_failure("small-00001")
     assert failure.attempts == 2 and "not what was planned" in failure.reason
-    assert failure.command.endswith("failing 1")
+    assert failure.command.endswith("failing --unit 1 --attempts 0")
     assert "not what was planned" in (folder.root / failure.log).read_text()
     status = read_status(folder.root)
     assert (status.done, len(status.failed), status.array_spec) == (1, 1, "1")

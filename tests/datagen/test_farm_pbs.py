@@ -42,7 +42,7 @@ echo "7.server"
 """
 _DATAGEN = r"""#!/bin/bash
 printf '%s\n' "datagen $*" >> "$NOTES"
-[ "$1" = unit ] && [ "$3" = "${SLOW_UNIT:-}" ] && [ ! -e "$NOTES.slow" ] || exit 0
+[ "$3" = --unit ] && [ "$4" = "${SLOW_UNIT:-}" ] && [ ! -e "$NOTES.slow" ] || exit 0
 touch "$NOTES.slow"
 trap 'exit 75' USR1
 for k in $(seq 100); do sleep 0.1; done
@@ -90,10 +90,10 @@ def test_members_run_the_units_that_are_not_done(desk: Desk, monkeypatch: pytest
     called = desk.lines()
     assert called[0] == f"qselect -N {job_name(root)}"
     assert [line for line in called if line.startswith("datagen")] == [
-        f"datagen unit {root} 0 --attempts 3",
-        f"datagen unit {root} 2 --attempts 3",
+        f"datagen run {root} --unit 0 --attempts 3",
+        f"datagen run {root} --unit 2 --attempts 3",
         f"datagen farm status {root}",
-        f"datagen farm collect {root} --deep",
+        f"datagen run {root} --only index --deep",
         f"datagen verify {root} --workers 1",
         f"datagen report {root} --workers 1",
     ]
@@ -105,7 +105,7 @@ def test_a_single_unit_needs_no_array(desk: Desk, monkeypatch: pytest.MonkeyPatc
     _pretend_done(desk, monkeypatch, 0, 1)
     submit(desk.folder.root, SlurmOptions(), "pbs")
     assert "-J" not in (desk.folder.root / "jobs" / "units-0.pbs").read_text().replace("'^#PBS -J'", "")
-    assert f"datagen unit {desk.folder.root} 2 --attempts 3" in desk.lines()
+    assert f"datagen run {desk.folder.root} --unit 2 --attempts 3" in desk.lines()
 
 
 def test_long_plans_become_several_arrays(desk: Desk) -> None:
@@ -120,8 +120,8 @@ def test_what_is_told_to_stop_submits_itself_again(desk: Desk, monkeypatch: pyte
     root = desk.folder.root
     submit(root, SlurmOptions(time_limit="0:04", notice_s=2), "pbs")
     called = desk.lines()
-    assert called.count(f"datagen unit {root} 1 --attempts 3") == 2
-    assert called.count(f"datagen unit {root} 0 --attempts 3") == 1
+    assert called.count(f"datagen run {root} --unit 1 --attempts 3") == 2
+    assert called.count(f"datagen run {root} --unit 0 --attempts 3") == 1
     assert "qsub -v DATAGEN_UNIT=1" in called
 
 
@@ -187,7 +187,7 @@ def test_hostile_folder_names_execute_nothing(name: str, desk: Desk, tmp_path: P
     subprocess.run(
         ["bash", str(scripts[0])], cwd=here, env={**os.environ, "PBS_ARRAY_INDEX": "1"}, check=True
     )
-    assert desk.lines() == [f"datagen unit {root.resolve()} 1 --attempts 3"]
+    assert desk.lines() == [f"datagen run {root.resolve()} --unit 1 --attempts 3"]
     assert list(here.iterdir()) == []
 
 

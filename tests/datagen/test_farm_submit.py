@@ -107,12 +107,12 @@ def desk(planned: DatasetFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def _expected(root: str) -> list[list[str]]:
     """The commands that two units and their collection call, sbatch and squeue left out."""
-    units = [["datagen", "unit", root, str(index), "--attempts", "3"] for index in (0, 1)]
+    units = [["datagen", "run", root, "--unit", str(index), "--attempts", "3"] for index in (0, 1)]
     workers = ["--workers", "1"]
     return [
         *units,
         ["datagen", "farm", "status", root],
-        ["datagen", "farm", "collect", root, "--deep"],
+        ["datagen", "run", root, "--only", "index", "--deep"],
         ["datagen", "verify", root, *workers],
         ["datagen", "report", root, *workers],
     ]

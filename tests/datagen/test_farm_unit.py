@@ -124,10 +124,10 @@ def test_memory_is_said_in_megabytes(made: Made, tmp_path: Path, monkeypatch: py
 
 def test_a_stage_without_the_one_before_says_which_to_run(made: Made, tmp_path: Path) -> None:
     folder = made.copy("render", tmp_path / "a")
-    with pytest.raises(InputError, match=r"view-000\.exr.*datagen stats"):
+    with pytest.raises(InputError, match=r"view-000\.exr.*datagen run .* --only stats"):
         run_unit(made.attempt(folder), ["pack"])
     shutil.rmtree(folder.work_path(folder.read_plan().units[0]))
-    with pytest.raises(InputError, match=r"view-000\.exr.*datagen render"):
+    with pytest.raises(InputError, match=r"view-000\.exr.*datagen run .* --only render"):
         run_unit(made.attempt(folder), ["stats"])
     assert not folder.shards_path.exists() and not folder.units_path.exists()
 
@@ -330,7 +330,7 @@ def seven(tmp_path: Path) -> DatasetFolder:
         attempts=3,
         reason="no light",
         log="logs/unit.log",
-        command="datagen unit x 5",
+        command="datagen run x --unit 5 --attempts 0",
     )
     for unit in (units[5], units[0]):  # the record of a unit that has been done since counts no more
         path = folder.failed_path / f"{unit.id}.json"
@@ -382,7 +382,7 @@ def test_status_is_printed(seven: DatasetFolder, capsys: pytest.CaptureFixture[s
     assert lines[2].split(maxsplit=1)[1] == "0.12 h of finished units, median 120 s a unit, cost 0.70"
     assert lines[3].startswith("rate     4 units an hour, about ") and lines[3].endswith(" min left")
     assert lines[4] == "failed   small-00005 after 3 attempts: no light"
-    assert lines[5].strip() == "reproduce: datagen unit x 5"
+    assert lines[5].strip() == "reproduce: datagen run x --unit 5 --attempts 0"
     assert [line.strip() for line in lines[6:11]] == [f"| line {k}" for k in range(1995, 2000)]
     assert lines[11:] == ["not done --array=3-6"]
 

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from datagen.cli import app
 from datagen.foundation.errors import InputError
 from datagen.rendering.textures import box_filtered
+from datagen.tradeoff.command import tradeoff
 from datagen.tradeoff.selection import (
     Point,
     comparable,
@@ -33,6 +34,8 @@ from mitsuba_plugins.variant import has_cuda
 from tests.datagen.small_plan import plan_small
 
 BASE = Setting()
+APP = typer.Typer()
+APP.command()(tradeoff)
 OPTIONS = SweepOptions(
     size=(24, 16),
     views=2,
@@ -189,8 +192,8 @@ def test_results_and_recommendation(swept: tuple[Path, Path]) -> None:
     kept = {path: t for path, t in _times(out).items() if path.suffix == ".npz" or "trials" in path.parts}
     trials = {t.setting["path_samples"]: t for t in Sweep(folder, out, OPTIONS).trials()}
     limit = 1.01 * trials[32].rel_mse
-    arguments = ["tradeoff", str(folder), "--out", str(out), *FLAGS, "--max-rel-mse", str(limit)]
-    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    arguments = [str(folder), "--out", str(out), *FLAGS, "--max-rel-mse", str(limit)]
+    done = CliRunner().invoke(APP, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert "recommended: path_samples 32:" in done.output
     assert {path: t for path, t in _times(out).items() if path in kept} == kept  # all from the cache
@@ -215,16 +218,16 @@ def test_results_and_recommendation(swept: tuple[Path, Path]) -> None:
 
 def test_an_error_out_of_reach_is_refused_with_the_best(swept: tuple[Path, Path]) -> None:
     folder, out = swept
-    arguments = ["tradeoff", str(folder), "--out", str(out), *FLAGS, "--max-rel-mse", "1e-9"]
+    arguments = [str(folder), "--out", str(out), *FLAGS, "--max-rel-mse", "1e-9"]
     with pytest.raises(InputError, match=r"rel_mse = .* at best; expected at most 1e-09"):
-        CliRunner().invoke(app, arguments, catch_exceptions=False)
+        CliRunner().invoke(APP, arguments, catch_exceptions=False)
     assert (out / "tradeoff.csv").is_file()
 
 
 def test_dry_run_makes_nothing(swept: tuple[Path, Path], tmp_path: Path) -> None:
     folder, _ = swept
-    arguments = ["tradeoff", str(folder), "--out", str(tmp_path / "new"), *FLAGS, "--dry-run"]
-    done = CliRunner().invoke(app, [*arguments, "--sweep", "variant"], catch_exceptions=False)
+    arguments = [str(folder), "--out", str(tmp_path / "new"), *FLAGS, "--dry-run"]
+    done = CliRunner().invoke(APP, [*arguments, "--sweep", "variant"], catch_exceptions=False)
     assert "0 of" in done.output and "2 views of references" in done.output
     assert ("not available on this machine" in done.output) != has_cuda()
     assert not (tmp_path / "new").exists()

@@ -11,11 +11,24 @@ from typing import Any
 import typer
 
 from datagen.cli import app as datagen
+from datagen.formats.schemas import main as schemas
+from datagen.tradeoff.command import tradeoff
 from model.cli import app as materials
+from model.publish import main as publish
+from model.schemas import main as schemas_of_model
+from model.training.fetch_weights import main as fetch_weights
 from tests.conftest import REPOSITORY
 
 _TARGETS = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(), re.M))
 _APPS = {"datagen": datagen, "materials": materials}
+MODULES = {
+    "datagen.formats.schemas": schemas,
+    "datagen.tradeoff": tradeoff,
+    "model.publish": publish,
+    "model.schemas": schemas_of_model,
+    "model.training.fetch_weights": fetch_weights,
+}
+"""Commands of one function, which are run as modules."""
 _STANDARD = {"venv", "pip", "http.server", "pytest", "ensurepip", "zipfile"}
 
 
@@ -84,6 +97,10 @@ def _check_python(words: list[str], is_whole: bool) -> str:
             return _check_typer(datagen, "datagen", words[2:], is_whole)
         if module == "model.cli":
             return _check_typer(materials, "materials", words[2:], is_whole)
+        if module in MODULES:
+            alone = typer.Typer(add_completion=False)
+            alone.command()(MODULES[module])
+            return _check_typer(alone, module, words[2:], is_whole)
         if module in _STANDARD:
             return ""
         path = REPOSITORY.joinpath(*module.split("."))

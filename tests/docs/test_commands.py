@@ -62,6 +62,7 @@ def test_a_command_that_does_not_exist_is_found() -> None:
         "make demos",
         "make demo OTU=x",
         "python -m benchmarks.bench_nothing",
+        "python -m datagen.tradeoff rooms --out x --swep samples",
         "python -m benchmarks.bench_solver --nothing",
         "python benchmarks/bench_nothing.py",
         "pytest tests/nothing.py",

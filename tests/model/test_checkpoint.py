@@ -17,13 +17,13 @@ from model.checkpoint import (
     CheckpointCard,
     bundled_checkpoint,
     load_checkpoint,
-    publish_checkpoint,
     read_card,
     save_checkpoint,
     software_versions,
 )
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
+from model.publish import publish_checkpoint
 
 TINY = NetworkConfig(base_channels=2, global_channels=4)
 

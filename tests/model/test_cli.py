@@ -33,7 +33,7 @@ def test_help_imports_nothing_heavy():
     assert _loaded("model.cli", {"torch", "mitsuba", "numpy", "bpy"}) == set()
     result = CliRunner().invoke(app, ["--help"])
     assert result.exit_code == 0
-    assert "train" in result.output and "fetch-weights" in result.output
+    assert "train" in result.output and "infer" in result.output
 
 
 def test_training_reads_neither_mitsuba_nor_bpy():

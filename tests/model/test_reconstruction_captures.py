@@ -21,9 +21,9 @@ from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.ply import encode_ply
+from model.reconstruction.capture_options import Exposure
 from model.reconstruction.captures import CaptureOptions, capture_file, read_capture, write_capture
 from model.reconstruction.captures.colmap import MODELS, read_colmap
-from model.reconstruction.captures.exposures import Exposure
 from model.reconstruction.captures.photographs import (
     PhotographSource,
     fit_orientation,

@@ -168,7 +168,7 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
 
     out = tmp_path / "room.gif"
     words = [
-        "turntable",
+        "render",
         str(asset),
         "--out",
         str(out),
@@ -183,7 +183,7 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0 and out.is_file(), done.output
     dark = CliRunner().invoke(app, [*words, "--sky", "1,1,1", "--quiet"])
     assert dark.exit_code == 0 and "no light of the sky reaches frame-000" in dark.output
-    for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 numbers"), (["--way", "up"], "expected orbit"),
+    for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 numbers"), (["--way", "up"], "not one of"),
                         (["--lamp", "1,2,3,0"], "above 0")):  # fmt: skip
         refused = CliRunner().invoke(app, [*words, *extra])
         assert refused.exit_code == 2 and text in refused.output, refused.output

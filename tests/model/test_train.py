@@ -137,15 +137,15 @@ def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop
     """Stopped in any phase, also between checkpoints, it ends with the same bytes and the same log."""
     parts = tmp_path / "parts"
     trainer = Trainer(_config(), [dataset], parts, device=CPU)
-    original = trainer._step
+    original = trainer.step
 
     def step(phase, batches):
         values = original(phase, batches)
         if trainer.progress.total_step + 1 == stop_at:
-            trainer._request_stop()
+            trainer.request_stop()
         return values
 
-    trainer._step = step
+    trainer.step = step
     with pytest.raises(KeyboardInterrupt):
         trainer.run()
     assert not (parts / "final.safetensors").exists()
@@ -161,14 +161,14 @@ def test_a_killed_run_goes_back_to_its_last_state(dataset, whole, tmp_path):
     result."""
     parts = tmp_path / "parts"
     trainer = Trainer(_config(), [dataset], parts, device=CPU)
-    original = trainer._step
+    original = trainer.step
 
     def step(phase, batches):
         if trainer.progress.total_step == 7:
             raise RuntimeError("power cut")
         return original(phase, batches)
 
-    trainer._step = step
+    trainer.step = step
     with pytest.raises(RuntimeError, match="power cut"):
         trainer.run()
     Trainer(_config(), [dataset], parts, device=CPU).run()
@@ -245,7 +245,7 @@ def test_two_ranks_equal_one_process_with_the_double_batch(dataset, tmp_path):
 def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
     out = tmp_path / "run"
     trainer = Trainer(_config("phases=[{name: diffuse, steps: 3}]"), [dataset], out, device=CPU)
-    original = trainer.shop.loss.forward
+    original = trainer.context.loss.forward
     calls = []
 
     def forward(predicted, *args):
@@ -254,7 +254,7 @@ def test_a_non_finite_loss_stops_with_the_batch_saved(dataset, tmp_path):
             predicted = {n: v * float("nan") for n, v in predicted.items()}
         return original(predicted, *args)
 
-    trainer.shop.loss.forward = forward
+    trainer.context.loss.forward = forward
     with pytest.raises(NonFiniteError, match=r"diffuse, step 1: .*total = nan"):
         trainer.run()
     (saved,) = out.glob("bad_batch_step1_rank0.safetensors")

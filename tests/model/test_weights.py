@@ -117,7 +117,7 @@ def test_a_pickled_state_file_does_not_run(tmp_path):
 def test_missing_weights_name_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setenv("SCENE_MATERIALS_WEIGHTS", str(tmp_path))
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
-    with pytest.raises(InputError, match="materials fetch-weights"):
+    with pytest.raises(InputError, match=r"python -m model\.training\.fetch_weights"):
         weights.find_vgg()
 
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from datagen.formats.shard import Dataset
 from datagen.foundation.errors import input_error
+from datagen.foundation.progress import Bars
 from datagen.inspection.report.writing import (
     ReportOptions,
     choose_configurations,
@@ -60,12 +60,12 @@ def report_command(
             target, "--pixels", f"{num_bytes / 1e6:,.0f} MB", f"at most {free / 1e6:,.0f} MB", remedy
         )
     paths = [*library_paths, *rooms_of(folder)] if library_paths is not None else library_of(folder)
-    with _Bar() as bar:
+    with Bars("shards") as bars:
         if paths:
             with Library(paths) as library:
-                result = write_report(folder, target, options, library, bar.set)
+                result = write_report(folder, target, options, library, bars.tell)
         else:
-            result = write_report(folder, target, options, None, bar.set)
+            result = write_report(folder, target, options, None, bars.tell)
     faults = "not verified" if result.num_faults is None else f"{result.num_faults} findings"
     print(f"{result.num_views} views, {faults}, {result.tile_bytes / 1e6:,.0f} MB of pixels")
     for label, (num_views, num_problems) in result.predicted.items():
@@ -73,33 +73,3 @@ def report_command(
         print(f"{label}: {what}, {num_problems} with problems" if num_problems else f"{label}: {what}")
     print(f"open {result.page.absolute().as_uri()}")
     return 0
-
-
-class _Bar:
-    """A progress bar for each stage."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("shards"),
-            TimeRemainingColumn(),
-        )
-        self.progress = Progress(*columns, console=Console(stderr=True))
-        self.tasks: dict[str, Any] = {}
-
-    def __enter__(self) -> _Bar:
-        self.progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.progress.stop()
-
-    def set(self, stage: str, done: int, total: int) -> None:
-        if stage not in self.tasks:
-            self.tasks[stage] = self.progress.add_task(stage, total=total)
-        self.progress.update(self.tasks[stage], completed=done)

@@ -32,6 +32,7 @@ from datagen.formats.shard import Dataset, DatasetIndex
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.color_maps import cividis
 from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.progress import Progress
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
 from datagen.inspection.report.predictions import (
@@ -71,7 +72,6 @@ _LABELS = {
     "color_max": "maximum",
     "observation_count": "observation count",
 }
-Progress = Callable[[str, int, int], object]
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from model.reconstruction.captures.frames import AXES
+from model.reconstruction.capture_options import CaptureOptions
 from model.reconstruction.captures.read import (
-    CaptureOptions,
     capture_file,
     open_capture,
     read_capture,
@@ -14,7 +13,6 @@ from model.reconstruction.captures.read import (
 )
 
 __all__ = [
-    "AXES",
     "CaptureOptions",
     "capture_file",
     "open_capture",

@@ -5,15 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from datagen.foundation.errors import InputError, Problem
 from model.reconstruction.captures.photographs import relative_exposure
-
-Exposure = Literal["auto", "common", "exif"]
-"""One for all photographs, what EXIF records, or that where every photograph records it."""
 
 
 def exposure_scales(images: Sequence[Path], *, is_required: bool) -> list[float]:

@@ -9,15 +9,15 @@ centimetres, whichever brings them nearer to 8 m.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.foundation.cameras import Camera
+from model.reconstruction.capture_options import Axis
 
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-AXES: tuple[Axis, ...] = ("x", "y", "z", "-x", "-y", "-z")
+AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)
 _MIN_AGREEMENT = 0.3  # length of the mean up direction; cameras that look down every way have none
 _LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0

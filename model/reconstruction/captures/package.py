@@ -11,14 +11,16 @@ from pathlib import Path
 
 from datagen.formats.asset import ASSET_FILE, EnvironmentAsset
 from datagen.formats.base import IDENTITY4
-from datagen.formats.capture import Capture, CaptureView, Encoding
+from datagen.formats.capture import Capture, CaptureView
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import open_package
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
+from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug, unique
-from model.reconstruction.captures.exposures import Exposure, exposure_scales
+from model.reconstruction.capture_options import Exposure
+from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.photograph_files import unread_problems
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import ImageFinder

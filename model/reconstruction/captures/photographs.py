@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.formats.capture import ColorImage, Distortion, Encoding
+from datagen.formats.capture import ColorImage, Distortion
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import normalized
 from model.reconstruction.captures.photograph_files import pillow_formats, read_photograph

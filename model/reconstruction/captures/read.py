@@ -13,7 +13,6 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +25,22 @@ from datagen.formats.capture import (
     CaptureFile,
     CaptureGeometry,
     CaptureView,
-    Encoding,
     GeometryPart,
     MeshRecord,
     PhotographRecord,
 )
 from datagen.formats.configuration import ViewCamera
-from datagen.foundation.budget import Budget, Limits
+from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
+from model.reconstruction.capture_options import (
+    DEFAULT_MAX_WIDTH_PX,
+    CaptureOptions,
+    Exposure,
+)
 from model.reconstruction.captures import (
     bundler,
     colmap,
@@ -47,9 +50,8 @@ from model.reconstruction.captures import (
     realitycapture,
     transforms_json,
 )
-from model.reconstruction.captures.exposures import Exposure, exposure_scales
+from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.frames import (
-    Axis,
     judged_unit,
     judged_up,
     up_of,
@@ -60,8 +62,6 @@ from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_
 from model.reconstruction.captures.package import is_package, read_package
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import Calibration, ImageFinder
-
-DEFAULT_MAX_WIDTH_PX = 640
 
 
 @dataclass(frozen=True)
@@ -84,29 +84,6 @@ FORMS = (
     Form("RealityCapture XMP", realitycapture.find_xmp, realitycapture.read_xmp),
 )
 """In the order in which they are tried."""
-
-
-@dataclass(frozen=True)
-class CaptureOptions:
-    """How to read a capture. ``library`` and nothing else concerns rendered ones: packages that they were
-    made of, by default those of their dataset folder, else the bundled ones.
-
-    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit, "auto" and None judge them
-    (``frames``); ``mesh_up`` is the mesh's up axis where it differs. Views wider than ``max_width_px`` are
-    shrunk: the networks learn from views of 640 pixels. ``exposure`` "exif" evens out exposures that the
-    cameras recorded, "auto" where all of them did. ``limits`` are those of the environment if left out.
-    """
-
-    mesh: Path | None = None
-    images: Path | None = None
-    up: Literal["auto"] | Axis = "auto"
-    unit_m: float | None = None
-    mesh_up: Literal["same"] | Axis = "same"
-    encoding: Encoding = "auto"
-    exposure: Exposure = "auto"
-    max_width_px: int = DEFAULT_MAX_WIDTH_PX
-    library: tuple[Path, ...] = ()
-    limits: Limits | None = None
 
 
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:

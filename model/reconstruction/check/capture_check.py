@@ -10,7 +10,7 @@ views and a remedy.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
 from datagen.foundation.errors import input_error
+from datagen.foundation.progress import Progress
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
 from model.reconstruction.check.edges import match_edges, mesh_edges
@@ -33,8 +34,6 @@ _MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
 _MIN_FIT = 4.0  # median score at zero, times coverage, of a capture whose mesh fits
 _BETTER = 1.5  # times the score that another frame must have
-
-Progress = Callable[[str, int, int], None]
 
 
 def check_capture(capture: Capture, out: Path | None = None, progress: Progress | None = None) -> CheckReport:

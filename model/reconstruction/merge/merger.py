@@ -38,12 +38,12 @@ from model.reconstruction.merge.medians import (
     may_see,
     merge_tile,
 )
+from model.reconstruction.merge.weights import Weights
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
 DEFAULT_TILE = 512
-Weights = Literal["none", "angle", "distance", "confidence", "all"]
 
 
 @dataclass(frozen=True)

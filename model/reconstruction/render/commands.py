@@ -1,117 +1,115 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``render``, ``turntable`` and ``view`` of ``materials``. Heavy imports happen in the verbs."""
+"""The verbs ``render`` and ``view`` of ``materials``. Heavy imports happen in the verbs."""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from datagen.foundation.command_line import check_choices
+from datagen.foundation.command_line import QuietOption, with_options
 
 if TYPE_CHECKING:
     from model.reconstruction.render.relight import RelightOptions
 
+FILM_SUFFIXES = (".gif", ".mp4")
 
+
+@dataclass(frozen=True)
+class LightWords:
+    """Light, insertions and samples, as they are written."""
+
+    sky: Annotated[
+        str | None, typer.Option(help="Instead of the asset's lights: an environment map (EXR) or R,G,B.")
+    ] = None
+    lamp: Annotated[
+        tuple[str, ...],
+        typer.Option(help="Instead of the asset's lights: X,Y,Z or X,Y,Z,INTENSITY, repeatable."),
+    ] = ()
+    insert: Annotated[
+        tuple[str, ...],
+        typer.Option(help="PACKAGE@X,Y,Z[,DEGREES], repeatable; bundled:ID is a package too."),
+    ] = ()
+    samples: Annotated[int, typer.Option(min=1, help="Light paths a pixel.")] = 16
+    no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False
+
+    def parse(self) -> RelightOptions:
+        """Raises ``BadParameter`` for what is no light, place or color."""
+        from model.reconstruction.render.relight import RelightOptions
+
+        return RelightOptions(
+            sky=_sky(self.sky),
+            lamps=tuple(_lamp(text) for text in self.lamp),
+            insertions=tuple(_insertion(text) for text in self.insert),
+            samples=self.samples,
+            denoise=not self.no_denoise,
+        )
+
+
+@dataclass(frozen=True)
+class FilmWords:
+    """Options of a film; None is the default of :class:`TurntableOptions`."""
+
+    way: Annotated[
+        Literal["orbit", "cameras"] | None,
+        typer.Option(help="Film: orbit, a turn inside (default); cameras, through the asset's cameras."),
+    ] = None
+    frames: Annotated[int | None, typer.Option(min=2, help="Film: frames of the whole way; 48.")] = None
+    frames_per_second: Annotated[float | None, typer.Option("--fps", help="Film: frames a second; 12.")] = (
+        None
+    )
+    max_width_px: Annotated[
+        int | None, typer.Option("--max-width", min=16, help="Film: wider frames are shrunk; 480.")
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """The options that were given."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@with_options
 def render(
     asset: Annotated[Path, typer.Argument(help="An environment package, such as OUT/asset.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the images (EXR and PNG).")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of images (EXR, PNG); or a film: FILE.gif, FILE.mp4 (VP9).")
+    ],
+    light: LightWords,
+    film: FilmWords,
     view: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--view", help="Name of a camera, repeatable; default: all."),
-    ] = None,
-    sky: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option("--sky", help="Instead of the asset's lights: an environment map (EXR) or R,G,B."),
-    ] = None,
-    lamp: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--lamp", help="Instead of the asset's lights: X,Y,Z or X,Y,Z,INTENSITY, repeatable."),
-    ] = None,
-    insert: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option(
-            "--insert",
-            help="PACKAGE@X,Y,Z[,DEGREES], repeatable; bundled:ID is a package too.",
-        ),
-    ] = None,
-    samples: Annotated[int, typer.Option("--samples", min=1, help="Light paths a pixel.")] = 16,
-    no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False,
+        tuple[str, ...], typer.Option(help="Images: name of a camera, repeatable; default: all.")
+    ] = (),
+    quiet: QuietOption = False,
 ) -> None:
-    """Render an asset from its cameras, under its own or other light, with objects put in.
+    """Render an asset under its own or other light, with objects put in: from its cameras, or as a film.
+
+    A film goes a way through the room and repeats without a seam.
 
     Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
     """
-    from dataclasses import replace
-
-    from model.reconstruction.render.relight import write_renders
-
-    options = replace(_relighting(sky, lamp, insert, samples, no_denoise), views=tuple(view or ()))
-    for path in write_renders(asset, out, options, _warn):
-        typer.echo(str(path))
-
-
-def turntable(
-    asset: Annotated[Path, typer.Argument(help="An environment package, such as OUT/asset.")],
-    out: Annotated[Path, typer.Option("--out", help="FILE.gif or FILE.mp4 (VP9).")],
-    way: Annotated[
-        str, typer.Option("--way", help="orbit: a turn inside; cameras: through the asset's cameras.")
-    ] = "orbit",
-    frames: Annotated[int, typer.Option("--frames", min=2, help="Frames of the whole way.")] = 48,
-    fps: Annotated[float, typer.Option("--fps", help="Frames a second.")] = 12.0,
-    max_width: Annotated[int, typer.Option("--max-width", min=16, help="Wider frames are shrunk.")] = 480,
-    sky: Annotated[Optional[str], typer.Option("--sky", help="As for render.")] = None,  # noqa: UP045
-    lamp: Annotated[Optional[list[str]], typer.Option("--lamp", help="As for render.")] = None,  # noqa: UP045
-    insert: Annotated[
-        Optional[list[str]],  # noqa: UP045
-        typer.Option("--insert", help="As for render."),
-    ] = None,
-    samples: Annotated[int, typer.Option("--samples", min=1, help="Light paths a pixel.")] = 16,
-    no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
-) -> None:
-    """Render an asset on a way through it, as a GIF or a video that repeats without a seam.
-
-    Example: materials turntable room/asset --out room.gif --lamp 0,0,2
-    """
     from datagen.foundation.progress import Bars
+    from model.reconstruction.render.relight import write_renders
     from model.reconstruction.render.turntable import TurntableOptions, write_turntable
 
-    check_choices({"--way": (way, ("orbit", "cameras"))})
-    chosen: dict[str, Any] = {"way": way}
-    options = TurntableOptions(
-        frames=frames,
-        frames_per_second=fps,
-        max_width_px=max_width,
-        render=_relighting(sky, lamp, insert, samples, no_denoise),
-        **chosen,
-    )
-    if quiet:
-        write_turntable(asset, out, options, None, _warn)
-    else:
-        with Bars() as bars:
-            write_turntable(asset, out, options, bars.tell, _warn)
-    typer.echo(str(out))
+    is_film = out.suffix.lower() in FILM_SUFFIXES
+    for option, is_given in (("--view", view and is_film), ("--out", film.given() and not is_film)):
+        if is_given:
+            expected = "FILE.gif or FILE.mp4 with the options of a film, a folder with --view"
+            raise typer.BadParameter(f"{str(out)!r}; expected {expected}", param_hint=option)
+    options = replace(light.parse(), views=tuple(view))
+    with Bars("frames" if is_film else "views", is_quiet=quiet) as bars:
+        if is_film:
+            write_turntable(asset, out, TurntableOptions(render=options, **film.given()), bars.tell, _warn)
+            written = [out]
+        else:
+            written = write_renders(asset, out, options, _warn, bars.tell)
+    for path in written:
+        typer.echo(str(path))
 
 
 def _warn(text: str) -> None:
     typer.echo(f"warning: {text}", err=True)
-
-
-def _relighting(
-    sky: str | None, lamp: list[str] | None, insert: list[str] | None, samples: int, no_denoise: bool
-) -> RelightOptions:
-    """Light, insertions and samples, from the command line's words."""
-    from model.reconstruction.render.relight import RelightOptions
-
-    return RelightOptions(
-        sky=_sky(sky),
-        lamps=tuple(_lamp(text) for text in lamp or ()),
-        insertions=tuple(_insertion(text) for text in insert or ()),
-        samples=samples,
-        denoise=not no_denoise,
-    )
 
 
 def view(

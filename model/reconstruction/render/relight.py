@@ -30,6 +30,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
+from datagen.foundation.progress import Progress
 from datagen.library import Library
 
 SKY_ID = "relight-sky"
@@ -254,12 +255,14 @@ def write_renders(
     out: Path,
     options: RelightOptions | None = None,
     warn: Callable[[str], None] | None = None,
+    progress: Progress = lambda stage, done, total: None,
 ) -> list[Path]:
     """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views under the first's exposure).
 
     ``warn`` is told where the light is another than was asked for (:func:`lit_images`)."""
     options = options or RelightOptions()
-    open_package(path).close()  # a package that cannot be read leaves no folder behind
+    with open_package(path) as package:  # one that cannot be read leaves no folder behind
+        total = len(options.views or getattr(package.asset, "cameras", ()))
     out.mkdir(parents=True, exist_ok=True)
     written = []
     exposure = 0.0
@@ -273,6 +276,7 @@ def write_renders(
             exr.write(str(file))
         write_bytes_atomically(out / f"{image.name}.png", encode_png(shown_bytes(image.color, exposure)))
         written += [file, out / f"{image.name}.png"]
+        progress("render", len(written) // 2, total)
     return written
 
 

@@ -22,12 +22,12 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
+from datagen.foundation.progress import Progress
 from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
 
 SUFFIXES = (".gif", ".mp4")
 MIN_RADIUS_M = 0.15  # a capture from one place is shown from a small circle around it
 _GIF_COLORS = 255
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

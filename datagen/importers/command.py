@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""The verb ``datagen import``. Heavy imports happen in the verb."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from datagen.foundation.command_line import with_options
+
+if TYPE_CHECKING:
+    from datagen.importers.common import ImportOptions
+
+
+@dataclass(frozen=True)
+class ImportWords:
+    """The options of an import as they are written; :class:`ImportOptions` checks their values."""
+
+    kind: Annotated[str, typer.Option(help="auto, environment, object or material.")] = "auto"
+    asset_id: Annotated[str, typer.Option("--id", help="Id of the asset; from its name if left out.")] = ""
+    title: Annotated[str, typer.Option(help="Title of the asset.")] = ""
+    license: Annotated[str, typer.Option(help="SPDX licence, if none is found beside it.")] = ""
+    author: Annotated[str, typer.Option(help="Author, if none is found beside it.")] = ""
+    source: Annotated[str, typer.Option(help="Where it comes from.")] = ""
+    evaluation_only: Annotated[
+        bool, typer.Option("--evaluation-only", help="Never offer it to plans that make training data.")
+    ] = False
+    category: Annotated[str, typer.Option(help="Category of an object; guessed if left out.")] = ""
+    classes: Annotated[
+        tuple[str, ...],
+        typer.Option("--class", help="Material class, repeatable; guessed if left out."),
+    ] = ()
+    up: Annotated[str, typer.Option(help="Axis that points up in the file: auto, y or z.")] = "auto"
+    unit_scale: Annotated[
+        float | None, typer.Option(help="Metres in a unit of the file; guessed for OBJ, PLY and STL.")
+    ] = None
+    tile_size_m: Annotated[
+        float | None, typer.Option("--tile-size", help="Side of a material's tile in metres.")
+    ] = None
+    dielectric: Annotated[str, typer.Option(help="See-through materials: refuse or replace.")] = "refuse"
+    dielectric_as: Annotated[
+        tuple[str, ...],
+        typer.Option(help="MATERIAL=STAND-IN for one see-through material, repeatable."),
+    ] = ()
+    missing: Annotated[str, typer.Option(help="Files that are not there: refuse or replace.")] = "refuse"
+    annotations: Annotated[
+        Path | None,
+        typer.Option(help="YAML that states support surfaces, openings, light slots and camera regions."),
+    ] = None
+    defines: Annotated[
+        tuple[str, ...],
+        typer.Option("--define", help="NAME=VALUE for a $name of a Mitsuba scene, repeatable."),
+    ] = ()
+    allowed: Annotated[
+        tuple[Path, ...],
+        typer.Option("--allow", help="Another folder that the source may name files in, repeatable."),
+    ] = ()
+    as_zip: Annotated[bool, typer.Option("--zip", help="Write packages as zips.")] = False
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace assets of the same id.")] = False
+
+    def parse(self) -> ImportOptions:
+        """Types and choices checked. Raises :class:`InputError` with every fault."""
+        from pydantic import TypeAdapter, ValidationError
+
+        from datagen.foundation.errors import InputError, Problem
+        from datagen.importers.common import ImportOptions
+
+        values = {
+            **asdict(self),
+            "dielectric_as": _pairs("--dielectric-as", self.dielectric_as),
+            "defines": _pairs("--define", self.defines),
+        }
+        try:
+            return TypeAdapter(ImportOptions).validate_python(values)
+        except ValidationError as error:
+            problems = [
+                Problem(
+                    "datagen import",
+                    "--" + str(e["loc"][0] if e["loc"] else "").removesuffix("_m").replace("_", "-"),
+                    repr(e.get("input")),
+                    e["msg"].lower().removeprefix("input should be "),
+                    "correct the option",
+                )
+                for e in error.errors()
+            ]
+            raise InputError(*problems) from None
+
+
+def _pairs(option: str, values: tuple[str, ...]) -> dict[str, str]:
+    from datagen.foundation.errors import input_error
+
+    pairs = {}
+    for value in values:
+        name, separator, what = value.partition("=")
+        if not separator or not name:
+            raise input_error(option, got=repr(value), expected="NAME=VALUE", remedy="write it so")
+        pairs[name] = what
+    return pairs
+
+
+@with_options
+def import_command(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            help="Mitsuba scene, glTF, OBJ, PLY, STL, FBX, USD, .blend or Sweet Home 3D file, texture "
+            "folder, or a folder of these."
+        ),
+    ],
+    library: Annotated[Path, typer.Option("--library", help="Library folder to import into.")],
+    words: ImportWords,
+    split: Annotated[
+        bool, typer.Option("--split", help="An object for each separate thing of a glTF.")
+    ] = False,
+) -> None:
+    """Turn other people's files into asset packages, and say what is only approximated.
+
+    Example: datagen import staircase/scene.xml --library my-library --dielectric replace
+    """
+    from datagen.importers.common import ImportedAsset
+    from datagen.importers.dispatch import import_asset
+    from datagen.importers.summary import summary_lines
+    from datagen.importers.sweet_home_report import ImportWatch
+
+    options = words.parse()
+
+    def tell(asset: ImportedAsset) -> None:
+        for line in summary_lines(asset):
+            typer.echo(line)
+
+    with ImportWatch() as watch:
+        imported = import_asset(path, library, options, split=split, on_done=tell, watch=watch)
+    typer.echo(f"{len(imported)} assets imported into {library}")

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: MIT
+"""The verbs ``plan``, ``run`` and ``estimate`` of ``datagen``. Heavy imports happen in the verbs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from datagen.foundation.command_line import with_options
+
+if TYPE_CHECKING:
+    from datagen.farm.local import Event, RunSummary
+    from datagen.formats.recipe import Recipe
+    from datagen.library import Library
+
+STAGES = ("render", "stats", "pack")
+
+RecipeArgument = Annotated[Path, typer.Argument(help="Recipe file (YAML), or the name of a bundled one.")]
+LibraryOption = Annotated[
+    list[str] | None,
+    typer.Option("--library", help='Library folder, repeatable; "bundled" is the project\'s own.'),
+]
+WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes to use.")]
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check everything, print it, stop.")]
+
+
+@dataclass(frozen=True)
+class RecipeChanges:
+    """Options that go over what the recipe says; None leaves it."""
+
+    library: LibraryOption = None
+    seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None
+    configurations: Annotated[int | None, typer.Option(help="How many configurations.")] = None
+    views: Annotated[int | None, typer.Option(help="Views a configuration.")] = None
+
+    def load(self, path: Path) -> tuple[Path, Recipe]:
+        """The recipe's file, which may be bundled, and the recipe: flags over file over defaults."""
+        from datagen.formats.base import parse_model, read_yaml
+        from datagen.formats.recipe import Recipe
+        from datagen.foundation.bundled import resolve_bundled
+
+        path = resolve_bundled(path, "recipes")
+        recipe = read_yaml(Recipe, path)
+        changes = {key: value for key, value in asdict(self).items() if value is not None}
+        if changes:
+            changes |= {"library": tuple(changes["library"])} if "library" in changes else {}
+            recipe = parse_model(Recipe, {**recipe.model_dump(), **changes}, f"{path} with the given options")
+        return path, recipe
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What is run, and how. ``only`` and ``unit`` None mean all; 0 ``attempts`` run it in this process."""
+
+    only: Annotated[
+        Literal["render", "stats", "pack", "index"] | None,
+        typer.Option(help="One stage alone: views, their multi-view statistics, shards, or the index."),
+    ] = None
+    unit: Annotated[int | None, typer.Option(min=0, help="One unit alone, by its index in the plan.")] = None
+    attempts: Annotated[
+        int, typer.Option(min=0, help="Tries a unit before it is set aside; 0: --unit once, in this process.")
+    ] = 3
+    deep: Annotated[bool, typer.Option("--deep", help="Hash every shard again for the index.")] = False
+    sheets: Annotated[bool, typer.Option(help="Write a contact sheet a configuration.")] = True
+    space_check: Annotated[
+        bool, typer.Option(help="Refuse to begin where the disk is too small for the estimate.")
+    ] = True
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Keep OUT/preview.html current: last views, rate, failures.")
+    ] = False
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages of units; none where the index alone is asked for."""
+        return STAGES if self.only is None else tuple(stage for stage in STAGES if stage == self.only)
+
+
+@with_options
+def plan(
+    recipe_path: RecipeArgument,
+    out: Annotated[Path, typer.Option("--out", help="Dataset folder to write.")],
+    changes: RecipeChanges,
+    workers: WorkersOption = 1,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Assemble a recipe's configurations into a dataset folder, without rendering.
+
+    Example: datagen plan smoke --out smoke
+    """
+    recipe_path, recipe = changes.load(recipe_path)
+    if dry_run:
+        _check_and_print(recipe, recipe_path.parent)
+        return
+    _plan(recipe, recipe_path.parent, out, workers)
+
+
+@with_options
+def run(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="RECIPE|FOLDER", help="Recipe as for plan, with --out; or a planned folder."),
+    ],
+    changes: RecipeChanges,
+    options: RunOptions,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Dataset folder to write; left out for a planned folder.")
+    ] = None,
+    workers: WorkersOption = 1,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Plan, render, gather statistics, pack and index; interrupt at any moment, continue by the same command.
+
+    With --unit: what job scripts call, and with --attempts 0 how a failure is reproduced. Exit codes: 0 done,
+    75 interrupted (run it again), 1 failed.
+
+    Example: datagen run smoke --out smoke --workers 2
+    """
+    if out is not None:
+        recipe_path, recipe = changes.load(source)
+        if dry_run:
+            _check_and_print(recipe, recipe_path.parent)
+            return
+        _plan(recipe, recipe_path.parent, out, workers)
+    else:
+        _check_planned(source, changes)
+        out = source
+        if dry_run:
+            _print_left(out, options)
+            return
+    if options.attempts == 0:
+        if options.unit is None:
+            raise typer.BadParameter("0 runs one unit in this process: give --unit", param_hint="--attempts")
+        _run_here(out, options.unit, options.stages)
+    if "render" in options.stages and options.unit is None and options.space_check:
+        from datagen.farm.folder import DatasetFolder
+        from datagen.farm.space import check_space
+
+        check_space(DatasetFolder(out), workers)
+    if options.stages:
+        _run_stages(out, workers, options)
+    if options.unit is None and options.only in (None, "pack", "index"):
+        _write_index(out, options.deep, has_sheets=options.sheets and options.only is None)
+
+
+def _check_planned(folder: Path, changes: RecipeChanges) -> None:
+    """Raise :class:`InputError` where a recipe or its options are given without ``--out``."""
+    from datagen.foundation.bundled import bundled_names
+    from datagen.foundation.errors import input_error
+
+    if folder.is_file() or (not folder.exists() and str(folder) in bundled_names("recipes")):
+        raise input_error("--out", got="missing", expected="the dataset folder to write", remedy="name it")
+    given = [name for name, value in asdict(changes).items() if value is not None]
+    if given:
+        expected = "a recipe and --out; a planned folder has its recipe"
+        raise input_error(f"--{given[0]}", got=str(folder), expected=expected, remedy="leave the option out")
+
+
+def _check_and_print(recipe: Recipe, base: Path) -> None:
+    """Check everything that a run would refuse before it begins, and print the resolved recipe."""
+    import yaml
+
+    from datagen.farm.planning import check_start
+
+    with _open_library(recipe, base) as opened:
+        check_start(recipe, opened)
+    typer.echo(yaml.safe_dump(recipe.model_dump(mode="json"), sort_keys=False), nl=False)
+
+
+def _open_library(recipe: Recipe, base: Path) -> Library:
+    from datagen.library import Library, resolve_library_paths
+
+    return Library(resolve_library_paths(recipe.library, base))
+
+
+def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
+    from datagen.farm.planning import create_plan, notes_before, read_configurations
+    from datagen.foundation.progress import Bars
+    from datagen.inspection.plan_summary import plan_summary
+
+    opened = _open_library(recipe, base)
+    for note in notes_before(recipe, opened):
+        typer.echo(f"note: {note}", err=True)
+    with Bars("configurations") as bars:
+        created = create_plan(recipe, opened, out, workers, partial(bars.tell, "assembling"))
+    typer.echo(f"{out}: {len(created.units)} units, {sum(u.num_views for u in created.units)} views planned")
+    summary = plan_summary(read_configurations(out, created))
+    if summary:
+        typer.echo(summary)
+
+
+def _print_left(out: Path, options: RunOptions) -> None:
+    from datagen.farm.folder import DatasetFolder
+
+    folder = DatasetFolder(out)
+    units = [unit for unit in folder.read_plan().units if options.unit in (None, unit.index)]
+    left = sum(not folder.is_done(unit) for unit in units)
+    typer.echo(f"{out}: {left} of {len(units)} units are not done: {', '.join(options.stages) or 'index'}")
+
+
+def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
+    """Run one unit in this process, which then ends with the unit's code."""
+    from datagen.farm.local import run_unit_here
+
+    def report(stage: str, done: int, total: int) -> None:
+        print(f"{stage} {done}/{total}")
+
+    raise typer.Exit(run_unit_here(out, unit, stages, report))
+
+
+def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
+    """Write the index, and contact sheets; ends the command with 1 while units are missing."""
+    from datagen.farm.collect import collect
+
+    index = collect(out, deep, lambda path: typer.echo(f"removed {path}: nothing rests on it"))
+    if has_sheets:
+        from datagen.inspection.commands import write_sheets
+
+        write_sheets(out)
+    typer.echo(
+        f"{out}: {index.num_configurations} shards, {index.num_views} views, "
+        f"{index.num_bytes / 1e6:,.0f} MB; index in {out / 'index.json'}"
+    )
+    if index.missing:
+        typer.echo(f"{len(index.missing)} units are not done, {index.missing[0]} the first of them", err=True)
+        raise typer.Exit(1)
+
+
+def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
+    """Run stages of units with a bar, and with a page if asked for; ends the command with 75 when
+    interrupted, 1 when units failed."""
+    from datagen.farm.folder import DatasetFolder
+    from datagen.farm.local import LocalOptions, run_local
+    from datagen.foundation.progress import Bars
+
+    folder, only = DatasetFolder(out), None if options.unit is None else (options.unit,)
+    units = [unit for unit in folder.read_plan().units if only is None or unit.index in only]
+    views_of = {unit.id: unit.num_views for unit in units}
+    finished = {unit.id: float(unit.num_views) for unit in units if folder.is_done(unit)}
+    shares = {"render": 0.85, "stats": 0.15} if options.only is None else {}
+
+    done_before = int(sum(finished.values()))
+    page = None
+    if options.preview:
+        from datagen.inspection.preview import Preview
+
+        page = Preview(out, sum(views_of.values()), done_before)
+        page.update(done_before)
+        typer.echo(f"preview: {page.path.absolute().as_uri()}")
+    with Bars("views") as bars:
+        tell = partial(bars.tell, "+".join(options.stages), total=sum(views_of.values()))
+        tell(done_before)
+
+        def on_event(event: Event) -> None:
+            kind, unit, stage, done, total = event
+            if kind == "progress":
+                before = 0.85 * total if stage == "stats" and shares else 0.0
+                finished[unit] = before + done * shares.get(stage, 1.0)
+            elif kind == "done":
+                finished[unit] = float(views_of[unit])
+            else:
+                what = "is tried again" if kind == "retry" else "is set aside"
+                text = f"{unit} {what} ({done}/{total}): {stage}"
+                bars.say(text)
+                if page is not None:
+                    page.say(text)
+            tell(int(sum(finished.values())))
+            if page is not None:
+                page.update(int(sum(finished.values())))
+
+        local = LocalOptions(workers=workers, attempts=options.attempts, stages=options.stages, only=only)
+        summary = run_local(out, local, on_event)
+    if page is not None:
+        page.update(int(sum(finished.values())), is_over=True)
+    _end(out, summary)
+
+
+def _end(out: Path, summary: RunSummary) -> None:
+    """Say what stopped a run or failed in it, and end the command; nothing where all is done."""
+    from datagen.farm.local import EXIT_INTERRUPTED
+
+    if summary.interrupted:
+        typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if summary.disk_full:
+        typer.echo(
+            f"{summary.disk_full}; the run stops, what is finished is kept: make room, then the same\n"
+            "command goes on from here",
+            err=True,
+        )
+        raise typer.Exit(1)
+    for record in summary.failures:
+        typer.echo(
+            f"{record.id} failed {record.attempts} times: {record.reason}\n"
+            f"  log: {out / record.log}\n  try it alone: {record.command}",
+            err=True,
+        )
+    if summary.failures:
+        raise typer.Exit(1)
+
+
+def estimate(
+    recipe_path: RecipeArgument,
+    workers: WorkersOption = 1,
+    library: LibraryOption = None,
+    out: Annotated[Path, typer.Option(help="Where the dataset would go, for the free disk.")] = Path(),
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Predict time, disk and memory of a recipe from two timed samples; exit code 1 if the disk is too small.
+
+    Example: datagen estimate paper --workers 2
+    """
+    import shutil
+
+    from datagen.foundation.progress import Bars
+    from datagen.inspection.estimate import estimate as run_estimate
+    from datagen.inspection.estimate import print_estimate
+
+    recipe_path, recipe = RecipeChanges(library).load(recipe_path)
+    opened = _open_library(recipe, recipe_path.parent)
+    with Bars("samples") as bars:
+        result = run_estimate(recipe, opened, partial(bars.tell, "timing samples"))
+    existing = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
+    has_room = print_estimate(result, workers, shutil.disk_usage(existing).free, as_json)
+    raise typer.Exit(0 if has_room else 1)

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: MIT
+"""``python -m model.publish``: a checkpoint for others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import typer
+
+from datagen.foundation.command_line import run_function
+from model.checkpoint import load_checkpoint, save_checkpoint
+
+
+def publish_checkpoint(source: Path, target: Path) -> None:
+    """Write a checkpoint for others: in half precision, without the paths of the machine that trained it."""
+    checkpoint = load_checkpoint(source)
+    training = {**checkpoint.card.training, "initial_checkpoint": None}
+    if "perceptual" in training:
+        training["perceptual"] = {**training["perceptual"], "vgg": None, "heads": None}
+    card = checkpoint.card.model_copy(update={"training": training})
+    save_checkpoint(target, card, checkpoint.network, checkpoint.confidence, torch.float16)
+
+
+def main(
+    checkpoint: Annotated[Path, typer.Argument(help="Weights of a run (.safetensors).")],
+    out: Annotated[Path, typer.Option("--out", help="File to write (.safetensors), its card beside it.")],
+) -> None:
+    """Write a checkpoint for others: half precision, no paths of this machine."""
+    publish_checkpoint(checkpoint, out)
+    typer.echo(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    run_function(main)

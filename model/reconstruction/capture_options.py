@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""How a capture is read: what the commands and :func:`~model.reconstruction.captures.read_capture` take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from datagen.foundation.budget import Limits
+from datagen.foundation.encodings import Encoding
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+Exposure = Literal["auto", "common", "exif"]
+"""One for all photographs, what EXIF records, or that where every photograph records it."""
+DEFAULT_MAX_WIDTH_PX = 640
+
+
+def _metres(text: str) -> float | None:
+    try:
+        return None if text == "auto" else float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}; expected auto or metres") from None
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """The mesh, and how its frame and the cameras' differ from metres with Z up.
+
+    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit, "auto" and None judge them
+    (``captures.frames``). Views wider than ``max_width_px`` are shrunk: the networks learn from views of 640
+    pixels.
+    """
+
+    mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
+    up: Annotated[Literal["auto", Axis], typer.Option(help="Up axis of the cameras' world.")] = "auto"
+    unit_m: Annotated[
+        float | None,
+        typer.Option(
+            "--unit",
+            parser=_metres,
+            metavar="METRES",
+            help="Of a unit of cameras and mesh, or auto (default).",
+        ),
+    ] = None
+    max_width_px: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = (
+        DEFAULT_MAX_WIDTH_PX
+    )
+
+
+@dataclass(frozen=True)
+class CaptureOptions(FrameOptions):
+    """How to read a capture. ``library`` and nothing else concerns rendered ones: packages that they were
+    made of, by default those of their dataset folder, else the bundled ones.
+
+    ``mesh_up`` is the mesh's up axis where it differs. ``exposure`` "exif" evens out exposures that the
+    cameras recorded, "auto" where all of them did. ``limits`` are those of the environment if left out.
+    """
+
+    images: Annotated[Path | None, typer.Option(help="Folder of the photographs.")] = None
+    library: Annotated[
+        tuple[Path, ...],
+        typer.Option(help="Packages that a shard was rendered with, repeatable; default: its own, bundled."),
+    ] = ()
+    mesh_up: Annotated[Literal["same", Axis], typer.Option(help="Up axis of the mesh.")] = "same"
+    encoding: Annotated[Encoding, typer.Option(help="How the photographs' values stand for light.")] = "auto"
+    exposure: Annotated[
+        Exposure, typer.Option(help="auto: what EXIF and overlaps tell; exif alone; or common.")
+    ] = "auto"
+    limits: Limits | None = None

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""What all phases of a training share: the ranks, the models, the loss and the data."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+
+from datagen.foundation.errors import input_error
+from model.checkpoint import load_checkpoint
+from model.confidence import ConfidenceNets
+from model.networks import MaterialNetwork
+from model.training.conditions import generator_for
+from model.training.config import TrainingConfig
+from model.training.dataset import BatchPlan, CropOrder
+from model.training.losses import MaterialLoss
+from model.training.perceptual import make_perceptual
+from model.training.sources import TrainingData
+from model.training.stopwatch import Stopwatch
+
+_INIT_PURPOSE = 0x11
+
+
+class Ranks:
+    """This process among those that train together; one process where ``torchrun`` did not start it."""
+
+    def __init__(self) -> None:
+        self.count = int(os.environ.get("WORLD_SIZE", "1"))
+        self.index = int(os.environ.get("RANK", "0"))
+        self.local_index = int(os.environ.get("LOCAL_RANK", "0"))
+        if self.count > 1 and torch.cuda.is_available():
+            torch.cuda.set_device(self.local_index)
+        if self.count > 1 and not dist.is_initialized():
+            dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+
+    @property
+    def is_first(self) -> bool:
+        return self.index == 0
+
+    def mean(self, values: dict[str, Tensor]) -> dict[str, float]:
+        """Means of scalars over the ranks."""
+        stacked = torch.stack([v.detach().float() for v in values.values()])
+        if self.count > 1:
+            dist.all_reduce(stacked)
+            stacked /= self.count
+        return dict(zip(values, stacked.tolist(), strict=True))
+
+    def barrier(self) -> None:
+        """Wait for every rank."""
+        if self.count > 1:
+            dist.barrier()
+
+
+class Models(nn.Module):
+    """Everything that is trained, under one state dictionary."""
+
+    def __init__(self, config: TrainingConfig):
+        super().__init__()
+        self.network = MaterialNetwork(config.network)
+        self.confidence = ConfidenceNets()
+
+
+@dataclass(frozen=True)
+class TrainingContext:
+    """What all phases of a run share."""
+
+    config: TrainingConfig
+    data: TrainingData
+    models: Models
+    loss: MaterialLoss
+    device: torch.device
+    ranks: Ranks
+    stopwatch: Stopwatch
+
+    def order(self, index: int) -> tuple[CropOrder, int]:
+        """The order of crops of a phase, and the phase's seed."""
+        data, seed = self.config.data, self.config.seed * 16 + index
+        return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
+
+    def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
+        """This rank's micro-batches of a phase from step ``start`` on."""
+        config, ranks = self.config, self.ranks
+        order, _ = self.order(index)
+        return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)
+
+    def num_steps(self, index: int) -> int:
+        """Optimiser steps of a phase."""
+        phase = self.config.phases[index]
+        return phase.steps or (phase.epochs or 1) * self.plan(index, 0).steps_per_epoch
+
+
+def default_device(local_index: int = 0) -> torch.device:
+    """The GPU of this rank where there is one, else the CPU."""
+    return torch.device("cuda", local_index) if torch.cuda.is_available() else torch.device("cpu")
+
+
+def make_context(
+    config: TrainingConfig,
+    data: TrainingData,
+    device: torch.device | None = None,
+    stopwatch: Stopwatch | None = None,
+) -> TrainingContext:
+    """Models as they are before the first step, and the loss, on ``device``."""
+    ranks = Ranks()
+    device = device or default_device(ranks.local_index)
+    perceptual = None
+    if config.loss.perceptual_weight > 0:
+        chosen = config.perceptual
+        perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads, chosen.precision)
+    loss = MaterialLoss(config.loss, perceptual).to(device)
+    models = _initial_models(config).to(device)
+    if config.channels_last:
+        models.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    if config.compile:
+        for track in models.network.tracks.values():
+            track.compile()
+    return TrainingContext(config, data, models, loss, device, ranks, stopwatch or Stopwatch())
+
+
+def _initial_models(config: TrainingConfig) -> Models:
+    """Random weights by the run's seed, or those of ``initial_checkpoint``."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
+        models = Models(config)
+    path = config.initial_checkpoint
+    if path is not None:
+        first = load_checkpoint(path)
+        if first.card.network != config.network:
+            raise input_error(path, "network", first.card.network, f"{config.network}")
+        models.network.load_state_dict(first.network.state_dict())
+        if first.confidence is not None:
+            models.confidence.load_state_dict(first.confidence.state_dict())
+    return models

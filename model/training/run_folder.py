@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""The folder of a run: claimed by one run, with its state, each phase's best weights, and the final ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from datagen.formats.base import canonical_json, write_bytes_atomically
+from datagen.foundation.errors import input_error
+from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint, software_versions
+from model.training.config import PhaseName
+from model.training.context import TrainingContext
+from model.training.run_state import (
+    RUN_FILE,
+    RunProgress,
+    RunRecord,
+    check_same_run,
+    load_state,
+    restore_module,
+    save_state,
+)
+
+FINAL_FILE = "final.safetensors"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """``run.json`` (what the run was started with), ``state.safetensors`` (where it stands),
+    ``best-<phase>.safetensors`` and ``final.safetensors``. All ranks call each method; the first one writes.
+    """
+
+    path: Path
+    context: TrainingContext
+
+    @property
+    def final(self) -> Path:
+        """The weights at the end."""
+        return self.path / FINAL_FILE
+
+    def open(self, data: Sequence[Path]) -> tuple[RunProgress, dict[str, Tensor]]:
+        """Start a new run's folder, or continue this run: its progress, and the tensors of its state (none at
+        the start), with the weights among them restored. Raises :class:`InputError` for another run's."""
+        context = self.context
+        record = RunRecord(
+            config=context.config,
+            folders=tuple(str(Path(folder).resolve()) for folder in data),
+            data=context.data.records,
+            loss=context.loss.name,
+            num_ranks=context.ranks.count,
+        )
+        path = self.path / RUN_FILE
+        if path.is_file():
+            check_same_run(path, record)
+        elif context.ranks.is_first:
+            self.path.mkdir(parents=True, exist_ok=True)
+            if any(not entry.name.startswith(".") for entry in self.path.iterdir()):
+                expected = "a new or empty folder, or one of an earlier run"
+                raise input_error(self.path, "--out", "a folder with other files", expected, "choose another")
+            write_bytes_atomically(path, canonical_json(record))
+        context.ranks.barrier()
+        state = load_state(self.path)
+        if state is None:
+            return RunProgress(), {}
+        restore_module(context.models, state[1], self.path)
+        return state
+
+    def save(self, progress: RunProgress, optimizer: torch.optim.Optimizer | None = None) -> None:
+        """Write the state; without an optimiser between phases."""
+        if self.context.ranks.is_first:
+            save_state(self.path, progress, self.context.models, optimizer)
+        self.context.ranks.barrier()
+
+    def save_best(self, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:
+        """Write the best weights of a phase so far; of the first rank alone."""
+        self._save_checkpoint(f"best-{phase}.safetensors", phase, step, metrics)
+
+    def save_final(self, step: int, metrics: dict[str, float]) -> None:
+        """Write the weights at the end; of the first rank alone."""
+        self._save_checkpoint(FINAL_FILE, self.context.config.phases[-1].name, step, metrics)
+
+    def _save_checkpoint(self, file: str, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:
+        context, config = self.context, self.context.config
+        names = [p.name for p in config.phases]
+        card = CheckpointCard(
+            network=config.network,
+            solver=config.solver,
+            loss=context.loss.name,
+            phase=phase,
+            step=step,
+            metrics=metrics,
+            data=context.data.records,
+            training=config.model_dump(mode="json"),
+            versions=software_versions(),
+        )
+        has_confidence = "confidence" in names[: names.index(phase) + 1]
+        confidence = context.models.confidence if has_confidence else None
+        save_checkpoint(self.path / file, card, context.models.network, confidence)
+
+    def load_best(self, phase: PhaseName) -> None:
+        """Set the models to the best weights of a phase."""
+        models = self.context.models
+        best = load_checkpoint(self.path / f"best-{phase}.safetensors", self.context.device)
+        with torch.no_grad():
+            for ours, theirs in ((models.network, best.network), (models.confidence, best.confidence)):
+                if theirs is not None:
+                    for mine, other in zip(ours.parameters(), theirs.parameters(), strict=True):
+                        mine.copy_(other)

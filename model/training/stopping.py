@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+"""Signals that ask a training to stop."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+@contextmanager
+def stop_signals(request: Callable[[], None]) -> Iterator[None]:
+    """SIGINT and SIGTERM ask for a stop after the current step; a second SIGINT stops at once."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    try:
+        earlier = {number: signal.getsignal(number) for number in numbers}
+
+        def handle(number: int, frame: Any) -> None:
+            request()
+            signal.signal(signal.SIGINT, earlier[signal.SIGINT])
+
+        for number in numbers:
+            signal.signal(number, handle)
+    except ValueError:  # not the main thread: whoever runs the thread handles signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An export in a log says every half a minute where it is; on a terminal it has a bar."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from blender_addon import command
+from blender_addon.assembly import Progress
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_an_export_is_not_silent(
+    is_terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(command.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    show = command.ProgressLine()
+    for step in range(6):
+        now[0] += 12.0
+        show(Progress(step / 8, f"baking wood {step}"))
+    show.end()
+    said = capsys.readouterr().err
+    if is_terminal:
+        assert said.count("\r") == 7 and said.endswith("\r\033[K") and "62%" in said and "#" in said
+    else:
+        assert [line.split(" ", 1)[1].split() for line in said.splitlines()] == [
+            ["25%", "108", "s", "left", "baking", "wood", "2"],
+            ["62%", "43", "s", "left", "baking", "wood", "5"],
+        ]
