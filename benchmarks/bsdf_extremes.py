@@ -18,11 +18,12 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
+from datagen.foundation.progress import Bars
 from oracles import brdf as oracle
 
 BATCH = 4_000_000
@@ -300,6 +301,15 @@ def _count(mask: Any) -> int:
     return int(dr.count(mask)[0])
 
 
+def _batches(count: int) -> Iterator[int]:
+    """Numbers of batches, with a bar."""
+    with Bars("batches") as bars:
+        for batch in range(count):
+            bars.tell("cases", batch, count)
+            yield batch
+        bars.tell("cases", count, count)
+
+
 def print_evaluations(total: float) -> bool:
     """Counts over ``total`` cases; true where nothing is NaN, infinite or negative."""
     import drjit as dr
@@ -309,7 +319,7 @@ def print_evaluations(total: float) -> bool:
     bad = {name: [0, 0, 0, 0.0] for name in names}
     num_batches = int(np.ceil(total / BATCH))
     start = time.perf_counter()
-    for batch in range(num_batches):
+    for batch in _batches(num_batches):
         bsdf, si, wo, sample1, sample2 = _random_case(batch, BATCH)
         value, pdf, bs, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, wo, sample1, sample2)
         faults = {}
@@ -326,8 +336,6 @@ def print_evaluations(total: float) -> bool:
             for i, count in enumerate(counts):
                 bad[name][i] += int(dr.sum(count)[0])
             bad[name][3] = max(bad[name][3], float(dr.max(largest)[0]))
-        if sys.stderr.isatty():
-            print(f"\r{batch + 1}/{num_batches}", end="", file=sys.stderr)
     seconds = time.perf_counter() - start
     rows = [[name, *counts[:3], f"{counts[3]:.4g}"] for name, counts in bad.items()]
     print(f"{num_batches * BATCH:.3g} cases in {seconds:.0f} s\n")
@@ -342,7 +350,7 @@ def print_gradients(total: float) -> bool:
 
     names = ("by D", "by S", "by R")
     bad = {name: [0, 0.0] for name in names}
-    for batch in range(int(np.ceil(total / BATCH))):
+    for batch in _batches(int(np.ceil(total / BATCH))):
         bsdf, si, wo, _, _ = _random_case(batch, BATCH)
         channels = (bsdf.diffuse_albedo.value, bsdf.specular_albedo.value, bsdf.roughness.value)
         for channel in channels:

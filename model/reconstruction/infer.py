@@ -115,10 +115,9 @@ def infer(
         _claim(capture, source, run)
         with ExitStack() as files:
             merged = _merged(_packed(_final_views(capture, source, run), run), run, files)
-            with report.stage("fill"):
+            with run.stage("fill"):
                 fill_unseen(merged.atlas, merged.mesh)
-            with report.stage("export"):
-                _export(capture, merged, run)
+            _export(capture, merged, run)
         write_bytes_atomically(out / "report.html", report_html(report, run.found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
@@ -168,8 +167,8 @@ def _claim(capture: Capture, source: MapSource, run: Run) -> None:
 
 def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
     """Traced → checked → completed → predicted → leveled."""
-    with run.report.stage("trace"):
-        traced = trace_capture(capture, lambda done, total: run.tell("trace", done, total))
+    with run.stage("trace") as advance:
+        traced = trace_capture(capture, advance)
     _check(traced, run)
     if source.is_predicted:
         traced = completed(traced, run)
@@ -190,7 +189,7 @@ def _check(traced: TracedCapture, run: Run) -> None:
         for view in traced.views:
             run.report.warnings += view_warnings(view.name, view.color, view.geometry)
         return
-    with run.report.stage("check"):
+    with run.stage("check"):
         found = check_traced(traced, run.out / "check")
     if found.better:
         remedy = "do that, or leave the check out with --no-check"
@@ -202,7 +201,7 @@ def _check(traced: TracedCapture, run: Run) -> None:
 def _packed(final: FinalViews, run: Run) -> PackedMaps:
     """Unwrapped, and packed for the merge."""
     report, options = run.report, run.options
-    with report.stage("unwrap"):
+    with run.stage("unwrap"):
         mesh, unwrap = unwrapped(final.geometry.mesh, options.jobs)
         size = options.atlas
         if size == "auto":
@@ -224,9 +223,9 @@ def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
     confidence_at = run.found.confidence_at
     has_confidence = confidence_at is not None
     atlas = files.enter_context(_atlas_memory(packed.size, run.out, has_confidence=has_confidence))
-    with run.report.stage("merge"):
+    with run.stage("merge") as advance:
         surface = TexelSurface(packed.mesh, packed.normals, packed.size)
-        packed.merger.merge(surface, atlas, lambda done, total: run.tell("merge", done, total))
+        packed.merger.merge(surface, atlas, advance)
         if confidence_at is not None:
             put_confidence(atlas, surface, confidence_at)
         run.report.seen_share, run.report.seen_of_visible = _seen_share(atlas, packed.can_be_seen)
@@ -265,9 +264,14 @@ def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
     geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
     capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
     out, atlas = run.out, merged.atlas
-    reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
-    write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr)
-    write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
-    error = write_glb(out / f"{capture.name}.glb", reconstruction, has_punctual=run.options.has_punctual)
+    with run.stage("export") as advance:
+        reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
+        write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr)
+        advance(1, 4)
+        write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
+        advance(2, 4)
+        glb = out / f"{capture.name}.glb"
+        error = write_glb(glb, reconstruction, has_punctual=run.options.has_punctual)
+        advance(3, 4)
+        write_mitsuba_scene(out / "mitsuba", reconstruction)
     run.report.gltf_error = asdict(error)
-    write_mitsuba_scene(out / "mitsuba", reconstruction)

@@ -4,7 +4,8 @@ what may happen to them before they are merged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -53,6 +54,22 @@ class Run:
     report: InferReport
     tell: Progress
     found: Found = field(default_factory=Found)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
+        """Time a stage, and tell of its begin and end; gives what tells of (done, total) in between."""
+        last = (0, 1)
+
+        def advance(done: int, total: int) -> None:
+            nonlocal last
+            last = (done, total)
+            self.tell(name, done, total)
+
+        with self.report.stage(name):
+            advance(*last)
+            yield advance
+        if last[0] < last[1]:
+            advance(last[1], last[1])
 
 
 class MapSource(Protocol):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.images import read_image
+from datagen.foundation.progress import Progress
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.infer import InferOptions, InferReport, infer
@@ -34,12 +35,16 @@ def untrained(folder: Path, seed: int) -> CheckpointMaps:
 
 
 def inferred(
-    folder: Path, seed: int, materials: Materials, white: float = np.inf
+    folder: Path,
+    seed: int,
+    materials: Materials,
+    white: float = np.inf,
+    tell: Progress = lambda stage, done, total: None,
 ) -> tuple[InferReport, NDArray[np.float64]]:
     """The report, and D of the atlas where it was seen, (K, 3)."""
     options = InferOptions(atlas=128, materials=materials, is_checked=False, has_exr=False)
     out = folder / f"{materials}-{seed}-{white}"
-    report = infer(box_capture(white), out, untrained(folder, seed), options)
+    report = infer(box_capture(white), out, untrained(folder, seed), options, tell)
     atlas = read_image(out / "atlas" / "diffuse_albedo.png")[..., :3] / 255.0
     seen = read_image(out / "atlas" / "mask.png")[..., 0] == 255
     return report, linear_from_srgb(atlas[seen])
@@ -53,8 +58,12 @@ def walls_found(found: NDArray) -> NDArray[np.float64]:
 
 
 def test_atlas_has_the_walls_albedos_whatever_was_predicted(tmp_path: Path) -> None:
-    report, found = inferred(tmp_path, 3, "both")
+    told: list[tuple[str, int, int]] = []
+    report, found = inferred(tmp_path, 3, "both", tell=lambda *progress: told.append(progress))
     assert walls_found(found) > 0.7
+    told_of_the_end = {stage for stage, done, total in told if done == total}
+    assert set(report.seconds) - told_of_the_end == {"statistics", "write maps"}  # within predict
+    assert {("light", 1, 10), ("export", 1, 4), ("trace", 0, 1)} <= set(told)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"]) > 0.95
     assert written["num_surfels"] > 1000 and len(written["lights"]) == 1

@@ -16,7 +16,7 @@ from model.reconstruction.stages import Maps, Run
 def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
     """The maps with diffuse albedo at the level that the light between the surfaces tells; unchanged where
     it tells too little. What lies on disk stays as it was predicted."""
-    with run.report.stage("level"):
+    with run.stage("level"):
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(
             traced.views,

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from model.reconstruction.geometry.traced import smooth_regions
 from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.light.found import found_lights
+from model.reconstruction.light.options import LightReport
 from model.reconstruction.light.pictures import view_pictures
 from model.reconstruction.light.stage import LightOptions, materials_from_light
 from model.reconstruction.light.surfel_confidence import SurfelConfidence
@@ -18,7 +19,8 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions
     """The maps with D, S and R out of the light that the photographs record. The network's stay where
     evidence lacks. What lies on disk stays as it was predicted."""
     options = options or LightOptions(has_prior=run.options.materials == "both")
-    with run.report.stage("light"):
+    report = LightReport()
+    with run.stage("light") as report.advance:
         found = materials_from_light(
             traced.views,
             maps,
@@ -28,10 +30,11 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions
             run.report.exposure,
             options,
             run.found.doubt_at,
+            report,
         )
-        with found.report.step("lights"):
+        with report.step("lights"):
             lights = found_lights(found.lit, traced.views, traced.geometry, traced.capture.geometry)
-    run.report.light = {**asdict(found.report), "lights": lights.described()}
+    run.report.light = {**asdict(report), "lights": lights.described()}
     run.found.lights = lights
     run.found.confidence_at = SurfelConfidence.of(found.lit.surfels, found.solved.confidence).at
     run.found.pictures = view_pictures(traced.views, found.maps, run.report.exposure)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -35,6 +35,13 @@ class LightOptions:
     is_corrected: bool = True
 
 
+STEPS = (
+    "surfels", "field", "irradiance", "segments", "solve", "metals", "specular", "correction", "maps",
+    "lights",
+)  # fmt: skip
+"""Of the stage, in their order; without metals that one is left out."""
+
+
 @dataclass
 class LightReport:
     """What was found. ``photographed_share``: mean share of the surfels' hemispheres that photographs show;
@@ -50,10 +57,14 @@ class LightReport:
     seconds: dict[str, float] = field(default_factory=dict)
     memory_mb: dict[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self.advance: Callable[[int, int], None] = lambda done, total: None
+
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        """Add the time inside to a step."""
+        """Add the time inside to a step, and ``advance`` beyond it."""
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
         self.memory_mb[name] = round(peak_mb(), 1)
+        self.advance(STEPS.index(name) + 1, len(STEPS))

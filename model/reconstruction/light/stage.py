@@ -53,6 +53,7 @@ def materials_from_light(
     exposure: float,
     options: LightOptions | None = None,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
+    report: LightReport | None = None,
 ) -> LightMaterials:
     """Materials of ``views`` in the light that they record; ``maps`` are the network's, ``emits`` (M,) the
     triangles that are known to emit, ``exposure`` brings the bright surfaces to 0.9, ``doubt_at`` positions
@@ -61,7 +62,7 @@ def materials_from_light(
     The result does not depend on the order of the views. Raises ValueError where the views see no extended
     surface.
     """
-    options, report = options or LightOptions(), LightReport()
+    options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
     ordered, predicted = [views[index] for index in order], [maps[index] for index in order]
     lit = light_surfels(ordered, traced, emits, region_of_face, options, report)

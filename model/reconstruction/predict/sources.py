@@ -62,7 +62,7 @@ class GivenMaps:
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
         """As they are."""
-        with run.report.stage("read maps"):
+        with run.stage("read maps"):
             return self.read(traced)
 
 

@@ -53,6 +53,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
         traced.geometry.scene if options.visibility == "trace" else None,
         only=[index for batch in pending for index in batch],
     )
+    run.tell("predict", sum(m is not None for m in maps), len(maps))
     for batch in pending:
         tensors = []
         for index in batch:

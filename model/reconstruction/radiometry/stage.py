@@ -19,7 +19,7 @@ def completed(traced: TracedCapture, run: Run) -> TracedCapture:
     limit: renderings and merged brackets are of one exposure as they come."""
     if any(view.limit is None for view in traced.views):
         return traced
-    with run.report.stage("radiometry"):
+    with run.stage("radiometry"):
         try:
             found = completed_views(
                 traced.views,
