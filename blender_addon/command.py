@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import shutil
 import sys
 import time
@@ -24,6 +25,13 @@ _BAR_WIDTH = 30
 _SILENCE_S = 30.0
 
 
+def version() -> str:
+    """The extension's version, from its manifest."""
+    manifest = Path(__file__).with_name("blender_manifest.toml").read_text(encoding="utf-8")
+    found = re.search(r'^version = "(.+)"$', manifest, re.MULTILINE)
+    return found[1] if found else "unknown"
+
+
 def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentParser:
     """The command's arguments; defaults are those of :class:`ExportSettings`."""
     default = ExportSettings()
@@ -32,6 +40,7 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
         description="Export a .blend file as asset packages.",
         epilog=f"Example: {program} room.blend --out packages --license CC0-1.0 --report",
     )
+    parser.add_argument("--version", action="version", version=f"scene_materials {version()}")
     parser.add_argument("blend", type=Path, nargs="?", help="the file (inside Blender: the open one)")
     parser.add_argument("--out", type=Path, help="folder that the packages go into")
     parser.add_argument("--kind", choices=KINDS, default=default.kind)

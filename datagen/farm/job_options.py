@@ -16,6 +16,7 @@ from typing import Annotated
 
 import typer
 
+from datagen.foundation.command_line import declared_options
 from datagen.foundation.errors import InputError, Problem
 
 _WHERE = "farm submit"
@@ -36,14 +37,6 @@ _FORMS: dict[str, tuple[re.Pattern[str], str]] = {
     "mail_type": (_MAIL_TYPES, "END, FAIL, ..."),
 }
 _FORM_OF = {"collect_time": "time_limit", "collect_memory": "memory", "collect_partition": "partition"}
-_OPTION_NAMES = {
-    "time_limit": "--time",
-    "sbatch_options": "--sbatch-option",
-    "collect_options": "--collect-option",
-}
-_LEAST = {
-    "cpus": 1, "gpus": 0, "throttle": 0, "notice_s": 1, "attempts": 1, "max_array": 2, "collect_cpus": 1
-}  # fmt: skip
 _OURS = {
     "job-name", "array", "output", "error", "input", "requeue", "no-requeue", "signal", "open-mode",
     "dependency", "chdir", "wrap", "parsable", "test-only", "wait", "hold", "ignore-pbs", "help", "version",
@@ -124,15 +117,9 @@ class SlurmOptions:
 
     def _wrong_numbers(self) -> list[Problem]:
         return [
-            Problem(
-                _WHERE,
-                option_name(name),
-                repr(getattr(self, name)),
-                f"a whole number from {least}",
-                "correct it",
-            )
-            for name, least in _LEAST.items()
-            if type(getattr(self, name)) is not int or getattr(self, name) < least
+            Problem(_WHERE, option, repr(value), f"a whole number from {least}", "correct it")
+            for name, (option, least) in declared_options(SlurmOptions).items()
+            if least is not None and (type(value := getattr(self, name)) is not int or value < least)
         ]
 
 
@@ -151,7 +138,7 @@ def seconds_of(time_limit: str) -> int:
 
 def option_name(field: str) -> str:
     """The command's option for a field."""
-    return _OPTION_NAMES.get(field, "--" + field.removesuffix("_s").replace("_", "-"))
+    return declared_options(SlurmOptions)[field][0]
 
 
 def _wrong_setup(setup: str) -> list[Problem]:

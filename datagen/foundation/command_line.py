@@ -17,7 +17,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperGroup
-from typer.models import ParameterInfo
+from typer.models import OptionInfo, ParameterInfo
 
 T = TypeVar("T")
 
@@ -142,6 +142,16 @@ def _options_of(kind: type) -> list[tuple[str, Any, Any]]:
         for field in fields(kind)
         if any(isinstance(extra, ParameterInfo) for extra in get_args(hints[field.name])[1:])
     ]
+
+
+def declared_options(kind: type) -> dict[str, tuple[str, float | None]]:
+    """Of each option of a dataclass, by field: its name on the command line, and the least value if any."""
+    found = {}
+    for name, hint, _ in _options_of(kind):
+        (option,) = (extra for extra in get_args(hint)[1:] if isinstance(extra, OptionInfo))
+        declared = option.default if isinstance(option.default, str) else "--" + name.replace("_", "-")
+        found[name] = declared, option.min
+    return found
 
 
 def _is_repeatable(hint: Any) -> bool:

@@ -1,80 +1,72 @@
 # SPDX-License-Identifier: MIT
-"""The command ``python -m datagen.tradeoff``; heavy imports happen in the body."""
+"""The command ``python -m datagen.tradeoff``."""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from datagen.tradeoff.selection import Point
-    from datagen.tradeoff.sweep import Sweep
+from datagen.foundation.command_line import with_options
+from datagen.foundation.errors import InputError
+from datagen.foundation.progress import Bars
+from datagen.tradeoff.selection import Point, front_of, points_of, recommend
+from datagen.tradeoff.sweep import Sweep, SweepOptions
+from datagen.tradeoff.writing import Results, write_results
 
 EXIT_INTERRUPTED = 75
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Largest errors of the setting to recommend."""
+
+    rel_mse: Annotated[
+        float | None,
+        typer.Option(
+            "--max-rel-mse",
+            min=0,
+            help="Recommend the cheapest setting with at most this relMSE of beauty.",
+        ),
+    ] = None
+    maps_error: Annotated[
+        float | None,
+        typer.Option(
+            "--max-maps-error",
+            min=0,
+            help="... and at most this mean absolute error of the ground-truth maps.",
+        ),
+    ] = None
+    statistics_error: Annotated[
+        float | None,
+        typer.Option(
+            "--max-statistics-error",
+            min=0,
+            help="... and at most this mean absolute error of the statistics.",
+        ),
+    ] = None
+
+
+@with_options
 def tradeoff(
     folder: Annotated[Path, typer.Argument(help="Planned dataset folder whose configurations are measured.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for references, trials and results.")],
-    configuration: Annotated[
-        list[int] | None,
-        typer.Option("--configuration", help="Index of a configuration, repeatable; the first if left out."),
-    ] = None,
-    sweep: Annotated[
-        list[str] | None,
-        typer.Option(help="What to vary: NAME or NAME=VALUE,VALUE, repeatable; everything if left out."),
-    ] = None,
-    factorial: Annotated[
-        bool, typer.Option(help="Also samples x auxiliary samples x denoiser, all combinations.")
-    ] = True,
-    size: Annotated[tuple[int, int], typer.Option(help="Resolution, pixels.")] = (160, 96),
-    views: Annotated[int, typer.Option(min=1, help="Views a configuration, spread evenly.")] = 4,
-    reference_samples: Annotated[
-        int, typer.Option(min=16, help="Paths a pixel in each of the reference's two images.")
-    ] = 512,
-    max_rel_mse: Annotated[
-        float | None,
-        typer.Option(min=0, help="Recommend the cheapest setting with at most this relMSE of beauty."),
-    ] = None,
-    max_maps_error: Annotated[
-        float | None,
-        typer.Option(min=0, help="... and at most this mean absolute error of the ground-truth maps."),
-    ] = None,
-    max_statistics_error: Annotated[
-        float | None,
-        typer.Option(min=0, help="... and at most this mean absolute error of the statistics."),
-    ] = None,
-    variant: Annotated[
-        str | None,
-        typer.Option(help="Mitsuba variant of the base point; the machine's best if left out."),
-    ] = None,
+    options: SweepOptions,
+    limits: Limits,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be measured and stop.")] = False,
 ) -> None:
     """Measure error against time over everything that costs time, and recommend a setting for an error.
 
     Example: python -m datagen.tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
     """
-    from datagen.tradeoff.settings import SWEEPS
-    from datagen.tradeoff.sweep import Sweep, SweepOptions
-
-    options = SweepOptions(
-        configurations=tuple(configuration or (0,)),
-        size=size,
-        views=views,
-        reference_samples=reference_samples,
-        sweeps=tuple(sweep or SWEEPS),
-        with_factorial=factorial,
-        variant=variant,
-    )
     planned = Sweep(folder, out, options)
-    limits = {"rel_mse": max_rel_mse, "maps_error": max_maps_error, "statistics_error": max_statistics_error}
     _announce(planned)
     if dry_run:
         return
     _run(planned)
-    _write(planned, {name: limit for name, limit in limits.items() if limit is not None})
+    _write(planned, {name: limit for name, limit in asdict(limits).items() if limit is not None})
 
 
 def _announce(sweep: Sweep) -> None:
@@ -90,8 +82,6 @@ def _announce(sweep: Sweep) -> None:
 
 def _run(sweep: Sweep) -> None:
     """Measure with a bar; an interrupt ends the command with 75."""
-    from datagen.foundation.progress import Bars
-
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
     with Bars("steps") as bars:
@@ -110,10 +100,6 @@ def _run(sweep: Sweep) -> None:
 
 
 def _write(sweep: Sweep, limits: dict[str, float]) -> None:
-    from datagen.foundation.errors import InputError
-    from datagen.tradeoff.selection import front_of, points_of, recommend
-    from datagen.tradeoff.writing import Results, write_results
-
     trials = sweep.trials()
     points = points_of(trials)
     recommended: Point | None = None

@@ -18,6 +18,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
@@ -27,7 +30,7 @@ from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.tradeoff.reference import Reference, make_reference, reference_key, sized
-from datagen.tradeoff.settings import Setting, base_setting, planned_settings
+from datagen.tradeoff.settings import SWEEPS, Setting, base_setting, planned_settings
 from datagen.tradeoff.trial import Trial, measure
 from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, VARIANTS, has_cuda, resolve_variant
 
@@ -36,15 +39,31 @@ LEAST_SIDE_PX, MOST_SIDE_PX = 8, 16384
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """What is swept, on what, and against what: ``reference_samples`` paths a pixel in each of two images."""
+    """What is swept, on what, and against what."""
 
-    configurations: tuple[int, ...] = (0,)
-    size: tuple[int, int] = (160, 96)
-    views: int = 4
-    reference_samples: int = 512
-    sweeps: tuple[str, ...] = ()
-    with_factorial: bool = True
-    variant: str | None = None
+    configurations: Annotated[
+        tuple[int, ...], typer.Option("--configuration", help="Index of a configuration, repeatable.")
+    ] = (0,)
+    size: Annotated[tuple[int, int], typer.Option(help="Resolution, pixels.")] = (160, 96)
+    views: Annotated[int, typer.Option(min=1, help="Views a configuration, spread evenly.")] = 4
+    reference_samples: Annotated[
+        int, typer.Option(min=16, help="Paths a pixel in each of the reference's two images.")
+    ] = 512
+    sweeps: Annotated[
+        tuple[str, ...],
+        typer.Option("--sweep", help="What to vary: NAME or NAME=VALUE,VALUE, repeatable."),
+    ] = tuple(SWEEPS)
+    with_factorial: Annotated[
+        bool,
+        typer.Option(
+            "--factorial/--no-factorial",
+            help="Also samples x auxiliary samples x denoiser, all combinations.",
+        ),
+    ] = True
+    variant: Annotated[
+        str | None,
+        typer.Option(help="Mitsuba variant of the base point; the machine's best if left out."),
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from datagen.foundation.command_line import QuietOption, with_options
+from model.reconstruction.render.options import FilmOptions
 
 if TYPE_CHECKING:
     from model.reconstruction.render.relight import RelightOptions
@@ -48,27 +49,6 @@ class LightWords:
         )
 
 
-@dataclass(frozen=True)
-class FilmWords:
-    """Options of a film; None is the default of :class:`TurntableOptions`."""
-
-    way: Annotated[
-        Literal["orbit", "cameras"] | None,
-        typer.Option(help="Film: orbit, a turn inside (default); cameras, through the asset's cameras."),
-    ] = None
-    frames: Annotated[int | None, typer.Option(min=2, help="Film: frames of the whole way; 48.")] = None
-    frames_per_second: Annotated[float | None, typer.Option("--fps", help="Film: frames a second; 12.")] = (
-        None
-    )
-    max_width_px: Annotated[
-        int | None, typer.Option("--max-width", min=16, help="Film: wider frames are shrunk; 480.")
-    ] = None
-
-    def given(self) -> dict[str, Any]:
-        """The options that were given."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
-
-
 @with_options
 def render(
     asset: Annotated[Path, typer.Argument(help="An environment package, such as OUT/asset.")],
@@ -76,7 +56,7 @@ def render(
         Path, typer.Option("--out", help="Folder of images (EXR, PNG); or a film: FILE.gif, FILE.mp4 (VP9).")
     ],
     light: LightWords,
-    film: FilmWords,
+    film: FilmOptions,
     view: Annotated[
         tuple[str, ...], typer.Option(help="Images: name of a camera, repeatable; default: all.")
     ] = (),
@@ -93,14 +73,14 @@ def render(
     from model.reconstruction.render.turntable import TurntableOptions, write_turntable
 
     is_film = out.suffix.lower() in FILM_SUFFIXES
-    for option, is_given in (("--view", view and is_film), ("--out", film.given() and not is_film)):
+    for option, is_given in (("--view", view and is_film), ("--out", film != FilmOptions() and not is_film)):
         if is_given:
             expected = "FILE.gif or FILE.mp4 with the options of a film, a folder with --view"
             raise typer.BadParameter(f"{str(out)!r}; expected {expected}", param_hint=option)
     options = replace(light.parse(), views=tuple(view))
     with Bars("frames" if is_film else "views", is_quiet=quiet) as bars:
         if is_film:
-            write_turntable(asset, out, TurntableOptions(render=options, **film.given()), bars.tell, _warn)
+            write_turntable(asset, out, TurntableOptions(**asdict(film), render=options), bars.tell, _warn)
             written = [out]
         else:
             written = write_renders(asset, out, options, _warn, bars.tell)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from datagen.foundation.color import exposure_for
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Progress
+from model.reconstruction.render.options import FilmOptions
 from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
 
 SUFFIXES = (".gif", ".mp4")
@@ -31,23 +31,10 @@ _GIF_COLORS = 255
 
 
 @dataclass(frozen=True)
-class TurntableOptions:
-    """``render`` holds light, insertions and samples; its views and cameras are not used. Views are at most
-    ``max_width_px`` wide."""
+class TurntableOptions(FilmOptions):
+    """``render`` holds light, insertions and samples; its views and cameras are not used."""
 
-    way: Literal["orbit", "cameras"] = "orbit"
-    frames: int = 48
-    frames_per_second: float = 12.0
-    max_width_px: int = 480
     render: RelightOptions = field(default_factory=RelightOptions)
-
-    def __post_init__(self) -> None:
-        if not 2 <= self.frames <= 100_000:
-            raise input_error("turntable", "frames", self.frames, "2 to 100000", "correct it")
-        if not 0 < self.frames_per_second <= 100:
-            raise input_error(
-                "turntable", "frames a second", self.frames_per_second, "0 to 100", "correct it"
-            )
 
 
 def write_turntable(

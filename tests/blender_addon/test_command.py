@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An export in a log says every half a minute where it is; on a terminal it has a bar."""
+"""The export as a command: its version, and in a log a line every half a minute, on a terminal a bar."""
 
 from __future__ import annotations
 
@@ -9,6 +9,14 @@ import pytest
 
 from blender_addon import command
 from blender_addon.assembly import Progress
+from datagen.foundation.versions import DISTRIBUTION, pixel_versions
+
+
+def test_the_command_tells_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        command.build_parser().parse_args(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"scene_materials {pixel_versions()[DISTRIBUTION]}\n"
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])

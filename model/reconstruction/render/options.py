@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: MIT
+"""How a film of an asset goes: what the command and :class:`TurntableOptions` take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import typer
+
+from datagen.foundation.errors import input_error
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """Frames are at most ``max_width_px`` wide."""
+
+    way: Annotated[
+        Literal["orbit", "cameras"],
+        typer.Option(help="Film: orbit, a turn inside; or through the asset's cameras."),
+    ] = "orbit"
+    frames: Annotated[int, typer.Option(min=2, help="Film: frames of the whole way.")] = 48
+    frames_per_second: Annotated[float, typer.Option("--fps", help="Film: frames a second.")] = 12.0
+    max_width_px: Annotated[
+        int, typer.Option("--max-width", min=16, help="Film: wider frames are shrunk.")
+    ] = 480
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.frames <= 100_000:
+            raise input_error("turntable", "frames", self.frames, "2 to 100000", "correct it")
+        rate = self.frames_per_second
+        if not 0 < rate <= 100:
+            raise input_error("turntable", "frames a second", rate, "0 to 100", "correct it")
