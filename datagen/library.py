@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -253,35 +253,39 @@ class LibraryCheck:
     warnings: tuple[Problem, ...]
 
 
-def check_library(paths: Iterable[str | Path]) -> LibraryCheck:
+def check_library(
+    paths: Iterable[str | Path], progress: Callable[[int, int], None] = lambda done, total: None
+) -> LibraryCheck:
     """Read every mesh and texture of every package; faults of all of them, never just the first.
 
-    Unlike :class:`Library` this goes on past packages that cannot be opened.
+    Unlike :class:`Library` this goes on past packages that cannot be opened. ``progress(done, total)`` counts
+    packages.
     """
     errors: list[Problem] = []
     warnings: list[Problem] = []
     seen: dict[str, Path] = {}
-    num = 0
+    found: list[Path] = []
     for root in map(Path, paths):
         if not root.exists():
             errors.append(Problem(root, "", "no such folder", "a library folder", "check the path"))
-            continue
-        if root.is_file() and not is_package(root):
+        elif root.is_file() and not is_package(root):
             errors.append(Problem(root, "", "no asset package", "a library folder or a package"))
+        else:
+            found += find_packages(root)
+    for number, path in enumerate(found):
+        progress(number, len(found))
+        try:
+            package = open_package(path)
+        except InputError as error:
+            errors.extend(error.problems)
             continue
-        for path in find_packages(root):
-            num += 1
-            try:
-                package = open_package(path)
-            except InputError as error:
-                errors.extend(error.problems)
-                continue
-            with package:
-                if package.id in seen and seen[package.id].resolve() != path.resolve():
-                    expected = f"an id of its own; {seen[package.id]} has it too"
-                    errors.append(Problem(path, "id", repr(package.id), expected, "rename one"))
-                seen.setdefault(package.id, path)
-                report = check_package(package)
-                errors.extend(report.errors)
-                warnings.extend(report.warnings)
-    return LibraryCheck(num, tuple(errors), tuple(warnings))
+        with package:
+            if package.id in seen and seen[package.id].resolve() != path.resolve():
+                expected = f"an id of its own; {seen[package.id]} has it too"
+                errors.append(Problem(path, "id", repr(package.id), expected, "rename one"))
+            seen.setdefault(package.id, path)
+            report = check_package(package)
+            errors.extend(report.errors)
+            warnings.extend(report.warnings)
+    progress(len(found), len(found))
+    return LibraryCheck(len(found), tuple(errors), tuple(warnings))

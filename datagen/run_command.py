@@ -214,8 +214,13 @@ def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
 def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
     """Write the index, and contact sheets; ends the command with 1 while units are missing."""
     from datagen.farm.collect import collect
+    from datagen.foundation.progress import Bars
 
-    index = collect(out, deep, lambda path: typer.echo(f"removed {path}: nothing rests on it"))
+    def removed(path: Path) -> None:
+        typer.echo(f"removed {path}: nothing rests on it")
+
+    with Bars("units") as bars:
+        index = collect(out, deep, removed, partial(bars.tell, "index"))
     if has_sheets:
         from datagen.inspection.commands import write_sheets
 

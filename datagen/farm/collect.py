@@ -17,11 +17,15 @@ from datagen.foundation.paths import inside
 
 
 def collect(
-    root: Path, deep: bool = False, on_removed: Callable[[Path], object] = lambda path: None
+    root: Path,
+    deep: bool = False,
+    on_removed: Callable[[Path], object] = lambda path: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> DatasetIndex:
     """Write ``index.json`` from the units that are done, and return it.
 
-    What killed attempts left behind is removed, and told to ``on_removed``.
+    What killed attempts left behind is removed, and told to ``on_removed``; ``progress(done, total)`` counts
+    units.
     ``deep`` hashes every shard again and raises :class:`InputError` naming those that differ. Units that are
     not done are listed in ``missing``; the index is complete when there are none.
     """
@@ -32,7 +36,8 @@ def collect(
     problems: list[Problem] = []
     buffers: tuple[str, ...] = ()
     splits: dict[Split, int] = {}
-    for unit in plan.units:
+    for number, unit in enumerate(plan.units):
+        progress(number, len(plan.units))
         manifest = folder.read_manifest(unit) if folder.is_done(unit) else None
         if manifest is None:
             missing.append(unit.id)
@@ -59,6 +64,7 @@ def collect(
                 assets=unit.assets,
             )
         )
+    progress(len(plan.units), len(plan.units))
     if problems:
         raise InputError(*problems)
     # Where the library lies on the machine that made the dataset is nobody's business.

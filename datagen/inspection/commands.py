@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -128,7 +129,9 @@ def report(
 
 def write_sheets(folder: Path) -> None:
     """Write the contact sheets that are missing, and say where they are."""
+    from datagen.foundation.progress import Bars
     from datagen.inspection.contact_sheet import write_dataset_sheets
 
-    written = write_dataset_sheets(folder)
+    with Bars("configurations") as bars:
+        written = write_dataset_sheets(folder, partial(bars.tell, "contact sheets"))
     typer.echo(f"{folder}: contact sheets in {folder / 'sheets'} ({len(written)} new)")

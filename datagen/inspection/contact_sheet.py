@@ -249,23 +249,28 @@ def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
     return make_contact_sheet([buffers[r.name] for r in chosen], [r.name for r in chosen], title)
 
 
-def write_dataset_sheets(folder: Path) -> list[Path]:
+def write_dataset_sheets(
+    folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
+) -> list[Path]:
     """Write ``sheets/<configuration>.png`` for each finished configuration of a dataset folder.
 
-    Sheets that are newer than their shard are kept. Returns the paths of those written. Raises
-    :class:`InputError` where the folder has no index or no plan.
+    Sheets that are newer than their shard are kept. ``progress(done, total)`` counts configurations. Returns
+    the paths of those written. Raises :class:`InputError` where the folder has no index or no plan.
     """
     sheets = folder / "sheets"
     written = []
-    for identity, shard in _finished_shards(folder):
+    finished = _finished_shards(folder)
+    for number, (identity, shard) in enumerate(finished, start=1):
         path = sheets / f"{identity}.png"
         if path.is_file() and path.stat().st_mtime >= shard.stat().st_mtime:
             continue
+        progress(number - 1, len(finished))
         sheets.mkdir(parents=True, exist_ok=True)
         stream = io.BytesIO()
         shard_sheet(shard).save(stream, format="PNG", optimize=True)
         write_bytes_atomically(path, stream.getvalue())
         written.append(path)
+        progress(number, len(finished))
     return written
 
 

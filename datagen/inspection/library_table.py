@@ -6,12 +6,14 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from rich.table import Column, Table
 
 from datagen.foundation.console import table_console
 from datagen.foundation.errors import input_error
+from datagen.foundation.progress import Bars
 from datagen.library import check_library, describe_library, find_packages, resolve_library_paths
 
 
@@ -23,7 +25,8 @@ def print_library(names: list[str], check: bool, as_json: bool) -> int:
             remedy = "name another folder, or fill it with `datagen import` or the Blender add-on"
             raise input_error(path, "", "no asset packages in it", "a library folder", remedy)
     if check:
-        report = check_library(paths)
+        with Bars("packages", is_transient=True) as bars:
+            report = check_library(paths, partial(bars.tell, "check"))
         if as_json:
             print(
                 json.dumps({"errors": [*map(str, report.errors)], "warnings": [*map(str, report.warnings)]})
