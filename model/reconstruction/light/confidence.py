@@ -16,7 +16,7 @@ NOISE = 1.1
 IMPOSSIBLE = (0.1, 0.3)
 """Share of the surfels around that reflect more than arrives, up to which the light counts fully, and from
 which it does not count."""
-IMPOSSIBLE_ROOM = (0.05, 0.09)
+IMPOSSIBLE_ROOM = (0.12, 0.2)
 """The same of a whole room: up to the first, its light is trusted everywhere."""
 DARK_ROOM = (0.2, 0.4)
 """The same of a whole room whose lamps no photograph shows: from the second on, its light counts nowhere."""

@@ -17,7 +17,7 @@ from model.reconstruction.light.background import photographed_background
 from model.reconstruction.light.bake import Baker, Irradiance
 from model.reconstruction.light.emitters import photographed_emitters
 from model.reconstruction.light.options import LightOptions, LightReport
-from model.reconstruction.light.radiance_field import RadianceField, cell_keys
+from model.reconstruction.light.radiance_field import RadianceField, surface_cells
 from model.reconstruction.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1
@@ -114,7 +114,8 @@ def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float
     start_m = Baker(scene_field, size_m).start_m
     ray = mi.Ray3f(origin + normal * start_m, mi.Frame3f(normal).to_world(local))
     position, facing = scene_field.unknown_hits(ray)
-    chosen = np.unique(cell_keys(surfels.grid, position, facing), return_index=True)[1]
+    keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
+    chosen = first[keys >= 0]
     return position[chosen], facing[chosen]
 
 

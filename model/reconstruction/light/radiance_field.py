@@ -29,6 +29,9 @@ MIN_COSINE = 0.02
 """Of a view's direction: one below the surface's horizon, as bumpy normals have it, is lifted to it."""
 NUM_LEVELS = 3
 """Cells of one, two and four times the surfels' side."""
+OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
+"""Side of the cells of surface outside of the surfels' grid, in cells of the surfels, and how far they reach
+beyond it: by the diagonal of what the views show."""
 
 
 class Met(NamedTuple):
@@ -46,9 +49,11 @@ class Met(NamedTuple):
 
 @dataclass(frozen=True)
 class Cells:
-    """Radiance (K, 3) by cell: ``index`` (cells of a level) into it or -1, ``cell_m``, ``shape`` (3,)."""
+    """Radiance (K, 3) by cell: ``index`` (cells of a level) into it or -1; ``low`` corner (3,), ``cell_m``
+    side and ``shape`` (3,) of the grid."""
 
     index: NDArray[np.int32]
+    low: NDArray[np.float64]
     cell_m: float
     shape: NDArray[np.int64]
     radiance: NDArray[np.float32]
@@ -86,13 +91,15 @@ class RadianceField:
         background: Background,
         cells: Cells | None = None,
         metals: Metals | None = None,
+        outer: Cells | None = None,
     ):
         self.scene = scene
         self.emitters = emitters
         self.background = background
-        self._low = surfels.grid.low
         self.cells = cells or _surfel_cells(surfels)
-        self._levels = [self._upload(level) for level in _pyramid(self.cells)]
+        self.outer = outer
+        levels = _pyramid(self.cells) + ([] if outer is None else [outer])
+        self._levels = [self._upload(level) for level in levels]
         self._emitter_of_face = _int32(emitters.of_face)
         self._side_of_face = _float(emitters.side_of_face)
         self._emitter_radiance = _float(emitters.radiance.ravel() if len(emitters) else np.zeros(3))
@@ -110,6 +117,7 @@ class RadianceField:
             _int32(cells.index),
             _float(cells.radiance.ravel()),
             _float(cells.is_photographed.astype(np.float32)),
+            [float(v) for v in cells.low],
             cells.cell_m,
             [int(n) for n in cells.shape],
         )
@@ -123,11 +131,8 @@ class RadianceField:
         side = _side(normal)
         radiance, is_known, is_photographed = mi.Color3f(0.0), mi.Bool(False), mi.Bool(False)
         finest = mi.Int32(-1)
-        for level, (index, table, photographed, cell_m, shape) in enumerate(self._levels):
-            at = [
-                mi.Int32(dr.floor((position[axis] - float(self._low[axis])) * (1.0 / cell_m)))
-                for axis in range(3)
-            ]
+        for level, (index, table, photographed, low, cell_m, shape) in enumerate(self._levels):
+            at = [mi.Int32(dr.floor((position[axis] - low[axis]) * (1.0 / cell_m))) for axis in range(3)]
             wanted = active & ~is_known
             for axis in range(3):
                 wanted &= (at[axis] >= 0) & (at[axis] < shape[axis])
@@ -223,9 +228,11 @@ class RadianceField:
     def extended(
         self, position_m: NDArray, normal: NDArray, surfels: Surfels, radiance: NDArray
     ) -> RadianceField:
-        """The same with estimates of the radiance (K, 3) of surface that no photograph shows."""
+        """The same with estimates of the radiance (K, 3) of surface that no photograph shows, also outside
+        of the surfels' grid."""
         keys = cell_keys(surfels.grid, position_m, normal)
         inside = keys >= 0
+        outer = _outer_cells(surfels.grid, position_m[~inside], normal[~inside], radiance[~inside])
         order = np.unique(keys[inside], return_index=True)
         chosen = np.flatnonzero(inside)[order[1]]
         index = self.cells.index.copy()
@@ -237,7 +244,7 @@ class RadianceField:
             radiance=np.concatenate([self.cells.radiance, radiance[chosen[free]]]).astype(np.float32),
             is_photographed=np.concatenate([self.cells.is_photographed, np.zeros(int(free.sum()), bool)]),
         )
-        return RadianceField(self.scene, surfels, self.emitters, self.background, cells)
+        return RadianceField(self.scene, surfels, self.emitters, self.background, cells, outer=outer)
 
     def with_metals(
         self,
@@ -255,7 +262,9 @@ class RadianceField:
             np.pad(is_metal, (0, rest)),
             start_m,
         )
-        return RadianceField(self.scene, surfels, self.emitters, self.background, self.cells, metals)
+        return RadianceField(
+            self.scene, surfels, self.emitters, self.background, self.cells, metals, self.outer
+        )
 
 
 def schlick_weight(cosine: Any) -> Any:
@@ -276,6 +285,37 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
     return np.where(inside, key, -1)
 
 
+def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
+    """Distinct numbers (N,) of the cells, with sides, of points in the surfels' grid or, outside of it, in the
+    larger cells around; -1 beyond those."""
+    keys = cell_keys(grid, position_m, normal)
+    around = cell_keys(_outer_grid(grid), position_m, normal)
+    return np.where(keys >= 0, keys, np.where(around >= 0, len(grid.surfel) + around, -1))
+
+
+def _outer_grid(grid: CellGrid) -> CellGrid:
+    """Larger cells that reach beyond the surfels' grid."""
+    margin = -(-OUTER_MARGIN_CELLS // OUTER_CELLS)
+    side_m = OUTER_CELLS * grid.cell_m
+    shape = -(-grid.shape // OUTER_CELLS) + 2 * margin
+    return CellGrid(grid.low - margin * side_m, side_m, shape, grid.surfel)
+
+
+def _outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
+    """Estimates of the radiance (K, 3) of surface outside of the surfels' grid; None without any."""
+    outer = _outer_grid(grid)
+    keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
+    keys, first = keys[keys >= 0], first[keys >= 0]
+    if not len(keys):
+        return None
+    index = np.full(int(np.prod(outer.shape)) * NUM_SIDES, -1, np.int32)
+    index[keys] = np.arange(len(keys), dtype=np.int32)
+    is_photographed = np.zeros(len(keys), dtype=bool)
+    return Cells(
+        index, outer.low, outer.cell_m, outer.shape, radiance[first].astype(np.float32), is_photographed
+    )
+
+
 def _side(normal: Any) -> Any:
     """Side of a cell that a normal belongs to, as :func:`surfels.cell_of` has it."""
     import drjit as dr
@@ -290,7 +330,9 @@ def _side(normal: Any) -> Any:
 
 def _surfel_cells(surfels: Surfels) -> Cells:
     grid = surfels.grid
-    return Cells(grid.surfel, grid.cell_m, grid.shape, surfels.radiance, np.ones(len(surfels), dtype=bool))
+    return Cells(
+        grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, np.ones(len(surfels), dtype=bool)
+    )
 
 
 def _pyramid(cells: Cells) -> list[Cells]:
@@ -312,7 +354,14 @@ def _pyramid(cells: Cells) -> list[Cells]:
         index[keys] = np.arange(len(keys), dtype=np.int32)
         photographed = np.bincount(place, cells.is_photographed[row]) > 0
         levels.append(
-            Cells(index, cells.cell_m * (1 << level), shape, radiance.astype(np.float32), photographed)
+            Cells(
+                index,
+                cells.low,
+                cells.cell_m * (1 << level),
+                shape,
+                radiance.astype(np.float32),
+                photographed,
+            )
         )
     return levels
 

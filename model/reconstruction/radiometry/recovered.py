@@ -91,7 +91,7 @@ class _Field:
         shining = replace(emitters, radiance=colored.emitters, power=power.astype(np.float32))
         background = replace(self._background, radiance=colored.background)
         photographed = np.ones(len(self._surfels), dtype=bool)
-        cells = Cells(grid.surfel, grid.cell_m, grid.shape, colored.surfels, photographed)
+        cells = Cells(grid.surfel, grid.low, grid.cell_m, grid.shape, colored.surfels, photographed)
         field = RadianceField(self._traced.scene, self._surfels, shining, background, cells)
         return Baker(field, grid.cell_m * CELLS_ACROSS)
 
