@@ -149,3 +149,41 @@ def test_energy_is_conserved(name: str) -> None:
     reflected = found.lit.surfels.radiance[seen] / found.lit.diffuse[seen]
     assert seen.sum() > 300
     assert (reflected.max(axis=1) > 1).mean() < 0.01
+
+
+SEEN_FROM_M = 1.3
+"""What lies west of it, a third of all surface, is in no photograph of :func:`cropped_room`."""
+
+
+@lru_cache(maxsize=1)
+def cropped_room() -> LightMaterials:
+    views = []
+    for view in photographed_room():
+        depth = view.geometry.depth_z_m[..., 0]
+        way = view.camera.ray_directions()
+        to_plane = way @ view.camera.world_from_camera[:3, 2]
+        x = view.camera.position_m[0] + way[..., 0] * depth / to_plane
+        hidden = (x < SEEN_FROM_M) & (view.geometry.face >= 0)
+        geometry = replace(
+            view.geometry,
+            face=np.where(hidden, -1, view.geometry.face),
+            depth_z_m=np.where(hidden[..., None], np.float32(0), view.geometry.depth_z_m),
+        )
+        views.append(replace(view, geometry=geometry, valid_mask=view.valid_mask & ~hidden))
+    return solved(tuple(views), predicted(tuple(views)))
+
+
+def test_surface_that_no_photograph_shows_reflects_light() -> None:
+    """The west wall is outside of the box of all that is seen; its light is estimated nevertheless."""
+    found = cropped_room()
+    assert found.lit.surfels.grid.low[0] > 0.5
+    assert not of_quad(found, "west").any()
+    assert found.lit.irradiance.photographed.mean() < 0.85
+    assert found.lit.irradiance.known.mean() > 0.99
+
+
+def test_albedo_where_a_third_of_the_room_is_unseen() -> None:
+    found = cropped_room()
+    for quad in quads():
+        if quad.name in ("south", "north", "ceiling", "east-low"):
+            np.testing.assert_allclose(median_albedo(found, quad.name), quad.diffuse, rtol=0.08)

@@ -286,7 +286,7 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Distinct numbers (N,) of the cells, with sides, of points in the surfels' grid or, outside of it, in the
+    """Numbers (N,) of the cells, with sides, of points in the grid of the surfels or, outside of it, in the
     larger cells around; -1 beyond those."""
     keys = cell_keys(grid, position_m, normal)
     around = cell_keys(_outer_grid(grid), position_m, normal)
