@@ -196,10 +196,11 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
     if len(boxes):
         hit = (boxes[:, 0, 2] < _HIGH_M) & (boxes[:, 1, 2] > _LOW_M)
         origin = np.array([-shell.width / 2, -shell.depth / 2])
-        for low, high in boxes[hit][:, :, :2]:
-            a = np.floor((low - origin) / CELL_M).astype(int) + 1
-            b = np.ceil((high - origin) / CELL_M).astype(int) + 1
-            free[max(a[1], 0) : max(b[1], 0), max(a[0], 0) : max(b[0], 0)] = False
+        first = np.floor((boxes[hit, 0, :2] - origin) / CELL_M).astype(int) + 1
+        last = np.ceil((boxes[hit, 1, :2] - origin) / CELL_M).astype(int) + 1
+        spans = np.maximum(np.concatenate([first, last], axis=1), 0)
+        for x0, y0, x1, y1 in np.unique(spans, axis=0).tolist():  # books of a row share their cells
+            free[y0:y1, x0:x1] = False
     distance = distance_transform_edt(free) * CELL_M
     return np.asarray(distance[1:-1, 1:-1] > BODY_M)
 

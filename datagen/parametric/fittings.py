@@ -277,6 +277,36 @@ def _leaf(tip: tuple[float, float, float], angle: float, reach: float, length: f
     return leaf.turned("z", float(np.degrees(angle))).moved(*tip)
 
 
+def pouf(style: Style, draws: Draws) -> Item:
+    """A low upholstered seat, round or square."""
+    item = Item("pouf")
+    r, h = draws.uniform(0.2, 0.28), draws.uniform(0.34, 0.44)
+    if draws.chance(0.5):
+        item.add("cushion_b", rounded_box((2 * r, 2 * r, h), 0.05, (0, -r - 0.02, 0), 3))
+    else:
+        rim = [(r - 0.05 + 0.05 * np.sin(a), 0.05 - 0.05 * np.cos(a)) for a in np.linspace(0, np.pi / 2, 5)]
+        top = [
+            (r - 0.06 + 0.06 * np.cos(a), h - 0.06 + 0.06 * np.sin(a)) for a in np.linspace(0, np.pi / 2, 6)
+        ]
+        item.add("cushion_b", lathe([(0, 0), *rim, *top, (0, h + 0.006)], (0, -r - 0.02, 0), 36))
+    item.support("seat", (0, -r - 0.02), (r, r), h, 0.6)
+    return item
+
+
+def crates(style: Style, draws: Draws) -> Item:
+    """A stack of cardboard boxes."""
+    item = Item("crates")
+    z, w, d = 0.0, draws.uniform(0.4, 0.58), draws.uniform(0.34, 0.46)
+    for _ in range(draws.integer(1, 3)):
+        h = draws.uniform(0.24, 0.4)
+        item.add("box", box((w, d, h), (draws.uniform(-0.02, 0.02), -d / 2 - 0.03, z), 0.004))
+        item.add("mount", box((0.05, d + 0.001, 0.0012), (0, -d / 2 - 0.03, z + h - 0.0005), 0.0))
+        z += h + 0.0012
+        w, d = w * draws.uniform(0.8, 1.0), d * draws.uniform(0.85, 1.0)
+    item.support("table", (0, -d / 2 - 0.03), (w - 0.08, d - 0.08), z, 0.8)
+    return item
+
+
 def shoes(style: Style, draws: Draws) -> Item:
     """A pair of shoes."""
     item = Item("shoes")

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from datagen.foundation.random import Draws
 from datagen.parametric import fittings, lamps, seating, storage, tables
+from datagen.parametric.extras import EXTRAS
 from datagen.parametric.items import Item, Placed
 from datagen.parametric.layout import SIDES, Furnisher, Unfit
 
@@ -99,18 +100,29 @@ def pictures(room: Furnisher, most: int) -> None:
                 room.hang(twin, z, [wall], along + w + draws.uniform(0.05, 0.12))
 
 
+def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
+    """``least`` to ``most`` more pieces along the walls, of those named, as far as they find place."""
+    draws = room.draws
+    wanted = draws.integer(least, most)
+    for name in draws.shuffled([*names, *names]):
+        if wanted == 0:
+            return
+        item = EXTRAS[name](room.style, draws)
+        wanted -= room.at_wall(item, where="corner" if draws.chance(0.5) else "any") is not None
+
+
 def decorate(
-    room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 3, cushions: bool = True
+    room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 5, is_home: bool = True
 ) -> None:
     """Pictures, shelves, plants and a rug where the floor is free."""
     draws, style = room.draws, room.style
-    if draws.chance(0.4):
+    if draws.chance(0.55):
         room.hang(
             storage.wall_shelf(style, draws, draws.uniform(0.6, 1.1), draws.integer(1, 2)),
             draws.uniform(1.25, 1.5),
         )
-    pictures(room, draws.integer(1, most) if cushions else draws.integer(0, 2))
-    if draws.chance(0.45):
+    pictures(room, draws.integer(2, most) if is_home else draws.integer(1, 3))
+    for _ in range(draws.integer(0, 2)):
         plant_somewhere(room)
     if draws.chance(rug):
         _free_rug(room, draws.chance(round_rug))

@@ -9,8 +9,10 @@ from datagen.parametric.furnish import (
     chairs_around,
     decorate,
     desk_place,
+    fill,
     floor_lamp_somewhere,
     lamp_on,
+    pictures,
     plant_somewhere,
     seats,
 )
@@ -39,6 +41,7 @@ def bedroom(room: Furnisher) -> None:
         room.before(seating.bench(style, draws, 1.2, False), placed, 0.04)
     if draws.chance(0.5):
         room.hang(fittings.mirror(style, draws, draws.uniform(0.4, 0.6), draws.uniform(1.2, 1.6)), 0.35)
+    fill(room, ("chest", "bookcase", "pouf", "basket", "chair"), 1, 3)
     decorate(room, rug=0.6)
     ceiling_light(room, ("disc", "pendant", "spots"))
 
@@ -60,6 +63,7 @@ def childs_room(room: Furnisher) -> None:
     room.at_wall(storage.wardrobe(style, draws, 2), where="corner")
     if draws.chance(0.6):
         room.at_wall(storage.basket(style, draws))
+    fill(room, ("cubes", "basket", "pouf", "chest"), 1, 4)
     decorate(room, rug=0.8, round_rug=0.5)
     ceiling_light(room, ("globe", "disc", "pendant"))
 
@@ -77,6 +81,7 @@ def study(room: Furnisher) -> None:
         floor_lamp_somewhere(room)
     if draws.chance(0.4):
         room.at_wall(storage.sideboard(style, draws, draws.uniform(0.9, 1.5)))
+    fill(room, ("chest", "basket", "chair", "crates"), 1, 3)
     decorate(room, rug=0.6)
     ceiling_light(room, ("pendant", "disc", "spots"))
 
@@ -121,6 +126,7 @@ def living_room(room: Furnisher) -> None:
         if side is not None:
             lamp_on(room, side)
     floor_lamp_somewhere(room)
+    fill(room, ("sideboard", "chest", "bookcase", "pouf", "basket", "side_table"), 2, 5)
     decorate(room, rug=0.0 if rug else 0.3)
     ceiling_light(room, ("pendant", "globe", "disc", "spots"))
 
@@ -147,6 +153,7 @@ def dining_room(room: Furnisher) -> None:
             storage.bookcase(style, draws, draws.uniform(0.8, 1.2), draws.uniform(1.8, 2.1), 0.36, 0.25),
             where="corner",
         )
+    fill(room, ("chest", "open_shelf", "chair", "bench", "basket"), 1, 4)
     decorate(room, rug=0.0)
     ceiling_light(room, ("pendant", "pendant", "globe"), over=table)
 
@@ -183,6 +190,7 @@ def kitchen(room: Furnisher) -> None:
         room.at_wall(item, where="any")
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.7, 1.2), draws.integer(1, 2)), 1.45)
+    fill(room, ("sideboard", "stool", "basket", "open_shelf", "bench"), 1, 4)
     decorate(room, rug=0.0, most=1)
     ceiling_light(room, ("spots", "disc", "pendant", "panel"))
 
@@ -218,6 +226,10 @@ def bathroom(room: Furnisher) -> None:
         )
     if draws.chance(0.3):
         plant_somewhere(room)
+    fill(room, ("basket", "stool", "cupboard"), 1, 3)
+    if draws.chance(0.6):
+        room.hang(storage.wall_shelf(style, draws, draws.uniform(0.4, 0.7), draws.integer(1, 2)), 1.4)
+    pictures(room, draws.integer(0, 2))
     ceiling_light(room, ("disc", "spots", "panel"))
 
 
@@ -254,6 +266,7 @@ def hallway(room: Furnisher) -> None:
         room.at_wall(fittings.shoes(style, draws))
     if draws.chance(0.5):
         room.at_wall(storage.basket(style, draws))
+    fill(room, ("chest", "basket", "shoes", "pouf", "bookcase"), 1, 3)
     decorate(room, rug=0.7)
     ceiling_light(
         room, ("disc", "globe", "spots", "pendant"), many=max(room.shell.width, room.shell.depth) > 4

@@ -38,9 +38,14 @@ from datagen.parametric.shell import (
 from datagen.parametric.slots import SLOTS
 
 _LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, as renderers use it
+_BALANCE_K, _WHITE_K = 4000.0, 6500.0  # a camera set to mixed light shows a lamp of 4000 K as white
 _ON = 0.8  # share of lamps that are switched on
 _REGION_TOP_M = 2.2
+_MOST_REGIONS, _MOST_FLOORS = 6, 3
 _AUTHOR = "the scene-materials authors"
+
+
+Rectangle = tuple[Floats, Floats]
 
 
 def room_id(kind: str, seed: str) -> str:
@@ -74,7 +79,7 @@ def package_of(room: MadeRoom) -> tuple[bytes, Package]:
     if lamps and not any(m.emission for m in materials.values()):
         slot = min(lamps)
         materials[slot] = _glowing(lamps[slot])
-    shell = room.furnished.shell
+    shell, rectangles = room.furnished.shell, _free_rectangles(room)
     asset = EnvironmentAsset(
         id=room_id(room.kind, room.seed),
         title=f"{room.kind.replace('_', ' ').capitalize()}, generated",
@@ -83,13 +88,13 @@ def package_of(room: MadeRoom) -> tuple[bytes, Package]:
         ),
         materials=materials,
         parts=tuple(parts),
-        support_surfaces=tuple(_supports(room)),
+        support_surfaces=tuple(_supports(room, rectangles)),
         light_slots=tuple(_light_slots(room)),
         openings=tuple(
             Opening(name=name, origin_m=_vector(o), edge_u_m=_vector(u), edge_v_m=_vector(v))
             for name, o, u, v in openings(shell)
         ),
-        camera_regions=tuple(_regions(room)),
+        camera_regions=tuple(_regions(room, rectangles)),
     )
     return package_in_memory(asset, files)
 
@@ -141,7 +146,8 @@ def _material(
 def _glowing(lamp: Lamp) -> SlotMaterial:
     """A luminous slot: radiance of a Lambertian emitter of the lamp's flux and colour."""
     radiance = lamp.lumen / (_LUMEN_PER_WATT * math.pi * lamp.area_m2)
-    red, green, blue = (quantized(radiance * c, 5) for c in color_of_temperature(lamp.kelvin))
+    shown = 1e6 / (1e6 / lamp.kelvin - 1e6 / _BALANCE_K + 1e6 / _WHITE_K)
+    red, green, blue = (quantized(radiance * c, 5) for c in color_of_temperature(shown))
     return SLOTS["opal"].material().model_copy(update={"emission": (red, green, blue)})
 
 
@@ -150,7 +156,7 @@ def _vector(value: Floats) -> tuple[float, float, float]:
     return (x, y, z)
 
 
-def _supports(room: MadeRoom) -> list[SupportSurface]:
+def _supports(room: MadeRoom, rectangles: list[Rectangle]) -> list[SupportSurface]:
     found = []
     shell_supports = [p for p in room.furnished.built if p.item.supports]
     for p in (*room.furnished.items, *shell_supports):
@@ -171,7 +177,7 @@ def _supports(room: MadeRoom) -> list[SupportSurface]:
                     clearance_m=quantized(clear, 4),
                 )
             )
-    for k, (low, high) in enumerate(_free_rectangles(room, 0.0, 3)):
+    for k, (low, high) in enumerate(rectangles[:_MOST_FLOORS]):
         size = high - low
         found.append(
             SupportSurface(
@@ -209,26 +215,26 @@ def _light_slots(room: MadeRoom) -> list[LightSlot]:
     return found
 
 
-def _regions(room: MadeRoom) -> list[Box]:
+def _regions(room: MadeRoom, rectangles: list[Rectangle]) -> list[Box]:
     """Where a person with a camera stands: the largest free rectangles of the floor."""
     top = min(_REGION_TOP_M, room.furnished.shell.height - 0.15)
     return [
         Box(minimum_m=_vector(np.array([*low, 0.0])), maximum_m=_vector(np.array([*high, top])))
-        for low, high in _free_rectangles(room, 0.1, 6)
+        for low, high in rectangles
     ]
 
 
-def _free_rectangles(room: MadeRoom, least_m: float, most: int) -> list[tuple[Floats, Floats]]:
-    """Up to ``most`` disjoint rectangles of the walkable floor, largest first."""
+def _free_rectangles(room: MadeRoom) -> list[Rectangle]:
+    """A few disjoint rectangles of the walkable floor, largest first."""
     shell = room.furnished.shell
     boxes = np.concatenate([p.boxes() for p in room.furnished.items])
     free, _ = walkable(shell, boxes)
     free = free.copy()
     origin = np.array([-shell.width / 2, -shell.depth / 2])
     found = []
-    for _ in range(most):
+    for _ in range(_MOST_REGIONS):
         r0, r1, c0, c1 = _largest_rectangle(free)
-        if min(r1 - r0, c1 - c0) * CELL_M < max(least_m, 2 * CELL_M):
+        if min(r1 - r0, c1 - c0) * CELL_M < 2 * CELL_M:
             break
         found.append((origin + CELL_M * np.array([c0, r0]), origin + CELL_M * np.array([c1, r1])))
         free[r0:r1, c0:c1] = False

@@ -9,8 +9,10 @@ from datagen.parametric.furnish import (
     chairs_around,
     decorate,
     desk_place,
+    fill,
     floor_lamp_somewhere,
     lamp_on,
+    pictures,
     seats,
 )
 from datagen.parametric.layout import SIDES, Furnisher, Unfit
@@ -46,7 +48,8 @@ def office(room: Furnisher) -> None:
         room.hang(fittings.board(style, draws, draws.uniform(1.2, 1.8), 0.95, "white_board"), 0.95)
     if draws.chance(0.6):
         room.hang(fittings.clock(style, draws), 1.95)
-    decorate(room, rug=0.1, cushions=False)
+    fill(room, ("files", "bookcase", "chair", "crates", "basket"), 1, 4)
+    decorate(room, rug=0.1, is_home=False)
     ceiling_light(room, ("panel", "panel", "spots"), many=True)
 
 
@@ -63,7 +66,8 @@ def meeting_room(room: Furnisher) -> None:
     room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8)))
     if draws.chance(0.5):
         room.hang(fittings.clock(style, draws), 1.95)
-    decorate(room, rug=0.0, cushions=False)
+    fill(room, ("sideboard", "open_shelf", "chair"), 0, 3)
+    decorate(room, rug=0.0, is_home=False)
     ceiling_light(room, ("panel", "pendant", "spots"), over=table, many=True)
 
 
@@ -82,6 +86,7 @@ def reading_room(room: Furnisher) -> None:
         if table is not None:
             lamp_on(room, table)
     floor_lamp_somewhere(room)
+    fill(room, ("bench", "pouf", "chest"), 1, 3)
     decorate(room, rug=0.7)
     ceiling_light(room, ("pendant", "globe", "spots"))
 
@@ -107,6 +112,10 @@ def laundry(room: Furnisher) -> None:
         room.at_wall(storage.rack(style, draws, draws.uniform(0.8, 1.2)))
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.8, 1.3), draws.integer(1, 2)), 1.5)
+    fill(room, ("basket", "rack", "crates", "cupboard", "stool"), 2, 4)
+    if draws.chance(0.5):
+        room.hang(storage.coat_rail(style, draws, draws.uniform(0.6, 1.0)), 1.6)
+    pictures(room, draws.integer(0, 1))
     ceiling_light(room, ("batten", "disc", "panel"))
 
 
@@ -139,6 +148,11 @@ def workshop(room: Furnisher) -> None:
         )
         room.in_middle(table)
     room.hang(fittings.clock(style, draws), 2.0)
+    fill(room, ("rack", "crates", "chest", "stool"), 2, 5)
+    if draws.chance(0.5):
+        room.hang(storage.tool_board(style, draws, draws.uniform(0.8, 1.2)), 1.2)
+    if draws.chance(0.5):
+        room.hang(storage.wall_shelf(style, draws, draws.uniform(0.8, 1.4), 2), 1.3)
     ceiling_light(room, ("batten", "batten", "pendant"), many=True)
 
 
@@ -192,5 +206,6 @@ def cafe(room: Furnisher) -> None:
         made += any([room.seat(chair, table, side, 0.0, 0.12) is not None for side in sides])
     if made < 2:
         raise Unfit("too few tables for guests")
-    decorate(room, rug=0.0, cushions=False)
+    fill(room, ("sideboard", "open_shelf", "plant"), 0, 3)
+    decorate(room, rug=0.0, is_home=False)
     ceiling_light(room, ("pendant", "globe", "spots"), many=True)
