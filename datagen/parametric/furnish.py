@@ -39,8 +39,8 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
             )
 
 
-def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> int:
-    """Chairs at the long sides (``along`` each) and at the ends; returns how many found place."""
+def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
+    """Chairs at the long sides (``along`` each) and at the ends; two at least, or :class:`Unfit`."""
     half = float(table.item.bounds[1, 0])
     made = 0
     for side in SIDES[:2]:
@@ -49,7 +49,8 @@ def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends:
             made += room.seat(chair, table, side, offset, 0.16) is not None
     for side in SIDES[2 : 2 + 2 * ends]:
         made += room.seat(chair, table, side, 0.0, 0.16) is not None
-    return made
+    if made < 2:
+        raise Unfit(f"{table.name} has no room for chairs")
 
 
 def seats(room: Furnisher, count: int) -> list[Placed]:

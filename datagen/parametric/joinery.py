@@ -26,7 +26,7 @@ def front(
 ) -> None:
     """A door or drawer front of ``size`` (width, height) whose back's lower middle is ``at``.
 
-    ``handle``: ``left``, ``right``, ``middle``, ``top`` or "" for none.
+    ``handle``: ``left``, ``right`` or ``middle``.
     """
     w, h = size[0] - GAP, size[1] - GAP
     x, y, z = at[0], at[1] - _FRONT / 2, at[2] + GAP / 2
@@ -54,7 +54,7 @@ def _handle(
     w, h = size
     x, y, z = at
     dx = {"left": -1, "right": 1}.get(where, 0) * (w / 2 - 0.035)
-    level = z + h - 0.04 if where == "top" or (h > 1.6 and where == "") else z + h / 2
+    level = z + h / 2
     if h > 1.5:
         level = min(max(1.05 - z * 0.3, z + 0.3), z + h - 0.1)
     if style.handle == "knob":

@@ -140,8 +140,7 @@ def workshop(room: Furnisher) -> None:
         item.support("table", (0, -0.23), (0.62, 0.36), 0.95)
         room.at_wall(item)
     if draws.chance(0.7):
-        stool = room.in_middle(seating.stool(style, draws, 0.6))
-        del stool
+        room.in_middle(seating.stool(style, draws, 0.6))
     if draws.chance(0.5):
         table = tables.table(
             style, draws, draws.uniform(1.2, 1.7), draws.uniform(0.7, 0.9), 0.85, "work_table"

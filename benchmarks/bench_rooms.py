@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""What generated rooms cost: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
+
+For N seeds of every kind: processor seconds of a room with its package, tries, bytes, pieces.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.parametric.kinds import KINDS
+from datagen.parametric.packing import package_of
+from datagen.parametric.room import make_room
+
+
+def measure(num_seeds: int) -> dict[str, Any]:
+    """Figures over all kinds, and the slowest room of each kind."""
+    seconds: dict[str, list[float]] = {kind: [] for kind in sorted(KINDS)}
+    tries, num_bytes, pieces = [], [], []
+    for kind in seconds:
+        for seed in range(num_seeds):
+            start = time.process_time()
+            room = make_room(kind, f"bench/{seed}")
+            data, _ = package_of(room)
+            seconds[kind].append(time.process_time() - start)
+            tries.append(room.tries)
+            num_bytes.append(len(data))
+            pieces.append(len(room.furnished.items))
+    every = np.concatenate([np.array(values) for values in seconds.values()])
+    return {
+        "rooms": len(every),
+        "kinds": len(seconds),
+        "seconds_median": round(float(np.median(every)), 3),
+        "seconds_95": round(float(np.percentile(every, 95)), 3),
+        "seconds_max": round(float(every.max()), 3),
+        "first_try_share": round(float(np.mean(np.array(tries) == 1)), 3),
+        "most_tries": max(tries),
+        "kilobytes_median": round(float(np.median(num_bytes)) / 1e3),
+        "kilobytes_max": round(max(num_bytes) / 1e3),
+        "pieces": [min(pieces), int(np.median(pieces)), max(pieces)],
+        "slowest": {kind: round(max(values), 3) for kind, values in seconds.items()},
+    }
+
+
+def main() -> None:
+    """Measure, print and, if asked, write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    found = measure(arguments.seeds)
+    text = json.dumps(found, indent=2)
+    print(text)
+    if arguments.json is not None:
+        arguments.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()
