@@ -109,7 +109,8 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
 
     Where the draws come out badly (too few things stand, too few views pass), things, lights and cameras are
     drawn again in the same room, or in another where rooms are generated, at most :data:`NUM_TRIES` times in
-    all; ``rejections`` counts it as ``configuration.retried``. Raises :class:`InputError` where the library
+    all; ``rejections`` counts it as ``configuration.retried``. A generated room is not in ``library``: see
+    :func:`datagen.assembly.generated.room_of`. Raises :class:`InputError` where the library
     cannot give what the recipe asks.
     """
     if not 0 <= index < recipe.configurations:

@@ -59,6 +59,10 @@ def draw_room(
     if index >= recipe.configurations:
         expected = f"a number below {recipe.configurations}, of the recipe's configurations"
         raise input_error(source, "configuration", index, expected)
+    if recipe.environments.parametric is not None:
+        expected = "environments of a library, which the methods that are compared can read"
+        remedy = "plan the recipe, name the dataset's rooms/ among its libraries and leave parametric out"
+        raise input_error(source, "environments.parametric", "generated rooms", expected, remedy)
     check_recipe(recipe, library)
     drawn = assemble(recipe, index, library)
     room = library.package(drawn.environment.asset).asset

@@ -19,6 +19,7 @@ from datagen.farm.planning import create_plan
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.base import canonical_json, read_yaml
 from datagen.formats.recipe import (
+    CameraRecipe,
     EnvironmentRecipe,
     LightRecipe,
     MaterialRecipe,
@@ -33,6 +34,7 @@ from datagen.formats.shard import Dataset
 from datagen.foundation.bundled import bundled_library
 from datagen.foundation.errors import InputError
 from datagen.library import Library
+from model.evaluation.drawn_room import draw_room
 from model.reconstruction.captures.rendered import library_of as library_of_shard
 from tests.conftest import REPOSITORY
 from tests.datagen.small_library import write_small_library
@@ -159,6 +161,20 @@ def test_disjoint_splits_need_rooms_of_the_library_only_if_some_come_from_there(
     partly = nowhere.model_copy(update={"parametric": ParametricRecipe(share=0.5)})
     with pytest.raises(InputError, match="environments"):
         check_recipe(_recipe(environments=partly), library)
+
+
+def test_rooms_of_a_dataset_are_a_library_for_others(planned: DatasetFolder, library: Library) -> None:
+    rooms = Library([*library.paths, planned.rooms_path])
+    made = sorted(package.id for package in rooms if package.id.startswith("room-"))
+    recipe = _recipe(environments=EnvironmentRecipe(include=tuple(made[:1])))
+    assert assemble(recipe, 0, rooms).environment.asset == made[0]
+
+
+def test_suites_refuse_recipes_of_generated_rooms(library: Library, tmp_path: Path) -> None:
+    source = tmp_path / "recipe.yaml"
+    source.write_bytes(canonical_json(_recipe()))  # JSON is YAML
+    with pytest.raises(InputError, match=r"environments\.parametric"):
+        draw_room(source, 0, library, CameraRecipe(), (48, 32), 1, 1)
 
 
 def test_unknown_kinds_are_refused() -> None:
