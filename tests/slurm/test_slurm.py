@@ -254,4 +254,4 @@ def test_scripts_are_readable_shell(tmp_path: Path, library_root: Path) -> None:
     for directive in ("--array=0-1%5", "--requeue", "--gres=gpu:1", f"--job-name={job_name(folder.root)}"):
         assert f"#SBATCH {directive}" in script
     lines = shell_script(folder.root, [0, 1], _options()).splitlines()
-    assert len(lines) == 2 and lines[1].endswith("' 1 --attempts 3")
+    assert len(lines) == 2 and lines[1].endswith("' --unit 1 --attempts 3")
