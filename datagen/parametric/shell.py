@@ -303,7 +303,7 @@ def outside(shell: Shell, draws: Draws) -> list[Placed]:
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))
-    reach = 30.0
+    reach = 400.0  # the sky is black below the horizon: from the third floor one degree of it is left
     ground = "asphalt" if scene == "street" else "lawn"
     item.add(ground, box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), 0.0, grain=0))
     for wall in sorted({w.wall for w in shell.windows}):
