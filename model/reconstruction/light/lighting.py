@@ -62,22 +62,24 @@ def light_surfels(
         if options.estimates_unseen:
             scene_field = _estimated(scene_field, surfels, size_m, options)
     with report.step("irradiance"):
-        lit = _lit(surfels, Baker(scene_field, size_m), options)
+        lit = _lit(surfels, Baker(scene_field, size_m), options.irradiance_rays, options)
         report.photographed_share = float(lit.irradiance.photographed.mean())
     return lit
 
 
-def relight_by_metals(
+def relight(
     lit: Lit, specular_albedo: NDArray, roughness: NDArray, is_metal: NDArray[np.bool_], options: LightOptions
 ) -> Lit:
-    """The same surfels in the light that metals with S (N, 3) and R (N,) reflect in all directions."""
-    start_m = lit.baker.start_m
-    found = lit.baker.field.with_metals(lit.surfels, specular_albedo, roughness, is_metal, start_m)
-    return _lit(lit.surfels, Baker(found, lit.baker.size_m), options)
+    """The same surfels with less noise, in the light that metals with S (N, 3) and R (N,) reflect in all
+    directions."""
+    field = lit.baker.field
+    if is_metal.any():
+        field = field.with_metals(lit.surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
+    return _lit(lit.surfels, Baker(field, lit.baker.size_m), options.second_irradiance_rays, options)
 
 
-def _lit(surfels: Surfels, baker: Baker, options: LightOptions) -> Lit:
-    irradiance = baker.irradiance(surfels.position_m, surfels.normal, options.irradiance_rays)
+def _lit(surfels: Surfels, baker: Baker, num_rays: int, options: LightOptions) -> Lit:
+    irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
     known = np.maximum(irradiance.known, MIN_KNOWN)[:, None]
     diffuse = smoothed(surfels, irradiance.diffuse / known, options.smoothing_neighbours)
     return Lit(surfels, baker, irradiance, diffuse)

@@ -14,14 +14,16 @@ from model.reconstruction.light.solve import PriorWeights
 
 @dataclass(frozen=True)
 class LightOptions:
-    """Rays a surfel (``irradiance_rays``), an observation of a solved point and level (``solve_rays``), an
+    """Rays a surfel (``irradiance_rays``, ``second_irradiance_rays`` in the second round), an observation of a solved point and level (``solve_rays``), an
     observation of a surfel (``specular_rays``); ``max_points`` solved in all, ``num_observations`` of each.
-    ``num_rounds``: in a second one, rays go on where they meet a metal that the first has found.
+    ``num_rounds``: in a second one, the light has less noise, and rays go on where they meet a metal that the
+    first has found.
     ``has_prior``: whether the network's maps draw the solution where evidence lacks. ``estimates_unseen``:
     whether surface that no photograph shows gets the mean reflectance; ``is_corrected``: whether the shading
     gets a smooth correction where its light is not photographed."""
 
     irradiance_rays: int = 144
+    second_irradiance_rays: int = 512
     estimate_rays: int = 48
     solve_rays: int = 24
     specular_rays: int = 12
@@ -36,10 +38,10 @@ class LightOptions:
 
 
 STEPS = (
-    "surfels", "field", "irradiance", "segments", "solve", "metals", "specular", "correction", "maps",
+    "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction", "maps",
     "lights",
 )  # fmt: skip
-"""Of the stage, in their order; without metals that one is left out."""
+"""Of the stage, in their order; with one round the second is left out."""
 
 
 @dataclass

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The stage between prediction and merge: maps of the views out of the light that their photographs record.
 
-Surfels and where rays end (``lighting``) → segments → S and R of segments (``points``, ``solve``) → light, S
-and R again, with metals that reflect the room → specular part of every observation → correction of the
+Surfels and where rays end (``lighting``) → segments → S and R of segments (``points``, ``solve``) → light
+again, with less noise and with metals that reflect the room, and S and R in it → specular part of every observation → correction of the
 shading where light is not photographed (``shading_correction``) → maps of the views (``view_maps``), mixed
 with the network's by ``confidence``.
 docs/light.md explains them.
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.light.confidence import light_trust, sureness, surfel_confidence
-from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels, relight_by_metals
+from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
@@ -77,16 +77,17 @@ def materials_from_light(
     with report.step("solve"):
         shading = shade_points(lit, points, options)
         segments = solve_points(lit, points, shading, segmentation, exposure, options)
-    if options.num_rounds > 1 and segments.is_metal.any():
-        with report.step("metals"):
+    if options.num_rounds > 1:
+        with report.step("second round"):
             of_surfels = (
                 segments.specular_albedo[segment],
                 segments.roughness[segment],
                 segments.is_metal[segment],
             )
-            lit = relight_by_metals(lit, *of_surfels, options)
-            shading = shade_points(lit, points, options)
-            segments = solve_points(lit, points, shading, segmentation, exposure, options)
+            lit = relight(lit, *of_surfels, options)
+            if segments.is_metal.any():
+                shading = shade_points(lit, points, options)
+                segments = solve_points(lit, points, shading, segmentation, exposure, options)
     report.num_segments, report.num_metal = len(segments.roughness), int(segments.is_metal.sum())
     with report.step("specular"):
         specular = _specular_parts(lit, segments, segment, options)
