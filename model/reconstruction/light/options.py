@@ -14,13 +14,13 @@ from model.reconstruction.light.solve import PriorWeights
 
 @dataclass(frozen=True)
 class LightOptions:
-    """Rays a surfel (``irradiance_rays``, ``second_irradiance_rays`` in the second round), an observation of a solved point and level (``solve_rays``), an
-    observation of a surfel (``specular_rays``); ``max_points`` solved in all, ``num_observations`` of each.
-    ``num_rounds``: in a second one, the light has less noise, and rays go on where they meet a metal that the
-    first has found.
-    ``has_prior``: whether the network's maps draw the solution where evidence lacks. ``estimates_unseen``:
-    whether surface that no photograph shows gets the mean reflectance; ``is_corrected``: whether the shading
-    gets a smooth correction where its light is not photographed."""
+    """Rays a surfel (``irradiance_rays``; ``second_irradiance_rays`` in the second round), an observation of
+    a solved point and level (``solve_rays``), an observation of a surfel (``specular_rays``); ``max_points``
+    solved in all, ``num_observations`` of each. ``num_rounds``: in a second one, the light has less noise,
+    and rays go on where they meet a metal that the first has found. ``has_prior``: whether the network's
+    maps draw the solution where evidence lacks. ``estimates_unseen``: whether surface that no photograph
+    shows gets the mean reflectance; ``is_corrected``: whether the shading gets a smooth correction where its
+    light is not photographed."""
 
     irradiance_rays: int = 144
     second_irradiance_rays: int = 512

@@ -2,9 +2,9 @@
 """The stage between prediction and merge: maps of the views out of the light that their photographs record.
 
 Surfels and where rays end (``lighting``) → segments → S and R of segments (``points``, ``solve``) → light
-again, with less noise and with metals that reflect the room, and S and R in it → specular part of every observation → correction of the
-shading where light is not photographed (``shading_correction``) → maps of the views (``view_maps``), mixed
-with the network's by ``confidence``.
+again, with less noise and with metals that reflect the room, and S and R in it → specular part of every
+observation → correction of the shading where light is not photographed (``shading_correction``) → maps of
+the views (``view_maps``), mixed with the network's by ``confidence``.
 docs/light.md explains them.
 """
 
