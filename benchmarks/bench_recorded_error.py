@@ -58,7 +58,7 @@ class Point:
 
     @property
     def is_known(self) -> bool:
-        """Whether the noise of the references is small enough to judge by them."""
+        """True where the reference noise is far below the error that is judged."""
         return self.true_error < 0.25 * self.true
 
 

@@ -40,7 +40,7 @@ def measure(num_seeds: int) -> dict[str, Any]:
         "seconds_95": round(float(np.percentile(every, 95)), 3),
         "seconds_max": round(float(every.max()), 3),
         "first_try_share": round(float(np.mean(np.array(tries) == 1)), 3),
-        "most_tries": max(tries),
+        "max_tries": max(tries),
         "kilobytes_median": round(float(np.median(num_bytes)) / 1e3),
         "kilobytes_max": round(max(num_bytes) / 1e3),
         "pieces": [min(pieces), int(np.median(pieces)), max(pieces)],

@@ -162,7 +162,7 @@ def draw(
 
 
 def _is_signature(mutant: Mutant) -> bool:
-    """Whether the node is a parameter's default, which is evaluated on import."""
+    """True for default values of parameters, which are evaluated on import."""
     return mutant.statement.startswith(("def ", "async def "))
 
 

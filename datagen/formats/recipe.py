@@ -58,7 +58,7 @@ class EnvironmentRecipe(AssetFilter):
 
     @property
     def needs_library(self) -> bool:
-        """Whether some configuration may take an environment of the library."""
+        """True where configurations can use library environments."""
         return self.parametric is None or self.parametric.share < 1
 
 

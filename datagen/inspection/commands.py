@@ -81,7 +81,7 @@ def verify(
 
 @dataclass(frozen=True)
 class ReportWords:
-    """What a report shows, as it is written."""
+    """Options of the report's contents."""
 
     pixels: Annotated[str, typer.Option(help="Views whose pixels are written: a number, or all.")] = "400"
     sources: Annotated[bool, typer.Option(help="Also the source views of each pixel's statistics.")] = True

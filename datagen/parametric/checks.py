@@ -130,7 +130,7 @@ def _intersecting(room: Furnished, boxes: list[Floats], bounds: list[Floats]) ->
 
 
 def meets(one: Floats, other: Floats, margin: float = 0.0) -> bool:
-    """Whether two boxes (2, 3) come nearer than ``margin``."""
+    """True if two boxes (2, 3) are closer than ``margin``."""
     return bool((one[0] < other[1] + margin).all() and (other[0] < one[1] + margin).all())
 
 
@@ -244,7 +244,7 @@ def front_zone(item: Placed, depth: float) -> Floats:
 
 
 def reaches(shell: Shell, reached: NDArray[np.bool_], item: Placed) -> bool:
-    """Whether a person comes to an item's front."""
+    """True if the front of an item is reachable."""
     zone = front_zone(item, item.item.front_m + 0.35)
     (r0, c0), (r1, c1) = (cell_of(shell, (float(x), float(y))) for x, y in zone)
     return bool(reached[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1].any())

@@ -26,7 +26,7 @@ _PATTERN_M = 4.0
 
 @dataclass(frozen=True)
 class Style:
-    """What all furniture of a room has in common."""
+    """Style shared by all furniture of a room."""
 
     front: Front
     handle: Handle

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What furniture is made of: fronts with handles, legs, rows of books. All in an item's frame."""
+"""Parts of furniture in an item's frame: fronts with handles, legs, rows of books."""
 
 from __future__ import annotations
 

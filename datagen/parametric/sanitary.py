@@ -124,37 +124,17 @@ def toilet(style: Style, draws: Draws) -> Item:
         front_half = np.where(np.sin(a) < 0, d * 0.6, d * 0.4)
         return np.stack([0.5 * w * np.cos(a), y + front_half * np.sin(a), np.full(32, z)], axis=1)
 
-    item.add(
-        "sanitary",
-        loft(
-            np.array(
-                [
-                    oval(0.24, 0.4, 0.0, c),
-                    oval(0.22, 0.38, 0.06, c),
-                    oval(0.23, 0.4, 0.18, c),
-                    oval(0.35, 0.5, 0.34, c),
-                    oval(0.37, 0.52, 0.395, c),
-                    oval(0.36, 0.51, 0.4, c),
-                ]
-            ),
-            (True, True),
-        ),
-    )
-    item.add(
-        "sanitary",
-        loft(
-            np.array(
-                [
-                    oval(0.37, 0.52, 0.402, c),
-                    oval(0.38, 0.53, 0.408, c),
-                    oval(0.38, 0.53, 0.424, c),
-                    oval(0.36, 0.51, 0.432, c),
-                    oval(0.2, 0.3, 0.435, c),
-                ]
-            ),
-            (True, True),
-        ),
-    )
+    body = [(0.24, 0.4, 0.0), (0.22, 0.38, 0.06), (0.23, 0.4, 0.18), (0.35, 0.5, 0.34), (0.37, 0.52, 0.395),
+            (0.36, 0.51, 0.4)]  # fmt: skip
+    lid = [
+        (0.37, 0.52, 0.402),
+        (0.38, 0.53, 0.408),
+        (0.38, 0.53, 0.424),
+        (0.36, 0.51, 0.432),
+        (0.2, 0.3, 0.435),
+    ]
+    for rings in (body, lid):
+        item.add("sanitary", loft(np.array([oval(*ring, c) for ring in rings]), (True, True)))
     item.add("sanitary", rounded_box((0.34, 0.14, 0.2), 0.03, (0, -0.27, 0.2), 2))
     item.add("sanitary", rounded_box((0.38, 0.17, 0.36), 0.025, (0, -0.09, 0.4), 3))
     item.add("sanitary", rounded_box((0.4, 0.19, 0.04), 0.014, (0, -0.1, 0.762), 2))

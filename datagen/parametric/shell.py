@@ -67,7 +67,7 @@ class Shell:
         return self.width if wall in ("north", "south") else self.depth
 
     def yaw(self, wall: Wall) -> float:
-        """What turns a wall's frame into the room's."""
+        """Rotation about z, in radians, from the wall's frame to the room's."""
         return _YAW[wall]
 
     def point(self, wall: Wall, s: float, gap: float = 0.0) -> tuple[float, float]:

@@ -15,7 +15,7 @@ _DEPTH = 0.6
 
 
 def tap(item: Item, x: float, y: float, z: float, reach: float = 0.16, height: float = 0.24) -> None:
-    """A tap that stands on ``z`` and pours towards -y."""
+    """A tap with its base at height ``z`` and its spout towards -y."""
     item.add("metal", cylinder(0.026, 0.045, (x, y, z - 0.001), 16, 0.004))
     arc = [
         (x, y - reach / 2 * (1 - np.cos(a)), z + height - 0.07 + 0.07 * np.sin(a))

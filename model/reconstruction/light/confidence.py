@@ -73,18 +73,6 @@ def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
     return 1.0 - _ramp(part, DOUBT)
 
 
-def impossible_share(radiance: NDArray, diffuse: NDArray, weight: NDArray) -> float:
-    """Share of the surfels, by ``weight`` (N,), that reflect more than arrives: ``radiance`` (N, 3) above
-    :data:`NOISE` times ``diffuse`` (N, 3). Lamps that no photograph shows make it large."""
-    excess = (radiance - NOISE * diffuse) @ LUMINANCE_WEIGHTS > 0
-    return float((weight * excess).sum() / max(float(weight.sum()), 1e-9))
-
-
-def trust_of(share: float) -> float:
-    """Factor of all confidences, out of :func:`impossible_share`."""
-    return 1.0 - float(_ramp(np.array(share), IMPOSSIBLE))
-
-
 def _ramp(value: NDArray, ends: tuple[float, float]) -> NDArray:
     """0 below the first of ``ends``, 1 above the second, smooth between."""
     t = np.clip((value - ends[0]) / (ends[1] - ends[0]), 0, 1)
