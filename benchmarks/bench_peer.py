@@ -64,7 +64,7 @@ UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
 """Neither a clamp nor rougher surfaces after a diffuse bounce, as our references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
 """Ways to run the peer, with their options."""
-LEAST_TIMED = 3  # views; the first pays for the scene, the median of the others is a view's cost
+MIN_TIMED = 3  # views; the first pays for the scene, the median of the others is a view's cost
 
 
 def recipe_of(arguments: argparse.Namespace) -> Recipe:
@@ -224,7 +224,7 @@ class Comparison:
         """Time and error of the peer where its error is ``target``; ``kind`` is one of ``KINDS``."""
         arguments, options = self.arguments, KINDS[kind]
         samples, curve = self.peer_samples(target, pairs, kind, options)
-        count = max(LEAST_TIMED, min(arguments.peer_views, arguments.views))
+        count = max(MIN_TIMED, min(arguments.peer_views, arguments.views))
         rest = [v for v in range(arguments.views) if v not in self.error_views]
         chosen = rest[:: max(1, len(rest) // max(1, count - len(self.error_views)))]
         views = sorted([*self.error_views, *chosen[: max(0, count - len(self.error_views))]])

@@ -35,7 +35,7 @@ from benchmarks.mutation.targets import TARGETS, Target
 
 PROJECT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
-LEAST_TIMEOUT_S, PATIENCE = 60.0, 6.0  # of a mutant's tests: at least, and of what they take unmutated
+MIN_TIMEOUT_S, PATIENCE = 60.0, 6.0  # of a mutant's tests: at least, and of what they take unmutated
 SURVIVED = 0  # exit code of pytest
 
 
@@ -192,7 +192,7 @@ def attempt(
     start = time.perf_counter()
     try:
         path.write_text(mutant.apply(source))
-        code, output = copy.run(names, max(LEAST_TIMEOUT_S, PATIENCE * usual))
+        code, output = copy.run(names, max(MIN_TIMEOUT_S, PATIENCE * usual))
     finally:
         path.write_text(source)
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))

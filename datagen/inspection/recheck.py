@@ -36,9 +36,9 @@ CHUNK = 64
 """Paths a pixel of one launch."""
 SEED = 0x0EC4EC40
 """Of the first launch: none of those that a dataset is rendered with."""
-MOST_RATIO = 4.0
+MAX_RATIO = 4.0
 """A true error above so many times the recorded one is a fault of the record."""
-MOST_BIAS = 0.05
+MAX_BIAS = 0.05
 """Share of the light that may be missing or too much."""
 SURE = 3.0
 """Standard errors by which either is to be exceeded before it counts as found."""
@@ -66,16 +66,13 @@ class Rechecked:
 
     def faults(self) -> Iterable[Fault]:
         """Warnings about deviations that exceed the noise."""
-        if (
-            self.recorded is not None
-            and self.rel_mse - SURE * self.rel_mse_error > MOST_RATIO * self.recorded
-        ):
+        if self.recorded is not None and self.rel_mse - SURE * self.rel_mse_error > MAX_RATIO * self.recorded:
             got = f"relMSE {self.rel_mse:.4f} +- {self.rel_mse_error:.4f}, {self.recorded:.4f} is recorded"
-            yield Fault("recheck", self.where, got, f"at most {MOST_RATIO:g} times the record", "warning")
-        if abs(self.bias) - SURE * self.bias_error > MOST_BIAS:
+            yield Fault("recheck", self.where, got, f"at most {MAX_RATIO:g} times the record", "warning")
+        if abs(self.bias) - SURE * self.bias_error > MAX_BIAS:
             got = f"{100 * self.bias:+.1f} +- {100 * self.bias_error:.1f} % of the light"
             yield Fault(
-                "recheck", self.where, got, f"at most {100 * MOST_BIAS:g} % from plain paths", "warning"
+                "recheck", self.where, got, f"at most {100 * MAX_BIAS:g} % from plain paths", "warning"
             )
 
 

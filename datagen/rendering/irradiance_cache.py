@@ -27,7 +27,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.light_choice import MOST_LEARNED, LightChoice
+from datagen.rendering.light_choice import MAX_LEARNED, LightChoice
 from datagen.rendering.path_terms import facing_normal, power_heuristic
 from datagen.rendering.recording import undisturbed
 from datagen.rendering.sobol import OwenSobol
@@ -38,19 +38,19 @@ if TYPE_CHECKING:
 
 Array = Any
 
-MOST_RAYS = 40960
+MAX_RAYS = 40960
 """Camera rays that paths start with, of all views together; each finds irradiance at up to four places."""
-LEAST_RAYS = 4096
+MIN_RAYS = 4096
 PIXELS_PER_RAY = 16
 """Pixels of all views for which there is one of those rays: what is shared must cost less than the views."""
-MOST_CELLS = 1 << 21
-"""Cells of the grid with ``MOST_RAYS``, nearly all of them empty air: 0.07 m in a room of 5 m."""
+MAX_CELLS = 1 << 21
+"""Cells of the grid with ``MAX_RAYS``, nearly all of them empty air: 0.07 m in a room of 5 m."""
 BOX_PERCENTILE = 1.0
 """Share of the visited points beyond each face of the grid's box: what light meets of the street is not the
 room."""
 BOX_MARGIN = 0.05
 """What the box is larger than that, of its longest side."""
-LEAST_HITS = 64
+MIN_HITS = 64
 """Rays that have to meet a surface for a cache to be worth anything."""
 TURNS = 3
 """Reflections of the paths that look for irradiance in the end."""
@@ -67,7 +67,7 @@ LEVELS = 3
 """How often the side of those surroundings is doubled."""
 MAX_CROSSINGS = 8
 """Transparent surfaces that a ray crosses while learning."""
-LEAST_SPREAD = 8.0
+MIN_SPREAD = 8.0
 """Sides of a cell over which a path has to have spread before it may end in the cache."""
 NARROW_PDF = 2.0
 """Density [1/sr] from which a reflected direction is too particular for the mean of all directions."""
@@ -200,7 +200,7 @@ class IrradianceCache:
         cells blend into each other; where that place is not known, of the hit itself.
         """
         normal = facing_normal(si, direction)
-        is_wide = active & (spread_m > LEAST_SPREAD * self.cells.side)
+        is_wide = active & (spread_m > MIN_SPREAD * self.cells.side)
         here, is_known = self.irradiance(place, is_wide)
         frame = mi.Frame3f(normal)
         shift = (sample - 0.5) * self.cells.side
@@ -223,20 +223,20 @@ def learn_irradiance(
     ``sensors`` are asked one after the other, so that one object may stand for all. ``num_pixels`` of all
     views together say how much may be spent.
     """
-    num_rays = min(MOST_RAYS, max(LEAST_RAYS, num_pixels // PIXELS_PER_RAY))
+    num_rays = min(MAX_RAYS, max(MIN_RAYS, num_pixels // PIXELS_PER_RAY))
     views = [(sensor.view, tuple(int(v) for v in sensor.film().crop_size())) for sensor in sensors]
     rays = _camera_rays(views, num_rays, seed)
     points = _visited(tracer.scene, rays, seed)
-    if len(points) < LEAST_HITS:
+    if len(points) < MIN_HITS:
         return None
     low, high = np.percentile(points, [BOX_PERCENTILE, 100.0 - BOX_PERCENTILE], axis=0)
     margin = BOX_MARGIN * float((high - low).max())
     if not margin > 0.0:
         return None
     # As many samples for each cell that has a surface in it: their number goes with the side's inverse square
-    most_cells = int(MOST_CELLS * (num_rays / MOST_RAYS) ** 1.5)
+    most_cells = int(MAX_CELLS * (num_rays / MAX_RAYS) ** 1.5)
     lights = tracer.lights
-    if lights is not None and lights.num_techniques > MOST_LEARNED:
+    if lights is not None and lights.num_techniques > MAX_LEARNED:
         lights = None
     num_techniques = 0 if lights is None else lights.num_techniques
     cache = IrradianceCache(SurfaceCells(np.stack([low - margin, high + margin]), most_cells), num_techniques)

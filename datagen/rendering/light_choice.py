@@ -31,9 +31,9 @@ Array = Any
 SLOTS = 32
 """Of a place's table, or twice as many as there are techniques; probabilities are multiples of its inverse,
 which is the least one."""
-MOST_LEARNED = 16
+MAX_LEARNED = 16
 """With more techniques places learn nothing: tables would be large, and few rays tell them apart."""
-MOST_TECHNIQUES = 512
+MAX_TECHNIQUES = 512
 """With more the scene's own choice stays, and no guide is used: numbers in a table have 10 bits."""
 BELOW_ONE = 1.0 - 2.0**-20
 """Keeps a warped number in its part of the unit interval when it is rounded."""
@@ -152,7 +152,7 @@ def even_choice(scene: Any, guide: SkyGuide | None) -> LightChoice | None:
     """The choice before anything is learned: the guide gets its share of the shadow rays, emitters the rest,
     evenly. None where there is nothing to choose, or too much."""
     num_emitters = len(scene.emitters())
-    if not 2 <= num_emitters + (guide is not None) <= MOST_TECHNIQUES:
+    if not 2 <= num_emitters + (guide is not None) <= MAX_TECHNIQUES:
         return None
     shares = np.ones(num_emitters)
     if guide is not None:

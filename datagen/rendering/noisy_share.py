@@ -33,7 +33,7 @@ REACH_PX = 5
 NEAR_PX, WIDE_PX = 3, 15
 """Sides of the squares over which relative variances are pooled; the larger of the two means counts: noise
 that is wild here, or wild somewhere around and not yet met here."""
-LEAST_LEVEL = 0.01
+MIN_LEVEL = 0.01
 """Of white: what keeps relative variances of black pixels finite."""
 
 
@@ -57,7 +57,7 @@ def noisy_share(
     if not gate.any():
         return np.zeros((*gate.shape, 1), np.float32)
     noisy = 0.5 * (a + b)
-    power = [(image**2).mean(axis=-1) + LEAST_LEVEL**2 for image in (clean, noisy)]
+    power = [(image**2).mean(axis=-1) + MIN_LEVEL**2 for image in (clean, noisy)]
     relative = ((a - b) ** 2).mean(axis=-1) / (power[0] + power[1])  # of a half
     relative = np.maximum(*(ndimage.uniform_filter(relative, side) for side in (NEAR_PX, WIDE_PX)))
     variance = relative * np.minimum(*power)

@@ -43,13 +43,13 @@ TILE_PX = 4
 AROUND_PX = 3
 """Side of the squares whose mean error counts, so that one wild pixel does not decide, and of those in which
 the greatest of these means counts, so that an edge gets samples also where its halves happened to agree."""
-MOST_GROWTH = 4
+MAX_GROWTH = 4
 """A pass multiplies the samples of a tile by this at most: what is known of it comes from few samples."""
-LEAST_SHARE = 0.05
+MIN_SHARE = 0.05
 """Error that every tile is believed to have, over the mean of the tiles: light that no sample has met yet."""
 CLAMP_BLUR_PX = 2.0
 """Standard deviation of the Gaussian that evens out what a clamp took from single pixels."""
-LEAST_PASS = 0.1
+MIN_PASS = 0.1
 """What a pass adds at least, over all before it: an estimate costs as much as some samples."""
 SAMPLE_STEP = 4
 """What a tile gets more in one half is a multiple of this, so that lists of pixels stay short."""
@@ -205,11 +205,11 @@ class SampleBudget:
             return nothing
         mean = float(counts.mean())
         room = self.max_samples / 2 - mean
-        if room < LEAST_PASS * mean:
+        if room < MIN_PASS * mean:
             return nothing
         tiles = _Tiles(counts.shape)
         errors = tiles.means(_around(estimate.spread_map))
-        errors += LEAST_SHARE * float(errors.mean())
+        errors += MIN_SHARE * float(errors.mean())
         if not errors.any():
             errors += 1.0  # the halves agree everywhere: what is wrong is the bias, which says not where
         before = tiles.means(counts)
@@ -256,17 +256,17 @@ def _distribute(
     """Counts of tiles after at most ``added`` more samples a pixel, on average, all arrays (R, C).
 
     An error that falls with the inverse of the samples, as variance does, is least in sum where the counts
-    go with the root of error x count. No tile loses samples, none gets more than ``MOST_GROWTH`` times what
+    go with the root of error x count. No tile loses samples, none gets more than ``MAX_GROWTH`` times what
     it has, and steps are whole.
     """
     wanted = np.sqrt(errors * counts)
     most = float(((counts + added) * areas).sum())
 
     def counts_at(level: float) -> NDArray[np.float64]:
-        more = np.clip(level * wanted, counts, MOST_GROWTH * counts) - counts
+        more = np.clip(level * wanted, counts, MAX_GROWTH * counts) - counts
         return counts + np.floor(more / SAMPLE_STEP) * SAMPLE_STEP
 
-    low, high = 0.0, float((MOST_GROWTH * counts / wanted).max()) * 2.0
+    low, high = 0.0, float((MAX_GROWTH * counts / wanted).max()) * 2.0
     for _ in range(60):
         middle = 0.5 * (low + high)
         fits = float((counts_at(middle) * areas).sum()) <= most

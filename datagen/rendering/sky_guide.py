@@ -43,11 +43,11 @@ RADIANCE_PERCENTILE = 99.5
 """Brighter rays that left count as this one: the sun's disc is the business of its own sampling."""
 NEIGHBOUR_SHARE = 0.05
 """Of a cell's weight, for each of its eight neighbours: openings are larger than what was seen of them."""
-LEAST_ESCAPES = 256
+MIN_ESCAPES = 256
 """Rays that have to leave the room for a guide to be worth anything."""
-MOST_SHARE = 0.5
+MAX_SHARE = 0.5
 """Greatest share of the shadow rays that the guide may take from the lights' own sampling."""
-LEAST_SHARE = 0.1
+MIN_SHARE = 0.1
 """Below this share of the light the sky is not worth a technique of its own."""
 MAX_CROSSINGS = 8
 """Transparent surfaces that a ray crosses while learning."""
@@ -173,7 +173,7 @@ def learn_sky(scene: Any, observations: SkyObservations) -> SkyGuide | None:
     from scipy import ndimage
 
     share = observations.sky_share()
-    if len(observations.origins_m) < LEAST_ESCAPES or share < LEAST_SHARE:
+    if len(observations.origins_m) < MIN_ESCAPES or share < MIN_SHARE:
         return None
     low, high = np.percentile(observations.points_m, [BOX_PERCENTILE, 100.0 - BOX_PERCENTILE], axis=0)
     margin = BOX_MARGIN * (high - low).max()
@@ -192,7 +192,7 @@ def learn_sky(scene: Any, observations: SkyObservations) -> SkyGuide | None:
     around = np.full((1, 3, 3), NEIGHBOUR_SHARE)
     around[0, 1, 1] = 1.0
     probabilities = ndimage.convolve(found, around, mode="constant").ravel()
-    return SkyGuide(scene, box_m, probabilities, min(MOST_SHARE, share), float(weights.max()))
+    return SkyGuide(scene, box_m, probabilities, min(MAX_SHARE, share), float(weights.max()))
 
 
 def observe_sky(scene: Any, hides: Any, walks: Iterable[tuple[Any, Any]]) -> SkyObservations:

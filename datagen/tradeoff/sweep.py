@@ -34,7 +34,7 @@ from datagen.tradeoff.settings import SWEEPS, Setting, base_setting, planned_set
 from datagen.tradeoff.trial import Trial, measure
 from mitsuba_plugins.variant import CPU_VARIANT, CUDA_VARIANT, VARIANTS, has_cuda, resolve_variant
 
-LEAST_SIDE_PX, MOST_SIDE_PX = 8, 16384
+MIN_SIDE_PX, MAX_SIDE_PX = 8, 16384
 
 
 @dataclass(frozen=True)
@@ -184,10 +184,10 @@ def _check(out: Path, options: SweepOptions) -> None:
     elif out.is_dir() and any(out.iterdir()) and not (out / "references").is_dir():
         expected = "an empty folder, or one of an earlier sweep"
         problems.append(Problem(out, "--out", "a folder with other files", expected, "choose another --out"))
-    if min(options.size) < LEAST_SIDE_PX or max(options.size) > MOST_SIDE_PX:
+    if min(options.size) < MIN_SIDE_PX or max(options.size) > MAX_SIDE_PX:
         got, expected = (
             f"{options.size[0]} x {options.size[1]}",
-            f"sides of {LEAST_SIDE_PX} ... {MOST_SIDE_PX}",
+            f"sides of {MIN_SIDE_PX} ... {MAX_SIDE_PX}",
         )
         problems.append(Problem("--size", "", got, expected, "correct it"))
     if options.variant is not None and options.variant not in VARIANTS:

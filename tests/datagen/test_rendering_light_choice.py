@@ -149,15 +149,15 @@ def test_light_is_put_down_to_what_brought_it(tmp_path: Path) -> None:
 def test_before_anything_is_learned_the_guide_has_its_share_and_lights_the_rest() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.light_choice import MOST_TECHNIQUES, SLOTS, even_choice
+    from datagen.rendering.light_choice import MAX_TECHNIQUES, SLOTS, even_choice
 
     def lamps(number: int) -> Any:
         bulb = {"type": "point", "position": [0.0, 0.0, 1.0]}
         return mi.load_dict({"type": "scene"} | {f"bulb {k}": bulb for k in range(number)})
 
     assert even_choice(lamps(0), None) is None and even_choice(lamps(1), None) is None
-    assert even_choice(lamps(MOST_TECHNIQUES + 1), None) is None
-    for number in (2, 5, 20, MOST_TECHNIQUES):
+    assert even_choice(lamps(MAX_TECHNIQUES + 1), None) is None
+    for number in (2, 5, 20, MAX_TECHNIQUES):
         choice = even_choice(lamps(number), None)
         assert choice is not None and choice.num_techniques == choice.num_emitters == number
         chances = np.array(choice.probabilities)
@@ -193,11 +193,11 @@ def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
 
 def test_many_lights_are_chosen_evenly(tmp_path: Path) -> None:
     """More than places learn about; the guide to the window keeps its share."""
-    from datagen.rendering.light_choice import MOST_LEARNED
+    from datagen.rendering.light_choice import MAX_LEARNED
 
     bulbs = tuple(
         PointLight(name=f"bulb {k}", position_m=(0.1 * k - 1.0, 0.0, 1.5), intensity=(1e-3, 1e-3, 1e-3))
-        for k in range(MOST_LEARNED + 4)
+        for k in range(MAX_LEARNED + 4)
     )
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(*bulbs, SKY))
     tracer = room._tracer

@@ -234,13 +234,13 @@ def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
 
 
 def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
-    from datagen.rendering.sky_guide import LEAST_ESCAPES, learn_sky
+    from datagen.rendering.sky_guide import MIN_ESCAPES, learn_sky
 
     quarter = np.pi / 4
     assert learn_sky(open_sky(), observed(others=8 * quarter)) is not None
     assert learn_sky(open_sky(), observed(others=10 * quarter)) is None
     for extra, is_guide in ((0, True), (-1, False)):
-        few = observed(4 * (LEAST_ESCAPES + extra))
+        few = observed(4 * (MIN_ESCAPES + extra))
         assert (learn_sky(open_sky(), few) is not None) == is_guide
     assert learn_sky(open_sky(), observed(origins_m=np.full((1024, 3), 9.0))) is None
     assert learn_sky(open_sky(), observed(points_m=np.zeros((4096, 3)))) is None
