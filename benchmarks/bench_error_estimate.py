@@ -109,7 +109,7 @@ def reference(
 
     All light is traced, and further than the renderer does it: what a cache holds has no longest path.
     """
-    from datagen.rendering.path_tracer import PathTracer
+    from datagen.rendering.transport.integrator import PathTracer
 
     if not path.is_file():
         sensor = renderer._sensor(renderer.configuration.cameras[index].camera())

@@ -22,7 +22,7 @@ SAMPLES = 64
 
 def missing_light(room: str, size: tuple[int, int] = (48, 30)) -> dict[str, Any]:
     """Reflectance that light meets, the depth it asks for, and the shares that depths leave behind."""
-    from datagen.rendering.path_tracer import PathTracer
+    from datagen.rendering.transport.integrator import PathTracer
 
     _, configuration, library = bundled(room, 2, size)
     renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1))

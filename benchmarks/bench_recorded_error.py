@@ -85,7 +85,7 @@ def references(
     renderer: SceneRenderer, room: str, view: int, samples: int, cache: Path
 ) -> list[NDArray[np.float32]]:
     """Independent images of reflected light, (H, W, 3) each; made where they are not in ``cache`` yet."""
-    from datagen.rendering.path_tracer import PathTracer
+    from datagen.rendering.transport.integrator import PathTracer
 
     camera = renderer.configuration.cameras[view].camera()
     paths = [cache / f"{room}-{camera.width_px}-{samples}-{view}-{part}.npy" for part in range(PARTS)]

@@ -34,19 +34,21 @@ TARGETS = {
         ("tests/model/test_reconstruction_merge.py",),
     ),
     "irradiance cache": Target(
-        ("datagen/rendering/irradiance_cache.py",),
+        ("datagen/rendering/transport/irradiance_cache.py",),
         (
-            "tests/datagen/test_rendering_irradiance.py",
-            "tests/datagen/test_rendering_light_choice.py::test_places_choose_the_light_that_they_see",
+            "tests/datagen/test_rendering_irradiance_cache.py",
+            "tests/datagen/test_rendering_light_sampler.py::test_places_choose_the_light_that_they_see",
         ),
         30,
     ),
-    "sky guide": Target(("datagen/rendering/sky_guide.py",), ("tests/datagen/test_rendering_sky.py",)),
-    "light choice": Target(
-        ("datagen/rendering/light_choice.py",),
+    "sky guide": Target(
+        ("datagen/rendering/transport/sky_guide.py",), ("tests/datagen/test_rendering_sky_guide.py",)
+    ),
+    "light sampler": Target(
+        ("datagen/rendering/transport/light_sampler.py",),
         (
-            "tests/datagen/test_rendering_light_choice.py",
-            "tests/datagen/test_rendering_sky.py::test_points_outside_of_the_box_are_left_to_the_lights_own_sampling",
+            "tests/datagen/test_rendering_light_sampler.py",
+            "tests/datagen/test_rendering_sky_guide.py::test_points_outside_of_the_box_are_left_to_the_lights_own_sampling",
         ),
         20,
     ),

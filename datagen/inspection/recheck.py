@@ -136,8 +136,8 @@ def _recheck_shard(
 
 
 def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> Rechecked:
-    from datagen.rendering.path_tracer import PathTracer
     from datagen.rendering.sample_budget import PathSums
+    from datagen.rendering.transport.integrator import PathTracer
 
     tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)
     sensor = renderer._sensor(view.record.camera.camera())

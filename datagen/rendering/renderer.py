@@ -127,7 +127,7 @@ def release_memory() -> None:
     """
     import drjit as dr
 
-    from datagen.rendering.path_tracer import forget_recordings
+    from datagen.rendering.transport.integrator import forget_recordings
 
     forget_recordings()
     gc.collect()  # scenes and their materials refer to each other
@@ -162,7 +162,7 @@ class SceneRenderer:
         release_memory()
         self.configuration, self.recipe = configuration, recipe
         self.built: BuiltScene = build_scene(configuration, library, caches)
-        from datagen.rendering.path_tracer import PathTracer
+        from datagen.rendering.transport.integrator import PathTracer
 
         self._budget = (
             SampleBudget(recipe.max_rel_mse, recipe.max_path_samples)

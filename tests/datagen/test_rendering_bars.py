@@ -18,8 +18,8 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, luminance
 from datagen.rendering.error import relative_mse
 from datagen.rendering.noisy_share import blended, noisy_share
-from datagen.rendering.path_tracer import PathTracer
 from datagen.rendering.renderer import RenderedView
+from datagen.rendering.transport.integrator import PathTracer
 from oracles.rendering_scenes import SmallScene, quad, renderer
 
 WIDTH, HEIGHT = 96, 64

@@ -24,7 +24,6 @@ from datagen.foundation.errors import InputError
 from datagen.library import Library
 from datagen.rendering.denoiser import fast_denoiser
 from datagen.rendering.error import relative_mse
-from datagen.rendering.path_tracer import PathTracer
 from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.sample_budget import (
     FIRST_SAMPLES,
@@ -34,6 +33,7 @@ from datagen.rendering.sample_budget import (
     SampleBudget,
     estimate_error,
 )
+from datagen.rendering.transport.integrator import PathTracer
 from oracles.rendering_scenes import configure, renderer
 from tests.datagen.test_rendering_renderer import CAMERAS, LIGHTS, OBJECTS, box_room, digest
 

@@ -12,7 +12,7 @@ from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.rendering.path_depth import MAX_DEPTH, MIN_DEPTH, depth_for, energy_left, reflectance_met
-from datagen.rendering.path_tracer import PathTracer
+from datagen.rendering.transport.integrator import PathTracer
 from oracles.rendering_scenes import GREY, SmallScene, quad, renderer
 
 CAMERA = Camera(24, 16, 20, 20, 12, 8, look_at([0.5, -1.0, 1.2], [0.0, 1.0, 0.8]))

@@ -177,11 +177,11 @@ def test_five_percent_more_light_is_noticed(both_estimators: tuple[np.ndarray, n
 def test_launches_of_many_samples_continue_the_sequence(
     room: SceneRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from datagen.rendering import path_tracer
+    from datagen.rendering.transport import integrator
 
     sensor = room._sensor(CAMERAS[1])
     whole = room._tracer.render(sensor, 64, 9)
-    monkeypatch.setattr(path_tracer, "MAX_LANES", 48 * 32 * 16)
+    monkeypatch.setattr(integrator, "MAX_LANES", 48 * 32 * 16)
     split = room._tracer.render(sensor, 64, 9)
     assert np.array_equal(whole, split)
 

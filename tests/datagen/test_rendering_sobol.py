@@ -17,7 +17,7 @@ def points(key: Any, count: int, *, first: int = 0, pairs: int = 3) -> NDArray[n
     import drjit as dr
     import mitsuba as mi
 
-    from datagen.rendering.sobol import OwenSobol
+    from datagen.rendering.transport.sobol import OwenSobol
 
     sampler = OwenSobol(dr.arange(mi.UInt32, count) + first, mi.UInt32(key) + dr.zeros(mi.UInt32, count))
     return np.stack([np.array(sampler.next_2d()).T for _ in range(pairs)]).astype(np.float64)
@@ -36,7 +36,7 @@ def test_single_numbers_are_stratified(mitsuba_variant: str) -> None:
     import drjit as dr
     import mitsuba as mi
 
-    from datagen.rendering.sobol import OwenSobol
+    from datagen.rendering.transport.sobol import OwenSobol
 
     sampler = OwenSobol(dr.arange(mi.UInt32, 256), dr.full(mi.UInt32, 3, 256))
     for _ in range(4):
@@ -47,7 +47,7 @@ def test_pixels_and_dimensions_know_nothing_of_each_other() -> None:
     import drjit as dr
     import mitsuba as mi
 
-    from datagen.rendering.sobol import OwenSobol
+    from datagen.rendering.transport.sobol import OwenSobol
 
     count = 1 << 18
     pixel: Any = dr.arange(mi.UInt32, count)

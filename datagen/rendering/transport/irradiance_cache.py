@@ -27,13 +27,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.light_choice import MAX_LEARNED, LightChoice
-from datagen.rendering.path_terms import facing_normal, power_heuristic
-from datagen.rendering.recording import undisturbed
-from datagen.rendering.sobol import OwenSobol
+from datagen.rendering.transport.light_sampler import MAX_LEARNED, LightChoice
+from datagen.rendering.transport.recording import undisturbed
+from datagen.rendering.transport.sobol import OwenSobol
+from datagen.rendering.transport.vertex import facing_normal, power_heuristic
 
 if TYPE_CHECKING:
-    from datagen.rendering.path_tracer import PathTracer
+    from datagen.rendering.transport.integrator import PathTracer
     from mitsuba_plugins.surface_material import SceneMaterials
 
 Array = Any

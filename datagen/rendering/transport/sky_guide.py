@@ -27,7 +27,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.path_terms import facing_normal
+from datagen.rendering.transport.vertex import facing_normal
 
 Array = Any
 
@@ -86,7 +86,7 @@ class SkyGuide:
     """A density of directions towards openings, for points inside its box.
 
     ``share`` of the shadow rays follow it there unless places know better
-    (:mod:`datagen.rendering.light_choice`); :func:`learn_sky` says when there is none.
+    (:mod:`datagen.rendering.transport.light_sampler`); :func:`learn_sky` says when there is none.
     """
 
     def __init__(

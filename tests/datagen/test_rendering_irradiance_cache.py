@@ -22,7 +22,7 @@ from datagen.rendering.renderer import SceneRenderer
 from oracles.rendering_scenes import GREY, SmallScene, down_camera, quad, renderer
 from tests.datagen.test_rendering_depth import closed_room
 from tests.datagen.test_rendering_renderer import digest
-from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, walled_room
+from tests.datagen.test_rendering_sky_guide import CAMERAS, DAYLIGHT, LAMP, walled_room
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
@@ -40,7 +40,7 @@ def cells_at(cells: Any, points: Any, normal: tuple[float, float, float]) -> tup
 
 
 def test_cells_tell_places_and_orientations_apart() -> None:
-    from datagen.rendering.irradiance_cache import SurfaceCells
+    from datagen.rendering.transport.irradiance_cache import SurfaceCells
 
     cells = SurfaceCells(BOX_M, 6 * 2000)
     assert cells.side_m == pytest.approx(0.1) and cells.shape == (20, 10, 10)
@@ -55,7 +55,7 @@ def test_cells_tell_places_and_orientations_apart() -> None:
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
 def test_cells_follow_the_scale_of_the_scene(scale: float) -> None:
-    from datagen.rendering.irradiance_cache import SurfaceCells
+    from datagen.rendering.transport.irradiance_cache import SurfaceCells
 
     cells = SurfaceCells(BOX_M * scale, 6 * 2000)
     assert cells.side_m == pytest.approx(0.1 * scale) and cells.num_cells <= 6 * 21 * 11 * 11
@@ -66,7 +66,7 @@ def test_cells_follow_the_scale_of_the_scene(scale: float) -> None:
 def test_means_forget_what_they_are_told_to_and_lean_on_their_surroundings() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.irradiance_cache import PRIOR_SAMPLES, IrradianceCache, SurfaceCells
+    from datagen.rendering.transport.irradiance_cache import PRIOR_SAMPLES, IrradianceCache, SurfaceCells
 
     cells = SurfaceCells(BOX_M, 6 * 2000)
     cache = IrradianceCache(cells)
@@ -137,7 +137,7 @@ def test_reflectance_of_the_specular_lobe_is_that_of_the_bsdf() -> None:
     import drjit as dr
     import mitsuba as mi
 
-    from datagen.rendering.irradiance_cache import specular_reflectance
+    from datagen.rendering.transport.irradiance_cache import specular_reflectance
     from mitsuba_plugins.surface_material import SurfaceChannels
 
     numbers = np.random.default_rng(7).random((4, 1 << 16), np.float32)
@@ -286,7 +286,7 @@ import numpy as np
 from mitsuba_plugins.variant import select_variant
 select_variant("llvm_ad_rgb")
 import mitsuba as mi
-from tests.datagen.test_rendering_irradiance import CACHED, CAMERAS, LAMP, renderer, walled_room
+from tests.datagen.test_rendering_irradiance_cache import CACHED, CAMERAS, LAMP, renderer, walled_room
 
 class Loop: pass
 room = renderer(Path(sys.argv[1]), walled_room(), CAMERAS, CACHED, lights=(LAMP,))

@@ -162,7 +162,7 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
 def observed(count: int = 4096, **more: Any) -> Any:
     """A room of 4 x 2 x 1 m with points all over, from whose middle every fourth ray leaves through one place
     of its upper face."""
-    from datagen.rendering.sky_guide import SkyObservations
+    from datagen.rendering.transport.sky_guide import SkyObservations
 
     points = np.random.default_rng(1).random((count, 3)) * [4, 2, 1]
     through = np.array([3.1, 0.4, 1.0])
@@ -208,7 +208,7 @@ def test_rays_that_met_the_sun_count_as_sky() -> None:
 def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.sky_guide import BOX_MARGIN, CELLS, NEIGHBOUR_SHARE, learn_sky
+    from datagen.rendering.transport.sky_guide import BOX_MARGIN, CELLS, NEIGHBOUR_SHARE, learn_sky
 
     found = learn_sky(open_sky(), observed(others=3 * np.pi / 4))
     assert found is not None and found.share == pytest.approx(0.25)
@@ -234,7 +234,7 @@ def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
 
 
 def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
-    from datagen.rendering.sky_guide import MIN_ESCAPES, learn_sky
+    from datagen.rendering.transport.sky_guide import MIN_ESCAPES, learn_sky
 
     quarter = np.pi / 4
     assert learn_sky(open_sky(), observed(others=8 * quarter)) is not None
@@ -249,7 +249,7 @@ def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
 def test_rays_leave_the_box_where_geometry_says() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.sky_guide import CELLS, _exit
+    from datagen.rendering.transport.sky_guide import CELLS, _exit
 
     random = np.random.default_rng(2)
     low, high = np.array([-1.0, 0.0, 2.0]), np.array([3.0, 1.0, 4.0])
@@ -280,7 +280,7 @@ def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
     """Points on the box's faces count as inside: their place there is 0 or 1, exactly."""
     import mitsuba as mi
 
-    from datagen.rendering.sky_guide import CELLS, _exit
+    from datagen.rendering.transport.sky_guide import CELLS, _exit
 
     corners = mi.Point3f(-1.0, 0.0, 2.0), mi.Point3f(3.0, 1.0, 4.0)
     points = mi.Point3f(np.array([[0, 1, 4], [0, 0, 2], [3, 0.5, 4], [-1, 0.5, 2]], np.float32).T)

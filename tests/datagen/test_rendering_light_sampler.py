@@ -15,7 +15,7 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.rendering.renderer import SceneRenderer
 from oracles.rendering_scenes import SmallScene, quad, renderer
-from tests.datagen.test_rendering_sky import CAMERAS, DAYLIGHT, LAMP, SKY, walled_room
+from tests.datagen.test_rendering_sky_guide import CAMERAS, DAYLIGHT, LAMP, SKY, walled_room
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 
@@ -56,7 +56,7 @@ def spread(
 
 def with_even_choice(room: SceneRenderer) -> None:
     """As if places had learned nothing of lights, but keep what they know of irradiance."""
-    from datagen.rendering.light_choice import LightChoice
+    from datagen.rendering.transport.light_sampler import LightChoice
 
     tracer = room._tracer
     assert tracer.lights is not None and tracer.irradiance is not None
@@ -66,7 +66,7 @@ def with_even_choice(room: SceneRenderer) -> None:
 
 
 def test_slots_follow_shares_and_leave_nobody_out() -> None:
-    from datagen.rendering.light_choice import SLOTS, whole_slots
+    from datagen.rendering.transport.light_sampler import SLOTS, whole_slots
 
     shares = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1e-300, 1e-300, 2e-300], [1e30, 3e30, 0.0]])
     slots = whole_slots(shares)
@@ -149,7 +149,7 @@ def test_light_is_put_down_to_what_brought_it(tmp_path: Path) -> None:
 def test_before_anything_is_learned_the_guide_has_its_share_and_lights_the_rest() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.light_choice import MAX_TECHNIQUES, SLOTS, even_choice
+    from datagen.rendering.transport.light_sampler import MAX_TECHNIQUES, SLOTS, even_choice
 
     def lamps(number: int) -> Any:
         bulb = {"type": "point", "position": [0.0, 0.0, 1.0]}
@@ -165,7 +165,7 @@ def test_before_anything_is_learned_the_guide_has_its_share_and_lights_the_rest(
 
 
 def test_a_guide_has_its_share_of_an_even_choice(tmp_path: Path) -> None:
-    from datagen.rendering.light_choice import even_choice
+    from datagen.rendering.transport.light_sampler import even_choice
 
     tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT))._tracer
     guide = tracer.sky_guide
@@ -193,7 +193,7 @@ def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
 
 def test_many_lights_are_chosen_evenly(tmp_path: Path) -> None:
     """More than places learn about; the guide to the window keeps its share."""
-    from datagen.rendering.light_choice import MAX_LEARNED
+    from datagen.rendering.transport.light_sampler import MAX_LEARNED
 
     bulbs = tuple(
         PointLight(name=f"bulb {k}", position_m=(0.1 * k - 1.0, 0.0, 1.5), intensity=(1e-3, 1e-3, 1e-3))

@@ -4,11 +4,11 @@
 The estimator is that of Mitsuba's ``path`` (tests hold one against the other), with what rooms need besides:
 
 * lights that the camera does not see: camera rays pass through them, everything else meets them;
-* samples of a pixel that are spread evenly in every pair of dimensions (:mod:`datagen.rendering.sobol`);
+* samples of a pixel that are spread evenly in every pair of dimensions (:mod:`.sobol`);
 * an environment seen through windows: shadow rays are sent through the openings where it shines in
-  (:mod:`datagen.rendering.sky_guide`), where others nearly all end at walls;
+  (:mod:`.sky_guide`), where others nearly all end at walls;
 * a cache of the irradiance behind the first turn, for those who want speed
-  (:mod:`datagen.rendering.irradiance_cache`);
+  (:mod:`.irradiance_cache`);
 * opacity: shadow rays are attenuated by what they cross instead of being stopped by it, so that leaves and
   curtains cast their own shadows also from point lights, and crossing them costs no path depth.
 
@@ -29,18 +29,18 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.irradiance_cache import (
+from datagen.rendering.sample_budget import PathSums
+from datagen.rendering.transport.irradiance_cache import (
     NARROW_PDF,
     IrradianceCache,
     learn_irradiance,
     spread_of,
 )
-from datagen.rendering.light_choice import LightChoice, even_choice
-from datagen.rendering.path_terms import power_heuristic
-from datagen.rendering.recording import undisturbed
-from datagen.rendering.sample_budget import PathSums
-from datagen.rendering.sky_guide import SkyGuide, learn_sky, observe_sky
-from datagen.rendering.sobol import OwenSobol
+from datagen.rendering.transport.light_sampler import LightChoice, even_choice
+from datagen.rendering.transport.recording import undisturbed
+from datagen.rendering.transport.sky_guide import SkyGuide, learn_sky, observe_sky
+from datagen.rendering.transport.sobol import OwenSobol
+from datagen.rendering.transport.vertex import power_heuristic
 
 if TYPE_CHECKING:
     from datagen.rendering.scene_builder import BuiltScene
@@ -95,7 +95,7 @@ class PathTracer:
         return [self._is_hidden_shape, *lights, *cache]
 
     def learn_sky(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
-        """Find out where the environment shines in (:mod:`datagen.rendering.sky_guide`), as ``sensors`` lead
+        """Find out where the environment shines in (:mod:`.sky_guide`), as ``sensors`` lead
         there with ``num_samples`` paths a pixel. Without an environment there is nothing to find."""
         self.guide_by(None)
         if self.scene.environment() is None:
@@ -113,7 +113,7 @@ class PathTracer:
     def learn_irradiance(
         self, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
     ) -> None:
-        """Find out how bright surfaces are (:mod:`datagen.rendering.irradiance_cache`), and let paths end
+        """Find out how bright surfaces are (:mod:`.irradiance_cache`), and let paths end
         there from here on. ``num_pixels``: of all views, for which this is done."""
         self.guide_by(self.sky_guide)
         if self.scene.emitters():

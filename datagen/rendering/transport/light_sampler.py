@@ -2,9 +2,9 @@
 """To which light a shadow ray goes, as places have learned it.
 
 Mitsuba chooses among emitters evenly: in a room with a lamp and a sky, half of the shadow rays go to the
-light that is not there. While irradiance is gathered (:mod:`datagen.rendering.irradiance_cache`), every cell
+light that is not there. While irradiance is gathered (:mod:`.irradiance_cache`), every cell
 of surface also learns what each technique brings: the scene's own sampling of each emitter, and the guide
-through openings (:mod:`datagen.rendering.sky_guide`) where there is one. Technique k is then chosen with
+through openings (:mod:`.sky_guide`) where there is one. Technique k is then chosen with
 
     q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k over its own samples,
 
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from datagen.rendering.sky_guide import SkyGuide
+    from datagen.rendering.transport.sky_guide import SkyGuide
 
 Array = Any
 
