@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 import model.reconstruction.level.albedo_level as albedo_level
 from datagen.formats.capture import Capture
+from datagen.geometry.traced import smooth_regions
+from datagen.geometry.views import TracedCapture, trace_capture
 from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import load_checkpoint
 from model.evaluation.room import TestScene, prepare_scene
 from model.evaluation.suite import NetworkMethod, read_suite
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.geometry.traced import smooth_regions
-from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 
 COLUMNS = (

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import srgb_from_linear
+from datagen.geometry.views import TracedCapture, trace_capture
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
 from model.evaluation.room import prepare_scene
 from model.evaluation.suite import read_suite
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit

@@ -29,13 +29,13 @@ from datagen.formats.capture import Capture
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import ViewGeometry, face_normals, seen_sides, smooth_regions
+from datagen.geometry.views import TracedCapture, trace_capture
 from mitsuba_plugins.variant import select_variant
 from model.checkpoint import bundled_checkpoint
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.geometry.traced import ViewGeometry, face_normals, seen_sides, smooth_regions
-from model.reconstruction.geometry.views import TracedCapture, trace_capture
 from model.reconstruction.infer_options import InferOptions, InferReport
 from model.reconstruction.merge.fill import fill_unseen
 from model.reconstruction.merge.merger import MapMerger, MergeOptions, map_views

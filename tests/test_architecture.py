@@ -19,9 +19,10 @@ SOURCES = (*PACKAGES, "oracles", "benchmarks", "tests", "scenes/sources")
 
 _GROUND = "datagen.foundation datagen.formats"
 _LIBRARY = f"{_GROUND} datagen.library"
-_RENDER = f"{_LIBRARY} datagen.multiview datagen.rendering mitsuba_plugins"
+_TRACED = "datagen.multiview datagen.geometry"
+_RENDER = f"{_LIBRARY} {_TRACED} datagen.light datagen.rendering mitsuba_plugins"
 _NETWORKS = "model.networks model.confidence model.bilateral_solver"
-_ATLAS = "model.reconstruction.atlas model.reconstruction.geometry"
+_ATLAS = "model.reconstruction.atlas datagen.geometry datagen.multiview.compiled"
 
 # Package -> what it may import of the project, besides itself. A name is a module or all of a package.
 MATRIX = {
@@ -32,6 +33,8 @@ MATRIX = {
         "datagen.asset_check": _GROUND,
         "datagen.library": f"{_GROUND} datagen.asset_check",
         "datagen.multiview": "datagen.foundation mitsuba_plugins",
+        "datagen.geometry": f"{_GROUND} datagen.multiview mitsuba_plugins",
+        "datagen.light": f"datagen.foundation {_TRACED} mitsuba_plugins",
         "datagen.parametric": _GROUND,
         "datagen.assembly": f"{_LIBRARY} datagen.parametric mitsuba_plugins",
         "datagen.rendering": f"{_LIBRARY} mitsuba_plugins",
@@ -57,23 +60,21 @@ MATRIX = {
         "model.publish": "datagen.foundation model.checkpoint",
         "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.events model.shading",
         "model.reconstruction.capture_options": "datagen.foundation",
-        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder "
+        "model.reconstruction.captures": f"{_LIBRARY} datagen.farm.folder datagen.rendering.capture_geometry "
         "model.reconstruction.capture_options",
-        "model.reconstruction.atlas": "datagen.foundation",
-        "model.reconstruction.geometry": f"{_GROUND} datagen.multiview mitsuba_plugins",
-        "model.reconstruction.check": f"{_GROUND} mitsuba_plugins model.reconstruction.captures "
-        "model.reconstruction.geometry",
+        "model.reconstruction.atlas": "datagen.foundation datagen.multiview.compiled",
+        "model.reconstruction.check": f"{_GROUND} mitsuba_plugins datagen.geometry "
+        "model.reconstruction.captures",
         "model.reconstruction.found_lights": "",
-        "model.reconstruction.stages": "model.reconstruction.geometry model.reconstruction.infer_options "
+        "model.reconstruction.stages": "datagen.geometry model.reconstruction.infer_options "
         "model.reconstruction.found_lights",
         "model.reconstruction.predict": f"{_GROUND} datagen.multiview {_NETWORKS} model.checkpoint "
         f"model.devices {_ATLAS} model.reconstruction.infer_options model.reconstruction.stages",
         "model.reconstruction.level": f"{_GROUND} datagen.multiview model.reconstruction.captures "
-        "model.reconstruction.geometry model.reconstruction.stages",
+        "datagen.geometry model.reconstruction.stages",
         "model.reconstruction.light": f"{_RENDER} {_NETWORKS} model.checkpoint model.reconstruction.captures "
         f"{_ATLAS} model.reconstruction.level model.reconstruction.found_lights model.reconstruction.stages",
-        "model.reconstruction.radiometry": f"{_GROUND} model.reconstruction.geometry "
-        "model.reconstruction.light model.reconstruction.stages",
+        "model.reconstruction.radiometry": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.stages",
         "model.reconstruction.unwrap": f"{_GROUND} {_ATLAS}",
         "model.reconstruction.merge": f"{_GROUND} datagen.multiview {_ATLAS} model.reconstruction.unwrap",
         "model.reconstruction.export": f"{_GROUND} {_ATLAS} model.reconstruction.found_lights",
@@ -89,7 +90,9 @@ MATRIX = {
         "model.reconstruction.export "
         "model.reconstruction.infer_options model.reconstruction.pose_stage model.reconstruction.report_page "
         "model.reconstruction.stages",
-        "model.reconstruction.pose_stage": "model.reconstruction.geometry model.reconstruction.stages",
+        "model.reconstruction.pose_mending": "datagen.foundation datagen.geometry",
+        "model.reconstruction.pose_stage": "datagen.geometry model.reconstruction.pose_mending "
+        "model.reconstruction.stages",
         "model.reconstruction.photos": f"{_GROUND} model.reconstruction.captures model.reconstruction.infer "
         "model.reconstruction.infer_options model.reconstruction.render model.reconstruction.stages",
         "model.reconstruction.commands": f"{_LIBRARY} model.checkpoint model.events model.reconstruction",
@@ -97,7 +100,7 @@ MATRIX = {
         "model.checkpoint model.training model.reconstruction",
         "model.schemas": f"{_GROUND} model.evaluation model.training",
         "model.cli": f"{_GROUND} model",
-        "oracles": f"{_RENDER} model.reconstruction.geometry",
+        "oracles": _RENDER,
         "benchmarks": "datagen mitsuba_plugins model blender_addon scenes oracles",
         "scenes": "blender_addon",
         "tests": "datagen mitsuba_plugins model blender_addon scenes oracles",

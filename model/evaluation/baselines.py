@@ -14,8 +14,8 @@ from datagen.formats.capture import Capture, CaptureView
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view, encode_view
+from datagen.geometry.views import TracedCapture, TracedView
 from model.evaluation.suite import ConstantMethod, MapsMethod, OracleMethod, TextureMethod
-from model.reconstruction.geometry.views import TracedCapture, TracedView
 from model.reconstruction.predict.predictor import capture_exposure
 from model.reconstruction.predict.sources import TRUTH, GivenMaps
 from model.reconstruction.stages import Maps

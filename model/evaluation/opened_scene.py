@@ -16,6 +16,7 @@ from datagen.formats.configuration import PlacedAsset
 from datagen.formats.package import open_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.shard import ShardReader
+from datagen.rendering.capture_geometry import package_geometry
 from mitsuba_plugins.variant import select_variant
 from model.evaluation.metrics import common_exposure
 from model.evaluation.rendering import JudgedView, Rendering, render_scenery, stored_view
@@ -25,7 +26,6 @@ from model.evaluation.scenery import Scenery, added_lights, level_place, true_sc
 from model.evaluation.suite import ModifiedLight, Suite
 from model.evaluation.surface_kinds import SurfaceFinder, ViewSurfaces
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.captures.rendered import package_geometry
 
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"

@@ -31,19 +31,19 @@ from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomica
 from datagen.formats.capture import Capture, CaptureGeometry
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import (
+    TracedGeometry,
+    face_normals,
+    seen_sides,
+    smooth_regions,
+)
+from datagen.geometry.views import TracedCapture, trace_capture, visible_faces
 from datagen.multiview.visibility import VisibilityOptions
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
-from model.reconstruction.geometry.traced import (
-    TracedGeometry,
-    face_normals,
-    seen_sides,
-    smooth_regions,
-)
-from model.reconstruction.geometry.views import TracedCapture, trace_capture, visible_faces
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from model.reconstruction.geometry.pose_mending import mended_poses
-from model.reconstruction.geometry.views import TracedCapture
+from datagen.geometry.views import TracedCapture
+from model.reconstruction.pose_mending import mended_poses
 from model.reconstruction.stages import Run
 
 

@@ -13,8 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.geometry.views import TracedCapture
 from model.reconstruction.found_lights import FoundLights
-from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 
 Maps = dict[str, NDArray]

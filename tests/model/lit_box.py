@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Capture, CaptureGeometry, CaptureView, ColorImage, GeometryPart
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
 
 SIDES = np.array([4.0, 3.0, 2.5])
 ALBEDOS = np.array(

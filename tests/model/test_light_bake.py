@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.geometry.traced import mesh_scene
-from model.reconstruction.light.background import AZIMUTHS, HEIGHTS, PLACES, Background
-from model.reconstruction.light.bake import Baker
-from model.reconstruction.light.emitters import Emitters
-from model.reconstruction.light.radiance_field import RadianceField
+from datagen.geometry.traced import mesh_scene
+from datagen.light.background import AZIMUTHS, HEIGHTS, PLACES, Background
+from datagen.light.bake import Baker
+from datagen.light.emitters import Emitters
+from datagen.light.radiance_field import RadianceField
+from datagen.light.surfels import CellGrid, Observations, Surfels, weighted_medians
 from model.reconstruction.light.solve import (
     ROUGHNESS_LEVELS,
     SPECULAR_LEVELS,
@@ -27,7 +28,6 @@ from model.reconstruction.light.solve import (
     decide,
     segment_costs,
 )
-from model.reconstruction.light.surfels import CellGrid, Observations, Surfels, weighted_medians
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 RADIANCE = np.array([3.0, 2.0, 1.0])

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datagen.light.surfels import CellGrid, Observations, Surfels
 from model.reconstruction.light.confidence import (
     BLOCK_CELLS,
     D_EVIDENCE,
     light_trust,
     surfel_confidence,
 )
-from model.reconstruction.light.surfels import CellGrid, Observations, Surfels
 
 
 def test_confidence_grows_with_what_photographs_show() -> None:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from datagen.light.surfels import CellGrid, Observations, Surfels
 from model.reconstruction.light.shading_correction import shading_correction
-from model.reconstruction.light.surfels import CellGrid, Observations, Surfels
 
 SIDE, CELL_M = 60, 0.025
 

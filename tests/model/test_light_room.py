@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.traced import TracedGeometry, smooth_regions
+from datagen.geometry.views import TracedView
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
 from tests.model.light_room import LAMP, SKY, photographed_room, quads, room_geometry

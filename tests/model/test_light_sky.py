@@ -21,6 +21,10 @@ from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import open_package
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import decode_ply
+from datagen.geometry.traced import TracedGeometry, smooth_regions
+from datagen.light.background import Background
+from datagen.light.emitters import Emitters
+from datagen.light.lighting import Lit, light_surfels
 from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.export.asset import write_asset
 from model.reconstruction.export.atlas_images import write_atlas_images
@@ -28,11 +32,7 @@ from model.reconstruction.export.gltf import write_glb
 from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, Rectangle, lights_text
-from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
-from model.reconstruction.light.background import Background
-from model.reconstruction.light.emitters import Emitters
 from model.reconstruction.light.lamps import found_lamps
-from model.reconstruction.light.lighting import Lit, light_surfels
 from model.reconstruction.light.openings import LeavingRays, box_squares, found_windows
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.rectangles import cover, cut, largest_rectangle

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
-from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.surfels import build_surfels
+from datagen.geometry.traced import TracedGeometry, smooth_regions
+from datagen.geometry.views import TracedView
+from datagen.light.surfels import build_surfels
 from model.reconstruction.radiometry.completed import Completed, completed_views
 from model.reconstruction.radiometry.exposures import (
     Radiometry,

@@ -17,10 +17,10 @@ from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.ply import encode_ply
+from datagen.geometry.traced import TracedGeometry
 from model.reconstruction.check.capture_check import check_capture
 from model.reconstruction.check.edges import edge_field, match_edges, mesh_edges, photograph_field
 from model.reconstruction.check.registration import SeenShift, common_mistake
-from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from tests.model.photographed_room import (

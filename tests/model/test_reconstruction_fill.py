@@ -14,10 +14,10 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import TracedGeometry, face_normals
 from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.export.atlas_images import map_bytes, write_atlas_images
-from model.reconstruction.geometry.traced import TracedGeometry, face_normals
 from model.reconstruction.merge.fill import fill_unseen, nearest_labels
 from model.reconstruction.merge.size import atlas_size, pixel_footprint_m
 from model.reconstruction.unwrap.charts import chart_of_faces

@@ -24,6 +24,7 @@ from datagen.formats.textures import texture_values
 from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
+from datagen.geometry.traced import TracedGeometry
 from datagen.importers.common import ImportOptions
 from datagen.importers.gltf import import_gltf
 from datagen.library import Library
@@ -33,7 +34,6 @@ from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
 from model.reconstruction.export.gltf import as_read, metallic_channels
-from model.reconstruction.geometry.traced import TracedGeometry
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.render.relight import Insertion, RelightOptions, render_asset, write_renders
@@ -190,7 +190,7 @@ def test_normals_break_at_creases_only() -> None:
     import trimesh
 
     from datagen.foundation.meshes.mesh import Mesh
-    from model.reconstruction.geometry.crease_normals import with_normals
+    from datagen.geometry.crease_normals import with_normals
 
     for shape, num in ((trimesh.creation.box(), 24), (trimesh.creation.icosphere(3), 642)):
         uv = np.random.default_rng(0).random((len(shape.vertices), 2)).astype(np.float32)

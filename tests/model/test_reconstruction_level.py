@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.images import read_image
+from datagen.geometry.traced import TracedGeometry, smooth_regions
+from datagen.geometry.views import TracedView, trace_capture
 from model.checkpoint import CheckpointCard, save_checkpoint
 from model.networks import MaterialNetwork, NetworkConfig
-from model.reconstruction.geometry.traced import TracedGeometry, smooth_regions
-from model.reconstruction.geometry.views import TracedView, trace_capture
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.level.albedo_level import AlbedoLevel, clipped_share, find_level
 from model.reconstruction.level.radiance_cache import RadianceCache

@@ -10,10 +10,10 @@ import pytest
 
 from datagen.foundation.errors import InputError
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
 from datagen.multiview.visibility import VisibilityOptions
 from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.geometry.traced import TracedGeometry, face_normals, seen_sides, smooth_regions
 from model.reconstruction.merge.lane_sort import LANES, STEP, networks, sort_lanes, sort_weighted_lanes
 from model.reconstruction.merge.merger import MapMerger, MapView, MergeOptions
 from model.reconstruction.merge.weights import Weights

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from datagen.foundation.images import read_image
+from datagen.geometry.views import TracedCapture
 from model.reconstruction import infer as infer_module
-from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.infer import InferOptions, infer, map_stages
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit

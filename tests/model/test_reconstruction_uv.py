@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import face_normals
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.geometry.traced import face_normals
 from model.reconstruction.unwrap import uv as uv_module
 from model.reconstruction.unwrap.uv import own_uv_fault, shelf_packed, triangle_sheet, unwrapped
 from oracles.textured_room import room_mesh

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.light.surfels import NUM_SIDES, CellGrid, cell_of
 from model.reconstruction.atlas.atlas import empty_atlas
 from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.light.surfel_confidence import SurfelConfidence
-from model.reconstruction.light.surfels import NUM_SIDES, CellGrid, cell_of
 
 SHAPE = np.array([8, 7, 6])
 CELL_M = 0.5

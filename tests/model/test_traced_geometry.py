@@ -8,7 +8,7 @@ import pytest
 
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.geometry.traced import TracedGeometry, reachable_faces
+from datagen.geometry.traced import TracedGeometry, reachable_faces
 from tests.model.lit_box import SIDES, box_geometry
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import Atlas
-from model.reconstruction.atlas.compiled import num_threads
 from model.reconstruction.atlas.texels import TexelSurface
 
 ConfidenceAt = Callable[[NDArray, NDArray], NDArray[np.uint8]]

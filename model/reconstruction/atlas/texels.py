@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.atlas.compiled import compiled
+from datagen.multiview.compiled import compiled
 
 BIN = 256
 """Texels along a side of a bin."""

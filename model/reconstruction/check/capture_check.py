@@ -21,13 +21,13 @@ from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureGeometry, ColorImage
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Progress
+from datagen.geometry.traced import TracedGeometry, seen_sides
+from datagen.geometry.views import TracedCapture
 from mitsuba_plugins.variant import select_variant
 from model.reconstruction.captures.frames import AXES, z_up_from
 from model.reconstruction.check.edges import match_edges, mesh_edges
 from model.reconstruction.check.judgement import judge
 from model.reconstruction.check.views import CheckReport, Look, view_warnings
-from model.reconstruction.geometry.traced import TracedGeometry, seen_sides
-from model.reconstruction.geometry.views import TracedCapture
 
 __all__ = ["CheckReport", "Look", "check_capture", "check_looks", "check_traced", "view_warnings"]
 _MAX_TRIED_VIEWS = 4

@@ -24,7 +24,7 @@ from scipy import fft
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance, srgb_from_linear
-from model.reconstruction.geometry.traced import ViewGeometry
+from datagen.geometry.traced import ViewGeometry
 
 CREASE_RAD = np.radians(25.0)
 _JUMP = 0.03  # of the depth, against the plane through the neighbour

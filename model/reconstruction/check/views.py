@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datagen.formats.capture import ColorImage
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
+from datagen.geometry.traced import ViewGeometry
 from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 from model.reconstruction.check.edges import (
     EdgeMatch,
@@ -21,7 +22,6 @@ from model.reconstruction.check.edges import (
     mesh_edges,
     photograph_field,
 )
-from model.reconstruction.geometry.traced import ViewGeometry
 
 MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room that the mesh is of
 MAX_CLIPPED = 0.5

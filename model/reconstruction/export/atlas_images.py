@@ -22,8 +22,8 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.durable import publish
 from datagen.foundation.images import encode_png
+from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
-from model.reconstruction.atlas.compiled import num_threads
 
 _BAND = 1024
 CONFIDENCE = "confidence"

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Capture
 from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.crease_normals import with_normals
 from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.found_lights import Color, FoundLights, FoundPatch
-from model.reconstruction.geometry.crease_normals import with_normals
 
 SURFACE = "surface"
 

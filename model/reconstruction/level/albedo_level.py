@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
 from datagen.multiview.visibility import vectors_from_rows
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.level.radiance_cache import Floats, RadianceCache
 
 NUM_POINTS, NUM_RAYS = 4096, 400

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.views import TracedView
 
 Floats = NDArray[np.float64]
 

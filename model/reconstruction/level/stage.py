@@ -7,8 +7,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from model.reconstruction.geometry.traced import smooth_regions
-from model.reconstruction.geometry.views import TracedCapture
+from datagen.geometry.traced import smooth_regions
+from datagen.geometry.views import TracedCapture
 from model.reconstruction.level.albedo_level import clipped_share, find_level
 from model.reconstruction.stages import Maps, Run
 

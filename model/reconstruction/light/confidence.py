@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from model.reconstruction.light.radiance_field import cell_keys
-from model.reconstruction.light.surfels import CellGrid, Surfels
+from datagen.light.radiance_field import cell_keys
+from datagen.light.surfels import CellGrid, Surfels
 
 NOISE = 1.1
 """Radiance over Ld that a white surface reaches by noise."""

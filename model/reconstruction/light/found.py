@@ -9,11 +9,11 @@ import numpy as np
 
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.color import luminance
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
+from datagen.light.lighting import Lit
 from model.reconstruction.found_lights import FoundLights
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.light.lamps import found_lamps
-from model.reconstruction.light.lighting import Lit
 from model.reconstruction.light.openings import found_windows, leaving_rays
 from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import is_far, sky_image, sky_pixels

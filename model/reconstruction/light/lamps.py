@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from datagen.formats.capture import GeometryPart
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.light.emitters import Emitters
 from model.reconstruction.found_lights import Color, FoundLamp
-from model.reconstruction.light.emitters import Emitters
 
 
 def found_lamps(emitters: Emitters, mesh: Mesh, parts: Sequence[GeometryPart]) -> tuple[FoundLamp, ...]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from model.reconstruction.geometry.traced import smooth_regions
-from model.reconstruction.geometry.views import TracedCapture
+from datagen.geometry.traced import smooth_regions
+from datagen.geometry.views import TracedCapture
 from model.reconstruction.light.found import found_lights
 from model.reconstruction.light.options import LightReport
 from model.reconstruction.light.pictures import view_pictures

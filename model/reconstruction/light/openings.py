@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.light.background import Background
+from datagen.light.radiance_field import RadianceField
+from datagen.light.surfels import Surfels
 from datagen.multiview.visibility import vectors_from_rows
 from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
-from model.reconstruction.light.background import Background
-from model.reconstruction.light.radiance_field import RadianceField
 from model.reconstruction.light.rectangles import cover, cut
-from model.reconstruction.light.surfels import Surfels
 
 FINE = 96
 """Squares along both sides of a face of the box."""

@@ -9,31 +9,26 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from datagen.foundation.peak_memory import peak_mb
+from datagen.light.lighting import GatherOptions
 from model.reconstruction.light.solve import PriorWeights
 
 
 @dataclass(frozen=True)
-class LightOptions:
-    """Rays a surfel (``irradiance_rays``; ``second_irradiance_rays`` in the second round), an observation of
-    a solved point and level (``solve_rays``), an observation of a surfel (``specular_rays``); ``max_points``
-    solved in all, ``num_observations`` of each. ``num_rounds``: in a second one, the light has less noise,
-    and rays go on where they meet a metal that the first has found. ``has_prior``: whether the network's
-    maps draw the solution where evidence lacks. ``estimates_unseen``: whether surface that no photograph
-    shows gets the mean reflectance; ``is_corrected``: whether the shading gets a smooth correction where its
-    light is not photographed."""
+class LightOptions(GatherOptions):
+    """Rays an observation of a solved point and level (``solve_rays``), an observation of a surfel
+    (``specular_rays``), beside those that gather light; ``max_points`` solved in all, ``num_observations`` of
+    each. ``num_rounds``: in a second one, the light has less noise, and rays go on where they meet a metal
+    that the first has found. ``has_prior``: whether the network's maps draw the solution where evidence
+    lacks. ``is_corrected``: whether the shading gets a smooth correction where its light is not
+    photographed."""
 
-    irradiance_rays: int = 144
-    second_irradiance_rays: int = 512
-    estimate_rays: int = 48
     solve_rays: int = 24
     specular_rays: int = 12
     max_points: int = 24_000
     num_observations: int = 8
     num_rounds: int = 2
-    smoothing_neighbours: int = 9
     prior: PriorWeights = field(default_factory=PriorWeights)
     has_prior: bool = True
-    estimates_unseen: bool = True
     is_corrected: bool = True
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.color_maps import cividis
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.views import TracedView
 from model.reconstruction.stages import Maps, ViewPicture
 
 NUM_VIEWS, WIDTH_PX = 6, 320

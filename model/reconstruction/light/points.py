@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.reconstruction.light.lighting import MIN_KNOWN, Lit
+from datagen.light.lighting import MIN_KNOWN, Lit
+from datagen.light.surfels import Surfels
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import (
     ROUGHNESS_LEVELS,
@@ -17,7 +18,6 @@ from model.reconstruction.light.solve import (
     decide,
     segment_costs,
 )
-from model.reconstruction.light.surfels import Surfels
 
 EVIDENCE_POWER = 3
 """Priors count one over this power of the share of the light that photographs show."""

@@ -21,8 +21,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from model.reconstruction.light.radiance_field import cell_keys
-from model.reconstruction.light.surfels import CellGrid, Surfels, near_surfels, weighted_medians
+from datagen.light.radiance_field import cell_keys
+from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medians
 
 SMOOTHNESS = 100.0
 """Weight of a difference between adjacent surfels against that of a surfel whose light is known."""

@@ -16,10 +16,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
+from datagen.light.lighting import Lit
+from datagen.light.surfels import NUM_SIDES
 from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
-from model.reconstruction.light.lighting import Lit
 from model.reconstruction.light.rectangles import cover, cut
-from model.reconstruction.light.surfels import NUM_SIDES
 
 EXCESS = 2.5
 """Radiance over that of a white surface from which a surfel shines."""

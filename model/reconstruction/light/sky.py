@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
-from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.background import Background
+from datagen.geometry.views import TracedView
+from datagen.light.background import Background
 from model.reconstruction.light.openings import LeavingRays, box_squares
 
 HEIGHT, WIDTH = 64, 128

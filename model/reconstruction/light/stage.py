@@ -16,16 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
+from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
+from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from model.reconstruction.light.confidence import light_trust, sureness, surfel_confidence
-from model.reconstruction.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
 from model.reconstruction.light.shading_correction import shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
-from model.reconstruction.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
 
 _SEED = 99  # of the specular part of all observations: other samples than the solve's
@@ -65,8 +65,10 @@ def materials_from_light(
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
     ordered, predicted = [views[index] for index in order], [maps[index] for index in order]
-    lit = light_surfels(ordered, traced, emits, region_of_face, options, report)
+    lit = light_surfels(ordered, traced, emits, region_of_face, options, report.step)
     surfels = lit.surfels
+    report.num_surfels, report.num_observations = len(surfels), len(surfels.observations.view)
+    report.photographed_share = float(lit.irradiance.photographed.mean())
     region = region_of_face[surfels.face]
     with report.step("segments"):
         prior = surfel_means(surfels, [_packed(view_maps) for view_maps in predicted])

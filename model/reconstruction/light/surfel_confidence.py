@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.reconstruction.atlas.compiled import compiled
-from model.reconstruction.light.surfels import Surfels, cell_of
+from datagen.light.surfels import Surfels, cell_of
+from datagen.multiview.compiled import compiled
 
 _STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int64)
 _NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1), kind="stable")])

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.reconstruction.atlas.compiled import compiled
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.views import TracedView
+from datagen.light.surfels import NUM_SIDES, Surfels, cell_of, place_pixel
+from datagen.multiview.compiled import compiled
 from model.reconstruction.light.solve import MAX_ALBEDO
-from model.reconstruction.light.surfels import NUM_SIDES, Surfels, cell_of, place_pixel
 
 SIMILAR = 0.35
 """Difference of the logarithm of reflectance at which a surfel's S and R count exp(-1/2)."""

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh
+from datagen.multiview.compiled import compiled, num_threads
 from model.reconstruction.atlas.atlas import Atlas
-from model.reconstruction.atlas.compiled import compiled, num_threads
 from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from model.reconstruction.atlas.compiled import compiled
+from datagen.multiview.compiled import compiled
 
 LANES = 64
 _HALF = np.float32(0.5)

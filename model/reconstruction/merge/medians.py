@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from model.reconstruction.atlas.compiled import compiled
+from datagen.multiview.compiled import compiled
 from model.reconstruction.atlas.texels import surface_point
 from model.reconstruction.merge.lane_sort import LANES, STEP, sort_lanes, sort_weighted_lanes, weighted_median
 

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import InputError, Problem
+from datagen.geometry.views import TracedView
+from datagen.multiview.compiled import num_threads
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
-from model.reconstruction.atlas.compiled import num_threads
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.geometry.views import TracedView
 from model.reconstruction.merge.lane_sort import networks
 from model.reconstruction.merge.medians import (
     CAMERA,

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from datagen.foundation.cameras import Camera
-from model.reconstruction.geometry.traced import ViewGeometry
+from datagen.geometry.traced import ViewGeometry
 
 MIN_SIZE, MAX_SIZE = 256, 16384
 _GRAZING_COSINE = 0.1  # footprints grow without bound towards grazing views

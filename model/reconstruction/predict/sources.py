@@ -13,7 +13,7 @@ import numpy as np
 from datagen.formats.capture import CaptureView
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import input_error
-from model.reconstruction.geometry.views import TracedCapture
+from datagen.geometry.views import TracedCapture
 from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.stages import Maps, Run
 

@@ -14,10 +14,10 @@ from datagen.formats.capture import Capture, CaptureView
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
+from datagen.geometry.views import TracedCapture
 from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from model.checkpoint import load_checkpoint
-from model.reconstruction.geometry.views import TracedCapture
 from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 from model.reconstruction.stages import Maps, Run
 

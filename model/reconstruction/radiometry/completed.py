@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.background import photographed_background
-from model.reconstruction.light.emitters import photographed_emitters
-from model.reconstruction.light.surfels import Surfels, build_surfels
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
+from datagen.light.background import photographed_background
+from datagen.light.emitters import photographed_emitters
+from datagen.light.surfels import Surfels, build_surfels
 from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
 from model.reconstruction.radiometry.recovered import doubt_of, gather, recovered
 from model.reconstruction.radiometry.sources import Sources, find_sources, source_of_pixels

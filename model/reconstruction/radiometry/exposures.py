@@ -22,8 +22,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
-from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.surfels import Surfels
+from datagen.geometry.views import TracedView
+from datagen.light.surfels import Surfels
 
 MAX_SURFELS, MIN_VIEWS, MIN_SAMPLES = 8_000, 2, 10
 """Surfels that serve, views that each needs, and observations a view without which nothing is sought."""

@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.light.background import Background
-from model.reconstruction.light.bake import Baker
-from model.reconstruction.light.emitters import Emitters
-from model.reconstruction.light.lighting import MIN_KNOWN
-from model.reconstruction.light.radiance_field import Cells, RadianceField
-from model.reconstruction.light.surfels import CELLS_ACROSS, Surfels
+from datagen.geometry.traced import TracedGeometry
+from datagen.light.background import Background
+from datagen.light.bake import Baker
+from datagen.light.emitters import Emitters
+from datagen.light.lighting import MIN_KNOWN
+from datagen.light.radiance_field import Cells, RadianceField
+from datagen.light.surfels import CELLS_ACROSS, Surfels
 from model.reconstruction.radiometry.sources import Colored, Sources
 
 MAX_POINTS, RAYS = 2500, 576

@@ -19,8 +19,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.background import (
+from datagen.geometry.views import TracedView
+from datagen.light.background import (
     AZIMUTHS,
     HEIGHTS,
     PLACES,
@@ -28,8 +28,8 @@ from model.reconstruction.light.background import (
     bins_of,
     photographed_background,
 )
-from model.reconstruction.light.emitters import Emitters, photographed_emitters
-from model.reconstruction.light.surfels import NUM_SIDES, Surfels
+from datagen.light.emitters import Emitters, photographed_emitters
+from datagen.light.surfels import NUM_SIDES, Surfels
 
 CLIPPED_SHARE = 0.5
 """Part of an emitter's pixels, and of a bin's, from which a channel is unknown."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from model.reconstruction.geometry.traced import smooth_regions
-from model.reconstruction.geometry.views import TracedCapture
+from datagen.geometry.traced import smooth_regions
+from datagen.geometry.views import TracedCapture
 from model.reconstruction.radiometry.completed import Completed, completed_views
 from model.reconstruction.stages import Run
 

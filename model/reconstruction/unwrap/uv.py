@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.meshes.mesh import Mesh, compacted, welded
+from datagen.geometry.traced import face_normals, smooth_regions
 from model.reconstruction.atlas.texels import TexelSurface
-from model.reconstruction.geometry.traced import face_normals, smooth_regions
 from model.reconstruction.unwrap.charts import chart_of_faces
 from model.reconstruction.unwrap.xatlas_process import PACK_RESOLUTION, PADDING
 

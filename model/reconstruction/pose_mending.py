@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.views import TracedView
 
 ROUNDS = 6
 MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.geometry.traced import seen_sides
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.traced import seen_sides
+from datagen.geometry.views import TracedView
 
 MIN_PIXELS = 4
 """Pixels of an emitter without which its radiance is that of its neighbours."""

@@ -4,21 +4,21 @@ irradiance."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
+from datagen.light.background import photographed_background
+from datagen.light.bake import Baker, Irradiance
+from datagen.light.emitters import photographed_emitters
+from datagen.light.radiance_field import RadianceField, surface_cells
+from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 from datagen.multiview.visibility import vectors_from_rows
-from model.reconstruction.geometry.traced import TracedGeometry
-from model.reconstruction.geometry.views import TracedView
-from model.reconstruction.light.background import photographed_background
-from model.reconstruction.light.bake import Baker, Irradiance
-from model.reconstruction.light.emitters import photographed_emitters
-from model.reconstruction.light.options import LightOptions, LightReport
-from model.reconstruction.light.radiance_field import RadianceField, surface_cells
-from model.reconstruction.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1
 """Least share of known light that is scaled up to all light."""
@@ -29,6 +29,19 @@ MAX_RATIO_SURFELS = 8000
 ESTIMATE_ROUNDS = 2
 """What no photograph shows is lit by what no photograph shows: each round adds a bounce."""
 _MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
+
+
+@dataclass(frozen=True)
+class GatherOptions:
+    """Rays a surfel (``irradiance_rays``; ``second_irradiance_rays`` in :func:`relight`; ``estimate_rays``
+    for what no photograph shows), and surfels that its shading is smoothed over. ``estimates_unseen``:
+    whether surface that no photograph shows gets the mean reflectance."""
+
+    irradiance_rays: int = 144
+    second_irradiance_rays: int = 512
+    estimate_rays: int = 48
+    smoothing_neighbours: int = 9
+    estimates_unseen: bool = True
 
 
 @dataclass(frozen=True)
@@ -46,14 +59,13 @@ def light_surfels(
     traced: TracedGeometry,
     emits: NDArray[np.bool_],
     region_of_face: NDArray[np.int32],
-    options: LightOptions,
-    report: LightReport,
+    options: GatherOptions,
+    step: Callable[[str], AbstractContextManager[None]] = lambda name: nullcontext(),
 ) -> Lit:
-    """Surfels of the views and the light that arrives at them."""
-    with report.step("surfels"):
+    """Surfels of the views and the light that arrives at them. ``step`` surrounds each part of the work."""
+    with step("surfels"):
         surfels = build_surfels(views)
-        report.num_surfels, report.num_observations = len(surfels), len(surfels.observations.view)
-    with report.step("field"):
+    with step("field"):
         emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
@@ -61,14 +73,16 @@ def light_surfels(
         size_m = surfels.grid.cell_m * CELLS_ACROSS
         if options.estimates_unseen:
             scene_field = _estimated(scene_field, surfels, size_m, options)
-    with report.step("irradiance"):
-        lit = _lit(surfels, Baker(scene_field, size_m), options.irradiance_rays, options)
-        report.photographed_share = float(lit.irradiance.photographed.mean())
-    return lit
+    with step("irradiance"):
+        return _lit(surfels, Baker(scene_field, size_m), options.irradiance_rays, options)
 
 
 def relight(
-    lit: Lit, specular_albedo: NDArray, roughness: NDArray, is_metal: NDArray[np.bool_], options: LightOptions
+    lit: Lit,
+    specular_albedo: NDArray,
+    roughness: NDArray,
+    is_metal: NDArray[np.bool_],
+    options: GatherOptions,
 ) -> Lit:
     """The same surfels with less noise, in the light that metals with S (N, 3) and R (N,) reflect in all
     directions."""
@@ -78,7 +92,7 @@ def relight(
     return _lit(lit.surfels, Baker(field, lit.baker.size_m), options.second_irradiance_rays, options)
 
 
-def _lit(surfels: Surfels, baker: Baker, num_rays: int, options: LightOptions) -> Lit:
+def _lit(surfels: Surfels, baker: Baker, num_rays: int, options: GatherOptions) -> Lit:
     irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
     known = np.maximum(irradiance.known, MIN_KNOWN)[:, None]
     diffuse = smoothed(surfels, irradiance.diffuse / known, options.smoothing_neighbours)
@@ -86,7 +100,7 @@ def _lit(surfels: Surfels, baker: Baker, num_rays: int, options: LightOptions) -
 
 
 def _estimated(
-    scene_field: RadianceField, surfels: Surfels, size_m: float, options: LightOptions
+    scene_field: RadianceField, surfels: Surfels, size_m: float, options: GatherOptions
 ) -> RadianceField:
     """The field with estimates where rays of the surfels end on surface that no photograph shows: the mean
     reflectance of the room times the light that arrives there."""
@@ -121,7 +135,7 @@ def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float
     return position[chosen], facing[chosen]
 
 
-def _mean_reflectance(baker: Baker, surfels: Surfels, options: LightOptions) -> NDArray[np.float64]:
+def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) -> NDArray[np.float64]:
     """Median (3,) of pi L / E over surfels whose light photographs show."""
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.views import TracedView
 
 PLACES = 12
 """Bins along both sides of a face of the box."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Loops over texels, compiled by Numba, and the threads that run them.
+"""Loops compiled by Numba, and the threads that run them.
 
 Compiled functions release Python's lock: threads of a pool run them side by side on tiles of their own, so
 that Numba needs no threading layer beside those of torch and Mitsuba. Compiling takes seconds; the result is

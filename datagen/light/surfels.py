@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from model.reconstruction.atlas.compiled import compiled, num_threads
-from model.reconstruction.geometry.views import TracedView
+from datagen.geometry.views import TracedView
+from datagen.multiview.compiled import compiled, num_threads
 
 Floats32 = NDArray[np.float32]
 CELLS_ACROSS = 300

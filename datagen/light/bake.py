@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.light.emitters import EmitterSampler
+from datagen.light.radiance_field import MIN_COSINE, RadianceField, schlick_weight
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.beckmann import (
     alpha_from_roughness,
@@ -28,8 +30,6 @@ from mitsuba_plugins.beckmann import (
     smith_g1,
     smith_g1_over_cos,
 )
-from model.reconstruction.light.emitters import EmitterSampler
-from model.reconstruction.light.radiance_field import MIN_COSINE, RadianceField, schlick_weight
 
 GOLDEN = 0.6180339887498949
 _START = 2e-4  # of the diagonal: distance of a ray's origin from the surface

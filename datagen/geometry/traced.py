@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.cameras import Camera
 from datagen.foundation.meshes.mesh import Mesh, welded
+from datagen.geometry.crease_normals import with_normals
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.variant import select_variant
-from model.reconstruction.geometry.crease_normals import with_normals
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.light.background import Background
+from datagen.light.emitters import Emitters
+from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
 from datagen.multiview.visibility import aligned
 from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
-from model.reconstruction.light.background import Background
-from model.reconstruction.light.emitters import Emitters
-from model.reconstruction.light.surfels import NUM_SIDES, CellGrid, Surfels
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Capture
 from datagen.foundation.cameras import Camera
 from datagen.foundation.errors import input_error
+from datagen.geometry.traced import TracedGeometry, ViewGeometry, reachable_faces
 from datagen.multiview.statistics import StatisticsView
-from model.reconstruction.geometry.traced import TracedGeometry, ViewGeometry, reachable_faces
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""The meshes of a configuration as the geometry of a capture: one mesh in the world, its parts and lamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
+from datagen.formats.capture import CaptureGeometry, GeometryPart
+from datagen.formats.configuration import Configuration, MaterialAssignment, PlacedAsset
+from datagen.formats.package import Package
+from datagen.foundation.errors import input_error
+from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, joined, without_degenerate
+from datagen.foundation.meshes.ply import decode_ply
+from datagen.library import Library
+
+
+def configuration_geometry(
+    configuration: Configuration, library: Library
+) -> tuple[CaptureGeometry, tuple[str, ...]]:
+    """Every placed part as one mesh in the world, and notes about what a mesh cannot say."""
+    found = []
+    for placed in (configuration.environment, *configuration.objects):
+        package = library.package(placed.asset)
+        expected = configuration.assets.get(placed.asset)
+        if package.sha256 != expected:
+            remedy = "name the library that the capture was rendered with by --library"
+            raise input_error(package.path, "hash", package.sha256, str(expected), remedy)
+        found.append(_parts_of(package, placed, library))
+    return _geometry([part for parts in found for part in parts])
+
+
+def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
+    """The parts of one package with materials of its own."""
+    return _geometry(_parts_of(package, placed, None))
+
+
+@dataclass(frozen=True)
+class _PlacedPart:
+    name: str
+    mesh: Mesh
+    emission: tuple[float, float, float] | None
+    has_opacity: bool
+
+
+def _parts_of(package: Package, placed: PlacedAsset, library: Library | None) -> list[_PlacedPart]:
+    asset = package.asset
+    if not isinstance(asset, ObjectAsset | EnvironmentAsset):
+        raise input_error(package.path, "kind", asset.kind, "an environment or an object to place")
+    found = []
+    for part in asset.parts:
+        matrix = np.asarray(placed.world_from_asset) @ np.asarray(part.asset_from_part)
+        if abs(np.linalg.det(matrix[:3, :3])) < SINGULAR:
+            raise input_error(placed.name, f"{part.name} transform", matrix.tolist(), "an invertible matrix")
+        mesh = decode_ply(package.read_bytes(part.mesh), f"{package.path}/{part.mesh}")
+        faults = inspect_mesh(mesh)
+        if faults.is_unusable:
+            remedy = "re-export the asset"
+            raise input_error(package.path, part.mesh, faults, "a surface of finite triangles", remedy)
+        mesh = without_degenerate(_placed(mesh, matrix))
+        material = _material(placed, asset, part.material, library)
+        emission = placed.emission.get(part.material, material.emission)
+        is_lamp = emission is not None and any(c > 0 for c in emission)
+        has_opacity = material.opacity not in (None, 1.0)
+        name = f"{placed.name}/{part.name}"
+        found.append(_PlacedPart(name, mesh, emission if is_lamp else None, has_opacity))
+    return found
+
+
+def _geometry(found: list[_PlacedPart]) -> tuple[CaptureGeometry, tuple[str, ...]]:
+    parts: list[GeometryPart] = []
+    first = 0
+    for part in found:
+        parts.append(GeometryPart(part.name, first, len(part.mesh.faces), part.emission))
+        first += len(part.mesh.faces)
+    notes = dict.fromkeys(
+        f"{part.name}: its opacity is not part of the geometry; the part counts as solid"
+        for part in found
+        if part.has_opacity
+    )
+    return CaptureGeometry(joined([part.mesh for part in found]), tuple(parts)), tuple(notes)
+
+
+def _placed(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
+    world = mesh.transformed(world_from_part)
+    if np.linalg.det(world_from_part[:3, :3]) < 0:  # mirrored: keep the triangles wound outward
+        return Mesh(world.positions, np.ascontiguousarray(world.faces[:, [0, 2, 1]]), world.normals, world.uv)
+    return world
+
+
+def _material(
+    placed: PlacedAsset, asset: ObjectAsset | EnvironmentAsset, slot: str, library: Library | None
+) -> Material:
+    assignment = placed.materials.get(slot, MaterialAssignment())
+    if assignment.asset is None or library is None:
+        return asset.materials[slot]
+    chosen = library.package(assignment.asset).asset
+    if not isinstance(chosen, MaterialAsset):
+        raise input_error(placed.name, f"materials.{slot}", chosen.kind, "a material package")
+    return chosen.material
