@@ -114,7 +114,10 @@ FORBIDDEN = {
     "blender_addon": ("torch", "mitsuba", "pydantic"),
 }
 """Other people's packages that ours must do without."""
-GROUND_MAY = {"numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer", "psutil"}
+GROUND_MAY = {
+    "numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer", "psutil",
+    "meshopt", "opengl_basisu",  # decoders of glTF, imported where a file needs them
+}  # fmt: skip
 """What ``datagen.foundation`` and ``datagen.formats`` may import besides Python's own."""
 
 

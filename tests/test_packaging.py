@@ -24,11 +24,12 @@ else:  # pytest brings it there
     import tomli as tomllib
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-USER_EXTRAS = ("train", "heic", "export", "blender")
+USER_EXTRAS = ("train", "heic", "gltf", "export", "blender")
 PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
 MODULES = {
     "opencv-contrib-python-headless": "cv2", "Pillow": "PIL", "PyYAML": "yaml", "python-fcl": "fcl",
     "scikit-image": "skimage", "fast-simplification": "fast_simplification", "pillow-heif": "pillow_heif",
+    "opengl-basisu": "opengl_basisu",
 }  # fmt: skip
 """Import names that differ from the names of their distributions."""
 BROUGHT_ALONG = {"drjit": "mitsuba", "mathutils": "bpy", "bpy_extras": "bpy"}
@@ -138,6 +139,15 @@ def test_what_is_installed_without_its_data_says_so(tmp_path: Path, monkeypatch:
     assert bundled_folder() == folder / "datagen" / "scenes"
     assert not doctor._bundled().is_fine, "an empty library is none"
     assert bundled_names("recipes") == []
+
+
+def test_the_doctor_prints_the_extra_that_a_remedy_names(capsys: pytest.CaptureFixture[str]) -> None:
+    """Square brackets are styles to rich."""
+    from datagen.inspection.doctor import Finding, print_report
+
+    remedy = "pip install 'scene-materials[train]'"
+    print_report([Finding("torch", "not installed", False, False, remedy)])
+    assert remedy in capsys.readouterr().out
 
 
 def test_the_doctor_names_a_command_for_each_lack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ _UNBOUNDED = 100_000  # characters; tables and lines take what they need of it
 
 
 def table_console() -> Console:
-    """A console on standard output. Into a pipe or a file nothing is cut or wrapped, so that ids stay ids."""
-    console = Console()
-    return console if console.is_terminal else Console(width=_UNBOUNDED)
+    """A console on standard output. Into a pipe or a file nothing is cut or wrapped, so that ids stay ids;
+    square brackets are text, not styles."""
+    console = Console(markup=False)
+    return console if console.is_terminal else Console(width=_UNBOUNDED, markup=False)

@@ -68,10 +68,11 @@ def normalized(pixels: NDArray) -> NDArray[np.float32]:
 
 
 def encode_png(pixels: NDArray) -> bytes:
-    """PNG bytes of uint8 or uint16 pixels (H, W), (H, W, 1) or (H, W, 3) in RGB order; deterministic."""
+    """PNG bytes of uint8 or uint16 pixels (H, W) or (H, W, 1, 3 or 4), in RGB(A) order; deterministic."""
     import cv2
 
-    array = pixels if pixels.ndim == 2 else pixels[..., ::-1] if pixels.shape[2] == 3 else pixels[..., 0]
+    orders = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}
+    array = pixels if pixels.ndim == 2 else pixels[..., orders[pixels.shape[2]]]
     done, data = cv2.imencode(".png", np.ascontiguousarray(array), [cv2.IMWRITE_PNG_COMPRESSION, 6])
     if not done:
         raise ValueError(f"cannot encode an image of shape {pixels.shape} and type {pixels.dtype} as PNG")

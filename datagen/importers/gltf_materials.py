@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import MaterialClass, SlotMaterial, Texture
-from datagen.foundation.errors import Problem
+from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png, normalized
 from datagen.foundation.meshes.gltf import GltfFile
+from datagen.foundation.meshes.gltf_compressed import BASIS
 from datagen.foundation.naming import slug, unique
 from datagen.importers.channels import (
     ChannelName,
@@ -275,16 +276,13 @@ class GltfMaterialConverter:
             return None
         texture = self.file.item("textures", info.get("index"), f"material {name!r}")
         extensions = texture.get("extensions", {})
-        if "KHR_texture_basisu" in extensions and "source" not in texture:
-            self.problem(
-                f"material {name!r}",
-                "a Basis Universal texture",
-                "PNG or JPEG",
-                "export it without, or convert each image: ktx extract IN.ktx2 OUT.png (KTX-Software)",
-            )
+        source = texture.get("source", extensions.get(BASIS, {}).get("source"))
+        source = extensions.get("EXT_texture_webp", {}).get("source", source)
+        try:
+            path = self.file.image_file(source, f"material {name!r}")
+        except InputError as error:
+            self.problems += error.problems
             return None
-        source = extensions.get("EXT_texture_webp", {}).get("source", texture.get("source"))
-        path = self.file.image_file(source, f"material {name!r}")
         if not path.is_file():
             self._missing(path, name, instead)
             return None

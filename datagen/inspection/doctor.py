@@ -26,6 +26,7 @@ REQUIRED = (
 OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
+    "gltf": ("glTF with meshopt or Basis Universal", ("meshopt", "opengl-basisu")),
     "export": ("exports to Hypersim's layout", ("h5py",)),
     "blender": ("the exporter, FBX and USD, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
     "notebook": ("the notebook of the tutorials", ("ipykernel", "nbclient")),
@@ -198,15 +199,16 @@ def _gpu() -> Finding:
 def print_report(findings: list[Finding]) -> None:
     """Print the findings as a table."""
     from rich.table import Column, Table
+    from rich.text import Text
 
     from datagen.foundation.console import table_console
 
     table = Table(Column("what", overflow="fold"), Column("found", overflow="fold"), "", "remedy")
     for finding in findings:
-        mark = (
-            "[green]ok"
-            if finding.is_fine
-            else ("[red]missing" if finding.is_required else "[yellow]optional")
-        )
-        table.add_row(finding.name, finding.value, mark, "" if finding.is_fine else finding.remedy)
+        if finding.is_fine:
+            mark, remedy = Text("ok", "green"), ""
+        else:
+            mark = Text("missing", "red") if finding.is_required else Text("optional", "yellow")
+            remedy = finding.remedy
+        table.add_row(finding.name, finding.value, mark, remedy)
     table_console().print(table)

@@ -252,13 +252,12 @@ def verify_command(
 
 def print_report(report: Report) -> None:
     """The report as a table of checks and a list of what was found."""
-    from rich.markup import escape
     from rich.table import Table
 
     from datagen.foundation.console import table_console
 
     console = table_console()
-    table = Table("check", "asserts", "looked at", "errors", "warnings", title=escape(report.path))
+    table = Table("check", "asserts", "looked at", "errors", "warnings", title=report.path)
     for check, asserts in CHECKS.items():
         mine = [fault for fault in report.faults if fault.check == check]
         errors = sum(fault.severity == "error" for fault in mine)
@@ -268,10 +267,10 @@ def print_report(report: Report) -> None:
         table.add_row(check, asserts, applied, str(errors or ""), str(warnings or ""), style=style)
     console.print(table)
     for fault in report.faults[:_MAX_LISTED]:
-        console.print(str(fault), style="red" if fault.severity == "error" else "yellow", markup=False)
+        console.print(str(fault), style="red" if fault.severity == "error" else "yellow")
     if len(report.faults) > _MAX_LISTED:
         console.print(f"... and {len(report.faults) - _MAX_LISTED} more; --json lists all")
     for note in report.notes:
-        console.print(f"note: {note}", markup=False)
+        console.print(f"note: {note}")
     verdict = f"{report.num_errors} errors, {len(report.faults) - report.num_errors} warnings"
     console.print(f"{report.num_shards} shards, {report.num_views} views: {verdict}")

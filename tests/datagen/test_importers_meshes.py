@@ -251,7 +251,8 @@ def test_without_blender_the_way_is_named(tmp_path: Path, monkeypatch: pytest.Mo
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "extensions": {
             "KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {}}}}]}]}, "Blender's module"),
         ({"bufferViews": [{"buffer": 0, "byteLength": 36, "extensions": {
-            "EXT_meshopt_compression": {"buffer": 0}}}]}, r"gltfpack -noq -i IN\.glb -o OUT\.glb"),
+            "EXT_meshopt_compression": {"buffer": 0, "byteLength": 36}}}]},
+         r"gltfpack -noq -i IN\.glb -o OUT\.glb"),
         ({"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
           "textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}],
           "images": [{"uri": "x.ktx2"}]}, r"ktx extract IN\.ktx2 OUT\.png"),
@@ -262,6 +263,7 @@ def test_compressed_gltf_names_a_converter(
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
     (tmp_path / "data.bin").write_bytes(np.eye(3, dtype="<f4").tobytes())
+    (tmp_path / "x.ktx2").write_bytes(b"\xabKTX 20\xbb\r\n\x1a\n")
     document = {
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}], "materials": [{}],

@@ -2,7 +2,7 @@
 """glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree, without meaning.
 
 Buffers and images may be files beside the document, data URIs or parts of the binary; files outside the
-document's folder are refused, and so are compressions and required extensions that are not known here.
+document's folder are refused, and so are Draco and required extensions that are not known here.
 """
 
 from __future__ import annotations
@@ -23,6 +23,14 @@ from numpy.typing import NDArray
 from datagen.foundation.budget import Budget
 from datagen.foundation.documents import parse_json
 from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.meshes.gltf_compressed import (
+    BASIS,
+    MESHOPT,
+    is_ktx2,
+    meshopt_of,
+    png_of_basis,
+    unpack_meshopt,
+)
 from datagen.foundation.paths import named_file
 
 KNOWN_EXTENSIONS = frozenset(
@@ -32,7 +40,7 @@ KNOWN_EXTENSIONS = frozenset(
         "KHR_materials_volume",
         "KHR_materials_anisotropy", "KHR_materials_iridescence", "KHR_materials_unlit", "KHR_lights_punctual",
         "KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_variants",
-        "KHR_materials_dispersion",
+        "KHR_materials_dispersion", BASIS, *MESHOPT,
     }
 )  # fmt: skip
 MAX_FILE_BYTES = 2 << 30
@@ -70,6 +78,7 @@ class GltfFile:
         self.budget, self.allowed = budget or Budget(path), allowed
         self._temporary: tempfile.TemporaryDirectory | None = None
         self._buffers: dict[int, bytes] = {}
+        self._unpacked: dict[object, bytes] = {}
         self._lists: dict[str, list[dict[str, Any]]] = {}
         self._binary = b""
         self.json = self._load()
@@ -208,16 +217,20 @@ class GltfFile:
     def view(self, index: object) -> tuple[memoryview, int]:
         """Bytes of a buffer view and its stride (0 = tightly packed)."""
         entry = self.item("bufferViews", index, "accessors")
-        if "EXT_meshopt_compression" in entry.get("extensions", {}):
-            raise self.error(
-                f"bufferViews[{index}]",
-                "EXT_meshopt_compression",
-                "uncompressed data",
-                "export it without, or convert it: gltfpack -noq -i IN.glb -o OUT.glb",
-            )
+        stride = int(entry.get("byteStride", 0))
+        packed = meshopt_of(entry)
+        if packed is None:
+            return self._part(entry), stride
+        name, extension = packed
+        if index not in self._unpacked:
+            field, data = f"bufferViews[{index}]", bytes(self._part(extension))
+            self._unpacked[index] = unpack_meshopt(data, name, extension, self.budget, self.path, field)
+        return memoryview(self._unpacked[index]), stride
+
+    def _part(self, entry: dict[str, Any]) -> memoryview:
         data = memoryview(self.buffer(int(entry.get("buffer", 0))))
         start = int(entry.get("byteOffset", 0))
-        return data[start : start + int(entry["byteLength"])], int(entry.get("byteStride", 0))
+        return data[start : start + int(entry["byteLength"])]
 
     def count(self, index: object, user: str) -> int:
         """How many entries an accessor has, without reading it."""
@@ -292,15 +305,21 @@ class GltfFile:
         return values
 
     def image_file(self, index: object, user: str) -> Path:
-        """Path of an image; embedded ones are written to a temporary folder. The file may be absent."""
+        """Path of an image; embedded ones, and those of Basis Universal as PNG, are written to a temporary
+        folder. The file may be absent."""
         entry = self.item("images", index, user)
         if "uri" in entry:
             content = self.resource(str(entry["uri"]), f"images[{index}].uri")
             if isinstance(content, Path):
-                return content
+                if not (content.suffix.lower() == ".ktx2" and content.is_file()):
+                    return content
+                self.budget.hold_file(content)
+                content = content.read_bytes()
         else:
             content = bytes(self.view(entry.get("bufferView"))[0])
         kind = str(entry.get("mimeType", ""))
+        if is_ktx2(content):
+            content, kind = png_of_basis(content, self.budget, self.path, f"images[{index}]"), "image/png"
         suffix = _IMAGE_SUFFIX.get(kind) or (".png" if content[:4] == b"\x89PNG" else ".jpg")
         if self._temporary is None:
             self._temporary = tempfile.TemporaryDirectory(prefix="gltf-")
