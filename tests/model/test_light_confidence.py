@@ -11,9 +11,12 @@ from datagen.light.surfels import CellGrid, Observations, Surfels
 from model.reconstruction.light.confidence import (
     BLOCK_CELLS,
     D_EVIDENCE,
-    light_trust,
+    ImpossibleShares,
+    impossible_shares,
     surfel_confidence,
 )
+
+OBSERVATIONS = 20
 
 
 def test_confidence_grows_with_what_photographs_show() -> None:
@@ -23,53 +26,84 @@ def test_confidence_grows_with_what_photographs_show() -> None:
 
 
 def wall(radiance: NDArray) -> Surfels:
-    """A row of surfels along x, one a cell, all facing up."""
+    """A row of surfels along x, one a cell, all facing up, with :data:`OBSERVATIONS` of each."""
     num = len(radiance)
     grid = CellGrid(np.zeros(3), 0.1, np.array([num, 1, 1]), np.full(6 * num, -1, np.int32))
     position = np.stack([0.1 * np.arange(num) + 0.05, np.zeros(num), np.zeros(num)], axis=1)
     normal = np.tile([0.0, 0.0, 1.0], (num, 1))
     none = np.zeros(num, np.int32)
-    seen = Observations(np.arange(num + 1), none, radiance, np.ones(num, np.float32))
+    start = OBSERVATIONS * np.arange(num + 1)
+    of_views = np.repeat(radiance, OBSERVATIONS, axis=0)
+    view, weight = np.zeros(len(of_views), np.int32), np.ones(len(of_views), np.float32)
+    seen = Observations(start, view, of_views, weight)
     return Surfels(grid, position, normal, none, radiance, seen, np.zeros((1, 3)), (), ())
+
+
+def shares_of(
+    radiance: NDArray, is_metal: NDArray[np.bool_] | None = None, region: NDArray | None = None
+) -> ImpossibleShares:
+    """Of a wall on whose surfels a white surface would have a radiance of 1."""
+    num = len(radiance)
+    is_metal = np.zeros(num, dtype=bool) if is_metal is None else is_metal
+    region = np.zeros(num, np.int32) if region is None else region
+    return impossible_shares(wall(radiance), np.ones((num, 3)), is_metal, region)
 
 
 def test_light_is_not_trusted_where_more_is_reflected_than_arrives() -> None:
     """A lamp that no photograph shows lights one end of a wall: that end is handed over, smoothly."""
     num = 10 * BLOCK_CELLS
-    radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+    radiance = np.full((num, 3), 0.5)
     radiance[: 2 * BLOCK_CELLS] = 1.5
-    trust = light_trust(wall(radiance), diffuse, np.zeros(num, dtype=bool))
+    trust = shares_of(radiance).trust()
     assert trust[:BLOCK_CELLS].max() == 0.0
-    assert trust[5 * BLOCK_CELLS :].min() == 1.0
+    assert trust[5 * BLOCK_CELLS :].min() > 0.95
     assert (np.diff(trust) >= 0).all() and np.diff(trust).max() < 0.15
-    np.testing.assert_array_equal(light_trust(wall(radiance), diffuse, radiance[:, 0] > 1), 1.0)
+    np.testing.assert_array_equal(shares_of(radiance, is_metal=radiance[:, 0] > 1).trust(), 1.0)
 
 
 def test_few_bright_surfels_of_a_room_take_no_trust_away() -> None:
     """Three blocks of thirty, as frames of windows are, leave their own neighbourhood trusted; six do not."""
     num = 30 * BLOCK_CELLS
     for blocks, trusted in ((3, 1.0), (6, 0.0)):
-        radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+        radiance = np.full((num, 3), 0.5)
         radiance[: blocks * BLOCK_CELLS] = 1.5
-        trust = light_trust(wall(radiance), diffuse, np.zeros(num, dtype=bool))
-        assert trust[0] == pytest.approx(trusted)
+        assert shares_of(radiance).trust()[0] == pytest.approx(trusted)
 
 
 def test_light_of_a_dark_room_is_trusted_nowhere() -> None:
     """Where four tenths reflect more than arrives, no photograph shows the lamps: no block is sure."""
     num = 10 * BLOCK_CELLS
     for blocks, trusted in ((2, 1.0), (3, 0.5), (4, 0.0)):
-        radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+        radiance = np.full((num, 3), 0.5)
         radiance[: blocks * BLOCK_CELLS] = 1.5
-        trust = light_trust(wall(radiance), diffuse, np.zeros(num, dtype=bool))
-        assert trust[-1] == pytest.approx(trusted, abs=0.01)
+        region = (np.arange(num) >= blocks * BLOCK_CELLS).astype(np.int32)
+        assert shares_of(radiance, region=region).trust()[-1] == pytest.approx(trusted, abs=0.01)
 
 
 @pytest.mark.parametrize(("share", "trusted"), [(0.0, 1.0), (0.09, 1.0), (0.2, 0.5)])
 def test_trust_follows_the_share_around(share: float, trusted: float) -> None:
     """Noise alone, up to a tenth, takes nothing away; a white surface may shine by a tenth more."""
     num = 4 * BLOCK_CELLS
-    radiance, diffuse = np.full((num, 3), 0.5), np.ones((num, 3))
+    radiance = np.full((num, 3), 0.5)
     radiance[np.arange(num) % 25 < round(25 * share)] = 1.5
-    np.testing.assert_allclose(light_trust(wall(radiance), diffuse, np.zeros(num, bool)), trusted, atol=0.1)
-    np.testing.assert_array_equal(light_trust(wall(0.7 * radiance), diffuse, np.zeros(num, dtype=bool)), 1.0)
+    np.testing.assert_allclose(shares_of(radiance).trust(), trusted, atol=0.1)
+    np.testing.assert_array_equal(shares_of(0.7 * radiance).trust(), 1.0)
+
+
+def test_a_bright_surface_takes_nothing_from_the_wall_around_it() -> None:
+    """Every fourth surfel is the frame of a window: the frame's light is no evidence, the wall's is."""
+    num = 40 * BLOCK_CELLS
+    is_frame = (np.arange(num) % 4 == 0) & (np.arange(num) < 8 * BLOCK_CELLS)
+    radiance = np.where(is_frame[:, None], 1.5, 0.5) * np.ones(3)
+    evidence = shares_of(radiance, region=is_frame.astype(np.int32)).evidence()
+    assert evidence[is_frame].max() == 0.0 and evidence[~is_frame].min() == 1.0
+    assert shares_of(radiance).evidence().min() == 1.0  # one surface of which a fourth is bright
+
+
+def test_few_observations_count_less_than_the_room() -> None:
+    """A bright surfel of a small thing counts little against the share of the room."""
+    num = 20 * BLOCK_CELLS
+    radiance = np.full((num, 3), 0.5)
+    radiance[0] = 1.5
+    region = (np.arange(num) >= 1).astype(np.int32)
+    assert shares_of(radiance, region=region).evidence()[0] > 0.5

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -20,6 +22,10 @@ IMPOSSIBLE_ROOM = (0.12, 0.2)
 """The same of a whole room: up to the first, its light is trusted everywhere."""
 DARK_ROOM = (0.2, 0.4)
 """The same of a whole room whose lamps no photograph shows: from the second on, its light counts nowhere."""
+IMPOSSIBLE_SURFACE = (0.4, 0.8)
+"""The same of a surface in any room, up to which its light is evidence of D, and from which it is none."""
+MIN_OBSERVATIONS = 50.0
+"""Observations from which a share is that of its surfels rather than of the larger surface around."""
 BLOCK_CELLS = 25
 """Side of the blocks whose shares count, in cells: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
@@ -38,32 +44,61 @@ def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
     return np.stack([of_d, of_s, of_s], axis=1).astype(np.float32)
 
 
-def light_trust(surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Factor (N,) of all confidences: less where surfels around reflect more than arrives, as they do in the
-    light of lamps and windows that no photograph shows.
+@dataclass(frozen=True)
+class ImpossibleShares:
+    """Share of the surfels that reflect more than arrives: ``around`` each surfel (N,), on its smooth region,
+    and ``of_room``. They do in the light of lamps and windows that no photograph shows."""
+
+    around: NDArray[np.float64]
+    of_room: float
+
+    def trust(self) -> NDArray[np.float32]:
+        """Factor (N,) of all confidences; where it is low, the network's maps replace those from light. Some
+        surfels are too bright in any room: :data:`IMPOSSIBLE_ROOM`."""
+        trust = 1 - _ramp(self.of_room, IMPOSSIBLE_ROOM) * _ramp(self.around, IMPOSSIBLE)
+        return (trust * (1 - _ramp(self.of_room, DARK_ROOM))).astype(np.float32)
+
+    def evidence(self) -> NDArray[np.float32]:
+        """Factor (N,) of the confidence of D in any room: where most of a surface reflects more than arrives,
+        its shading is corrected by surface elsewhere and by the network's maps."""
+        return (1 - _ramp(self.around, IMPOSSIBLE_SURFACE)).astype(np.float32)
+
+
+def impossible_shares(
+    surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_], region: NDArray
+) -> ImpossibleShares:
+    """Where surfels of the smooth regions ``region`` (N,) reflect more than arrives.
 
     A surfel does where its radiance is above :data:`NOISE` times ``diffuse`` (N, 3). Shares, by views, are
-    those of blocks of :data:`BLOCK_CELLS` by side of the surface, interpolated between blocks; metals do not
-    count. Blocks count as far as the share of the whole room is above :data:`IMPOSSIBLE_ROOM`: some surfels
-    are too bright in any room.
+    those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between the blocks; few surfels count
+    less than the whole region, and a small region less than the room. Metals do not count.
     """
     excess = (surfels.radiance - NOISE * diffuse) @ LUMINANCE_WEIGHTS > 0
-    weight = np.diff(surfels.observations.start) * ~is_metal
+    weight = (np.diff(surfels.observations.start) * ~is_metal).astype(np.float64)
     grid = surfels.grid
     side_m = BLOCK_CELLS * grid.cell_m
     blocks = CellGrid(grid.low, side_m, -(-grid.shape // BLOCK_CELLS), grid.surfel)
     keys = cell_keys(blocks, surfels.position_m, surfels.normal)
-    block = np.unique(keys, return_inverse=True)[1]
+    of_region = np.unique(region, return_inverse=True)[1]
+    block = np.unique(np.stack([keys, of_region]), axis=1, return_inverse=True)[1].ravel()
+    of_room = float(weight @ excess) / max(float(weight.sum()), 1e-12)
+    whole = _shrunk_share(np.bincount(of_region, weight * excess), np.bincount(of_region, weight), of_room)
     num = np.bincount(block)
     total, shining = np.bincount(block, weight), np.bincount(block, weight * excess)
-    place = np.concatenate([surfels.position_m, surfels.normal * side_m], axis=1).astype(np.float64)
+    apart_m = 100 * side_m * of_region  # blocks of other regions are never near
+    place = np.column_stack([surfels.position_m, surfels.normal * side_m, apart_m]).astype(np.float64)
     centre = np.stack([np.bincount(block, column) / num for column in place.T], axis=1)
     distance, index = cKDTree(centre).query(place, k=np.arange(min(_NEAR_BLOCKS, len(num))) + 1, workers=-1)
     near = np.exp(-0.5 * np.square(distance / (0.7 * side_m)))
-    share = (near * shining[index]).sum(axis=1) / np.maximum((near * total[index]).sum(axis=1), 1e-12)
-    of_room = shining.sum() / max(float(total.sum()), 1e-12)
-    trust = 1 - _ramp(of_room, IMPOSSIBLE_ROOM) * _ramp(share, IMPOSSIBLE)
-    return (trust * (1 - _ramp(of_room, DARK_ROOM))).astype(np.float32)
+    around = _shrunk_share(
+        (near * shining[index]).sum(axis=1), (near * total[index]).sum(axis=1), whole[of_region]
+    )
+    return ImpossibleShares(around, of_room)
+
+
+def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> NDArray[np.float64]:
+    """``part`` of ``total``, with :data:`MIN_OBSERVATIONS` more of which ``otherwise`` is the share."""
+    return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
@@ -73,7 +108,7 @@ def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
     return 1.0 - _ramp(part, DOUBT)
 
 
-def _ramp(value: NDArray, ends: tuple[float, float]) -> NDArray:
+def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:
     """0 below the first of ``ends``, 1 above the second, smooth between."""
     t = np.clip((value - ends[0]) / (ends[1] - ends[0]), 0, 1)
     return t * t * (3 - 2 * t)

@@ -20,7 +20,7 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
-from model.reconstruction.light.confidence import light_trust, sureness, surfel_confidence
+from model.reconstruction.light.confidence import impossible_shares, sureness, surfel_confidence
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
@@ -149,8 +149,10 @@ def _solved_surfels(
         return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0]), albedo
     confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
     is_lit = lit.diffuse.max(axis=1) > 0  # nothing is known where nothing arrives
-    replaced = light_trust(surfels, lit.diffuse, is_metal) * is_lit
+    impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
+    replaced = impossible.trust() * is_lit
     confidence *= replaced[:, None]
+    confidence[:, 0] *= impossible.evidence()
     diffuse = lit.diffuse
     if options.is_corrected:
         correction = shading_correction(
