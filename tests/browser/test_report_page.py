@@ -142,7 +142,11 @@ def test_opens_and_tells_what_there_is(page: Page) -> None:
     for section in sections:
         assert len(page.run("return document.getElementById(arguments[0]).innerText", section)) > 60, section
     assert page.run("return document.querySelectorAll('#distributions svg').length") >= 12
-    assert page.run("return document.querySelectorAll('.cards-of-views li').length") == 10
+    names = page.run("return [...document.querySelectorAll('.cards-of-views span')].map((n) => n.innerText)")
+    assert len(names) == 10 and names[:2] == [
+        "view-000, small-00000",
+        "view-001, small-00000",
+    ]  # cut at the end
     assert page.run("return REPORT.state().numRequested") == 0  # no pixel is read before one is asked for
 
 

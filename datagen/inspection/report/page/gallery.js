@@ -52,10 +52,10 @@ REPORT.gallery = (() => {
     [first, last, perRow] = [from, to, columns];
     canvas.replaceChildren(...shown.slice(from * columns, to * columns).map((view, i) => {
       const index = from * columns + i;
-      const more = [view.split, view.mean_count === null ? null : `${view.mean_count.toFixed(1)} obs.`, view.hasPixels ? null : "no pixels"].filter(Boolean).join(", ");
+      const more = [view.faults ? "findings" : null, view.split, view.mean_count === null ? null : `${view.mean_count.toFixed(1)} obs.`, view.hasPixels ? null : "no pixels"].filter(Boolean).join(", ");
       return element("li", { "aria-setsize": shown.length, "aria-posinset": index + 1, style: `top:${Math.floor(index / columns) * CARD_HEIGHT}px;left:${(index % columns) * CARD_WIDTH}px` },
         element("a", { href: `#view/${view.key}`, class: view.faults >= 1000 ? "error" : view.faults ? "warning" : null }, REPORT.overview.thumbnail(view.id, view.name),
-          element("span", { text: `${view.id} / ${view.name}` }), element("small", { text: view.faults ? `${more}, has findings` : more }),
+          element("span", { text: `${view.name}, ${view.id}` }), element("small", { text: more }),
           element("small", { text: effort(view) })));
     }));
   }

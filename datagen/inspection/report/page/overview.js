@@ -54,7 +54,7 @@ REPORT.overview = (() => {
         ["Views", number(data.num_views), `${data.num_configurations} configurations, ${data.resolution.join(" × ")} pixels`],
         ["Disk", bytes(e.num_bytes), e.bytes_per_view ? `${bytes(e.bytes_per_view)} a view` : ""],
         ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `of all units together, ${number(e.views_per_hour)} views an hour a unit`],
-        ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "state the price of an hour with --cost" : `at ${number(e.price_per_hour)} an hour of a unit`],
+        ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "--cost gives the price of an hour" : `at ${number(e.price_per_hour)} an hour of a unit`],
         ["Peak memory", e.peak_memory_mb ? bytes(e.peak_memory_mb * 1e6) : "unknown", e.hosts ? `${e.hosts.length} host${e.hosts.length === 1 ? "" : "s"}` : ""],
         ["Findings", data.findings.is_checked ? count(errors, "error") : "not verified", data.findings.is_checked ? count(warnings, "warning") : ""],
         ["Leakage", data.splits.shared.length ? `${data.splits.shared.length} shared assets` : "none", `${data.splits.rows.length} split${data.splits.rows.length === 1 ? "" : "s"}; disjoint splits were ${data.splits.is_disjoint_asked ? "" : "not "}asked for`],
