@@ -12,7 +12,7 @@ import shutil
 import socket
 import time
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,6 +43,8 @@ from datagen.foundation.versions import pixel_versions
 
 if TYPE_CHECKING:
     from datagen.library import Library
+    from datagen.light.view_light import ViewLight
+    from datagen.multiview.statistics import StatisticsView
 
 
 class Interrupted(Exception):
@@ -236,13 +238,45 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
     )
     statistics_record = StatisticsRecord(num_views=len(views), **settings.model_dump())
     run.progress("stats", 0, len(names))
+    light = _light_of(run, configuration, views) if settings.light else None
     for index, statistics in enumerate(compute_statistics(views, options, scene=scene)):
         record = records[index].model_copy(update={"statistics": statistics_record})
         buffers = {**stored[index], **statistics}
+        if light is not None:
+            buffers |= light.buffers(index, statistics["color_median"])
         run.publish(run.complete_path, record, buffers, run.recipe.output.compression)
         run.seconds["stats"] = round(time.perf_counter() - start, 3)
         run.progress("stats", index + 1, len(names))
         run.check_stop()
+
+
+def _light_of(run: UnitRun, configuration: Configuration, views: Sequence[StatisticsView]) -> ViewLight:
+    """The light that the views record, from what a reconstruction of the room would have: images, cameras and
+    mesh."""
+    from datagen.geometry.traced import TracedGeometry
+    from datagen.geometry.views import TracedView
+    from datagen.light.view_light import ViewLight
+    from datagen.rendering.capture_geometry import configuration_geometry
+
+    geometry, _ = configuration_geometry(configuration, run.library)
+    traced = TracedGeometry(geometry)
+    seen = [
+        TracedView(
+            view.camera,
+            view.color.astype(np.float32),
+            traced.trace_view(view.camera),
+            np.ones(view.color.shape[:2], dtype=bool),
+            view.name,
+        )
+        for view in views
+    ]
+    try:
+        return ViewLight(seen, traced, geometry.emitter_mask())
+    except ValueError as error:
+        where = run.folder.configuration_path(run.unit.id)
+        expected = "views of extended surface, for statistics.light"
+        remedy = "choose other cameras, or leave statistics.light out"
+        raise input_error(where, "cameras", str(error), expected, remedy) from None
 
 
 def _missing_view(path: Path, run: UnitRun, stage: str) -> InputError:

@@ -268,11 +268,13 @@ class RenderRecipe(StrictModel):
 
 
 class StatisticsRecipe(StrictModel):
-    """Multi-view statistics (method 2)."""
+    """Multi-view statistics (method 2). ``light``: also the buffers of the light that the views record
+    (:data:`~datagen.foundation.buffers.LIGHT_BUFFERS`), as inputs of networks."""
 
     best_views: Annotated[int, Field(ge=4, le=24)] = 12
     visibility: Literal["depth", "trace"] = "depth"
     include_self: bool = True
+    light: bool = Field(default=False, exclude_if=lambda value: not value)
 
 
 class SplitRecipe(StrictModel):

@@ -83,12 +83,13 @@ class RenderRecord(StrictModel):
 
 
 class StatisticsRecord(StrictModel):
-    """How the statistics of a view were gathered."""
+    """How the statistics of a view were gathered; ``light``: with the light that the views record."""
 
     num_views: int
     best_views: int
     visibility: Literal["depth", "trace"]
     include_self: bool
+    light: bool = Field(default=False, exclude_if=lambda value: not value)
 
 
 class ViewRecord(StrictModel):

@@ -153,6 +153,38 @@ _ALL = (
         "number of views whose colours entered the statistics; 0 on the background",
         "statistics",
     ),
+    Buffer(
+        "reflectance",
+        _RGB,
+        "half",
+        "1",
+        0.0,
+        _HALF_MAX,
+        "linear_rec709",
+        0.0,
+        "pi times color_median over the irradiance that the views record; 0 where too little light arrives",
+        "statistics",
+        True,
+    ),
+    Buffer(
+        "known_share",
+        ("Y",),
+        "half",
+        "1",
+        0.0,
+        1.0,
+        "data",
+        0.0,
+        "share of the cosine-weighted hemisphere whose radiance the views record",
+        "statistics",
+        True,
+    ),
+    _color(
+        "mirror_sharp", "statistics", "what a surface of S = 1 and R = 0.2 would mirror of the room", True
+    ),
+    _color(
+        "mirror_broad", "statistics", "what a surface of S = 1 and R = 0.5 would mirror of the room", True
+    ),
 )
 
 BUFFERS: dict[str, Buffer] = {buffer.name: buffer for buffer in _ALL}
@@ -166,7 +198,11 @@ GROUND_TRUTH_BUFFERS = _names("ground_truth")
 RENDERED_BUFFERS = _names("radiance", "ground_truth")
 STATISTICS_BUFFERS = _names("statistics")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
-"""What a complete view holds; ``beauty_noisy`` is optional."""
+"""What a complete view holds; ``beauty_noisy`` and :data:`LIGHT_BUFFERS` are optional."""
+LIGHT_BUFFERS = ("reflectance", "known_share", "mirror_sharp", "mirror_broad")
+"""Light that the views of a configuration record, where the recipe asks for it (``statistics.light``)."""
+MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}
+"""Perceptual roughness of the mirror images."""
 MIN_COVERAGE = 0.5
 """Least ``surface_mask`` of a pixel that counts as surface; below, its colour is mostly something else's."""
 

@@ -22,6 +22,8 @@ from datagen.multiview.visibility import vectors_from_rows
 
 MIN_KNOWN = 0.1
 """Least share of known light that is scaled up to all light."""
+MIN_SHADING = 1e-3
+"""Of the room's median: below it nothing is known of a diffuse albedo."""
 MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
 """Surfels whose rays look for surface that no photograph shows, and how many rays each has."""
 MAX_RATIO_SURFELS = 8000

@@ -191,6 +191,34 @@ def place_pixel(index, depth, width, camera, out):
 
 
 @compiled
+def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
+    """Surfels of one side around a point, between the centres of cells: how many, at most 8, their numbers
+    into ``near`` and their trilinear weights into ``share``."""
+    num = 0
+    for corner in range(8):
+        key = 0
+        w = 1.0
+        inside = True
+        for axis in range(3):
+            along = (place[axis] - low[axis]) / cell_m - 0.5
+            base = int(np.floor(along))
+            bit = (corner >> axis) & 1
+            at = base + bit
+            if at < 0 or at >= shape[axis]:
+                inside = False
+                break
+            key = key * shape[axis] + at
+            w *= along - base if bit else 1 - (along - base)
+        if not inside:
+            continue
+        which = surfel[key * NUM_SIDES + side]
+        if which >= 0:
+            near[num], share[num] = which, w + 1e-4
+            num += 1
+    return num
+
+
+@compiled
 def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
     """Cell (P,) of each pixel, -1 for none, and its weight (P,); ``clipped`` (P,) or empty."""
     width, height = int(camera[16]), int(camera[17])

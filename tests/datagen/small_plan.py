@@ -13,7 +13,7 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.base import canonical_json, write_bytes_atomically
 from datagen.formats.configuration import Configuration, PlacedAsset, ViewCamera
 from datagen.formats.lights import PointLight
-from datagen.formats.recipe import Recipe, RenderRecipe
+from datagen.formats.recipe import Recipe, RenderRecipe, StatisticsRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.library import Library
 from tests.datagen.small_library import write_small_library
@@ -27,6 +27,7 @@ def plan_small(
     num_units: int = 3,
     num_views: int = 3,
     objects: tuple[PlacedAsset, ...] = (),
+    light: bool = False,
 ) -> DatasetFolder:
     """Write library (once) and plan; the same arguments give the same units. With ``objects`` all cameras
     look at their middle."""
@@ -41,6 +42,7 @@ def plan_small(
         configurations=num_units,
         views=num_views,
         resolution=SIZE,
+        statistics=StatisticsRecipe(light=light),
         # To an error: whatever disturbs a run must not change where the passes of a view end.
         render=RenderRecipe(
             variant="llvm_ad_rgb",

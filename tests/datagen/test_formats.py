@@ -17,7 +17,14 @@ from datagen.formats.asset import Box, SlotMaterial, Texture
 from datagen.formats.base import canonical_json, parse_model, read_json, read_yaml, write_bytes_atomically
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import ShardReader, write_shard
-from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS, RENDERED_BUFFERS, VIEW_BUFFERS, get_buffer
+from datagen.foundation.buffers import (
+    BUFFERS,
+    LIGHT_BUFFERS,
+    MATERIAL_MAPS,
+    RENDERED_BUFFERS,
+    VIEW_BUFFERS,
+    get_buffer,
+)
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view, to_storage
 from tests.conftest import REPOSITORY
@@ -208,5 +215,5 @@ def test_a_buffer_says_its_stage() -> None:
     assert VIEW_BUFFERS[len(RENDERED_BUFFERS) :] == (
         "color_min", "color_median", "color_max", "observation_count",
     )  # fmt: skip
-    assert set(BUFFERS) - set(VIEW_BUFFERS) == {"beauty_noisy"}
+    assert set(BUFFERS) - set(VIEW_BUFFERS) == {"beauty_noisy", *LIGHT_BUFFERS}
     assert [BUFFERS[name].num_channels for name in MATERIAL_MAPS] == [3, 3, 1]

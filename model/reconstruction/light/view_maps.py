@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.geometry.views import TracedView
-from datagen.light.surfels import NUM_SIDES, Surfels, cell_of, place_pixel
+from datagen.light.lighting import MIN_SHADING
+from datagen.light.surfels import NUM_SIDES, Surfels, cell_of, place_pixel, surfels_around
 from datagen.multiview.compiled import compiled
 from model.reconstruction.light.solve import MAX_ALBEDO
 
 SIMILAR = 0.35
 """Difference of the logarithm of reflectance at which a surfel's S and R count exp(-1/2)."""
-_MIN_SHADING = 1e-3  # of the room's median: below it nothing is known of a diffuse albedo
-
 _DARK = 1e-12  # keeps 0 / 0 out of the reflectance of a room without light
 
 
@@ -62,7 +61,7 @@ def view_materials(
     height, width = view.color.shape[:2]
     names = ("diffuse_albedo", "specular_albedo", "roughness")
     prior = np.concatenate([predicted[name].reshape(height * width, -1) for name in names], axis=1)
-    floor = max(_MIN_SHADING * float(np.median(solved.diffuse)), _DARK)
+    floor = max(MIN_SHADING * float(np.median(solved.diffuse)), _DARK)
     packed = _pixels(
         np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
         view.geometry.depth_z_m.ravel(),
@@ -102,8 +101,6 @@ def _pixels(
     out = np.zeros((len(color), 10), np.float32)
     width = int(camera[16])
     here = np.zeros(3)
-    base = np.zeros(3, np.int64)
-    part = np.zeros(3)
     near = np.zeros(8, np.int64)
     share = np.zeros(8, np.float32)
     ld, spec, s = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
@@ -114,30 +111,7 @@ def _pixels(
             continue
         place_pixel(index, depth[index], width, camera, here)
         cell = cell_of(here, normal[index], low, cell_m, shape)
-        side = cell % NUM_SIDES
-        for axis in range(3):
-            at = (here[axis] - low[axis]) / cell_m - 0.5
-            base[axis] = int(np.floor(at))
-            part[axis] = at - base[axis]
-        num = 0
-        for corner in range(8):
-            key = 0
-            w = 1.0
-            inside = True
-            for axis in range(3):
-                bit = (corner >> axis) & 1
-                at = base[axis] + bit
-                if at < 0 or at >= shape[axis]:
-                    inside = False
-                    break
-                key = key * shape[axis] + at
-                w *= part[axis] if bit else 1 - part[axis]
-            if not inside:
-                continue
-            which = surfel[key * NUM_SIDES + side]
-            if which >= 0:
-                near[num], share[num] = which, w + 1e-4
-                num += 1
+        num = surfels_around(here, cell % NUM_SIDES, low, cell_m, shape, surfel, near, share)
         total = np.float32(0)
         total_spec = np.float32(0)
         conf = np.zeros(3, np.float32)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: MIT
+"""The light that the views of a room record, pixel by pixel, as inputs of networks.
+
+Letters: V views, N surfels, M observations. Everything comes from the views' colours and the mesh, never from
+the ground truth, so that datasets (``datagen run --only stats``) and captures (``materials infer``) hold the
+same values. Irradiance is baked by surfel, mirror images by observation; pixels take the means over the
+surfels of their side around them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.buffers import LIGHT_BUFFERS, MIRROR_ROUGHNESS
+from datagen.geometry.traced import TracedGeometry, smooth_regions
+from datagen.geometry.views import TracedView
+from datagen.light.lighting import MIN_KNOWN, MIN_SHADING, GatherOptions, light_surfels
+from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, surfels_around
+from datagen.multiview.compiled import compiled
+
+GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24)
+"""Rays are fewer than the reconstruction's: a network is to be fed, and does not mind some noise."""
+MIRROR_RAYS = 6
+"""Of an observation and roughness; pixels are means over several observations."""
+_MIRROR_SEED = 23
+
+
+class ViewLight:
+    """Light of all views, ready to be asked for view by view.
+
+    ``emits`` (M,) are the triangles that are known to emit. The result does not depend on the order of the
+    views. Raises ValueError where the views see no extended surface.
+    """
+
+    def __init__(self, views: Sequence[TracedView], traced: TracedGeometry, emits: NDArray[np.bool_]):
+        order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
+        self._views = [views[index] for index in order]
+        self._place = {index: place for place, index in enumerate(order)}
+        self._lit = light_surfels(self._views, traced, emits, smooth_regions(traced.mesh), GATHERING)
+        photographed = self._lit.irradiance.photographed[:, None]
+        self._of_surfel = np.concatenate([self._lit.diffuse, photographed], axis=1)
+        mirrors = [self._mirrored(MIRROR_ROUGHNESS[name]) for name in LIGHT_BUFFERS[2:]]
+        self._of_observation = np.concatenate(mirrors, axis=1)
+        self._least = MIN_SHADING * float(np.median(self._lit.diffuse))
+
+    def _mirrored(self, roughness: float) -> NDArray[np.float32]:
+        """Ls0 (M, 3) of every observation."""
+        surfels = self._lit.surfels
+        owner = surfels.surfel_of_observation()
+        shading = self._lit.baker.specular(
+            surfels.position_m[owner],
+            surfels.normal[owner],
+            surfels.directions(owner, surfels.observations.view),
+            np.full(len(owner), roughness),
+            MIRROR_RAYS,
+            _MIRROR_SEED,
+        )
+        return shading.ls0 / np.maximum(shading.known, MIN_KNOWN)[:, None]
+
+    def buffers(self, index: int, color_median: NDArray) -> dict[str, NDArray[np.float32]]:
+        """:data:`~datagen.foundation.buffers.LIGHT_BUFFERS` of view ``index``, (H, W, 3 or 1); 0 where there
+        is no surface. ``color_median`` (H, W, 3) is the median over views of each pixel's point."""
+        place = self._place[index]
+        view, surfels = self._views[place], self._lit.surfels
+        rows = np.flatnonzero(surfels.observations.view == place)
+        row_of = np.full(len(surfels), -1, np.int64)
+        row_of[surfels.surfel_of_observation()[rows]] = rows
+        shape = view.color.shape[:2]
+        values = _interpolated(
+            view.geometry.depth_z_m.ravel(),
+            np.ascontiguousarray(view.geometry.normal_world.reshape(-1, 3)),
+            surfels.pixel_surfel[place],
+            camera_row(view),
+            surfels.grid.low,
+            surfels.grid.cell_m,
+            surfels.grid.shape,
+            surfels.grid.surfel,
+            row_of,
+            self._of_surfel,
+            self._of_observation,
+        ).reshape(*shape, -1)
+        diffuse = values[..., :3]
+        is_lit = (diffuse > max(self._least, 0.0)).all(axis=2, keepdims=True)
+        reflectance = np.where(is_lit, color_median / np.where(is_lit, diffuse, 1), 0).astype(np.float32)
+        parts = (reflectance, values[..., 3:4], values[..., 4:7], values[..., 7:])
+        return dict(zip(LIGHT_BUFFERS, parts, strict=True))
+
+
+@compiled
+def _interpolated(
+    depth, normal, own, camera, low, cell_m, shape, surfel, row_of, of_surfel, of_observation
+):  # fmt: skip
+    """Means (P, K + J) of surfels' (N, K) and observations' (M, J) values around pixels; 0 without surfel."""
+    num_first, num_second = of_surfel.shape[1], of_observation.shape[1]
+    out = np.zeros((len(depth), num_first + num_second), np.float32)
+    width = int(camera[16])
+    here = np.zeros(3)
+    near = np.zeros(8, np.int64)
+    share = np.zeros(8, np.float32)
+    for index in range(len(depth)):
+        if own[index] < 0:
+            continue
+        place_pixel(index, depth[index], width, camera, here)
+        side = cell_of(here, normal[index], low, cell_m, shape) % NUM_SIDES
+        num = surfels_around(here, side, low, cell_m, shape, surfel, near, share)
+        total, total_seen = np.float32(0), np.float32(0)
+        for k in range(num):
+            which, w = near[k], share[k]
+            total += w
+            for c in range(num_first):
+                out[index, c] += w * of_surfel[which, c]
+            row = row_of[which]
+            if row >= 0:
+                total_seen += w
+                for c in range(num_second):
+                    out[index, num_first + c] += w * of_observation[row, c]
+        for c in range(num_first):
+            out[index, c] /= total
+        for c in range(num_second):  # a pixel's own surfel is seen by its view, so that there is one
+            out[index, num_first + c] /= total_seen
+    return out
