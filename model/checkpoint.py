@@ -23,6 +23,7 @@ from datagen.foundation.errors import InputError, Problem, input_error
 from model.bilateral_solver import SolverConfig
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
+from model.own_network import OwnNetwork, make_network
 
 _CARD_KEY = "card"
 _REMEDY = "train or fetch the checkpoint again"
@@ -64,7 +65,7 @@ class CheckpointCard(StrictModel):
 class Checkpoint:
     """A checkpoint as read: networks in eval mode; ``confidence`` is None where it was not trained."""
 
-    network: MaterialNetwork
+    network: MaterialNetwork | OwnNetwork
     confidence: ConfidenceNets | None
     card: CheckpointCard
 
@@ -86,7 +87,7 @@ def bundled_checkpoint() -> Path:
 def save_checkpoint(
     path: Path,
     card: CheckpointCard,
-    network: MaterialNetwork,
+    network: MaterialNetwork | OwnNetwork,
     confidence: ConfidenceNets | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> None:
@@ -138,8 +139,10 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
     from safetensors.torch import load_file
 
     card, shapes = _open(path)
+    is_own = card.network.factory is not None  # which may compute with what it holds: not on meta
+    with torch.device("cpu" if is_own else "meta"):
+        modules: dict[str, nn.Module] = {"network": make_network(card.network)}
     with torch.device("meta"):
-        modules: dict[str, nn.Module] = {"network": MaterialNetwork(card.network)}
         if card.has_confidence:
             modules["confidence"] = ConfidenceNets()
     expected = {
@@ -171,7 +174,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
         module.load_state_dict(own, assign=True)
         module.eval().requires_grad_(False)
     network, confidence = modules["network"], modules.get("confidence")
-    assert isinstance(network, MaterialNetwork)
+    assert isinstance(network, MaterialNetwork | OwnNetwork)
     assert confidence is None or isinstance(confidence, ConfidenceNets)
     return Checkpoint(network, confidence, card)
 

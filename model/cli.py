@@ -53,6 +53,12 @@ def train(
         list[str] | None,
         typer.Option("--set", help="KEY=VALUE over preset and file, repeatable, e.g. data.workers=2."),
     ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option(
+            "--network", metavar="MODULE:CLASS", help="A network of your own; --set network.arguments.X=Y."
+        ),
+    ] = None,
     device: Annotated[
         str | None,
         typer.Option("--device", help="cpu, cuda, cuda:1; default: a GPU where there is one."),
@@ -78,7 +84,8 @@ def train(
     from model.events import load_listeners
     from model.training.config import parse_overrides, resolve_config
 
-    resolved = resolve_config(preset, config, parse_overrides(settings or []))
+    own = [f"network.factory={network}"] if network else []
+    resolved = resolve_config(preset, config, parse_overrides([*(settings or []), *own]))
     listeners = load_listeners(listener or ())
     if threads:
         torch.set_num_threads(threads)

@@ -10,7 +10,6 @@ training do not end with a lost connection.
 
 from __future__ import annotations
 
-import importlib
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Mapping
@@ -21,6 +20,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from datagen.foundation.errors import InputError, Problem
+from model.named_code import load_named
 
 
 @dataclass(frozen=True)
@@ -74,12 +74,9 @@ def load_listeners(names: Iterable[str]) -> Listeners:
     :class:`InputError` with every one that is not there."""
     found: list[Listener] = []
     problems = []
-    if "" not in sys.path:
-        sys.path.append("")
     for name in names:
-        module, colon, function = name.partition(":")
         try:
-            listener = getattr(importlib.import_module(module), function) if colon and function else None
+            listener = load_named(name)
         except (ImportError, AttributeError, ValueError) as error:
             problems.append(Problem("--listener", "", f"{name} ({error})", "MODULE:FUNCTION", "correct it"))
             continue

@@ -16,14 +16,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from datagen.formats.base import StrictModel
+from datagen.foundation.buffers import LIGHT_BUFFERS
 
 NUM_LEVELS = 4
 STRIDE = 2**NUM_LEVELS
@@ -41,7 +42,12 @@ _NORM_EPS = 1e-5  # keeps the norm finite on a constant feature map
 _LOG_EPSILON = 0.01
 
 TrackName = Literal["diffuse", "specular"]
+LightInput = Literal["reflectance", "known_share", "mirror_sharp", "mirror_broad"]
 COLOR_STATISTICS = ("color_median", "color_max", "color_min")
+INPUTS = ("beauty", *COLOR_STATISTICS, "normal_camera", "depth", *LIGHT_BUFFERS)
+"""Names of all that a network can be fed."""
+MAX_REFLECTANCE = 2.0
+"""Reflectance that is encoded as 1: gloss and lamps that no view shows exceed every albedo."""
 
 
 class NetworkConfig(StrictModel):
@@ -59,14 +65,39 @@ class NetworkConfig(StrictModel):
     """Keep the padding out of instance norms, global means and convolutions."""
     uses_statistics: bool = True
     """Feed the reprojected colour statistics; False is the single-view ablation (*No RP*)."""
+    light_inputs: tuple[LightInput, ...] = Field(default=(), exclude_if=lambda value: not value)
+    """Buffers of the light that the views record, fed to both tracks; datasets have them where their recipe
+    says ``statistics: {light: true}``."""
+    factory: str | None = Field(default=None, exclude_if=lambda value: value is None)
+    """``package.module:Class`` of a network of one's own, in place of the two tracks (model.own_network)."""
+    arguments: dict[str, Any] = Field(default={}, exclude_if=lambda value: not value)
+    """What ``factory`` is called with."""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> NetworkConfig:
+        if self.factory is None and self.arguments:
+            raise ValueError("expected arguments only beside factory")
+        fields = type(self).model_fields.items()
+        own = ("factory", "arguments")
+        changed = [n for n, f in fields if n not in own and getattr(self, n) != f.default]
+        if self.factory is not None and changed:
+            raise ValueError(f"expected no {', '.join(changed)} beside factory, whose settings are arguments")
+        return self
 
 
 def track_inputs(track: TrackName, config: NetworkConfig) -> tuple[str, ...]:
-    """Names of a track's inputs in channel order; each has 3 channels."""
+    """Names of a track's inputs in channel order."""
     names: tuple[str, ...] = ("beauty", "color_median", "color_max")
     if track == "specular":
         names += ("color_min", "normal_camera", "depth")
-    return names if config.uses_statistics else tuple(n for n in names if n not in COLOR_STATISTICS)
+    if not config.uses_statistics:
+        names = tuple(n for n in names if n not in COLOR_STATISTICS)
+    return (*names, *(name for name in LIGHT_BUFFERS if name in config.light_inputs))
+
+
+def input_channels(name: str) -> int:
+    """Channels of an input."""
+    return 1 if name == "known_share" else 3
 
 
 TRACK_OUTPUTS: dict[TrackName, dict[str, int]] = {
@@ -93,6 +124,20 @@ def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor
     return (2.0 * depth_z_m / scale - 1.0).expand(-1, 3, -1, -1)
 
 
+def encode_input(
+    name: str, buffers: Mapping[str, Tensor], exposure: Tensor, depth_max_m: Tensor | None = None
+) -> Tensor:
+    """An input of :data:`INPUTS`, (B, 3 or 1, H, W) in [-1, 1]; arguments as :func:`assemble_inputs`, with
+    ``exposure`` (B, 1, 1, 1)."""
+    if name == "depth":
+        return encode_depth(buffers["depth_z_m"], depth_max_m)
+    if name == "normal_camera":
+        return buffers[name]
+    if name == "known_share":
+        return 2.0 * buffers[name] - 1.0
+    return encode_color(buffers[name], 1 / MAX_REFLECTANCE if name == "reflectance" else exposure)
+
+
 def assemble_inputs(
     track: TrackName,
     buffers: Mapping[str, Tensor],
@@ -100,22 +145,16 @@ def assemble_inputs(
     config: NetworkConfig,
     depth_max_m: Tensor | None = None,
 ) -> Tensor:
-    """A track's input (B, 9 or 18, H, W) in [-1, 1] from buffers by name.
+    """A track's input (B, C, H, W) in [-1, 1] from buffers by name; C is 9 or 18 without light.
 
     ``buffers`` holds linear colours ``beauty``, ``color_median``, ``color_max``, ``color_min`` (B, 3, H, W),
-    ``normal_camera`` (B, 3, H, W) unit vectors and ``depth_z_m`` (B, 1, H, W); ``exposure`` (B,) is the
-    factor that :func:`color.exposure_for` gives. ``KeyError`` names a buffer that is missing.
+    ``normal_camera`` (B, 3, H, W) unit vectors, ``depth_z_m`` (B, 1, H, W) and the configuration's
+    ``light_inputs``; ``exposure`` (B,) is the factor that :func:`color.exposure_for` gives. ``KeyError``
+    names a buffer that is missing.
     """
     exposure = exposure.reshape(-1, 1, 1, 1)
-    parts = []
-    for name in track_inputs(track, config):
-        if name == "depth":
-            parts.append(encode_depth(buffers["depth_z_m"], depth_max_m))
-        elif name == "normal_camera":
-            parts.append(buffers["normal_camera"])
-        else:
-            parts.append(encode_color(buffers[name], exposure))
-    return torch.cat(parts, dim=1)
+    names = track_inputs(track, config)
+    return torch.cat([encode_input(name, buffers, exposure, depth_max_m) for name in names], dim=1)
 
 
 def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
@@ -301,9 +340,13 @@ class MaterialNetwork(nn.Module):
         self.config = config or NetworkConfig()
         tracks: dict[str, nn.Module] = {}
         for name, outputs in TRACK_OUTPUTS.items():
-            num_in = 3 * len(track_inputs(name, self.config))
+            num_in = sum(input_channels(n) for n in track_inputs(name, self.config))
             tracks[name] = Track(num_in, sum(outputs.values()), self.config)
         self.tracks = nn.ModuleDict(tracks)
+
+    def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
+        """What a phase of these tracks trains."""
+        return [self.tracks[track] for track in tracks]
 
     def forward(
         self,

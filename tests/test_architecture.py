@@ -21,7 +21,7 @@ _GROUND = "datagen.foundation datagen.formats"
 _LIBRARY = f"{_GROUND} datagen.library"
 _TRACED = "datagen.multiview datagen.geometry"
 _RENDER = f"{_LIBRARY} {_TRACED} datagen.light datagen.rendering mitsuba_plugins"
-_NETWORKS = "model.networks model.confidence model.bilateral_solver"
+_NETWORKS = "model.networks model.own_network model.confidence model.bilateral_solver"
 _ATLAS = "model.reconstruction.atlas datagen.geometry datagen.multiview.compiled"
 
 # Package -> what it may import of the project, besides itself. A name is a module or all of a package.
@@ -56,7 +56,9 @@ MATRIX = {
         "model.confidence": "model.bilateral_solver",
         "model.checkpoint": f"{_GROUND} {_NETWORKS}",
         "model.loading": _GROUND,
-        "model.events": "datagen.foundation",
+        "model.named_code": "",
+        "model.own_network": "datagen.foundation model.named_code model.networks",
+        "model.events": "datagen.foundation model.named_code",
         "model.publish": "datagen.foundation model.checkpoint",
         "model.training": f"{_GROUND} {_NETWORKS} model.checkpoint model.events model.shading",
         "model.reconstruction.capture_options": "datagen.foundation",
@@ -68,7 +70,7 @@ MATRIX = {
         "model.reconstruction.found_lights": "",
         "model.reconstruction.stages": "datagen.geometry model.reconstruction.infer_options "
         "model.reconstruction.found_lights",
-        "model.reconstruction.predict": f"{_GROUND} datagen.multiview {_NETWORKS} model.checkpoint "
+        "model.reconstruction.predict": f"{_GROUND} {_TRACED} datagen.light {_NETWORKS} model.checkpoint "
         f"model.devices {_ATLAS} model.reconstruction.infer_options model.reconstruction.stages",
         "model.reconstruction.level": f"{_GROUND} datagen.multiview model.reconstruction.captures "
         "datagen.geometry model.reconstruction.stages",

@@ -125,7 +125,29 @@ class TrainingConfig(StrictModel):
         names = [phase.name for phase in self.phases]
         if len(set(names)) != len(names):
             raise ValueError("expected each phase at most once")
+        if self.network.factory is not None and {"diffuse", "specular"} & set(names):
+            raise ValueError("expected phases joint and confidence alone, as network.factory has no tracks")
         return self
+
+
+def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """``over`` over ``base``. A network of one's own in ``over`` replaces that of ``base``, settings and all,
+    and its tracks' phases become one, as long as the first."""
+    network = over.get("network")
+    if isinstance(network, dict) and network.get("factory") is not None:
+        base = {**base, "network": {}}
+        if "phases" not in over:
+            base["phases"] = _joined_phases(base.get("phases"))
+    return _merge(base, over)
+
+
+def _joined_phases(phases: Any) -> Any:
+    if not isinstance(phases, list) or not all(isinstance(phase, dict) for phase in phases):
+        return phases  # as it is: the schema says what is wrong with it
+    rest = [phase for phase in phases if phase.get("name") not in ("diffuse", "specular")]
+    if len(rest) < len(phases) and all(phase.get("name") != "joint" for phase in rest):
+        rest.insert(0, {**phases[0], "name": "joint"})
+    return rest
 
 
 def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
@@ -163,9 +185,9 @@ def resolve_config(
     data = _read_mapping(Path(__file__).parent / "presets" / f"{preset}.yaml")
     where: str | Path = f"preset {preset}"
     if file is not None:
-        data, where = _merge(data, _read_mapping(file)), file
+        data, where = _layered(data, _read_mapping(file)), file
     if overrides:
-        data, where = _merge(data, overrides), f"{where} with the given options"
+        data, where = _layered(data, overrides), f"{where} with the given options"
     try:
         return TrainingConfig.model_validate(data)
     except ValidationError as error:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from datagen.foundation.errors import input_error
 from model.checkpoint import load_checkpoint
 from model.confidence import ConfidenceNets
-from model.networks import MaterialNetwork
+from model.own_network import OwnNetwork, make_network, try_network
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
 from model.training.dataset import BatchPlan, CropOrder
@@ -60,7 +60,7 @@ class Models(nn.Module):
 
     def __init__(self, config: TrainingConfig):
         super().__init__()
-        self.network = MaterialNetwork(config.network)
+        self.network = make_network(config.network)
         self.confidence = ConfidenceNets()
 
 
@@ -116,8 +116,8 @@ def make_context(
     if config.channels_last:
         models.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     if config.compile:
-        for track in models.network.tracks.values():
-            track.compile()
+        for part in models.network.trained(("diffuse", "specular")):
+            part.compile()
     return TrainingContext(config, data, models, loss, device, ranks, stopwatch or Stopwatch())
 
 
@@ -126,6 +126,8 @@ def _initial_models(config: TrainingConfig) -> Models:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)
+    if isinstance(models.network, OwnNetwork):
+        try_network(models.network)
     path = config.initial_checkpoint
     if path is not None:
         first = load_checkpoint(path)

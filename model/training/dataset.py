@@ -28,10 +28,11 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from datagen.formats.base import parse_model
 from datagen.formats.view import ViewRecord
 from datagen.formats.view_places import ViewPlace, read_member
-from datagen.foundation.buffers import MATERIAL_MAPS
+from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.exr import decode_view
-from model.networks import COLOR_STATISTICS, NetworkConfig
+from model.networks import COLOR_STATISTICS, NetworkConfig, input_channels
+from model.own_network import network_inputs
 from model.training.conditions import generator_for
 from model.training.config import DataConfig
 
@@ -43,8 +44,9 @@ _RANGE_SLACK = 1e-3  # half floats round 1 - eps up
 
 def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
     """Buffers that training reads from a view."""
-    statistics = COLOR_STATISTICS if network.uses_statistics else ()
-    return ("beauty", *statistics, *MATERIAL_MAPS, *_GEOMETRY_BUFFERS)
+    inputs = network_inputs(network)
+    stored = (name for name in (*COLOR_STATISTICS, *LIGHT_BUFFERS) if name in inputs)
+    return ("beauty", *stored, *MATERIAL_MAPS, *_GEOMETRY_BUFFERS)
 
 
 @dataclass(frozen=True)
@@ -106,11 +108,11 @@ def _problems_of(
     for name, values in buffers.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             complain(name, f"{int((~np.isfinite(values)).sum())} values NaN or Inf", "finite values")
-        elif name in MATERIAL_MAPS or name == "surface_mask":
+        elif name in (*MATERIAL_MAPS, "surface_mask", "known_share"):
             low, high = float(values.min()), float(values.max())
             if low < -_RANGE_SLACK or high > 1.0 + _RANGE_SLACK:
                 complain(name, f"{low:.4g} ... {high:.4g}", "values in [0, 1], linear, perceptual roughness")
-        elif name in ("beauty", *COLOR_STATISTICS, "depth_z_m") and values.min() < 0:
+        elif name in ("beauty", *COLOR_STATISTICS, *LIGHT_BUFFERS, "depth_z_m") and values.min() < 0:
             complain(name, f"{float(values.min()):.4g}", "values >= 0")
     if not problems:
         solid = buffers["surface_mask"][..., 0] > 0.99
@@ -314,7 +316,7 @@ def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, 
     """What stands in for a bad view: an empty mask, so that it adds nothing to any loss."""
     renamed = [n for n in names if n not in ("normal_world", "surface_mask")] + ["normal_camera", "position"]
     channels = {"roughness": 1, "depth_z_m": 1}
-    sample = {n: torch.zeros(channels.get(n, 3), size, size) for n in renamed}
+    sample = {n: torch.zeros(channels.get(n, input_channels(n)), size, size) for n in renamed}
     sample["mask"] = torch.zeros(1, size, size, dtype=torch.bool)
     sample["exposure"] = torch.tensor(1.0)
     sample["depth_max_m"] = torch.tensor(0.0)

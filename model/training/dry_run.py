@@ -14,7 +14,7 @@ import yaml
 from torch import Tensor
 
 from datagen.foundation.buffers import MATERIAL_MAPS
-from model.networks import num_parameters
+from model.networks import INPUTS, input_channels, num_parameters
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
 from model.training.context import make_context
@@ -33,7 +33,8 @@ def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) 
 
     y, x = torch.meshgrid(torch.linspace(-0.5, 0.5, size), torch.linspace(-0.5, 0.5, size), indexing="ij")
     z = torch.full_like(x, 2.0)
-    images = {name: smooth(3) for name in ("beauty", "color_median", "color_max", "color_min")}
+    inputs = (name for name in INPUTS if name not in ("normal_camera", "depth"))
+    images = {name: smooth(input_channels(name)) for name in inputs}
     images |= {name: smooth(1 if name == "roughness" else 3) for name in MATERIAL_MAPS}
     images["normal_camera"] = torch.tensor([0.0, 0.0, -1.0]).reshape(1, 3, 1, 1).expand(batch, 3, size, size)
     images["position"] = torch.stack([x * z, y * z, z]).expand(batch, 3, size, size)

@@ -15,6 +15,7 @@ from torch.nn.parallel import DistributedDataParallel
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from model.networks import MaterialNetwork, TrackName, encode_color
+from model.own_network import OwnNetwork
 from model.training.conditions import Geometry, SampleDraws
 from model.training.confidence import confidence_loss
 from model.training.config import PHASE_TRACKS
@@ -27,10 +28,10 @@ from model.training.validation import network_predictor
 class TrackModule(nn.Module):
     """The tracks that a phase trains, so that only their gradients are exchanged between ranks."""
 
-    def __init__(self, network: MaterialNetwork, tracks: tuple[TrackName, ...], precision: str):
+    def __init__(self, network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str):
         super().__init__()
         self.tracks, self.precision = tracks, precision
-        self.trained = nn.ModuleList([network.tracks[track] for track in tracks])
+        self.trained = nn.ModuleList(network.trained(tracks))
         self._network = [network]  # in a list, so that the other track does not become a part of this module
 
     def forward(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:

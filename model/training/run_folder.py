@@ -105,8 +105,6 @@ class RunFolder:
         """Set the models to the best weights of a phase."""
         models = self.context.models
         best = load_checkpoint(self.path / f"best-{phase}.safetensors", self.context.device)
-        with torch.no_grad():
-            for ours, theirs in ((models.network, best.network), (models.confidence, best.confidence)):
-                if theirs is not None:
-                    for mine, other in zip(ours.parameters(), theirs.parameters(), strict=True):
-                        mine.copy_(other)
+        models.network.load_state_dict(best.network.state_dict())
+        if best.confidence is not None:
+            models.confidence.load_state_dict(best.confidence.state_dict())

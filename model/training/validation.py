@@ -15,6 +15,7 @@ from datagen.foundation.buffers import MATERIAL_MAPS
 from model.bilateral_solver import SolverConfig
 from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
 from model.networks import MaterialNetwork, TrackName, encode_color
+from model.own_network import OwnNetwork
 from model.training.config import PHASE_TRACKS, PhaseName
 from model.training.dataset import buffer_names, load_view, view_sample
 from model.training.run_log import RunLog, view_panel
@@ -81,7 +82,7 @@ def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dic
 
 
 def network_predictor(
-    network: MaterialNetwork, tracks: tuple[TrackName, ...], precision: str = "float32"
+    network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str = "float32"
 ) -> Predictor:
     """Prediction by the tracks as they are, in eval mode while it runs."""
 

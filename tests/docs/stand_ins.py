@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +46,15 @@ def _library(out: Path) -> None:
     write_small_library(out, num_rooms=2)
 
 
-def _rooms(out: Path) -> None:
+def _rooms(out: Path, has_light: bool = False) -> None:
     """A rendered dataset of two configurations, each in a split of its own."""
-    desk = out.parent / "desk"
+    desk = out.parent / f"desk-{out.name}"
     write_recipes(desk / "scenes" / "recipes")
     _library(desk / LIBRARY)
     recipe = desk / "scenes" / "recipes" / "paper.yaml"
+    if has_light:
+        told = yaml.safe_load(recipe.read_text()) | {"statistics": {"light": True}}
+        recipe.write_text(yaml.safe_dump(told))
     command = [sys.executable, "-m", "datagen", "run", str(recipe), "--out", str(out), "--workers", "1"]
     subprocess.run(command, cwd=desk, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, check=True)
 
@@ -169,6 +173,7 @@ def _cork(out: Path) -> None:
 STAND_INS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "my-library": ("my-library", _library),
     "rooms": ("rooms", _rooms),
+    "lit-rooms": ("lit-rooms", partial(_rooms, has_light=True)),
     "staircase": ("staircase", _staircase),
     "sofa": ("sofa.glb", _sofa),
     "photographs": ("kitchen", _photographs),

@@ -16,7 +16,7 @@ from datagen.formats.configuration import Configuration, PlacedAsset, Split, Vie
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import DatasetIndex, ShardRecord, write_shard
 from datagen.formats.view import RenderRecord, StatisticsRecord, ViewRecord
-from datagen.foundation.buffers import VIEW_BUFFERS
+from datagen.foundation.buffers import LIGHT_BUFFERS, VIEW_BUFFERS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.exr import encode_view
 
@@ -59,6 +59,17 @@ def floor_buffers(camera: Camera, seed: int) -> dict[str, np.ndarray]:
     return buffers
 
 
+def light_buffers(buffers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What the light in a view of the plane would say."""
+    mask = buffers["surface_mask"]
+    return {
+        "reflectance": buffers["diffuse_albedo"],
+        "known_share": 0.75 * mask,
+        "mirror_sharp": 0.4 * buffers["beauty"],
+        "mirror_broad": 0.3 * buffers["beauty"],
+    }
+
+
 def view_record(configuration: Configuration, index: int, exr: bytes) -> dict[str, Any]:
     """The view's JSON as a dictionary."""
     record = ViewRecord(
@@ -96,10 +107,12 @@ def make_shard(
     seed: int = 0,
     width: int = 64,
     height: int = 48,
+    has_light: bool = False,
     change: Change | None = None,
 ) -> Path:
     """Write ``shards/<name>.tar`` and return its path; ``change`` spoils every view of it."""
     cameras = []
+    names = VIEW_BUFFERS + (LIGHT_BUFFERS if has_light else ())
     for index in range(num_views):
         pose = look_at([0.4 * index - 0.5, -1.5, 1.2], [0.0, 0.3, 0.0])
         camera = Camera(width, height, 0.9 * width, 0.9 * width, width / 2, height / 2, pose)
@@ -119,7 +132,9 @@ def make_shard(
     scratch.mkdir(parents=True)
     for index, camera in enumerate(configuration.cameras):
         buffers = floor_buffers(camera.camera(), seed * 1000 + index)
-        record = view_record(configuration, index, b"")
+        if has_light:
+            buffers |= light_buffers(buffers)
+        record = view_record(configuration, index, b"") | {"buffers": sorted(names)}
         if change is not None:
             change(buffers, record)
         exr = encode_view(buffers)
@@ -167,7 +182,7 @@ def make_dataset(
         num_bytes=sum(r.num_bytes for r in records),
         is_complete=True,
         splits=counts,
-        buffers=tuple(sorted(VIEW_BUFFERS)),
+        buffers=tuple(sorted(VIEW_BUFFERS + (LIGHT_BUFFERS if options.get("has_light") else ()))),
         assets={},
         shards=tuple(records),
     )

@@ -7,7 +7,7 @@ goes to 0.9 (method 3), so that a surface has one brightness in every view.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -59,9 +59,13 @@ def capture_exposure(views: Sequence[StatisticsView]) -> float:
 
 
 def view_tensors(
-    camera: Camera, view: StatisticsView, statistics: dict[str, NDArray[np.float32]]
+    camera: Camera,
+    view: StatisticsView,
+    statistics: dict[str, NDArray[np.float32]],
+    light: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> dict[str, Tensor]:
-    """Network inputs of a view by name, (1, C, H, W); normals in camera space, 0 off the surface."""
+    """Network inputs of a view by name, (1, C, H, W); normals in camera space, 0 off the surface. ``light``:
+    buffers of :class:`~datagen.light.view_light.ViewLight`."""
     normal = view.normal_world.astype(np.float32) @ camera.world_from_camera[:3, :3].astype(np.float32)
     on_surface = (view.surface_mask > 0.5) & (view.depth_z_m > 0)
     buffers = {
@@ -69,6 +73,7 @@ def view_tensors(
         "normal_camera": np.where(on_surface, normal, 0.0),
         "depth_z_m": view.depth_z_m,
         **{name: statistics[name] for name in ("color_min", "color_median", "color_max")},
+        **(light or {}),
     }
     return {
         name: torch.from_numpy(np.ascontiguousarray(array.transpose(2, 0, 1), np.float32))[None]

@@ -11,13 +11,15 @@ import numpy as np
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.capture import Capture, CaptureView
-from datagen.foundation.buffers import MATERIAL_MAPS
+from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import decode_view, encode_view
 from datagen.geometry.views import TracedCapture
+from datagen.light.view_light import ViewLight
 from datagen.multiview.statistics import StatisticsOptions, compute_statistics
 from datagen.multiview.visibility import VisibilityOptions
 from model.checkpoint import load_checkpoint
+from model.own_network import network_inputs
 from model.reconstruction.predict.predictor import PredictOptions, Predictor, capture_exposure, view_tensors
 from model.reconstruction.stages import Maps, Run
 
@@ -53,13 +55,18 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
         traced.geometry.scene if options.visibility == "trace" else None,
         only=[index for batch in pending for index in batch],
     )
+    light = None
+    if pending and set(LIGHT_BUFFERS) & set(network_inputs(checkpoint.card.network)):
+        with report.stage("light for the network"):
+            light = ViewLight(traced.views, traced.geometry, capture.geometry.emitter_mask())
     run.tell("predict", sum(m is not None for m in maps), len(maps))
     for batch in pending:
         tensors = []
         for index in batch:
             with report.stage("statistics"):
                 gathered = next(statistics)
-            tensors.append(view_tensors(capture.views[index].camera, views[index], gathered))
+                of_light = light.buffers(index, gathered["color_median"]) if light else None
+            tensors.append(view_tensors(capture.views[index].camera, views[index], gathered, of_light))
         with report.stage("predict"):
             predicted = predictor.predict(tensors)
         with report.stage("write maps"):

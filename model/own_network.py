@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""Networks of one's own in place of the two tracks: ``package.module:Class``.
+
+The class is a ``torch.nn.Module`` with ``inputs``, names out of :data:`~model.networks.INPUTS`. ``forward``
+takes them by name, encoded to [-1, 1], (B, C, H, W) of any H and W, and returns the three maps by name:
+``diffuse_albedo`` and ``specular_albedo`` (B, 3, H, W), ``roughness`` (B, 1, H, W), all in [0, 1].
+``arguments`` of the configuration go to its constructor. docs/howto/network.md has an example.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from datagen.foundation.errors import InputError, Problem, input_error
+from model.named_code import load_named
+from model.networks import (
+    INPUTS,
+    TRACK_OUTPUTS,
+    MaterialNetwork,
+    NetworkConfig,
+    TrackName,
+    encode_input,
+    input_channels,
+    track_inputs,
+)
+
+OUTPUTS = {name: channels for outputs in TRACK_OUTPUTS.values() for name, channels in outputs.items()}
+_TRIAL_SIZE = (23, 38)  # no multiple of anything
+
+
+class OwnNetwork(nn.Module):
+    """A network of one's own, called like a :class:`~model.networks.MaterialNetwork`."""
+
+    def __init__(self, config: NetworkConfig):
+        super().__init__()
+        self.config = config
+        made = _class_of(config)
+        try:
+            self.module = made(**config.arguments)
+        except TypeError as error:
+            problem = Problem(
+                "network", "arguments", str(error), f"what {config.factory} takes", "correct it"
+            )
+            raise InputError(problem) from None
+
+    def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
+        """What a phase trains: all of it."""
+        return [self.module]
+
+    def forward(
+        self,
+        buffers: Mapping[str, Tensor],
+        exposure: Tensor,
+        depth_max_m: Tensor | None = None,
+        tracks: tuple[TrackName, ...] = ("diffuse", "specular"),
+    ) -> dict[str, Tensor]:
+        """Maps by name. Raises :class:`InputError` where they are not what the contract asks for."""
+        shaped = exposure.reshape(-1, 1, 1, 1)
+        names = network_inputs(self.config)
+        inputs = {name: encode_input(name, buffers, shaped, depth_max_m) for name in names}
+        maps = self.module(inputs)
+        batch, _, height, width = buffers["beauty"].shape
+        expected = {name: (batch, channels, height, width) for name, channels in OUTPUTS.items()}
+        got = (
+            {name: tuple(value.shape) for name, value in maps.items()} if isinstance(maps, Mapping) else maps
+        )
+        if got != expected:
+            raise input_error("network", self.config.factory or "", got, f"maps of {expected}")
+        return {name: maps[name].float() for track in tracks for name in TRACK_OUTPUTS[track]}
+
+
+def make_network(config: NetworkConfig) -> MaterialNetwork | OwnNetwork:
+    """The network of a configuration."""
+    return MaterialNetwork(config) if config.factory is None else OwnNetwork(config)
+
+
+def network_inputs(config: NetworkConfig) -> tuple[str, ...]:
+    """Names of all that a network is fed."""
+    if config.factory is None:
+        return tuple(dict.fromkeys(n for track in TRACK_OUTPUTS for n in track_inputs(track, config)))
+    return tuple(_class_of(config).inputs)
+
+
+@torch.no_grad()
+def try_network(network: OwnNetwork) -> None:
+    """Call a network on grey inputs of an odd size. Raises :class:`InputError` for outputs that are not maps
+    in [0, 1]."""
+    buffers = {name: torch.full((1, input_channels(name), *_TRIAL_SIZE), 0.5) for name in INPUTS}
+    buffers["depth_z_m"] = torch.ones(1, 1, *_TRIAL_SIZE)
+    was_training = network.training
+    maps = network.eval()(buffers, torch.ones(1), torch.ones(1))
+    network.train(was_training)
+    for name, value in maps.items():
+        if not bool(((value >= 0) & (value <= 1)).all()):
+            low, high = float(value.min()), float(value.max())
+            where = f"{network.config.factory}: {name}"
+            raise input_error(
+                "network", where, f"{low:.3g} to {high:.3g}", "values in [0, 1]", "end in sigmoid"
+            )
+
+
+def _class_of(config: NetworkConfig) -> type[nn.Module]:
+    """The class that a configuration names, checked before it is called: a checkpoint may name anything."""
+    name = config.factory or ""
+    expected = "MODULE:CLASS of a torch.nn.Module with `inputs`"
+    try:
+        found = load_named(name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise input_error("network", "factory", f"{name} ({error})", expected, "correct it") from None
+    if not (isinstance(found, type) and issubclass(found, nn.Module)):
+        raise input_error("network", "factory", f"{name}, no class of networks", expected, "correct it")
+    inputs = getattr(found, "inputs", None)
+    known = isinstance(inputs, tuple | list) and set(inputs) <= set(INPUTS) and len(inputs) > 0
+    if not known:
+        names = f"some of {', '.join(INPUTS)}"
+        raise input_error("network", f"{name}.inputs", repr(inputs), names, "correct it")
+    return found

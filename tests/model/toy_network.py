@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Networks of one's own, as tests name them."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class Toy(nn.Module):
+    """A convolution of what is seen and one of where it is; a norm whose buffers are saved, too."""
+
+    inputs = ("beauty", "color_median", "normal_camera", "depth")
+
+    def __init__(self, width: int = 8):
+        super().__init__()
+        self.first = nn.Conv2d(12, width, 3, padding=1)
+        self.norm = nn.BatchNorm2d(width)
+        self.last = nn.Conv2d(width, 7, 1)
+
+    def forward(self, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        x = torch.cat([inputs[name] for name in self.inputs], dim=1)
+        y = torch.sigmoid(self.last(torch.relu(self.norm(self.first(x)))))
+        return {"diffuse_albedo": y[:, :3], "specular_albedo": y[:, 3:6], "roughness": y[:, 6:]}
+
+
+class Echo(nn.Module):
+    """Returns what it is fed with: reflectance over its greatest as D, known share as R."""
+
+    inputs = ("reflectance", "known_share")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.unused = nn.Parameter(torch.zeros(1))
+
+    def forward(self, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        span = torch.log(torch.tensor(1.01)) - torch.log(torch.tensor(0.01))
+        linear = torch.exp((inputs["reflectance"] + 1) / 2 * span + torch.log(torch.tensor(0.01))) - 0.01
+        share = (inputs["known_share"] + 1) / 2
+        return {
+            "diffuse_albedo": linear.clamp(0, 1),
+            "specular_albedo": torch.zeros_like(linear),
+            "roughness": share.clamp(0, 1),
+        }
+
+
+class Unbounded(Toy):
+    """Returns more than 1."""
+
+    def forward(self, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        return {name: 3 * value for name, value in super().forward(inputs).items()}
+
+
+class Halved(Toy):
+    """Returns maps of half the size."""
+
+    def forward(self, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        return {name: value[..., ::2, ::2] for name, value in super().forward(inputs).items()}
+
+
+class Curious(Toy):
+    """Asks for what is not there."""
+
+    inputs = ("beauty", "truth")  # type: ignore[assignment]
+
+
+class Aimless(nn.Module):
+    """Names no inputs."""
+
+
+def not_a_class(**arguments: object) -> None:
+    """No network."""
