@@ -44,7 +44,7 @@ class ViewLight:
         self._of_surfel = np.concatenate([self._lit.diffuse, photographed], axis=1)
         mirrors = [self._mirrored(MIRROR_ROUGHNESS[name]) for name in LIGHT_BUFFERS[2:]]
         self._of_observation = np.concatenate(mirrors, axis=1)
-        self._least = MIN_SHADING * float(np.median(self._lit.diffuse))
+        self._min_diffuse = MIN_SHADING * float(np.median(self._lit.diffuse))
 
     def _mirrored(self, roughness: float) -> NDArray[np.float32]:
         """Ls0 (M, 3) of every observation."""
@@ -83,7 +83,7 @@ class ViewLight:
             self._of_observation,
         ).reshape(*shape, -1)
         diffuse = values[..., :3]
-        is_lit = (diffuse > max(self._least, 0.0)).all(axis=2, keepdims=True)
+        is_lit = (diffuse > self._min_diffuse).all(axis=2, keepdims=True)
         reflectance = np.where(is_lit, color_median / np.where(is_lit, diffuse, 1), 0).astype(np.float32)
         parts = (reflectance, values[..., 3:4], values[..., 4:7], values[..., 7:])
         return dict(zip(LIGHT_BUFFERS, parts, strict=True))

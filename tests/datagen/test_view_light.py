@@ -205,7 +205,9 @@ def test_views_of_no_extended_surface_are_refused(tmp_path: Path) -> None:
     run = UnitRun(folder, plan.units[0], folder.read_recipe(), library, plan.versions, plan.variant)
     configuration = folder.read_configuration(plan.units[0])
     camera = configuration.cameras[0].camera()
-    away = replace(camera, world_from_camera=camera.world_from_camera + 1e4 * np.eye(4)[:, 3:] * np.eye(4)[3])
+    pose = camera.world_from_camera.copy()
+    pose[:3, 3] += 1e4
+    away = replace(camera, world_from_camera=pose)
     shape = (camera.height_px, camera.width_px)
     view = StatisticsView(away, np.ones((*shape, 3)), *(np.zeros((*shape, k)) for k in (1, 3, 1)))
     with pytest.raises(InputError, match=r"no view sees the mesh.*leave statistics.light out"):
