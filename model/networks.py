@@ -344,6 +344,10 @@ class MaterialNetwork(nn.Module):
             tracks[name] = Track(num_in, sum(outputs.values()), self.config)
         self.tracks = nn.ModuleDict(tracks)
 
+    def parts(self) -> dict[str, nn.Module]:
+        """The tracks by what a person calls them."""
+        return {f"{name} track": track for name, track in self.tracks.items()}
+
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
         """What a phase of these tracks trains."""
         return [self.tracks[track] for track in tracks]

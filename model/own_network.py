@@ -46,6 +46,10 @@ class OwnNetwork(nn.Module):
             )
             raise InputError(problem) from None
 
+    def parts(self) -> dict[str, nn.Module]:
+        """The one module, by its class."""
+        return {str(self.config.factory): self.module}
+
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
         """What a phase trains: all of it."""
         return [self.module]

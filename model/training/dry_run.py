@@ -109,8 +109,8 @@ def describe_run(config: TrainingConfig, folders: list[Path], device: torch.devi
     )
     if note := validation_note(data, config.validation.num_views):
         lines.append(note)
-    for name, track in context.models.network.tracks.items():
-        lines.append(f"{name} track: {num_parameters(track):,} parameters")
+    for name, part in context.models.network.parts().items():
+        lines.append(f"{name}: {num_parameters(part):,} parameters")
     lines.append(f"confidence: {num_parameters(context.models.confidence):,} parameters")
     lines.append(f"loss: {context.loss.name}; device: {device}, {torch.get_num_threads()} threads")
     batch = synthetic_batch(1, config.data.crop_px, device)

@@ -16,7 +16,7 @@ from model.networks import INPUTS, MaterialNetwork, NetworkConfig, assemble_inpu
 from model.own_network import OwnNetwork, make_network, network_inputs, try_network
 from model.training.config import parse_overrides, resolve_config
 from model.training.dataset import buffer_names
-from model.training.dry_run import synthetic_batch
+from model.training.dry_run import describe_run, synthetic_batch
 from model.training.train import Trainer
 from tests.model.training_data import make_dataset
 
@@ -61,6 +61,12 @@ def test_the_command_trains_it_and_the_checkpoint_brings_it_back(dataset: Path, 
         "specular_albedo": (1, 3, 21, 21),
         "roughness": (1, 1, 21, 21),
     }
+
+
+def test_a_dry_run_says_how_large_it_is(dataset: Path) -> None:
+    text = describe_run(_config(f"network.factory={TOY}"), [dataset], CPU)
+    num = 12 * 8 * 9 + 8 + 2 * 8 + 8 * 7 + 7
+    assert f"{TOY}: {num:,} parameters" in text and "joint: " in text
 
 
 def test_all_of_it_is_trained(dataset: Path, tmp_path: Path) -> None:
