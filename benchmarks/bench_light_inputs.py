@@ -78,17 +78,17 @@ def small_camera(camera: Camera, width: int) -> Camera:
 def small_shard(
     shard: Path, out: Path, split: Split, num_views: int, width: int
 ) -> tuple[ShardRecord, float]:
-    """A room in few small views with statistics and light; its record and the seconds that light took."""
+    """A room in few small views with statistics and light; its record, and processor seconds of light."""
     reader, capture = ShardReader(shard), read_capture(shard)
     step = max(1, len(capture.views) // num_views)
     chosen = capture.views[::step][:num_views]
     views = tuple(CaptureView(v.name, small_camera(v.camera, width), v.source) for v in chosen)
     traced = trace_capture(replace(capture, views=views))
     statistics = list(compute_statistics(traced.statistics))
-    start = time.perf_counter()
+    start = time.process_time()
     light = ViewLight(traced.views, traced.geometry, traced.capture.geometry.emitter_mask())
     lit = [light.buffers(index, found["color_median"]) for index, found in enumerate(statistics)]
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     records = {record.name: record for record in reader.records()}
     members, scratch = [], out / "views" / capture.name
     scratch.mkdir(parents=True, exist_ok=True)
@@ -139,7 +139,7 @@ def _smaller(values: NDArray, size: tuple[int, int]) -> NDArray[np.float32]:
 def small_dataset(
     rooms: dict[Split, list[Path]], out: Path, num_views: int, width: int
 ) -> tuple[Path, dict[str, float]]:
-    """The dataset folder of all rooms, made once, and the seconds a view that light took by room."""
+    """The dataset folder of all rooms, made once, and processor seconds of light a view, by room."""
     told = out / "light.json"
     if told.is_file():
         return out, json.loads(told.read_text())
