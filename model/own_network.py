@@ -37,7 +37,7 @@ class OwnNetwork(nn.Module):
     def __init__(self, config: NetworkConfig):
         super().__init__()
         self.config = config
-        made = _class_of(config)
+        made, self.inputs = _class_of(config)
         try:
             self.module = made(**config.arguments)
         except TypeError as error:
@@ -63,8 +63,7 @@ class OwnNetwork(nn.Module):
     ) -> dict[str, Tensor]:
         """Maps by name. Raises :class:`InputError` where they are not what the contract asks for."""
         shaped = exposure.reshape(-1, 1, 1, 1)
-        names = network_inputs(self.config)
-        inputs = {name: encode_input(name, buffers, shaped, depth_max_m) for name in names}
+        inputs = {name: encode_input(name, buffers, shaped, depth_max_m) for name in self.inputs}
         maps = self.module(inputs)
         batch, _, height, width = buffers["beauty"].shape
         expected = {name: (batch, channels, height, width) for name, channels in OUTPUTS.items()}
@@ -85,7 +84,7 @@ def network_inputs(config: NetworkConfig) -> tuple[str, ...]:
     """Names of all that a network is fed."""
     if config.factory is None:
         return tuple(dict.fromkeys(n for track in TRACK_OUTPUTS for n in track_inputs(track, config)))
-    return tuple(_class_of(config).inputs)
+    return _class_of(config)[1]
 
 
 @torch.no_grad()
@@ -106,8 +105,9 @@ def try_network(network: OwnNetwork) -> None:
             )
 
 
-def _class_of(config: NetworkConfig) -> type[nn.Module]:
-    """The class that a configuration names, checked before it is called: a checkpoint may name anything."""
+def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
+    """The class that a configuration names, and its inputs, checked before it is called: a checkpoint may
+    name anything."""
     name = config.factory or ""
     expected = "MODULE:CLASS of a torch.nn.Module with `inputs`"
     try:
@@ -121,4 +121,4 @@ def _class_of(config: NetworkConfig) -> type[nn.Module]:
     if not known:
         names = f"some of {', '.join(INPUTS)}"
         raise input_error("network", f"{name}.inputs", repr(inputs), names, "correct it")
-    return found
+    return found, tuple(inputs)
