@@ -117,8 +117,7 @@ def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
     if not (isinstance(found, type) and issubclass(found, nn.Module)):
         raise input_error("network", "factory", f"{name}, no class of networks", expected, "correct it")
     inputs = getattr(found, "inputs", None)
-    known = isinstance(inputs, tuple | list) and set(inputs) <= set(INPUTS) and len(inputs) > 0
-    if not known:
+    if not (isinstance(inputs, tuple | list) and inputs and set(inputs) <= set(INPUTS)):
         names = f"some of {', '.join(INPUTS)}"
         raise input_error("network", f"{name}.inputs", repr(inputs), names, "correct it")
     return found, tuple(inputs)
