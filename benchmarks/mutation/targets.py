@@ -34,7 +34,10 @@ TARGETS = {
         ("tests/model/test_reconstruction_merge.py",),
     ),
     "irradiance cache": Target(
-        ("datagen/rendering/transport/irradiance_cache.py",),
+        (
+            "datagen/rendering/transport/irradiance_cache.py",
+            "datagen/rendering/transport/irradiance_gathering.py",
+        ),
         (
             "tests/datagen/test_rendering_irradiance_cache.py",
             "tests/datagen/test_rendering_light_sampler.py::test_places_choose_the_light_that_they_see",
@@ -42,7 +45,8 @@ TARGETS = {
         30,
     ),
     "sky guide": Target(
-        ("datagen/rendering/transport/sky_guide.py",), ("tests/datagen/test_rendering_sky_guide.py",)
+        ("datagen/rendering/transport/sky_guide.py", "datagen/rendering/transport/sky_observation.py"),
+        ("tests/datagen/test_rendering_sky_guide.py",),
     ),
     "light sampler": Target(
         ("datagen/rendering/transport/light_sampler.py",),

@@ -137,7 +137,7 @@ def test_reflectance_of_the_specular_lobe_is_that_of_the_bsdf() -> None:
     import drjit as dr
     import mitsuba as mi
 
-    from datagen.rendering.transport.irradiance_cache import specular_reflectance
+    from datagen.rendering.transport.irradiance_gathering import specular_reflectance
     from mitsuba_plugins.surface_material import SurfaceChannels
 
     numbers = np.random.default_rng(7).random((4, 1 << 16), np.float32)

@@ -162,7 +162,7 @@ def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
 def observed(count: int = 4096, **more: Any) -> Any:
     """A room of 4 x 2 x 1 m with points all over, from whose middle every fourth ray leaves through one place
     of its upper face."""
-    from datagen.rendering.transport.sky_guide import SkyObservations
+    from datagen.rendering.transport.sky_observation import SkyObservations
 
     points = np.random.default_rng(1).random((count, 3)) * [4, 2, 1]
     through = np.array([3.1, 0.4, 1.0])

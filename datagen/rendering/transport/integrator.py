@@ -33,12 +33,13 @@ from datagen.rendering.sample_budget import PathSums
 from datagen.rendering.transport.irradiance_cache import (
     NARROW_PDF,
     IrradianceCache,
-    learn_irradiance,
     spread_of,
 )
+from datagen.rendering.transport.irradiance_gathering import learn_irradiance
 from datagen.rendering.transport.light_sampler import LightChoice, even_choice
 from datagen.rendering.transport.recording import undisturbed
-from datagen.rendering.transport.sky_guide import SkyGuide, learn_sky, observe_sky
+from datagen.rendering.transport.sky_guide import SkyGuide, learn_sky
+from datagen.rendering.transport.sky_observation import observe_sky
 from datagen.rendering.transport.sobol import OwenSobol
 from datagen.rendering.transport.vertex import power_heuristic
 
