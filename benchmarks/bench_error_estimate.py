@@ -112,13 +112,13 @@ def reference(
     from datagen.rendering.transport.integrator import PathTracer
 
     if not path.is_file():
-        sensor = renderer._sensor(renderer.configuration.cameras[index].camera())
+        sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
         tracer = PathTracer(renderer.built, MAX_DEPTH, RUSSIAN_ROULETTE_DEPTH)
-        tracer.guide_by(renderer._tracer.sky_guide)
+        tracer.use_sky_guide(renderer.tracer.sky_guide)
         sums = PathSums()
         for number in range(math.ceil(samples / CHUNK)):
             seed = 0x5EED0000 + 0x10000 * half + number
-            sums = sums + tracer.add_up(sensor, CHUNK, seed)
+            sums = sums + tracer.accumulate(sensor, CHUNK, seed)
         partial = path.with_suffix(".partial")
         with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": sums.mean()}) as file:
             file.write(str(partial))
@@ -140,19 +140,16 @@ def measure_view(
     renderer: SceneRenderer, scene: str, index: int, pair: list[NDArray[np.float32]], most: int
 ) -> Iterator[Point]:
     """Estimated and true error of a view after each pass, as the renderer would have stopped there."""
-    view = renderer._begin(index)
-    first, second = (image + view.seen_lights for image in pair)
+    view = renderer.view_job(index)
+    first, second = (image + view.visible_emission for image in pair)
     budget = SampleBudget(0.0, most)  # goes on to the end
-    height, width, _ = view.seen_lights.shape
+    height, width, _ = view.visible_emission.shape
     counts = budget.first_counts((height, width))
     while counts.any():
-        renderer._add_pass(view, counts)
-        estimate = view.estimate = renderer._estimate(view)
-        finished = renderer._finish(view).buffers["beauty"]
-        halves = [
-            renderer._denoise(view, half.mean(), renderer._denoiser) + view.seen_lights
-            for half in view.halves
-        ]
+        view.add_pass(counts)
+        estimate = view.estimate_error()
+        finished = view.finish().buffers["beauty"]
+        halves = [view.denoise(half.mean(), view.denoiser) + view.visible_emission for half in view.halves]
         yield Point(
             scene=scene,
             view=renderer.configuration.cameras[index].name,

@@ -75,15 +75,15 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 def passes(renderer: Any) -> dict[str, float]:
     """Wall seconds of a pass of one path for each of 1,024 cells: its kernels recorded before and played
     again, and recorded anew, which is what each pass would cost without recordings. Medians of 5."""
-    sensor = renderer._sensor(renderer.configuration.cameras[0].camera())
+    sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}
     for name in ("recorded anew", "played again"):
         seconds = []
         for seed in range(5):
             if name == "recorded anew":
-                renderer._tracer.forget_recordings()
+                renderer.tracer.forget_recordings()
             start = time.perf_counter()
-            renderer._tracer.add_up(sensor, 1, seed, grid=(32, 32))
+            renderer.tracer.accumulate(sensor, 1, seed, grid=(32, 32))
             seconds.append(time.perf_counter() - start)
         found[name] = statistics.median(seconds)
     return found

@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.bench_error_estimate import bundled
 from datagen.formats.recipe import RenderRecipe
-from datagen.rendering.path_depth import depth_for, energy_left, reflectance_met
+from datagen.rendering.path_depth import depth_for, reflectance_met, truncation
 from datagen.rendering.renderer import SceneRenderer
 
 DEPTHS = (2, 4, 8)
@@ -26,10 +26,10 @@ def missing_light(room: str, size: tuple[int, int] = (48, 30)) -> dict[str, Any]
 
     _, configuration, library = bundled(room, 2, size)
     renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1))
-    reflectance = reflectance_met(list(renderer._coarse_buffers()))
-    sensor = renderer._sensor(configuration.cameras[0].camera())
+    reflectance = reflectance_met(list(renderer.scene.coarse_maps()))
+    sensor = renderer.sensor(configuration.cameras[0].camera())
     light = {
-        depth: PathTracer(renderer.built, depth, 2 * LONGEST).add_up(sensor, SAMPLES, 1).radiance.sum()
+        depth: PathTracer(renderer.built, depth, 2 * LONGEST).accumulate(sensor, SAMPLES, 1).radiance.sum()
         for depth in (*DEPTHS, LONGEST)
     }
     return {
@@ -37,7 +37,7 @@ def missing_light(room: str, size: tuple[int, int] = (48, 30)) -> dict[str, Any]
         "depth_for_1_percent": depth_for(reflectance, 0.01),
         "left": {
             depth: {
-                "formula": round(energy_left(reflectance, depth), 4),
+                "formula": round(truncation(reflectance, depth), 4),
                 "measured": round(float(1 - light[depth] / light[LONGEST]), 4),
             }
             for depth in DEPTHS

@@ -92,8 +92,8 @@ def references(
     for part, path in enumerate(paths):
         if not path.is_file():
             tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)
-            tracer.guide_by(renderer._tracer.sky_guide)
-            sums = tracer.add_up(renderer._sensor(camera), samples // PARTS, 0x5EED0000 + part)
+            tracer.use_sky_guide(renderer.tracer.sky_guide)
+            sums = tracer.accumulate(renderer.sensor(camera), samples // PARTS, 0x5EED0000 + part)
             np.save(path, sums.mean())
     return [np.load(path) for path in paths]
 
@@ -105,7 +105,7 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
     recipe = parse_model(RenderRecipe, {"quality": arguments.quality}, "recipe")
     renderer = SceneRenderer(configuration, library, recipe)
     for index in range(arguments.views):
-        lights = renderer._begin(index).seen_lights
+        lights = renderer.view_job(index).visible_emission
         folder = arguments.cache / "plain"
         folder.mkdir(parents=True, exist_ok=True)
         parts = [p + lights for p in references(renderer, room, index, arguments.samples, folder)]

@@ -34,7 +34,8 @@ from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, Obj
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
-from datagen.rendering.renderer import SceneRenderer, release_memory
+from datagen.rendering.prepared_scene import release_memory
+from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.scene_builder import AssetCaches, build_scene
 from datagen.rendering.textures import SCALAR_ROLES, Role, TextureCache, adjusted_constant, upload
 from mitsuba_plugins.variant import select_variant
@@ -143,7 +144,7 @@ def rendering(configuration: Configuration, library: Library, repeats: int) -> l
             played, anew = [], []
             for _ in range(repeats):
                 played.append(seconds(partial(renderer.render_view, 1)))
-                renderer._tracer.forget_recordings()
+                renderer.tracer.forget_recordings()
                 anew.append(seconds(partial(renderer.render_view, 1)))
             count = len(configuration.cameras)
             pairs = list(zip(built[name], views[name], strict=True))

@@ -34,20 +34,20 @@ CLAMP = 30.0
 
 def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
     """Variance and seconds with and without the guide of one room."""
-    tracer, guide = renderer._tracer, renderer._tracer.sky_guide
+    tracer, guide = renderer.tracer, renderer.tracer.sky_guide
     kinds = {"plain": None, "guided": guide}
     variances: dict[str, list[float]] = {name: [] for name in kinds}
     seconds: dict[str, list[float]] = {name: [] for name in kinds}
     for index, view in enumerate(renderer.configuration.cameras):
-        sensor = renderer._sensor(view.camera())
-        limit = renderer._clamp_limit(sensor, index)
+        sensor = renderer.sensor(view.camera())
+        limit = renderer.view_job(index).clamp_limit
         images: dict[str, list[Any]] = {name: [] for name in kinds}
         for name, chosen in kinds.items():
-            tracer.guide_by(chosen)
-            tracer.add_up(sensor, 1, 0, limit=limit)  # compiles
+            tracer.use_sky_guide(chosen)
+            tracer.accumulate(sensor, 1, 0, limit=limit)  # compiles
             for seed in range(IMAGES):
                 start = time.process_time()
-                images[name].append(tracer.add_up(sensor, samples, 1 + seed, limit=limit).mean())
+                images[name].append(tracer.accumulate(sensor, samples, 1 + seed, limit=limit).mean())
                 seconds[name].append(time.process_time() - start)
         reference = np.mean([image for found in images.values() for image in found], axis=0)
         for name, found in images.items():
@@ -55,7 +55,7 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
             # (a - b)^2 / 2 over reference^2 + epsilon: both images are shifted to where the reference is
             differences = [reference + (a - b) / np.sqrt(2.0) for a, b in pairs]
             variances[name] += [relative_mse(image, reference, exposed=True) for image in differences]
-    tracer.guide_by(guide)
+    tracer.use_sky_guide(guide)
     mean = {name: statistics.mean(values) for name, values in variances.items()}
     cost = {name: statistics.median(values) for name, values in seconds.items()}
     return {
@@ -83,7 +83,7 @@ def main() -> None:
         configuration = sized(folder.read_configuration(unit), tuple(arguments.size), 4)
         renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1, firefly_clamp=CLAMP))
         start = time.process_time()
-        renderer.learn_sky()
+        renderer.scene.prepare_paths()
         learning = time.process_time() - start
         found = {"learning_s": learning, **compare(renderer, arguments.samples)}
         renderer.close()

@@ -38,7 +38,8 @@ from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.rendering.error import relative_mse
-from datagen.rendering.renderer import RenderedView, SceneRenderer
+from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.view_job import RenderedView
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("SCENE_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -176,11 +177,11 @@ def references(
 
 def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) -> np.ndarray:
     """Mean of ``samples`` paths a pixel, seen lights included; (H, W, 3) float32."""
-    sensor = renderer._sensor(renderer.configuration.cameras[view].camera())
+    sensor = renderer.sensor(renderer.configuration.cameras[view].camera())
     total: Any = 0.0
     for chunk in range(samples // SAMPLES_A_CHUNK):
         seed = 0x5EED0000 + 65536 * half + chunk
-        total = total + renderer._tracer.render(sensor, SAMPLES_A_CHUNK, seed).astype(np.float64)
+        total = total + renderer.tracer.render(sensor, SAMPLES_A_CHUNK, seed).astype(np.float64)
     return (total / (samples // SAMPLES_A_CHUNK)).astype(np.float32)
 
 
@@ -192,10 +193,10 @@ def measure(renderer: SceneRenderer, configuration: Configuration, compression: 
     views: list[RenderedView] = []
     for index in range(count):
         with watch.stage("path + buffers"):
-            traced = renderer._begin(index)
-            renderer._add_pass(traced, renderer.recipe.path_samples or 0)
+            traced = renderer.view_job(index)
+            traced.add_pass(renderer.recipe.path_samples or 0)
         with watch.stage("denoiser"):
-            views.append(renderer._finish(traced))
+            views.append(traced.finish())
     inputs = [
         StatisticsView.from_buffers(camera.camera(), view.buffers)
         for camera, view in zip(configuration.cameras, views, strict=True)

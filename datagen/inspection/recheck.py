@@ -140,13 +140,13 @@ def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> R
     from datagen.rendering.transport.integrator import PathTracer
 
     tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)
-    sensor = renderer._sensor(view.record.camera.camera())
+    sensor = renderer.sensor(view.record.camera.camera())
     parts = []
     for part in range(PARTS):
         sums, left = PathSums(), samples // PARTS
         while left > 0:
             seed = SEED + 0x10000 * part + left
-            sums = sums + tracer.add_up(sensor, min(CHUNK, left), seed, with_seen_lights=True)
+            sums = sums + tracer.accumulate(sensor, min(CHUNK, left), seed, with_visible_emission=True)
             left -= CHUNK
         parts.append(sums.mean())
     return compared(view, parts)

@@ -40,16 +40,16 @@ MIN_LEVEL = 0.01
 def noisy_share(
     halves: tuple[NDArray[np.floating], NDArray[np.floating]],
     denoised: NDArray[np.floating],
-    seen_lights: NDArray[np.floating],
+    visible_emission: NDArray[np.floating],
 ) -> NDArray[np.float32]:
     """Share of the noisy image (a + b) / 2 in the finished one, (H, W, 1) in [0, 1].
 
-    ``halves`` and ``denoised`` (H, W, 3) hold reflected light, linear; ``seen_lights`` (H, W, 3) is what is
-    added to it and counts for the exposure alone. Zero nearly everywhere in nearly all images.
+    ``halves`` and ``denoised`` (H, W, 3) hold reflected light; ``visible_emission`` (H, W, 3) is added
+    to it and affects the exposure alone. Zero nearly everywhere in nearly all images.
     """
     from scipy import ndimage
 
-    scale = exposure_for(denoised.astype(np.float64) + seen_lights)
+    scale = exposure_for(denoised.astype(np.float64) + visible_emission)
     a, b, clean = (scale * image.astype(np.float64) for image in (*halves, denoised))
     agreed = np.minimum(np.minimum(luminance(a), luminance(b)), luminance(clean))
     source = ndimage.maximum_filter(agreed, REACH_PX)

@@ -48,6 +48,6 @@ def depth_for(reflectance: float, max_energy_left: float) -> int:
     return min(MAX_DEPTH, max(MIN_DEPTH, 1 + bounces))
 
 
-def energy_left(reflectance: float, depth: int) -> float:
+def truncation(reflectance: float, depth: int) -> float:
     """Share of the reflected light that paths of ``depth`` segments miss, in [0, 1]."""
     return min(1.0, reflectance) ** (depth - 1)

@@ -109,19 +109,19 @@ class ErrorEstimate:
 def estimate_error(
     halves: tuple[NDArray[np.float32], NDArray[np.float32]],
     denoised: tuple[NDArray[np.float32], NDArray[np.float32]],
-    seen_lights: NDArray[np.float32],
+    visible_emission: NDArray[np.float32],
     removed: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> ErrorEstimate:
     """Error of the image that is made of both halves. Arrays (H, W, 3), but for ``removed`` (H, W).
 
-    ``seen_lights`` is what is added to the image without noise; it weighs in the image's brightness only.
+    ``visible_emission`` is added to the image without noise; it affects the image's brightness only.
     ``denoised`` are the halves themselves where there is no denoiser. ``removed``: luminance that a clamp
     took from each half.
     """
     a, b = (half.astype(np.float64) for half in halves)
     clean_a, clean_b = (image.astype(np.float64) for image in denoised)
     middle = 0.5 * (clean_a + clean_b)
-    finished = middle + seen_lights
+    finished = middle + visible_emission
     scale = exposure_for(finished)
     weight = scale**2 / ((scale * finished) ** 2 + EPSILON) / 3.0
     spread_map = (weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).astype(np.float32)

@@ -146,12 +146,12 @@ def make_reference(
 
 def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np.float32]:
     """Mean of ``samples`` paths a pixel in small launches, what lights send straight included."""
-    sensor = renderer._sensor(renderer.configuration.cameras[index].camera())
+    sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
     total, done = np.zeros((1, 1, 3)), 0
     while done < samples:
         count = min(SAMPLES_A_CHUNK, samples - done)
         seed = 0x5EED0000 + 65536 * half + done
-        total = total + renderer._tracer.render(sensor, count, seed).astype(np.float64) * count
+        total = total + renderer.tracer.render(sensor, count, seed).astype(np.float64) * count
         done += count
     return (total / samples).astype(np.float32)
 

@@ -23,8 +23,8 @@ from datagen.rendering.error import relative_mse
 from model.evaluation.scenery import Scenery
 
 if TYPE_CHECKING:
-    from datagen.rendering.renderer import IsEnough
     from datagen.rendering.sample_budget import ErrorEstimate
+    from datagen.rendering.view_job import IsEnough
 
 BUFFERS = ("beauty", *MATERIAL_MAPS, "surface_mask", "depth_z_m", "normal_world")
 

@@ -18,8 +18,8 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, luminance
 from datagen.rendering.error import relative_mse
 from datagen.rendering.noisy_share import blended, noisy_share
-from datagen.rendering.renderer import RenderedView
 from datagen.rendering.transport.integrator import PathTracer
+from datagen.rendering.view_job import RenderedView
 from oracles.rendering_scenes import SmallScene, quad, renderer
 
 WIDTH, HEIGHT = 96, 64
@@ -92,7 +92,7 @@ def window(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Wi
     recipe = parse_model(RenderRecipe, {"quality": "standard", "keep_noisy": True}, "recipe.yaml")
     room = renderer(tmp_path_factory.mktemp("bars"), behind_bars(), [camera], recipe, lights=lights)
     view = room.render_view(0)
-    plain, sensor = PathTracer(room.built, 65, 5), room._sensor(camera)
+    plain, sensor = PathTracer(room.built, 65, 5), room.sensor(camera)
     truth = tuple(plain.render(sensor, 1024, seed) for seed in (101, 102))
     room.close()
     return Window(view, view.buffers["beauty_noisy"], (truth[0], truth[1]))

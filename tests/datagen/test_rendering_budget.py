@@ -222,14 +222,14 @@ def test_a_near_target_asks_for_little() -> None:
 
 def test_pixels_of_different_counts_have_the_same_expectation(budgeted: SceneRenderer) -> None:
     """Where few and many samples meet, means agree, and the noise falls with the counts."""
-    sensor = budgeted._sensor(CAMERAS[1])
+    sensor = budgeted.sensor(CAMERAS[1])
     width, height = (int(v) for v in sensor.film().crop_size())
     counts = np.full((height, width), 8, np.int64)
     counts[:, width // 2 :] = 72
     counts[0, 0] = 0
-    sums = budgeted._tracer.add_up(sensor, counts, 3)
+    sums = budgeted.tracer.accumulate(sensor, counts, 3)
     assert (sums.counts == counts).all() and not sums.radiance[0, 0].any()
-    uniform = [budgeted._tracer.add_up(sensor, 40, seed).mean() for seed in (4, 5)]
+    uniform = [budgeted.tracer.accumulate(sensor, 40, seed).mean() for seed in (4, 5)]
     left, right = np.s_[1:, : width // 2], np.s_[:, width // 2 :]
     errors = []
     for half in (left, right):
@@ -262,8 +262,8 @@ def test_target_is_met_and_recorded(budgeted: SceneRenderer) -> None:
     assert not record.at_ceiling and 4 < record.path_samples < 256
     assert record.most_path_samples is not None and record.most_path_samples >= record.path_samples
     assert set(view.seconds) == {"path", "buffers", "estimate", "denoise"}
-    sensor = budgeted._sensor(CAMERAS[1])
-    pair = [budgeted._tracer.render(sensor, 512, seed) for seed in (71, 72)]
+    sensor = budgeted.sensor(CAMERAS[1])
+    pair = [budgeted.tracer.render(sensor, 512, seed) for seed in (71, 72)]
     true = relative_mse(view.buffers["beauty"], *pair, exposed=True)
     assert 0.3 * record.estimated_rel_mse < true < 2 * record.estimated_rel_mse
 
@@ -317,11 +317,11 @@ def test_another_seed_is_as_of_a_renderer_of_its_own(tmp_path: Path) -> None:
 
 
 def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
-    view = budgeted._begin(1)
+    view = budgeted.view_job(1)
     for count in (8, 24):
-        budgeted._add_pass(view, count)
-    sensor = budgeted._sensor(CAMERAS[1])
-    converged = [budgeted._tracer.add_up(sensor, 512, seed).mean() for seed in (5, 6)]
+        view.add_pass(count)
+    sensor = budgeted.sensor(CAMERAS[1])
+    converged = [budgeted.tracer.accumulate(sensor, 512, seed).mean() for seed in (5, 6)]
     lit = (converged[0] > 0).all(axis=-1)  # of 1,536 pixels some see no surface
 
     def correlation(*halves: PathSums) -> float:
@@ -341,14 +341,14 @@ def test_halves_of_a_view_are_independent(budgeted: SceneRenderer) -> None:
 
 def test_what_was_recorded_once_holds_for_every_call(budgeted: SceneRenderer) -> None:
     """Other cameras, sizes, counts and limits are data of the recorded kernels: nothing of them stays."""
-    tracer = budgeted._tracer
+    tracer = budgeted.tracer
     counts = np.full((CAMERAS[0].height_px, CAMERAS[0].width_px), 2, np.int64)
     counts[::3] = 6
     calls: list[dict[str, Any]] = [
         {"sensor": 0, "num_samples": 3, "seed": 1},
         {"sensor": 1, "num_samples": counts, "seed": 2},
         {"sensor": 2, "num_samples": 5, "seed": 3, "grid": (7, 5)},
-        {"sensor": 0, "num_samples": 1, "seed": 4, "with_seen_lights": True},
+        {"sensor": 0, "num_samples": 1, "seed": 4, "with_visible_emission": True},
         {"sensor": 1, "num_samples": 4, "seed": 5, "limit": 0.5},
         {"sensor": CAMERAS[0].scaled(20, 12), "num_samples": 4, "seed": 6},
     ]
@@ -359,7 +359,7 @@ def test_what_was_recorded_once_holds_for_every_call(budgeted: SceneRenderer) ->
                 tracer.forget_recordings()
             chosen = call["sensor"]
             camera = CAMERAS[chosen] if isinstance(chosen, int) else chosen
-            yield tracer.add_up(**{**call, "sensor": budgeted._sensor(camera)})
+            yield tracer.accumulate(**{**call, "sensor": budgeted.sensor(camera)})
 
     for played, fresh in zip(results(False), results(True), strict=True):
         assert (played.radiance == fresh.radiance).all() and played.radiance.any()
@@ -382,10 +382,10 @@ def test_scenes_that_are_open_together_do_not_meddle(budgeted: SceneRenderer, tm
 
 
 def test_clamp_takes_away_what_it_says(budgeted: SceneRenderer) -> None:
-    sensor = budgeted._sensor(CAMERAS[1])
-    free = budgeted._tracer.add_up(sensor, 32, 9)
+    sensor = budgeted.sensor(CAMERAS[1])
+    free = budgeted.tracer.accumulate(sensor, 32, 9)
     limit = 0.05 / exposure_for(free.radiance / 32)
-    clamped = budgeted._tracer.add_up(sensor, 32, 9, limit=limit)
+    clamped = budgeted.tracer.accumulate(sensor, 32, 9, limit=limit)
     assert free.removed_luminance.sum() == 0.0 and free.removed_share() == 0.0
     assert 0.02 < clamped.removed_share() < 0.9
     kept, taken = luminance(clamped.radiance), clamped.removed_luminance
@@ -396,9 +396,9 @@ def test_clamp_takes_away_what_it_says(budgeted: SceneRenderer) -> None:
 
 def test_clamp_leaves_direct_light_alone(budgeted: SceneRenderer) -> None:
     """With next to nothing allowed, what is left is what paths of one reflection bring."""
-    sensor = budgeted._sensor(CAMERAS[1])
-    clamped = budgeted._tracer.add_up(sensor, 32, 9, limit=1e-9)
-    short = PathTracer(budgeted.built, 2, 5).add_up(sensor, 32, 9)
+    sensor = budgeted.sensor(CAMERAS[1])
+    clamped = budgeted.tracer.accumulate(sensor, 32, 9, limit=1e-9)
+    short = PathTracer(budgeted.built, 2, 5).accumulate(sensor, 32, 9)
     # Other draws from the second vertex on, the same up to it.
     assert clamped.radiance == pytest.approx(short.radiance, rel=1e-4, abs=1e-4)
     assert clamped.removed_share() > 0.1
@@ -410,8 +410,8 @@ def test_clamp_is_relative_to_exposure_and_recorded(tmp_path: Path) -> None:
     white = 1 / exposure_for(view.buffers["beauty"])
     assert view.render.firefly_clamp_radiance == pytest.approx(0.5 * white, rel=0.15)
     assert 0.001 < view.render.clamped_energy < 0.5
-    sums = tight._begin(1)
-    tight._add_pass(sums, 16)
+    sums = tight.view_job(1)
+    sums.add_pass(16)
     assert view.render.clamped_energy == pytest.approx(sums.halves[0].removed_share(), rel=1e-3)
 
 
@@ -459,8 +459,8 @@ def test_easy_and_hard_light_end_with_similar_errors_and_different_samples(
     for scene in (easy, hard):
         view = scene.render_view(0)
         assert not view.render.at_ceiling
-        sensor = scene._sensor(scene.configuration.cameras[0].camera())
-        pair = [scene._tracer.render(sensor, 2048, seed) for seed in (81, 82)]
+        sensor = scene.sensor(scene.configuration.cameras[0].camera())
+        pair = [scene.tracer.render(sensor, 2048, seed) for seed in (81, 82)]
         errors.append(relative_mse(view.buffers["beauty"], *pair, exposed=True))
         samples.append(view.render.path_samples)
     print(f"samples {samples}, true errors {errors}")

@@ -11,7 +11,7 @@ import pytest
 from datagen.formats.lights import PointLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera, look_at
-from datagen.rendering.path_depth import MAX_DEPTH, MIN_DEPTH, depth_for, energy_left, reflectance_met
+from datagen.rendering.path_depth import MAX_DEPTH, MIN_DEPTH, depth_for, reflectance_met, truncation
 from datagen.rendering.transport.integrator import PathTracer
 from oracles.rendering_scenes import GREY, SmallScene, quad, renderer
 
@@ -46,8 +46,8 @@ def closed_room(emission: tuple[float, float, float] | None) -> SmallScene:
 def test_depth_is_the_least_that_leaves_so_little(reflectance: float, left: float, depth: int) -> None:
     assert depth_for(reflectance, left) == depth
     if 0 < reflectance < 1:
-        assert energy_left(reflectance, depth) <= left * (1 + 1e-9)
-        assert depth == MIN_DEPTH or energy_left(reflectance, depth - 1) > left
+        assert truncation(reflectance, depth) <= left * (1 + 1e-9)
+        assert depth == MIN_DEPTH or truncation(reflectance, depth - 1) > left
 
 
 def test_reflectance_is_that_of_surfaces_alone() -> None:
@@ -69,9 +69,9 @@ def test_depth_follows_from_the_room_and_is_recorded(tmp_path: Path, mitsuba_var
 def test_furnace_misses_what_the_formula_says(tmp_path: Path, mitsuba_variant: str) -> None:
     """In a furnace each further reflection brings half of what the one before brought, everywhere."""
     room = renderer(tmp_path, closed_room((1.0, 1.0, 1.0)), [CAMERA])
-    sensor = room._sensor(CAMERA)
-    whole = PathTracer(room.built, 40, 40).add_up(sensor, 256, 1).radiance.sum()
+    sensor = room.sensor(CAMERA)
+    whole = PathTracer(room.built, 40, 40).accumulate(sensor, 256, 1).radiance.sum()
     for depth in (3, 6):
-        part = PathTracer(room.built, depth, 40).add_up(sensor, 256, 1).radiance.sum()
-        assert 1 - part / whole == pytest.approx(energy_left(0.5, depth), rel=0.1)
-        assert 1 - part / whole != pytest.approx(energy_left(0.5, depth + 1), rel=0.1)
+        part = PathTracer(room.built, depth, 40).accumulate(sensor, 256, 1).radiance.sum()
+        assert 1 - part / whole == pytest.approx(truncation(0.5, depth), rel=0.1)
+        assert 1 - part / whole != pytest.approx(truncation(0.5, depth + 1), rel=0.1)

@@ -100,7 +100,7 @@ def test_means_forget_what_they_are_told_to_and_lean_on_their_surroundings() -> 
 
 def irradiance(room: SceneRenderer) -> NDArray[np.float32]:
     """Of all known cells, (N, 3)."""
-    cache = room._tracer.irradiance
+    cache = room.tracer.irradiance
     assert cache is not None
     table = np.array(cache.means).reshape(-1, 4)
     assert np.isfinite(table).all() and (table >= 0).all()
@@ -123,10 +123,10 @@ def test_irradiance_of_a_closed_room_is_known(tmp_path: Path, reflectance: float
 
 def wall_areas(room: SceneRenderer) -> NDArray[np.float64]:
     """Part of the walls of a closed room that lies in each known cell, (N,)."""
-    cache = room._tracer.irradiance
+    cache = room.tracer.irradiance
     assert cache is not None
     cells = cache.cells
-    orientation, *cube = np.unravel_index(cache._cell_of_record[1:], (6, *cells.shape))
+    orientation, *cube = np.unravel_index(cache.cell_of_record[1:], (6, *cells.shape))
     low = np.array(cells.low).T.ravel() + cells.side_m * np.stack(cube, axis=-1)
     inside = np.minimum(low + cells.side_m, [2, 2, 2]) - np.maximum(low, [-2, -2, 0])
     inside[np.arange(len(low)), orientation // 2] = 1.0
@@ -181,8 +181,8 @@ def test_images_agree_with_those_of_whole_paths_and_have_less_noise(tmp_path: Pa
     made = {}
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
         room = renderer(tmp_path / name, walled_room(), CAMERAS, recipe, lights=lights)
-        sensor = room._sensor(CAMERAS[0])
-        made[name] = np.stack([room._tracer.add_up(sensor, 128, seed).mean() for seed in range(8)])
+        sensor = room.sensor(CAMERAS[0])
+        made[name] = np.stack([room.tracer.accumulate(sensor, 128, seed).mean() for seed in range(8)])
     means = {name: images.mean(axis=0) for name, images in made.items()}
     variances = {name: images.var(axis=0, ddof=1).mean() for name, images in made.items()}
     assert means["cached"].mean() == pytest.approx(means["plain"].mean(), rel=0.03)
@@ -198,7 +198,7 @@ def test_bytes_do_not_depend_on_order_and_the_record_says_so(tmp_path: Path) -> 
     both = [room.render_view(k) for k in (0, 1)]
     again = renderer(tmp_path / "b", walled_room(), CAMERAS, CACHED, lights=(LAMP,)).render_view(1)
     assert digest(again) == digest(both[1])
-    cache = room._tracer.irradiance
+    cache = room.tracer.irradiance
     assert cache is not None and again.render.irradiance_cell_m == pytest.approx(cache.cells.side_m, rel=1e-3)
     plain = renderer(tmp_path / "c", walled_room(), CAMERAS, PLAIN, lights=(LAMP,)).render_view(1)
     assert plain.render.irradiance_cell_m is None
@@ -210,7 +210,7 @@ def test_light_passes_what_is_half_transparent(tmp_path: Path) -> None:
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
         scene = walled_room(curtain=True)
         room = renderer(tmp_path / name, scene, CAMERAS, recipe, lights=(DAYLIGHT,))
-        means.append(room._tracer.add_up(room._sensor(CAMERAS[0]), 512, 3).mean().mean())
+        means.append(room.tracer.accumulate(room.sensor(CAMERAS[0]), 512, 3).mean().mean())
     assert means[1] == pytest.approx(means[0], rel=0.05)
 
 
@@ -221,7 +221,7 @@ def means_of_views(
     found = {}
     for name, recipe in (("plain", PLAIN), ("cached", CACHED)):
         room = renderer(tmp_path / name, scene, CAMERAS[:1], recipe, lights=(light,))
-        sums = [room._tracer.add_up(room._sensor(camera), 2048, 1) for camera in cameras]
+        sums = [room.tracer.accumulate(room.sensor(camera), 2048, 1) for camera in cameras]
         found[name] = np.array([part.mean().mean() for part in sums])
     return found
 
@@ -264,9 +264,9 @@ def test_a_beam_goes_where_it_is_reflected_to(tmp_path: Path) -> None:
 
 def test_nothing_to_see_or_no_light_means_no_cache(tmp_path: Path) -> None:
     away = Camera(24, 16, 20, 20, 12, 8, look_at([0, 0, 3], [0, 0, 6], up=(0.0, 1.0, 0.0)))
-    assert renderer(tmp_path / "away", None, [away], CACHED, lights=(LAMP,))._tracer.irradiance is None
+    assert renderer(tmp_path / "away", None, [away], CACHED, lights=(LAMP,)).tracer.irradiance is None
     dark = renderer(tmp_path / "dark", None, [down_camera()], CACHED)
-    assert dark._tracer.irradiance is None and dark.render_view(0).render.irradiance_cell_m is None
+    assert dark.tracer.irradiance is None and dark.render_view(0).render.irradiance_cell_m is None
 
 
 def test_white_walls_do_not_run_away(tmp_path: Path) -> None:
@@ -295,15 +295,15 @@ gc.disable()
 loop = Loop()
 loop.itself, loop.array = loop, mi.UInt32(np.arange(1 << 16, dtype=np.uint32))
 del loop
-room._tracer.forget_recordings()
+room.tracer.forget_recordings()
 gc.set_threshold(0)
-trace = room._tracer.sample
+trace = room.tracer.sample
 def tracing(*arguments):
     gc.collect() if gc.isenabled() else None
     return trace(*arguments)
-room._tracer.sample = tracing
+room.tracer.sample = tracing
 gc.enable()
-room._tracer.add_up(room._sensor(CAMERAS[0]), 1, 0)
+room.tracer.accumulate(room.sensor(CAMERAS[0]), 1, 0)
 """
 
 

@@ -49,19 +49,19 @@ def spread(
     room: SceneRenderer, view: int, count: int = 8, samples: int = 64, limit: float = np.inf
 ) -> NDArray[np.float64]:
     """Independent images of one view, (count, H, W, 3); ``limit`` is what reflected light is clamped to."""
-    sensor = room._sensor(room.configuration.cameras[view].camera())
-    images = [room._tracer.add_up(sensor, samples, 50 + k, limit=limit).mean() for k in range(count)]
+    sensor = room.sensor(room.configuration.cameras[view].camera())
+    images = [room.tracer.accumulate(sensor, samples, 50 + k, limit=limit).mean() for k in range(count)]
     return np.stack(images).astype(np.float64)
 
 
-def with_even_choice(room: SceneRenderer) -> None:
+def with_uniform_choice(room: SceneRenderer) -> None:
     """As if places had learned nothing of lights, but keep what they know of irradiance."""
-    from datagen.rendering.transport.light_sampler import LightChoice
+    from datagen.rendering.transport.light_sampler import LightSampler
 
-    tracer = room._tracer
-    assert tracer.lights is not None and tracer.irradiance is not None
-    shape = (tracer.irradiance.num_records + 1, tracer.lights.num_techniques)
-    tracer.lights = LightChoice(tracer.scene, tracer.sky_guide, np.ones(shape))
+    tracer = room.tracer
+    assert tracer.emitters.light_sampler is not None and tracer.irradiance is not None
+    shape = (tracer.irradiance.num_records + 1, tracer.emitters.light_sampler.num_techniques)
+    tracer.emitters.light_sampler = LightSampler(tracer.scene, tracer.sky_guide, np.ones(shape))
     tracer.forget_recordings()
 
 
@@ -81,7 +81,7 @@ def test_slots_follow_shares_and_leave_nobody_out() -> None:
 def test_a_number_is_warped_into_a_technique_and_a_number(tmp_path: Path) -> None:
     import mitsuba as mi
 
-    lights = two_chambers(tmp_path)._tracer.lights
+    lights = two_chambers(tmp_path).tracer.emitters.light_sampler
     assert lights is not None and lights.num_techniques == 2
     count = 1 << 16
     numbers = mi.Float((np.arange(count, dtype=np.float32) + 0.5) / count)
@@ -100,13 +100,13 @@ def test_places_choose_the_light_that_they_see(tmp_path: Path) -> None:
     import mitsuba as mi
 
     room = two_chambers(tmp_path)
-    tracer = room._tracer
-    assert tracer.lights is not None and tracer.irradiance is not None
+    tracer = room.tracer
+    assert tracer.emitters.light_sampler is not None and tracer.irradiance is not None
     x = np.repeat(SIDES, 200) + np.tile(np.linspace(-0.8, 0.8, 200), 2)
     point = mi.Point3f(x, np.zeros(400), np.zeros(400))
     place = tracer.irradiance.record(point, mi.Vector3f(0, 0, 1), mi.Bool(True))
     assert (np.array(place) > 0).mean() > 0.95
-    own = np.array(tracer.lights.probability(place, mi.UInt32(np.repeat([0, 1], 200))))
+    own = np.array(tracer.emitters.light_sampler.probability(place, mi.UInt32(np.repeat([0, 1], 200))))
     assert np.median(own) > 0.95 and (own > 0.5).mean() > 0.9
 
 
@@ -114,7 +114,7 @@ def test_less_noise_and_the_same_light_behind_a_wall(tmp_path: Path) -> None:
     room = two_chambers(tmp_path)
     # Of one sample each: more are divided among lights too evenly to tell
     learned = spread(room, 1, 64, 1, limit=1e-20)
-    with_even_choice(room)
+    with_uniform_choice(room)
     even = spread(room, 1, 64, 1, limit=1e-20)
     assert learned.mean() == pytest.approx(even.mean(), rel=0.01)
     variances = [images.var(axis=0, ddof=1).mean() for images in (learned, even)]
@@ -126,8 +126,8 @@ def test_light_is_put_down_to_what_brought_it(tmp_path: Path) -> None:
     import drjit as dr
     import mitsuba as mi
 
-    tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT))._tracer
-    lights, scene = tracer.lights, tracer.scene
+    tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT)).tracer
+    lights, scene = tracer.emitters.light_sampler, tracer.scene
     assert lights is not None and lights.guide is not None
     guide = lights.num_emitters
     brightest = float(lights.guide.brightest[0])
@@ -138,39 +138,39 @@ def test_light_is_put_down_to_what_brought_it(tmp_path: Path) -> None:
         found = np.broadcast_to(np.array(lights.technique(ds, brought)), 2).tolist()
         assert found == ([guide, number] if emitter.is_environment() else [number, number])
         assert int(np.array(lights.index(mi.EmitterPtr(emitter)))[0]) == number
-    tracer.guide_by(None)
-    assert tracer.lights is not None and tracer.lights.guide is None
+    tracer.use_sky_guide(None)
+    assert tracer.emitters.light_sampler is not None and tracer.emitters.light_sampler.guide is None
     for number, emitter in enumerate(scene.emitters()):
         ds = dr.zeros(mi.DirectionSample3f)
         ds.emitter = mi.EmitterPtr(emitter)
-        assert int(np.array(tracer.lights.technique(ds, mi.Float(0.0)))[0]) == number
+        assert int(np.array(tracer.emitters.light_sampler.technique(ds, mi.Float(0.0)))[0]) == number
 
 
 def test_before_anything_is_learned_the_guide_has_its_share_and_lights_the_rest() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.transport.light_sampler import MAX_TECHNIQUES, SLOTS, even_choice
+    from datagen.rendering.transport.light_sampler import MAX_TECHNIQUES, SLOTS, uniform_sampler
 
     def lamps(number: int) -> Any:
         bulb = {"type": "point", "position": [0.0, 0.0, 1.0]}
         return mi.load_dict({"type": "scene"} | {f"bulb {k}": bulb for k in range(number)})
 
-    assert even_choice(lamps(0), None) is None and even_choice(lamps(1), None) is None
-    assert even_choice(lamps(MAX_TECHNIQUES + 1), None) is None
+    assert uniform_sampler(lamps(0), None) is None and uniform_sampler(lamps(1), None) is None
+    assert uniform_sampler(lamps(MAX_TECHNIQUES + 1), None) is None
     for number in (2, 5, 20, MAX_TECHNIQUES):
-        choice = even_choice(lamps(number), None)
+        choice = uniform_sampler(lamps(number), None)
         assert choice is not None and choice.num_techniques == choice.num_emitters == number
         chances = np.array(choice.probabilities)
         assert chances.sum() == pytest.approx(1.0) and np.ptp(chances) <= 1 / max(SLOTS, 2 * number)
 
 
 def test_a_guide_has_its_share_of_an_even_choice(tmp_path: Path) -> None:
-    from datagen.rendering.transport.light_sampler import even_choice
+    from datagen.rendering.transport.light_sampler import uniform_sampler
 
-    tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT))._tracer
+    tracer = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(DIM, DAYLIGHT)).tracer
     guide = tracer.sky_guide
     assert guide is not None and 0.1 < guide.share < 0.5
-    choice = even_choice(tracer.scene, guide)
+    choice = uniform_sampler(tracer.scene, guide)
     assert choice is not None
     *lights, guided = np.array(choice.probabilities).tolist()
     assert guided == pytest.approx(guide.share, abs=2 / choice.num_slots)
@@ -181,9 +181,9 @@ def test_a_guide_has_its_share_of_an_even_choice(tmp_path: Path) -> None:
 def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
     """Against an even choice with the same cache: area light, sun, sky, and the guide to the window."""
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=lights)
-    assert room._tracer.sky_guide is not None or len(lights) == 2
+    assert room.tracer.sky_guide is not None or len(lights) == 2
     learned = spread(room, 0, 16, 128)
-    with_even_choice(room)
+    with_uniform_choice(room)
     even = spread(room, 0, 16, 128)
     means = [sample.mean(axis=(1, 2, 3)) for sample in (learned, even)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
@@ -200,11 +200,12 @@ def test_many_lights_are_chosen_evenly(tmp_path: Path) -> None:
         for k in range(MAX_LEARNED + 4)
     )
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=(*bulbs, SKY))
-    tracer = room._tracer
-    assert tracer.sky_guide is not None and tracer.irradiance is not None and tracer.lights is not None
-    assert tracer.lights.num_places == 1 and tracer.lights.num_techniques == len(bulbs) + 2
+    tracer = room.tracer
+    lights = tracer.emitters.light_sampler
+    assert tracer.sky_guide is not None and tracer.irradiance is not None and lights is not None
+    assert lights.num_records == 1 and lights.num_techniques == len(bulbs) + 2
     guided = spread(room, 0)
-    tracer.guide_by(None)
+    tracer.use_sky_guide(None)
     plain = spread(room, 0)
     means = [sample.mean(axis=(1, 2, 3)) for sample in (guided, plain)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))

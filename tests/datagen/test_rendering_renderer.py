@@ -22,7 +22,9 @@ from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import to_storage
 from datagen.rendering.denoiser import OidnDenoiser, auxiliary_albedo
-from datagen.rendering.renderer import RenderedView, SceneRenderer, view_seed
+from datagen.rendering.prepared_scene import view_seed
+from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.view_job import RenderedView
 from oracles.rendering_scenes import GREY, SmallScene, box, placed, quad, renderer
 from tests.conftest import REPOSITORY
 
@@ -145,9 +147,9 @@ def both_estimators(room: SceneRenderer) -> tuple[np.ndarray, np.ndarray]:
     """Image means (N, 3) of independent renders by the project's path tracer and by Mitsuba's ``path``."""
     import mitsuba as mi
 
-    sensor = room._sensor(CAMERAS[1])
+    sensor = room.sensor(CAMERAS[1])
     integrator: Any = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 5})
-    own = [room._tracer.render(sensor, 96, 1000 + seed) for seed in range(12)]
+    own = [room.tracer.render(sensor, 96, 1000 + seed) for seed in range(12)]
     other = [
         np.array(mi.render(room.built.scene, sensor=sensor, integrator=integrator, spp=96, seed=seed))
         for seed in range(12)
@@ -179,22 +181,22 @@ def test_launches_of_many_samples_continue_the_sequence(
 ) -> None:
     from datagen.rendering.transport import integrator
 
-    sensor = room._sensor(CAMERAS[1])
-    whole = room._tracer.render(sensor, 64, 9)
+    sensor = room.sensor(CAMERAS[1])
+    whole = room.tracer.render(sensor, 64, 9)
     monkeypatch.setattr(integrator, "MAX_LANES", 48 * 32 * 16)
-    split = room._tracer.render(sensor, 64, 9)
+    split = room.tracer.render(sensor, 64, 9)
     assert np.array_equal(whole, split)
 
 
 def test_later_samples_continue_the_sequence(room: SceneRenderer) -> None:
-    sensor = room._sensor(CAMERAS[1])
-    whole = room._tracer.add_up(sensor, 64, 9)
-    first = room._tracer.add_up(sensor, 24, 9)
+    sensor = room.sensor(CAMERAS[1])
+    whole = room.tracer.accumulate(sensor, 64, 9)
+    first = room.tracer.accumulate(sensor, 24, 9)
     counts = np.full((32, 48), 40)
     counts[::3] = 20  # some pixels come later
-    middle = room._tracer.add_up(sensor, counts, 9, before=first.counts)
+    middle = room.tracer.accumulate(sensor, counts, 9, before=first.counts)
     rest = 64 - first.counts - middle.counts
-    last = room._tracer.add_up(sensor, rest, 9, before=(first + middle).counts)
+    last = room.tracer.accumulate(sensor, rest, 9, before=(first + middle).counts)
     total = first + middle + last
     assert np.array_equal(total.counts, whole.counts)
     assert total.radiance == pytest.approx(whole.radiance, rel=1e-5, abs=1e-5)
@@ -202,15 +204,15 @@ def test_later_samples_continue_the_sequence(room: SceneRenderer) -> None:
 
 def test_denoiser_keeps_the_energy_and_removes_the_noise(room: SceneRenderer) -> None:
     view = room.render_view(1)
-    sensor = room._sensor(CAMERAS[1])
-    assert room._denoiser is not None
+    sensor = room.sensor(CAMERAS[1])
+    assert room.denoiser is not None
     albedo = auxiliary_albedo(
         view.buffers["diffuse_albedo"], view.buffers["specular_albedo"], view.buffers["surface_mask"]
     )
     normal = view.buffers["normal_world"]
-    reference = room._tracer.render(sensor, 2048, 77, with_seen_lights=False)
-    noisy = room._tracer.render(sensor, 32, 78, with_seen_lights=False)
-    clean = room._denoiser.denoise(noisy, albedo, normal)
+    reference = room.tracer.render(sensor, 2048, 77, with_visible_emission=False)
+    noisy = room.tracer.render(sensor, 32, 78, with_visible_emission=False)
+    clean = room.denoiser.denoise(noisy, albedo, normal)
     assert clean.mean() == pytest.approx(noisy.mean(), rel=0.01)
     assert ((clean - reference) ** 2).mean() < 0.3 * ((noisy - reference) ** 2).mean()
 

@@ -21,8 +21,9 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.library import Library
-from datagen.rendering.renderer import RenderedView, RenderError, SceneRenderer
+from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.scene_builder import build_scene
+from datagen.rendering.view_job import RenderedView, RenderError
 from oracles.rendering_scenes import GREY, SmallScene, box, configure, down_camera, placed, quad, renderer
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")

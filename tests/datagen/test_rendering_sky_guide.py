@@ -59,12 +59,12 @@ def rendered(folder: Path, scene: SmallScene, *lights: Any, recipe: RenderRecipe
 
 def images(room: SceneRenderer, samples: int, count: int, *, guided: bool) -> NDArray[np.float64]:
     """Independent images (count, H, W, 3) of the first view, with or without the guide."""
-    tracer, guide = room._tracer, room._tracer.sky_guide
+    tracer, guide = room.tracer, room.tracer.sky_guide
     assert guide is not None
-    tracer.guide_by(guide if guided else None)
-    sensor = room._sensor(CAMERAS[0])
-    found = [tracer.render(sensor, samples, 50 + seed, with_seen_lights=False) for seed in range(count)]
-    tracer.guide_by(guide)
+    tracer.use_sky_guide(guide if guided else None)
+    sensor = room.sensor(CAMERAS[0])
+    found = [tracer.render(sensor, samples, 50 + seed, with_visible_emission=False) for seed in range(count)]
+    tracer.use_sky_guide(guide)
     return np.stack(found).astype(np.float64)
 
 
@@ -86,7 +86,7 @@ def test_the_density_is_that_of_the_samples(tmp_path: Path) -> None:
     import drjit as dr
     import mitsuba as mi
 
-    guide = rendered(tmp_path, walled_room(), SKY)._tracer.sky_guide
+    guide = rendered(tmp_path, walled_room(), SKY).tracer.sky_guide
     assert guide is not None
     count = 1 << 20
     sampler: Any = mi.load_dict({"type": "independent"})
@@ -113,7 +113,7 @@ def test_directions_lead_to_the_window(tmp_path: Path) -> None:
     import drjit as dr
     import mitsuba as mi
 
-    guide = rendered(tmp_path, walled_room(), SKY)._tracer.sky_guide
+    guide = rendered(tmp_path, walled_room(), SKY).tracer.sky_guide
     assert guide is not None and guide.share == 0.5
     count = 4096
     sampler: Any = mi.load_dict({"type": "independent"})
@@ -128,7 +128,7 @@ def test_directions_lead_to_the_window(tmp_path: Path) -> None:
 def test_points_outside_of_the_box_are_left_to_the_lights_own_sampling(tmp_path: Path) -> None:
     import mitsuba as mi
 
-    lights = rendered(tmp_path, walled_room(), SKY)._tracer.lights
+    lights = rendered(tmp_path, walled_room(), SKY).tracer.emitters.light_sampler
     assert lights is not None and lights.guide is not None
     direction, own, first = mi.Vector3f(0.0, 1.0, 0.0), mi.Float(0.25), mi.UInt32(0)
     outside, inside = mi.Point3f(0.7, 9.0, 1.2), mi.Point3f(0.7, 1.0, 1.2)
@@ -145,12 +145,12 @@ def test_no_guide_where_it_would_not_pay(tmp_path: Path, case: str) -> None:
     if case == "nothing but sky":  # a floor under an open sky: cameras and points have no box around them
         scene = SmallScene({"floor": (quad([-2, -2, 0], [0.1, 0, 0], [0, 0.1, 0]), "grey")}, {"grey": GREY})
     room = rendered(tmp_path, scene, *lights)
-    assert room._tracer.sky_guide is None
+    assert room.tracer.sky_guide is None
     assert np.isfinite(room.render_view(0).buffers["beauty"]).all()
 
 
 def test_the_guide_is_the_same_each_time(tmp_path: Path) -> None:
-    first, second = (rendered(tmp_path / name, walled_room(), SKY)._tracer.sky_guide for name in "ab")
+    first, second = (rendered(tmp_path / name, walled_room(), SKY).tracer.sky_guide for name in "ab")
     assert first is not None and second is not None
     for one, other in zip(first.arrays(), second.arrays(), strict=True):
         assert np.array_equal(np.array(one), np.array(other))
@@ -200,17 +200,17 @@ def test_rays_that_met_the_sun_count_as_sky() -> None:
     radiance = np.ones(1024)
     radiance[::300] = 1e6
     calm = observed(radiance=radiance, others=np.pi / 4)
-    assert calm.calm_radiance().max() == pytest.approx(1.0) and calm.sky_share() == pytest.approx(0.5)
+    assert calm.clamped_radiance().max() == pytest.approx(1.0) and calm.sky_share() == pytest.approx(0.5)
     radiance[::100] = 1e6  # one in a hundred is no chance
-    assert observed(radiance=radiance).calm_radiance().max() > 1e5
+    assert observed(radiance=radiance).clamped_radiance().max() > 1e5
 
 
 def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.transport.sky_guide import BOX_MARGIN, CELLS, NEIGHBOUR_SHARE, learn_sky
+    from datagen.rendering.transport.sky_guide import BOX_MARGIN, CELLS, NEIGHBOUR_SHARE, fit_sky_guide
 
-    found = learn_sky(open_sky(), observed(others=3 * np.pi / 4))
+    found = fit_sky_guide(open_sky(), observed(others=3 * np.pi / 4))
     assert found is not None and found.share == pytest.approx(0.25)
     low, high = np.percentile(observed().points_m, [2, 98], axis=0)
     margin = BOX_MARGIN * (high - low)[0]  # of its longest side
@@ -225,7 +225,7 @@ def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
     centre = mi.Point3f(*(float(c) for c in found.box_m.mean(axis=0)))
     assert bool(found.contains(centre)[0]) and not bool(found.contains(mi.Point3f(0.0, 0.0, 9.0))[0])
     straight_up = observed(directions=np.tile([0.0, 0.0, 1.0], (1024, 1)), origins_m=np.full((1024, 3), 0.5))
-    one = learn_sky(open_sky(), straight_up)
+    one = fit_sky_guide(open_sky(), straight_up)
     assert one is not None and one.share == 0.5  # never more than half
     chance = np.sort((np.array(one.density).reshape(6, CELLS, CELLS) * areas[:, None, None]).ravel())[::-1]
     whole = 1 + 8 * NEIGHBOUR_SHARE
@@ -234,22 +234,22 @@ def test_a_guide_leads_to_the_opening_and_a_little_around_it() -> None:
 
 
 def test_little_sky_few_rays_or_none_from_inside_give_no_guide() -> None:
-    from datagen.rendering.transport.sky_guide import MIN_ESCAPES, learn_sky
+    from datagen.rendering.transport.sky_guide import MIN_ESCAPES, fit_sky_guide
 
     quarter = np.pi / 4
-    assert learn_sky(open_sky(), observed(others=8 * quarter)) is not None
-    assert learn_sky(open_sky(), observed(others=10 * quarter)) is None
+    assert fit_sky_guide(open_sky(), observed(others=8 * quarter)) is not None
+    assert fit_sky_guide(open_sky(), observed(others=10 * quarter)) is None
     for extra, is_guide in ((0, True), (-1, False)):
         few = observed(4 * (MIN_ESCAPES + extra))
-        assert (learn_sky(open_sky(), few) is not None) == is_guide
-    assert learn_sky(open_sky(), observed(origins_m=np.full((1024, 3), 9.0))) is None
-    assert learn_sky(open_sky(), observed(points_m=np.zeros((4096, 3)))) is None
+        assert (fit_sky_guide(open_sky(), few) is not None) == is_guide
+    assert fit_sky_guide(open_sky(), observed(origins_m=np.full((1024, 3), 9.0))) is None
+    assert fit_sky_guide(open_sky(), observed(points_m=np.zeros((4096, 3)))) is None
 
 
 def test_rays_leave_the_box_where_geometry_says() -> None:
     import mitsuba as mi
 
-    from datagen.rendering.transport.sky_guide import CELLS, _exit
+    from datagen.rendering.transport.sky_guide import CELLS, exit_cell
 
     random = np.random.default_rng(2)
     low, high = np.array([-1.0, 0.0, 2.0]), np.array([3.0, 1.0, 4.0])
@@ -260,7 +260,9 @@ def test_rays_leave_the_box_where_geometry_says() -> None:
     corners = mi.Point3f(*low.tolist()), mi.Point3f(*high.tolist())
     cell, t, along = (
         np.array(part)
-        for part in _exit(*corners, mi.Point3f(points.T.astype("f4")), mi.Vector3f(directions.T.astype("f4")))
+        for part in exit_cell(
+            *corners, mi.Point3f(points.T.astype("f4")), mi.Vector3f(directions.T.astype("f4"))
+        )
     )
     with np.errstate(divide="ignore"):
         distance = np.where(directions > 0, high - points, low - points) / directions
@@ -280,12 +282,12 @@ def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
     """Points on the box's faces count as inside: their place there is 0 or 1, exactly."""
     import mitsuba as mi
 
-    from datagen.rendering.transport.sky_guide import CELLS, _exit
+    from datagen.rendering.transport.sky_guide import CELLS, exit_cell
 
     corners = mi.Point3f(-1.0, 0.0, 2.0), mi.Point3f(3.0, 1.0, 4.0)
     points = mi.Point3f(np.array([[0, 1, 4], [0, 0, 2], [3, 0.5, 4], [-1, 0.5, 2]], np.float32).T)
     directions = mi.Vector3f(np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], np.float32).T)
-    face, rest = np.divmod(np.array(_exit(*corners, points, directions)[0]), CELLS**2)
+    face, rest = np.divmod(np.array(exit_cell(*corners, points, directions)[0]), CELLS**2)
     last = CELLS - 1
     assert face.tolist() == [1, 0, 3, 2]
     assert rest.tolist() == [last * CELLS + last, 0, last * CELLS + last, 0]

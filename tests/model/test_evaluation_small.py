@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from datagen.formats.recipe import RenderRecipe
-from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.view_job import ViewJob
 from model.checkpoint import DataRecord, bundled_checkpoint, read_card
 from model.evaluation.evaluate import Evaluation, evaluate
 from model.evaluation.measure_tables import measure_tables
@@ -219,13 +219,13 @@ def test_estimates_need_less_than_the_truth(
     """What is far from the truth stops where noise is a small share of that, and has the same figures."""
     suite, _ = small
     passes: list[int] = []
-    add_pass = SceneRenderer._add_pass
+    add_pass = ViewJob.add_pass
 
-    def counted(renderer: SceneRenderer, view: Any, counts: Any) -> None:
-        passes.append(view.index)
-        add_pass(renderer, view, counts)
+    def counted(job: ViewJob, counts: Any) -> None:
+        passes.append(job.index)
+        add_pass(job, counts)
 
-    monkeypatch.setattr(SceneRenderer, "_add_pass", counted)
+    monkeypatch.setattr(ViewJob, "add_pass", counted)
     constant = tuple(method for method in suite.methods if method.kind == "constant")
     render = RenderRecipe(max_rel_mse=1e-3, max_path_samples=128, auxiliary_samples=16)
     changes = {"methods": constant, "render": render, "truth": render, "input_views": 2, "novel_views": 1}

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Irradiance of a scene's surfaces, gathered once for all of a configuration's views.
+"""Irradiance of a scene's surfaces, gathered once for all views of a configuration.
 
-Most of a path's time and noise lies behind the surface that its first turn meets, and all views of a room
-ask the same question there: how bright is this wall? So surfaces are divided into cells (a cube's part of one
-of six orientations), and each cell's irradiance E is estimated beforehand from all cameras together. A path
-may then end where it has spread over more than a few cells:
+Most of a path's time and variance lies behind its first bounce, and all views of a room need the same
+quantity there: the light that a wall receives. Surfaces are divided into cells (a cube's part of one of six
+orientations), and the irradiance E of each cell is estimated beforehand from all cameras together
+(:mod:`.irradiance_gathering`). A path may then end where it has spread over more than a few cells:
 
-    light that a broad lobe would have fetched = (lobe's value / its density) x E / pi,
+    light through a broad lobe = (value of the lobe / its density) x E / pi,
 
 which is final gathering (Reichert 1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose
-records are means over cells. When a path has spread enough is decided as Mueller et al. do (Real-time Neural
-Radiance Caching, 2021): by the area that its directions' densities stand for.
-
-E is found in rounds: first by whole paths, so that light gets around, then as radiosity finds it, but by
-sampling: a shadow ray and one cosine-distributed ray from each point, whose hit sends on reflectance x E / pi
-of the rounds before. What this neglects, and what it costs: docs/decisions/0075.
+records are means over cells. The criterion for enough spread is that of Mueller et al. (Real-time Neural
+Radiance Caching, 2021): the area that the densities of the path's directions stand for. Neglected effects and
+their cost: docs/decisions/0075.
 """
 
 from __future__ import annotations
@@ -26,29 +23,28 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.transport.vertex import facing_normal
+from datagen.rendering.transport.vertex import INVERSE_PI, facing_normal
 
 Array = Any
 
 PRIOR_SAMPLES = 4.0
-"""A cell's mean is drawn towards that of the cells around it as if they had added so many samples."""
+"""Weight of the surrounding cells in a cell's mean, in samples."""
 LEVELS = 3
-"""How often the side of those surroundings is doubled."""
+"""Doublings of the side of those surroundings."""
 MIN_SPREAD = 8.0
 """Sides of a cell over which a path has to have spread before it may end in the cache."""
 NARROW_PDF = 2.0
-"""Density [1/sr] from which a reflected direction is too particular for the mean of all directions."""
-INVERSE_PI = 1.0 / np.pi
+"""Density [1/sr] from which a lobe is too narrow for the mean over all directions."""
 
 
 class SurfaceCells:
     """A grid of cubes over a box, each with six orientations. ``side_m`` of a cube follows from the number of
     cells; no side is less than 1/512 of the box's longest."""
 
-    def __init__(self, box_m: NDArray[np.float64], most_cells: int):
+    def __init__(self, box_m: NDArray[np.float64], max_cells: int):
         """``box_m`` (2, 3): lower and upper corner."""
         extent = np.maximum(box_m[1] - box_m[0], 1e-6 * (box_m[1] - box_m[0]).max())
-        side = max(float((6.0 * extent.prod() / most_cells) ** (1.0 / 3.0)), float(extent.max()) / 512.0)
+        side = max(float((6.0 * extent.prod() / max_cells) ** (1.0 / 3.0)), float(extent.max()) / 512.0)
         self.shape = tuple(int(n) for n in np.ceil(extent / side))
         self.num_cells = 6 * int(np.prod(self.shape))
         self.side_m = side
@@ -58,14 +54,14 @@ class SurfaceCells:
         dr.make_opaque(self.low, self.side, self.counts)
 
     def arrays(self) -> list[Any]:
-        """All that a recorded kernel reads."""
+        """Arrays that a recorded kernel reads."""
         return [self.low, self.side, self.counts]
 
     def index(self, point: Array, normal: Array) -> tuple[Any, Any]:
         """Cell of a point on a surface with this normal, and whether it lies in the box."""
-        place = dr.floor((point - self.low) / self.side)
-        is_inside = dr.all((place >= 0.0) & (place < mi.Vector3f(self.counts)))
-        cube: Any = mi.Vector3u(dr.select(is_inside, place, 0.0))
+        position = dr.floor((point - self.low) / self.side)
+        is_inside = dr.all((position >= 0.0) & (position < mi.Vector3f(self.counts)))
+        cube: Any = mi.Vector3u(dr.select(is_inside, position, 0.0))
         size: Any = dr.abs(normal)
         is_x = (size.x >= size.y) & (size.x >= size.z)
         is_y = ~is_x & (size.y >= size.z)
@@ -77,36 +73,36 @@ class SurfaceCells:
 
 
 class IrradianceCache:
-    """Irradiance by cell: what was observed so far, and its means as kernels look them up.
+    """Irradiance by cell: sums of samples, and their means as kernels look them up.
 
-    Cells that were seen have a record, numbered from 1; record 0 stands for all others.
+    Cells with samples have a record, numbered from 1; record 0 stands for all others.
     """
 
     def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
         self.cells = cells
         self._record_of_cell = np.zeros(cells.num_cells, np.uint32)
-        self._cell_of_record = np.zeros(1, np.int64)
+        self.cell_of_record = np.zeros(1, np.int64)
         self._sums = np.zeros((1, 3 + num_techniques))
         self._counts = np.zeros(1)
         self._squares = np.zeros((1, num_techniques))
         self._upload(np.zeros((1, 3)))
 
     def arrays(self) -> list[Any]:
-        """All that a recorded kernel reads."""
+        """Arrays that a recorded kernel reads."""
         return [self.records, self.means, *self.cells.arrays()]
 
     @property
     def num_records(self) -> int:
-        """Cells whose irradiance is known."""
+        """Cells with known irradiance."""
         return len(self._counts) - 1
 
     def add(self, cells: NDArray[np.int64], samples: NDArray[np.float64], keep: float = 1.0) -> None:
-        """Take samples in cells (N,) into the means; ``keep`` is the weight that those before have from here
-        on. ``samples`` (N, 3 + T): irradiance, and squares of what techniques of sampling lights brought."""
+        """Add samples (N, 3 + T) to the means of cells (N,); ``keep`` is the weight of earlier samples from
+        here on. Columns: irradiance, and squares of the contribution by technique of the light sampler."""
         new = np.unique(cells[self._record_of_cell[cells] == 0])
         self._record_of_cell[new] = np.arange(len(self._counts), len(self._counts) + len(new))
-        self._cell_of_record = np.concatenate([self._cell_of_record, new])
-        record, size = self._record_of_cell[cells], len(self._cell_of_record)
+        self.cell_of_record = np.concatenate([self.cell_of_record, new])
+        record, size = self._record_of_cell[cells], len(self.cell_of_record)
         self._sums = keep * np.concatenate([self._sums, np.zeros((len(new), self._sums.shape[1]))])
         self._counts = keep * np.concatenate([self._counts, np.zeros(len(new))])
         self._counts += np.bincount(record, minlength=size)
@@ -115,10 +111,10 @@ class IrradianceCache:
         self._upload(self._sums[:, :3] / np.maximum(self._counts, 1e-9)[:, None])
 
     def finish(self) -> None:
-        """Draw the means of cells with few samples towards those of their surroundings."""
+        """Shrink the means of cells with few samples towards those of their surroundings."""
         means = np.zeros_like(self._sums)
         grid = (6, *self.cells.shape)
-        places = np.array(np.unravel_index(self._cell_of_record[1:], grid))
+        places = np.array(np.unravel_index(self.cell_of_record[1:], grid))
         counts, sums = self._counts[1:], self._sums[1:]
         around, prior = np.zeros_like(sums), 0.0
         for level in range(LEVELS, -1, -1):
@@ -129,13 +125,13 @@ class IrradianceCache:
             around = (added + prior * around) / (total + prior)[:, None]
             prior = PRIOR_SAMPLES
         means[1:] = around
-        means[0, 3:] = sums[:, 3:].sum(axis=0)  # wherever nothing is known: what is usual
+        means[0, 3:] = sums[:, 3:].sum(axis=0)  # cells without a record: the sum over all others
         self._upload(means[:, :3])
         self._squares = means[:, 3:]
 
-    def light_shares(self) -> NDArray[np.float64]:
-        """What each technique of sampling lights should get, (records + 1, T), once finished: the root of
-        what it brought, squared. T is 0 where nothing of this was learned."""
+    def light_weights(self) -> NDArray[np.float64]:
+        """Weights of the light sampler's techniques, (records + 1, T), once finished: the root of the second
+        moment of their contribution. T is 0 where nothing was learned of them."""
         return np.sqrt(self._squares)
 
     def _upload(self, means: NDArray[np.float64]) -> None:
@@ -148,7 +144,7 @@ class IrradianceCache:
         cell, is_inside = self.cells.index(point, normal)
         return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
 
-    def place(self, si: Any, direction: Array, active: Array) -> Array:
+    def record_at(self, si: Any, direction: Array, active: Array) -> Array:
         """Number of the record where a ray of ``direction`` hits a surface, 0 where there is none."""
         return self.record(si.p, facing_normal(si, direction), active)
 
@@ -158,17 +154,17 @@ class IrradianceCache:
         return mi.Color3f(found.x, found.y, found.z), active & (found.w > 0.0)
 
     def mean_radiance(
-        self, si: Any, direction: Array, place: Array, spread_m: Array, sample: Array, active: Array
+        self, si: Any, direction: Array, record: Array, spread_m: Array, sample: Array, active: Array
     ) -> tuple[Any, Any]:
         """Mean of the radiance that a hit receives from all directions, E / pi, and whether a path that has
-        spread over ``spread_m`` may end with it. ``place`` is where the hit lies.
+        spread over ``spread_m`` may end with it. ``record`` is that of the hit.
 
-        It is that of a place up to half a cell beside the hit, by numbers in [0, 1), so that over many calls
-        cells blend into each other; where that place is not known, of the hit itself.
+        The lookup is jittered by up to half a cell, by numbers in [0, 1), so that cells blend into each
+        other in the mean; where the jittered cell has no record, that of the hit serves.
         """
         normal = facing_normal(si, direction)
         is_wide = active & (spread_m > MIN_SPREAD * self.cells.side)
-        here, is_known = self.irradiance(place, is_wide)
+        here, is_known = self.irradiance(record, is_wide)
         frame = mi.Frame3f(normal)
         shift = (sample - 0.5) * self.cells.side
         other = self.record(si.p + frame.s * shift.x + frame.t * shift.y, normal, is_known)

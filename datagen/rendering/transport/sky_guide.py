@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""Where a room's sky comes in: sampling of environment light through the openings that let it in.
+"""The sky guide: environment light sampled through the openings of a room.
 
-An environment that lights a room through a window covers a few per cent of the directions at most places, and
-emitter sampling, which chooses directions by their radiance, meets walls with nearly all of its shadow rays.
-Portals that users place by hand are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment
-Map Sampling, 2015). Here they are found: light-free paths from the cameras remember where rays that left the
-room crossed the box around it, weighted with the radiance that they met.
+An environment that lights a room through a window covers a few per cent of the directions at most points, and
+emitter sampling, which chooses directions by their radiance, sends nearly all of its shadow rays into walls.
+Portals placed by hand are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment Map
+Sampling, 2015). Here they are estimated: paths from the cameras record where rays that leave the room cross
+the box around it, weighted with the radiance outside (:mod:`.sky_observation`).
 
 From a point x inside a convex box every direction leaves through exactly one point of its faces. Faces are
-divided into cells, cell c is chosen with the learned probability P_c and a point q of it uniformly; then
+divided into cells, cell c is chosen with the estimated probability P_c and a point q of it uniformly; then
 
     p(w) = P_c / A_c * |q - x|^2 / |cos|
 
-is known for every direction, whatever the openings look like. So the guide is one more technique of multiple
-importance sampling and biases nothing, however badly it was learned.
+is known for every direction, whatever the shape of the openings. So the guide is one more technique of
+multiple importance sampling and adds no bias, however bad its estimate.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ CELLS = 32
 TABLE = 1 << 16
 """Entries of the table that a cell is drawn from; probabilities are multiples of its inverse."""
 BOX_PERCENTILE = 2.0
-"""Share of the visited points beyond each face of the box: what is seen of the street is not the room."""
+"""Share of the visited points beyond each face of the box: the street outside is not the room."""
 BOX_MARGIN = 0.02
-"""What the box is larger than that, of its side, so that walls lie inside."""
+"""Margin of the box on each side, as a fraction of its longest side, so that walls lie inside."""
 NEIGHBOUR_SHARE = 0.05
-"""Of a cell's weight, for each of its eight neighbours: openings are larger than what was seen of them."""
+"""Fraction of a cell's weight that each of its eight neighbours gets: openings are larger than observed."""
 MIN_ESCAPES = 256
-"""Rays that have to leave the room for a guide to be worth anything."""
+"""Rays leaving the room below which there is no guide."""
 MAX_SHARE = 0.5
-"""Greatest share of the shadow rays that the guide may take from the lights' own sampling."""
+"""Bound on the share of the shadow rays that follow the guide instead of emitter sampling."""
 MIN_SHARE = 0.1
-"""Below this share of the light the sky is not worth a technique of its own."""
+"""Share of the sky in the direct light below which there is no guide."""
 
 
 class SkyGuide:
     """A density of directions towards openings, for points inside its box.
 
-    ``share`` of the shadow rays follow it there unless places know better
-    (:mod:`datagen.rendering.transport.light_sampler`); :func:`learn_sky` says when there is none.
+    ``share`` of the shadow rays follow it there unless the light sampler has learned other probabilities
+    (:mod:`.light_sampler`); :func:`fit_sky_guide` says when there is none.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class SkyGuide:
         areas = np.array([side[(axis + 1) % 3] * side[(axis + 2) % 3] for axis in (0, 0, 1, 1, 2, 2)])
         cumulative = np.cumsum(probabilities) / probabilities.sum()
         table = np.searchsorted(cumulative, (np.arange(TABLE) + 0.5) / TABLE)
-        drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # what the table really does
+        drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # the table's true probabilities
         self.low, self.high = _corners(box_m)
         self.brightest = mi.Float(brightest)
         self.distance = mi.Float(outside_distance(scene))  # from which the environment's light comes
@@ -81,7 +81,7 @@ class SkyGuide:
         dr.make_opaque(self.low, self.high, self.brightest, self.distance)
 
     def arrays(self) -> list[Any]:
-        """All that a recorded kernel reads."""
+        """Arrays that a recorded kernel reads."""
         return [self.low, self.high, self.brightest, self.distance, self.table, self.density]
 
     def contains(self, point: Array) -> Array:
@@ -90,7 +90,7 @@ class SkyGuide:
 
     def pdf(self, point: Array, direction: Array) -> Array:
         """Density [1/sr] of :meth:`sample` at ``direction``; ``point`` must be inside the box."""
-        cell, t, along = _exit(self.low, self.high, point, direction)
+        cell, t, along = exit_cell(self.low, self.high, point, direction)
         return dr.gather(mi.Float, self.density, cell) * dr.square(t) / dr.maximum(dr.abs(along), 1e-9)
 
     def sample(self, point: Array, choice: Array, sample: Array) -> Array:
@@ -115,7 +115,7 @@ def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
     return low, high
 
 
-def _exit(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
+def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
     """Where rays from inside leave the box: cell, distance, and the direction's part across the face."""
     far = [
         dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, upper, lower) - p) / d)
@@ -133,8 +133,8 @@ def _exit(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any,
     return cell, t, along
 
 
-def learn_sky(scene: Any, observations: SkyObservations) -> SkyGuide | None:
-    """A guide from what was observed; None where the sky brings too little for one to pay."""
+def fit_sky_guide(scene: Any, observations: SkyObservations) -> SkyGuide | None:
+    """A guide from observations; None where the sky's share of the light is too small."""
     from scipy import ndimage
 
     share = observations.sky_share()
@@ -145,14 +145,14 @@ def learn_sky(scene: Any, observations: SkyObservations) -> SkyGuide | None:
     if not margin > 0.0:
         return None
     box_m = np.stack([low - margin, high + margin])
-    weights = observations.calm_radiance()
+    weights = observations.clamped_radiance()
     is_inside = ((observations.origins_m >= box_m[0]) & (observations.origins_m <= box_m[1])).all(axis=1)
     if not weights[is_inside].any():
         return None
     low_corner, high_corner = _corners(box_m)
     origins: Any = mi.Point3f(observations.origins_m[is_inside].T.astype(np.float32))
     directions: Any = mi.Vector3f(observations.directions[is_inside].T.astype(np.float32))
-    cells = np.array(_exit(low_corner, high_corner, origins, directions)[0])
+    cells = np.array(exit_cell(low_corner, high_corner, origins, directions)[0])
     found = np.bincount(cells, weights[is_inside], 6 * CELLS**2).reshape(6, CELLS, CELLS)
     around = np.full((1, 3, 3), NEIGHBOUR_SHARE)
     around[0, 1, 1] = 1.0

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""A configuration's scene with all that its views share: path tracer, materials, path depth, sensors.
+
+Sky guide and irradiance cache are estimated from fixed views, so that a view's bytes do not depend on the
+views rendered before it or on the process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import hashlib
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from datagen.formats.configuration import Configuration
+from datagen.formats.recipe import DEFAULT_MAX_DEPTH, RenderRecipe
+from datagen.foundation.cameras import Camera
+from datagen.rendering.path_depth import depth_for, reflectance_met, truncation
+from datagen.rendering.scene_builder import AssetCaches, BuiltScene, build_scene, sensor_for
+
+if TYPE_CHECKING:
+    from datagen.library import Library
+
+COARSE_CELLS = 1024
+"""Pixels of a coarse image: for path depth, sky guide and the exposure of the firefly clamp."""
+MAX_COARSE_VIEWS = 8
+"""Views whose surfaces give the path depth, and that the sky guide is estimated from."""
+COARSE_MAP_SAMPLES = 4
+"""Ground-truth samples a pixel of those."""
+SKY_SAMPLES = 48
+"""Paths a pixel of those, for the sky guide."""
+MAX_IRRADIANCE_VIEWS = 64
+"""Views that irradiance is gathered from."""
+
+
+def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
+    """Seed in [0, 2^31) that depends on nothing else than its arguments."""
+    text = f"{configuration_seed}:{view_index}:{purpose}".encode()
+    return int.from_bytes(hashlib.sha256(text).digest()[:4], "little") >> 1
+
+
+def release_memory() -> None:
+    """Release memory of earlier scenes: Dr.Jit keeps freed arrays and kernels, and glibc keeps freed pages.
+
+    Without it a worker grows by some 15 MB a configuration although nothing is leaked. Kernels that are
+    needed again come from Dr.Jit's cache on disk, in milliseconds.
+    """
+    import drjit as dr
+
+    from datagen.rendering.transport.integrator import forget_recordings
+
+    forget_recordings()
+    gc.collect()  # scenes and their materials refer to each other
+    dr.flush_malloc_cache()
+    dr.flush_kernel_cache()
+    with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+class PreparedScene:
+    """A built scene, ready for the paths of its views. Selects the recipe's Mitsuba variant.
+
+    Raises what :func:`build_scene` raises.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        library: Library,
+        recipe: RenderRecipe,
+        caches: AssetCaches | None = None,
+    ):
+        from mitsuba_plugins.variant import select_variant
+
+        self.variant = select_variant(recipe.variant)
+        release_memory()
+        self.configuration, self.recipe = configuration, recipe
+        self.built: BuiltScene = build_scene(configuration, library, caches)
+        from datagen.rendering.shape_ids import MergedShapeMaterials
+        from datagen.rendering.transport.integrator import PathTracer
+
+        self._sensors: dict[tuple[int, int], Any] = {}
+        self.materials = MergedShapeMaterials(self.built)
+        self.max_depth, self.truncation = self._path_depth()
+        self.tracer = PathTracer(self.built, self.max_depth, recipe.russian_roulette_depth)
+        self.prepare_paths()
+
+    def reseed(self, seed: int) -> None:
+        """Take the seed of another configuration; the built scene stays."""
+        self.configuration = self.configuration.model_copy(update={"seed": seed})
+        self.prepare_paths()
+
+    def prepare_paths(self) -> None:
+        """Estimate the sky guide and, if the recipe has it, gather the irradiance cache."""
+        coarse = (self.sensor(camera) for _, camera in self._coarse_cameras())
+        self.tracer.fit_sky_guide(coarse, SKY_SAMPLES, self.seed(0, "sky"))
+        if not self.recipe.irradiance_cache:
+            return
+        cameras = [view.camera() for view in self.configuration.cameras]
+        num_pixels = sum(camera.width_px * camera.height_px for camera in cameras)
+        chosen = cameras[:: math.ceil(len(cameras) / MAX_IRRADIANCE_VIEWS)]
+        sensors = (self.sensor(camera) for camera in chosen)
+        self.tracer.gather_irradiance(self.materials, sensors, num_pixels, self.seed(0, "irradiance"))
+
+    def seed(self, index: int, purpose: str) -> int:
+        """:func:`view_seed` of this configuration."""
+        return view_seed(self.configuration.seed, index, purpose)
+
+    def camera(self, index: int) -> Camera:
+        """Camera of a view."""
+        return self.configuration.cameras[index].camera()
+
+    def sensor(self, camera: Camera) -> Any:
+        """A Mitsuba sensor of this camera; cameras of one resolution share it, so that it holds until the
+        next call."""
+        size = (camera.width_px, camera.height_px)
+        if size not in self._sensors:
+            self._sensors[size] = sensor_for(camera)
+        self._sensors[size].set_camera(camera)
+        return self._sensors[size]
+
+    def coarse_maps(self) -> Iterator[dict[str, NDArray]]:
+        """Ground truth of some of the views, as small images."""
+        from mitsuba_plugins.material_buffers import render_material_buffers
+
+        for index, small in self._coarse_cameras():
+            seed = self.seed(index, "depth")
+            yield render_material_buffers(
+                self.built.scene, self.sensor(small), COARSE_MAP_SAMPLES, seed, self.materials
+            )
+
+    def close(self) -> None:
+        """Release the sensors and what earlier scenes left."""
+        self._sensors.clear()
+        release_memory()
+
+    def _path_depth(self) -> tuple[int, float | None]:
+        """Segments of the longest path, and the truncation where the recipe bounds it."""
+        if self.recipe.max_energy_left is None:
+            return self.recipe.max_depth or DEFAULT_MAX_DEPTH, None
+        reflectance = reflectance_met(list(self.coarse_maps()))
+        depth = depth_for(reflectance, self.recipe.max_energy_left)
+        return depth, truncation(reflectance, depth)
+
+    def _coarse_cameras(self) -> Iterator[tuple[int, Camera]]:
+        """Some of the views, by index, as small images."""
+        cameras = self.configuration.cameras
+        for index in range(0, len(cameras), math.ceil(len(cameras) / MAX_COARSE_VIEWS)):
+            camera = cameras[index].camera()
+            side_px = math.isqrt(camera.width_px * camera.height_px // COARSE_CELLS)
+            yield (
+                index,
+                camera.scaled(*(max(1, px // max(1, side_px)) for px in (camera.width_px, camera.height_px))),
+            )

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Emitters of a scene as paths meet and sample them: visibility to the camera, shadow rays, MIS weights.
+
+Lights that the camera does not see are passed by camera rays and met by all others. Shadow rays are
+attenuated by the opacity of what they cross, so that leaves and curtains cast their own shadows from point
+lights too.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from datagen.rendering.transport.light_sampler import LightSampler, uniform_sampler
+from datagen.rendering.transport.vertex import MAX_CROSSINGS, Walk, power_heuristic
+
+if TYPE_CHECKING:
+    from datagen.rendering.scene_builder import BuiltScene
+
+Array = Any
+
+
+class SceneEmitters:
+    """The emitters of one scene. ``light_sampler`` chooses among them; None: Mitsuba's uniform choice."""
+
+    def __init__(self, built: BuiltScene):
+        self.scene = built.scene
+        self.light_sampler: LightSampler | None = uniform_sampler(self.scene, None)
+        self.has_transparency = any(
+            mi.has_flag(flags, mi.BSDFFlags.Null)
+            for flags in (shape.bsdf().flags() for shape in built.scene.shapes() if shape.bsdf() is not None)
+        )
+        self._is_hidden_shape = _hidden_table(built) if built.hidden_shapes else None
+
+    @property
+    def has_hidden(self) -> bool:
+        """Whether there are lights that the camera does not see."""
+        return self._is_hidden_shape is not None
+
+    def tables(self) -> list[Any]:
+        """Arrays that kernels read and that no argument brings."""
+        return [
+            self._is_hidden_shape,
+            *([] if self.light_sampler is None else self.light_sampler.arrays()),
+        ]
+
+    def is_hidden(self, si: Any, depth: Array) -> Array:
+        """Whether a camera ray met a light that the camera does not see."""
+        if self._is_hidden_shape is None:
+            return mi.Bool(False)
+        shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)
+        return (depth == 0) & dr.gather(mi.Bool, self._is_hidden_shape, shape, si.is_valid())
+
+    def emission(self, si: Any, walk: Walk, active: Array, shown: Array) -> tuple[Any, Any]:
+        """Emission that a segment meets where it is ``shown``, and its MIS weight against :meth:`sample`."""
+        emitter = si.emitter(self.scene)
+        ds = mi.DirectionSample3f(self.scene, si, walk.previous)
+        pdf = self.scene.pdf_emitter_direction(walk.previous, ds, active & ~walk.previous_is_delta)
+        sampler = self.light_sampler
+        if sampler is not None:
+            index = sampler.index(emitter)
+            pdf = sampler.pdf(walk.previous.p, walk.ray.d, pdf, index, walk.previous_record)
+        weight = dr.select(walk.previous_is_delta, 1.0, power_heuristic(walk.previous_pdf, pdf))
+        return emitter.eval(si, shown), weight
+
+    def sample(self, si: Any, numbers: Any, record: Array, active: Array) -> tuple[Any, Any]:
+        """Direction to an emitter, and its radiance over the density, less what lies between.
+
+        ``numbers`` is the path's sampler, ``record`` that of ``si`` in the irradiance cache, or 0.
+        """
+        if self.light_sampler is None:
+            is_tested = not self.has_transparency
+            ds, radiance = self.scene.sample_emitter_direction(si, numbers.next_2d(), is_tested, active)
+            if is_tested:
+                return ds, radiance
+        else:
+            ds, radiance = self.light_sampler.sample_emitter(
+                si, record, numbers.next_2d(), numbers.next_1d(), active
+            )
+        reaches = active & (ds.pdf != 0.0)
+        if self.has_transparency:
+            return ds, radiance * self._transmittance(si, ds, reaches)
+        is_blocked = self.scene.ray_test(si.spawn_ray_to(ds.p), reaches)
+        return ds, dr.select(reaches & ~is_blocked, radiance, 0.0)
+
+    @dr.syntax
+    def _transmittance(self, si: Any, ds: Any, active: Array) -> Array:
+        """Transmittance of the surfaces of partial opacity between ``si`` and an emitter sample."""
+        ray = si.spawn_ray_to(ds.p)
+        transmittance = dr.select(active, mi.Color3f(1.0), mi.Color3f(0.0))
+        num_crossed = mi.UInt32(0)
+        distance = mi.Float(ray.maxt)
+        while active:
+            hit = self.scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
+            is_hit = active & hit.is_valid()
+            transmittance *= dr.select(is_hit, hit.bsdf().eval_null_transmission(hit, is_hit), 1.0)
+            distance -= hit.t
+            next_ray = hit.spawn_ray(ray.d)
+            next_ray.maxt = distance
+            ray = next_ray
+            num_crossed += 1
+            active = is_hit & (dr.max(transmittance) > 0.0) & (distance > 0.0)
+            if active & (num_crossed >= MAX_CROSSINGS):
+                transmittance = mi.Color3f(0.0)
+                active = mi.Bool(False)
+        return transmittance
+
+
+def _hidden_table(built: BuiltScene) -> Any:
+    """By registry index of a shape: whether the camera does not see it."""
+    pointers: Any = built.scene.shapes_dr()
+    registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
+    table = np.zeros(int(registry.max(initial=0)) + 1, bool)
+    for shape, index in zip(built.scene.shapes(), registry, strict=True):
+        table[index] = shape.id() in built.hidden_shapes
+    return mi.Bool(table)

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: MIT
+"""The job of one view: ground truth, passes of light paths, error estimate, denoising, record.
+
+The denoiser sees reflected light only. Visible emission has no noise but at edges; it is traced as finely as
+the ground truth and added afterwards. A denoiser that is shown a lamp changes its radiance by tens of percent
+and smears it over its dark surroundings.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.base import quantized
+from datagen.formats.view import RenderRecord
+from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS, RENDERED_BUFFERS
+from datagen.foundation.color import exposure_for
+from datagen.foundation.errors import input_error
+from datagen.rendering.denoiser import Denoiser, auxiliary_albedo
+from datagen.rendering.noisy_share import blended, noisy_share
+from datagen.rendering.prepared_scene import COARSE_CELLS, PreparedScene
+from datagen.rendering.sample_budget import ErrorEstimate, PathSums, SampleBudget, estimate_error
+from datagen.rendering.schedule import Steps
+
+HALF_MAX = 65504.0
+COARSE_SAMPLES = 16
+"""Paths a pixel of the coarse image whose exposure sets the firefly clamp."""
+MIN_LIT = 0.05
+"""Share of that image with light below which nothing is clamped."""
+_FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
+
+
+class RenderError(RuntimeError):
+    """A view has NaN or Inf; nothing of it is kept."""
+
+
+@dataclass
+class RenderedView:
+    """A finished view: ``buffers`` by registered name (H, W, C), the rest for its JSON and the timing log."""
+
+    index: int
+    buffers: dict[str, NDArray]
+    instances: dict[str, str]
+    materials: dict[str, str]
+    render: RenderRecord
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
+"""Whether a view may stop above its recipe's error: its index, the image as it is (H, W, 3), its error."""
+
+
+@dataclass(frozen=True)
+class Finishing:
+    """How views end: ``denoiser`` of the image, ``estimator`` that denoises the halves whose difference
+    estimates the error, ``budget`` of samples (None: the recipe's fixed number), and ``is_enough``."""
+
+    denoiser: Denoiser | None
+    estimator: Denoiser | None
+    budget: SampleBudget | None
+    is_enough: IsEnough | None
+
+
+class ViewJob:
+    """A view whose samples are being accumulated, in two independent ``halves`` if there is a budget.
+
+    Raises :class:`InputError` where the configuration has no such view.
+    """
+
+    def __init__(self, scene: PreparedScene, finishing: Finishing, index: int):
+        configuration = scene.configuration
+        if not 0 <= index < len(configuration.cameras):
+            expected = f"0 ... {len(configuration.cameras) - 1}"
+            raise input_error(f"configuration {configuration.id}", "view", index, expected)
+        self.scene, self.index = scene, index
+        self.denoiser, self.estimator = finishing.denoiser, finishing.estimator
+        self.budget, self._asks_whether_enough = finishing.budget, finishing.is_enough
+        self.seconds: dict[str, float] = {}
+        self.halves = [PathSums(), PathSums()]
+        self.estimate: ErrorEstimate | None = None
+        self.is_enough = False
+        self._guides: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+        with self._timed("buffers"):
+            self.buffers = self._ground_truth()
+            self.visible_emission = self._trace_visible_emission()
+        self.clamp_limit = self._clamp_limit()
+
+    def steps(self, pool: ThreadPoolExecutor) -> Steps[RenderedView]:
+        """The job as the schedule takes it: tracing here, estimates and denoising in ``pool``."""
+        if self.budget is None:
+            self.add_pass(self.scene.recipe.path_samples or 0)
+        else:
+            camera = self.scene.camera(self.index)
+            counts = self.budget.first_counts((camera.height_px, camera.width_px))
+            while counts.any():
+                self.add_pass(counts)
+                future = pool.submit(self.estimate_error)
+                yield future
+                estimate = future.result()
+                if self.is_enough:
+                    break
+                counts = self.budget.next_counts(self.halves[0].counts, estimate)
+        finishing = pool.submit(self.finish)
+        yield finishing
+        return finishing.result()
+
+    def add_pass(self, counts: int | NDArray[np.int64]) -> None:
+        """Trace ``counts`` more samples a pixel, (H, W) or one number; with a budget, for each half."""
+        with self._timed("path"):
+            sensor = self._sensor()
+            for half, purpose in enumerate(["path"] if self.budget is None else ["path/a", "path/b"]):
+                seed, before = self.scene.seed(self.index, purpose), self.halves[half].counts
+                sums = self.scene.tracer.accumulate(
+                    sensor, counts, seed, limit=self.clamp_limit, before=before
+                )
+                self.halves[half] = self.halves[half] + sums
+
+    def estimate_error(self) -> ErrorEstimate:
+        """Error of the view if it were finished now."""
+        with self._timed("estimate"):
+            a, b = (half.mean() for half in self.halves)
+            self._check_finite({"beauty_noisy": a + b, **self.buffers})
+            clean_a, clean_b = (self.denoise(half, self.estimator) for half in (a, b))
+            if self.estimator is not None:
+                share = noisy_share((a, b), 0.5 * (clean_a + clean_b), self.visible_emission)
+                clean_a, clean_b = blended(clean_a, a, share), blended(clean_b, b, share)
+            removed = (self.halves[0].removed_mean(), self.halves[1].removed_mean())
+            estimate = estimate_error((a, b), (clean_a, clean_b), self.visible_emission, removed)
+            if self._asks_whether_enough is not None:
+                image = 0.5 * (clean_a + clean_b) + self.visible_emission
+                self.is_enough = self._asks_whether_enough(self.index, image, estimate)
+            self.estimate = estimate
+        return estimate
+
+    def finish(self) -> RenderedView:
+        """The view of all samples so far: denoised, with its record.
+
+        Raises :class:`RenderError` where a pixel is NaN or Inf.
+        """
+        start = time.perf_counter()
+        recipe = self.scene.recipe
+        sums = self.halves[0] + self.halves[1]
+        noisy = sums.mean()
+        self._check_finite({"beauty_noisy": noisy, "lights": self.visible_emission, **self.buffers})
+        reflected = self.denoise(noisy, self.denoiser)
+        if self.budget is not None and self.denoiser is not None:
+            halves = (self.halves[0].mean(), self.halves[1].mean())
+            reflected = blended(reflected, noisy, noisy_share(halves, reflected, self.visible_emission))
+        beauty = reflected + self.visible_emission
+        self._check_finite({"beauty": beauty})
+        buffers = {**self.buffers, "beauty": np.minimum(beauty, HALF_MAX)}
+        names = list(RENDERED_BUFFERS)
+        if recipe.keep_noisy:
+            buffers["beauty_noisy"] = np.minimum(noisy + self.visible_emission, HALF_MAX)
+            names.append("beauty_noisy")
+        record = RenderRecord(
+            variant=self.scene.variant,
+            seed=self.scene.seed(self.index, "path"),
+            path_samples=quantized(sums.mean_samples, 4),
+            auxiliary_samples=recipe.auxiliary_samples,
+            max_depth=self.scene.max_depth,
+            russian_roulette_depth=recipe.russian_roulette_depth,
+            denoiser=self.denoiser.name if self.denoiser is not None else "none",
+            clipped_pixels=int(np.count_nonzero((beauty > HALF_MAX).any(axis=-1))),
+            **self._quality_record(sums),
+        )
+        ordered = {
+            name: buffers[name].reshape(*noisy.shape[:2], BUFFERS[name].num_channels) for name in names
+        }
+        built = self.scene.built
+        instances, materials = (
+            {str(k): name for k, name in names_of.items()}
+            for names_of in (built.instance_names, built.material_names)
+        )
+        self.seconds["denoise"] = time.perf_counter() - start
+        return RenderedView(self.index, ordered, instances, materials, record, self.seconds)
+
+    def denoise(self, noisy: NDArray[np.float32], denoiser: Denoiser | None) -> NDArray[np.float32]:
+        """Reflected light without its noise; ``noisy`` itself without a denoiser."""
+        if denoiser is None:
+            return noisy
+        if self._guides is None:
+            buffers = self.buffers
+            albedo = auxiliary_albedo(
+                buffers["diffuse_albedo"], buffers["specular_albedo"], buffers["surface_mask"]
+            )
+            normal = buffers["normal_world"]
+            if denoiser.wants_camera_normals:
+                world_from_camera = self.scene.camera(self.index).world_from_camera
+                normal = normal @ world_from_camera[:3, :3].astype(np.float32)
+            self._guides = (albedo, normal)
+        return denoiser.denoise(noisy, *self._guides)
+
+    def _sensor(self) -> Any:
+        return self.scene.sensor(self.scene.camera(self.index))
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    def _ground_truth(self) -> dict[str, NDArray]:
+        from mitsuba_plugins.material_buffers import render_material_buffers
+
+        scene = self.scene
+        samples, seed = scene.recipe.auxiliary_samples, scene.seed(self.index, "buffers")
+        traced = render_material_buffers(scene.built.scene, self._sensor(), samples, seed, scene.materials)
+        return {name: traced[name] for name in GROUND_TRUTH_BUFFERS}
+
+    def _trace_visible_emission(self) -> NDArray[np.float32]:
+        """Light that reaches the camera straight from emitters and background, (H, W, 3).
+
+        It is traced only where something other than surface shows, and as finely as the other buffers.
+        """
+        from datagen.rendering.transport.visible_emission import render_visible_emission
+
+        mask = self.buffers["surface_mask"]
+        image = np.zeros((mask.size, 3), np.float32)
+        pixels = np.flatnonzero(mask.ravel() < 1.0 - _FULL_COVERAGE_SLACK).astype(np.uint32)
+        if pixels.size:
+            samples, seed = self.scene.recipe.auxiliary_samples, self.scene.seed(self.index, "lights")
+            emitters = self.scene.tracer.emitters
+            image[pixels] = render_visible_emission(emitters, self._sensor(), pixels, samples, seed)
+        return image.reshape(*mask.shape[:2], 3)
+
+    def _clamp_limit(self) -> float:
+        """Bound on the radiance of a path by two or more bounces, a multiple of the exposed white.
+
+        The exposure is that of a coarse image of reflected light, traced without a clamp beforehand. Infinite
+        where the recipe clamps nothing, or where less than ``MIN_LIT`` of the image is lit.
+        """
+        if self.scene.recipe.firefly_clamp is None:
+            return math.inf
+        sensor = self._sensor()
+        width, height = (int(v) for v in sensor.film().crop_size())
+        cell_px = max(1, math.isqrt(width * height // COARSE_CELLS))
+        grid = (math.ceil(width / cell_px), math.ceil(height / cell_px))
+        seed = self.scene.seed(self.index, "exposure")
+        image = self.scene.tracer.accumulate(sensor, COARSE_SAMPLES, seed, grid=grid).radiance
+        image = image / COARSE_SAMPLES
+        if np.count_nonzero(image.any(axis=-1)) < MIN_LIT * image[..., 0].size:
+            return math.inf
+        return self.scene.recipe.firefly_clamp / exposure_for(image)
+
+    def _quality_record(self, sums: PathSums) -> dict[str, Any]:
+        """Fields of the record for error, clamp and truncation."""
+        fields: dict[str, Any] = {}
+        if self.scene.truncation is not None:
+            fields["max_energy_left"] = quantized(self.scene.truncation, 4)
+        if self.scene.tracer.irradiance is not None:
+            fields["irradiance_cell_m"] = quantized(self.scene.tracer.irradiance.cells.side_m, 4)
+        if self.budget is not None and self.estimate is not None:
+            fields["estimated_rel_mse"] = quantized(self.estimate.rel_mse, 4)
+            fields["at_ceiling"] = not self.budget.is_met(self.estimate)
+            fields["most_path_samples"] = int(sums.counts.max())
+        if math.isfinite(self.clamp_limit):
+            fields["firefly_clamp_radiance"] = quantized(self.clamp_limit, 6)
+            fields["clamped_energy"] = quantized(sums.removed_share(), 4)
+        return fields
+
+    def _check_finite(self, buffers: dict[str, NDArray]) -> None:
+        configuration = self.scene.configuration
+        for name, array in buffers.items():
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                bad = ~np.isfinite(array).all(axis=-1)
+                row, column = (int(v) for v in np.argwhere(bad)[0])
+                raise RenderError(
+                    f"configuration {configuration.id}, "
+                    f"view {configuration.cameras[self.index].name}: {int(bad.sum())} pixels of {name} are "
+                    f"NaN or Inf, the first at row {row}, column {column}"
+                )
