@@ -9,14 +9,14 @@ with medians and quartiles; the target is a median ratio of at most 1.10.
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import sys
-import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from benchmarks.timing import interleaved, machine, summary, timed, write_report
 
 NUM_MATERIALS = 20
 TARGET_RATIO = 1.10
@@ -103,21 +103,13 @@ def make_room(variant: str, width: int, height: int) -> Any:
     return mi.load_dict(scene, optimize=False)
 
 
-def _seconds(scene: Any, spp: int, seed: int) -> tuple[float, float]:
-    """(wall time, processor time of all threads) of one render; the second hardly notices a busy machine."""
+def _render(scene: Any, spp: int) -> None:
     import drjit as dr
     import mitsuba as mi
 
-    start, start_cpu = time.perf_counter(), time.process_time()
-    image = mi.render(scene, spp=spp, seed=seed)
+    image = mi.render(scene, spp=spp, seed=1)
     dr.eval(image)
     dr.sync_thread()
-    return time.perf_counter() - start, time.process_time() - start_cpu
-
-
-def _quartiles(values: list[float]) -> dict[str, float]:
-    low, middle, high = np.percentile(values, [25, 50, 75])
-    return {"median": float(middle), "q25": float(low), "q75": float(high)}
 
 
 def run(width: int, height: int, spp: int, num_pairs: int) -> dict[str, Any]:
@@ -126,31 +118,25 @@ def run(width: int, height: int, spp: int, num_pairs: int) -> dict[str, Any]:
 
     variant = select_variant()
     register()
-    scenes, compile_s = {}, {}
-    for name in VARIANTS:
-        scenes[name] = make_room(name, width, height)
-        compile_s[name] = _seconds(scenes[name], spp, 0)[0]
-        _seconds(scenes[name], spp, 1)
-    seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in VARIANTS}
-    for pair in range(num_pairs):
-        for name in VARIANTS if pair % 2 else reversed(VARIANTS):
-            seconds[name].append(_seconds(scenes[name], spp, 2 + pair))
+    renders = {name: partial(_render, make_room(name, width, height), spp) for name in VARIANTS}
+    compile_s = {name: timed(render).wall for name, render in renders.items()}
+    seconds = interleaved(renders, num_pairs)
     results = {}
     for name in VARIANTS:
         pairs = list(zip(seconds[name], seconds[BASELINE], strict=True))
-        wall = [own[0] for own in seconds[name]]
+        wall = [own.wall for own in seconds[name]]
         samples = width * height * spp
         results[name] = {
-            "seconds": _quartiles(wall),
-            "ratio_to_roughplastic": _quartiles([own[0] / base[0] for own, base in pairs]),
-            "processor_time_ratio": _quartiles([own[1] / base[1] for own, base in pairs]),
+            "seconds": summary(wall),
+            "ratio_to_roughplastic": summary([own.wall / base.wall for own, base in pairs]),
+            "processor_time_ratio": summary([own.cpu / base.cpu for own, base in pairs]),
             "megasamples_per_s": samples / float(np.median(wall)) / 1e6,
             "first_render_s": compile_s[name],
         }
     ratio = results["cook_torrance"]["ratio_to_roughplastic"]["median"]
     return {
         "benchmark": "bsdf",
-        "machine": {"processor": platform.machine(), "variant": variant, "python": platform.python_version()},
+        "machine": {**machine(), "variant": variant},
         "settings": {"width": width, "height": height, "spp": spp, "pairs": num_pairs, "max_depth": 8},
         "results": results,
         "target_ratio": TARGET_RATIO,
@@ -167,13 +153,9 @@ def main() -> int:
     parser.add_argument("--pairs", type=int, default=15)
     parser.add_argument("--out", type=Path, help="also write the JSON to this file")
     arguments = parser.parse_args()
-    text = json.dumps(
-        run(arguments.width, arguments.height, arguments.spp, arguments.pairs), indent=2, sort_keys=True
-    )
-    print(text)
-    if arguments.out:
-        arguments.out.write_text(text + "\n")
-    return 0 if json.loads(text)["is_within_target"] else 1
+    report = run(arguments.width, arguments.height, arguments.spp, arguments.pairs)
+    write_report(report, arguments.out)
+    return 0 if report["is_within_target"] else 1
 
 
 if __name__ == "__main__":

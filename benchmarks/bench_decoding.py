@@ -11,22 +11,14 @@ as tensors (half of the shorter side where that is less).
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+from benchmarks.timing import timed, write_report
 from datagen.formats.view_places import read_member
 from datagen.foundation.exr import decode_view
 from model.loading import ViewStream, read_view
-
-
-def processor_ms(action: Callable[[], object]) -> float:
-    """Of one call."""
-    start = time.process_time()
-    action()
-    return (time.process_time() - start) * 1e3
 
 
 def main() -> None:
@@ -50,15 +42,14 @@ def main() -> None:
     result: dict[str, object] = {"size_px": [camera.width_px, camera.height_px], "buffers": args.buffers}
     crops = iter(stream)
     for name, times in {
-        "decode": [processor_ms(lambda m=m: decode_view(m, args.buffers, num_threads=1)) for m in members],  # type: ignore[misc]
-        "view": [processor_ms(lambda p=p: read_view(p, args.buffers)) for p in places],  # type: ignore[misc]
-        "crop": [sum(processor_ms(lambda: next(crops)) for _ in places) / len(places)],
+        "decode": [timed(partial(decode_view, m, args.buffers, num_threads=1)).cpu for m in members],
+        "view": [timed(partial(read_view, p, args.buffers)).cpu for p in places],
+        "crop": [timed(lambda: [next(crops) for _ in places]).cpu / len(places)],
     }.items():
-        each = statistics.median(times)
+        each = 1e3 * statistics.median(times)
         result[name] = {"ms": round(each, 2), "views_per_second": round(1e3 / each, 1)}
         print(f"{name:7} {each:6.2f} ms a view, {1e3 / each:6.0f} views/s a core")
-    if args.out:
-        args.out.write_text(json.dumps(result, indent=2) + "\n")
+    write_report(result, args.out, is_printed=False)
 
 
 if __name__ == "__main__":

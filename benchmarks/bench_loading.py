@@ -14,14 +14,14 @@ from __future__ import annotations
 import argparse
 import io
 import statistics
-import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import Imath
 import numpy as np
 import OpenEXR
 
+from benchmarks.timing import timed
 from datagen.formats.view_places import ViewPlace, read_member
 from model.training.config import resolve_config
 from model.training.dataset import buffer_names, load_view
@@ -29,13 +29,6 @@ from model.training.sources import open_data, spread
 
 BLOCK_ROWS = 16
 HALF = Imath.PixelType(Imath.PixelType.HALF)
-
-
-def processor_seconds(action: Callable[[], object]) -> float:
-    """Of one call."""
-    start = time.process_time()
-    action()
-    return time.process_time() - start
 
 
 def decode_rows(data: bytes, first: int, last: int) -> object:
@@ -73,12 +66,12 @@ def main() -> None:
     places: list[ViewPlace] = list(spread(data.train, args.views))
     rows = data.size_px[1]
     crop_rows = round(rows * config.data.crop_px / height) if args.preset == "paper" else config.data.crop_px
-    whole = statistics.median(processor_seconds(lambda p=p: load_view(p, names)) for p in places)  # type: ignore[misc]
+    whole = statistics.median(timed(partial(load_view, place, names)).cpu for place in places)
     members = [read_member(place, place.exr) for place in places]
-    everything = statistics.median(
-        processor_seconds(lambda m=m: decode_rows(m, 0, rows - 1)) for m in members
-    )  # type: ignore[misc]
-    part = statistics.median(processor_seconds(lambda m=m: decode_rows(m, 0, crop_rows - 1)) for m in members)  # type: ignore[misc]
+    everything, part = (
+        statistics.median(timed(partial(decode_rows, member, 0, last)).cpu for member in members)
+        for last in (rows - 1, crop_rows - 1)
+    )
     share = touched_share(rows, crop_rows, config.data.crops_per_view)
     print(f"load a view ({data.size_px[0]} x {rows}): {whole * 1e3:.1f} ms of processor time")
     print(f"decode all rows: {everything * 1e3:.1f} ms; {crop_rows} rows of one crop: {part * 1e3:.1f} ms")

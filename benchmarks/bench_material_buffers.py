@@ -12,14 +12,14 @@ quartiles.
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import sys
-import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from benchmarks.timing import Stopwatch, interleaved, machine, summary, write_report
 
 
 def _reflectance(bsdf: Any) -> Any:
@@ -63,9 +63,10 @@ def load_scene(path: Path, width: int, height: int, merged: bool) -> tuple[Any, 
     return scene, sensor
 
 
-def _quartiles(values: list[float]) -> dict[str, float]:
-    low, middle, high = np.percentile(values, [25, 50, 75])
-    return {"median": float(middle), "q25": float(low), "q75": float(high)}
+def _render(scene: Any, sensor: Any, integrator: Any, spp: int) -> None:
+    import mitsuba as mi
+
+    np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=1))
 
 
 def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
@@ -82,36 +83,33 @@ def run(path: Path, width: int, height: int, num_pairs: int) -> dict[str, Any]:
     results = []
     for merged in (False, True):
         scene, sensor = load_scene(path, width, height, merged)
-        start = time.perf_counter()
-        materials = SceneMaterials(scene)
-        tables_s = time.perf_counter() - start
+        watch = Stopwatch()
+        with watch.stage("tables"):
+            materials = SceneMaterials(scene)
         aov = mi.load_dict({"type": "aov", "aovs": "a:albedo,n:sh_normal,d:depth,i:shape_index"})
         for spp in (8, 64):
-            seconds: dict[str, list[float]] = {"aov": [], "material_buffers": []}
-            for pair in range(num_pairs + 1):
-                for name in list(seconds)[:: 1 if pair % 2 else -1]:
-                    start = time.perf_counter()
-                    if name == "aov":
-                        np.array(mi.render(scene, sensor=sensor, integrator=aov, spp=spp, seed=pair))
-                    else:
-                        render_material_buffers(scene, sensor, spp, seed=pair, ids=materials)
-                    if pair > 0:  # the first pair compiles
-                        seconds[name].append(time.perf_counter() - start)
+            passes = {
+                "aov": partial(_render, scene, sensor, aov, spp),
+                "material_buffers": partial(render_material_buffers, scene, sensor, spp, 1, materials),
+            }
+            seconds = {
+                name: [own.wall for own in times] for name, times in interleaved(passes, num_pairs).items()
+            }
             ratios = [o / a for o, a in zip(seconds["material_buffers"], seconds["aov"], strict=True)]
             results.append(
                 {
                     "spp": spp,
                     "num_shapes": len(scene.shapes()),
                     "merged": merged,
-                    "tables_s": tables_s,
-                    "aov_s": _quartiles(seconds["aov"]),
-                    "material_buffers_s": _quartiles(seconds["material_buffers"]),
-                    "ratio": _quartiles(ratios),
+                    "tables_s": watch.wall["tables"][0],
+                    "aov_s": summary(seconds["aov"]),
+                    "material_buffers_s": summary(seconds["material_buffers"]),
+                    "ratio": summary(ratios),
                 }
             )
     return {
         "benchmark": "material_buffers",
-        "machine": {"processor": platform.machine(), "variant": variant, "python": platform.python_version()},
+        "machine": {**machine(), "variant": variant},
         "settings": {"scene": path.name, "width": width, "height": height, "pairs": num_pairs},
         "results": results,
     }
@@ -126,12 +124,8 @@ def main() -> int:
     parser.add_argument("--pairs", type=int, default=9)
     parser.add_argument("--out", type=Path, help="also write the JSON to this file")
     arguments = parser.parse_args()
-    text = json.dumps(
-        run(arguments.scene, arguments.width, arguments.height, arguments.pairs), indent=2, sort_keys=True
-    )
-    print(text)
-    if arguments.out:
-        arguments.out.write_text(text + "\n")
+    report = run(arguments.scene, arguments.width, arguments.height, arguments.pairs)
+    write_report(report, arguments.out)
     return 0
 
 

@@ -14,10 +14,9 @@ temporary folder.
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ import cv2
 import numpy as np
 import torch
 
+from benchmarks.timing import median_seconds, write_report
 from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS
 from datagen.foundation.exr import decode_view, encode_view
 from model.networks import NetworkConfig, Track
@@ -39,16 +39,15 @@ from model.training.stopwatch import Stopwatch
 WIDTH, HEIGHT = 640, 384
 
 
-def median_seconds(run: Callable[[], Any], repeats: int, device: torch.device) -> float:
-    """Median time of ``run`` after one warm-up."""
-    times = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
+def finished(run: Callable[[], Any], device: torch.device) -> Callable[[], None]:
+    """``run``, and the device done with it."""
+
+    def wait() -> None:
         run()
         if device.type == "cuda":
             torch.cuda.synchronize()
-        times.append(time.perf_counter() - start)
-    return sorted(times[1:])[repeats // 2]
+
+    return wait
 
 
 def measure_forward(network: NetworkConfig, device: torch.device, repeats: int) -> dict[str, float]:
@@ -63,7 +62,7 @@ def measure_forward(network: NetworkConfig, device: torch.device, repeats: int) 
             image = x.contiguous(memory_format=torch.channels_last)
         for name in ("float32", "bfloat16"):
             with torch.no_grad(), torch.autocast(device.type, torch.bfloat16, enabled=name == "bfloat16"):
-                seconds = median_seconds(lambda t=track, i=image: t(i), repeats, device)  # type: ignore[misc]
+                seconds = median_seconds(finished(partial(track, image), device), repeats)
             result[f"{name}_{layout}_s"] = seconds
     return result
 
@@ -114,9 +113,7 @@ def measure_decoding(config: TrainingConfig, repeats: int) -> dict[str, float]:
         path = Path(folder) / "view.exr"
         path.write_bytes(synthetic_view())
         names = buffer_names(config.network)
-        seconds = median_seconds(
-            lambda: decode_view(path.read_bytes(), names, num_threads=1), repeats, torch.device("cpu")
-        )
+        seconds = median_seconds(lambda: decode_view(path.read_bytes(), names, num_threads=1), repeats)
     return {
         "view_s": seconds,
         "crops_per_s_one_process": config.data.crops_per_view / seconds,
@@ -191,10 +188,7 @@ def main() -> None:
         "decoding": measure_decoding(config, args.repeats),
         "steps": measure_steps(config, device, args.repeats, args.peak_tflops),
     }
-    print(json.dumps(report, indent=2))
-    if args.out:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(json.dumps(report, indent=2) + "\n")
+    write_report(report, args.out)
 
 
 if __name__ == "__main__":

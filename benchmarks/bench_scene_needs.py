@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_first_pixel import planned_folder
+from benchmarks.timing import timed
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
 from datagen.formats.configuration import Configuration
@@ -61,9 +62,7 @@ class ImagesOfConstants(TextureCache):
 def seconds(work: Callable[[], Any]) -> float:
     """Processor seconds."""
     gc.collect()
-    start = time.process_time()
-    work()
-    return time.process_time() - start
+    return timed(work).cpu
 
 
 def load_everything(library: Library) -> AssetCaches:

@@ -14,13 +14,13 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.bench_qualities import REPOSITORY, planned_folder
+from benchmarks.timing import Stopwatch, timed
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.recipe import RenderRecipe
 from datagen.library import Library
@@ -37,7 +37,7 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
     tracer, guide = renderer.tracer, renderer.tracer.sky_guide
     kinds = {"plain": None, "guided": guide}
     variances: dict[str, list[float]] = {name: [] for name in kinds}
-    seconds: dict[str, list[float]] = {name: [] for name in kinds}
+    watch = Stopwatch()
     for index, view in enumerate(renderer.configuration.cameras):
         sensor = renderer.sensor(view.camera())
         limit = renderer.view_job(index).clamp_limit
@@ -46,9 +46,8 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
             tracer.use_sky_guide(chosen)
             tracer.accumulate(sensor, 1, 0, limit=limit)  # compiles
             for seed in range(IMAGES):
-                start = time.process_time()
-                images[name].append(tracer.accumulate(sensor, samples, 1 + seed, limit=limit).mean())
-                seconds[name].append(time.process_time() - start)
+                with watch.stage(name):
+                    images[name].append(tracer.accumulate(sensor, samples, 1 + seed, limit=limit).mean())
         reference = np.mean([image for found in images.values() for image in found], axis=0)
         for name, found in images.items():
             pairs = zip(found[::2], found[1::2], strict=True)
@@ -57,7 +56,7 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
             variances[name] += [relative_mse(image, reference, exposed=True) for image in differences]
     tracer.use_sky_guide(guide)
     mean = {name: statistics.mean(values) for name, values in variances.items()}
-    cost = {name: statistics.median(values) for name, values in seconds.items()}
+    cost = {name: statistics.median(values) for name, values in watch.cpu.items()}
     return {
         "share": guide.share if guide is not None else 0.0,
         "variance": mean,
@@ -82,9 +81,7 @@ def main() -> None:
     for unit in folder.read_plan().units:
         configuration = sized(folder.read_configuration(unit), tuple(arguments.size), 4)
         renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1, firefly_clamp=CLAMP))
-        start = time.process_time()
-        renderer.scene.prepare_paths()
-        learning = time.process_time() - start
+        learning = timed(renderer.scene.prepare_paths).cpu
         found = {"learning_s": learning, **compare(renderer, arguments.samples)}
         renderer.close()
         results[configuration.id] = found

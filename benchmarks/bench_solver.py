@@ -11,13 +11,12 @@ and writes JSON.
 from __future__ import annotations
 
 import argparse
-import json
-import platform
-import time
+import statistics
 from pathlib import Path
 
 import torch
 
+from benchmarks.timing import Stopwatch, machine, write_report
 from model.bilateral_solver import SolverConfig, bilateral_solve, build_grid, solve
 
 WIDTH, HEIGHT = 640, 384
@@ -41,25 +40,24 @@ def measure(kind: str, device: torch.device, repeats: int) -> dict[str, float]:
     guide = make_guide(kind).to(device)
     target = torch.rand(1, 4, HEIGHT, WIDTH, generator=generator).to(device)
     confidence = torch.rand(1, 4, HEIGHT, WIDTH, generator=generator).to(device).requires_grad_()
-    times: dict[str, list[float]] = {"grid_s": [], "solve_s": [], "adjoint_s": []}
 
-    def now() -> float:
+    def synchronize() -> None:
         if device.type == "cuda":
             torch.cuda.synchronize()
-        return time.perf_counter()
 
-    for repeat in range(repeats + 2):
-        start = now()
-        grid = build_grid(guide)
-        built = now()
-        filtered = bilateral_solve(target, confidence, grid)
-        solved = now()
-        filtered.sum().backward()
-        done = now()
-        if repeat >= 2:  # warm-up
-            for name, value in zip(times, (built - start, solved - built, done - solved), strict=True):
-                times[name].append(value)
-    result = {name: sorted(values)[len(values) // 2] for name, values in times.items()}
+    for warm_up in (2, 0):  # the first watch is thrown away
+        watch = Stopwatch()
+        for _ in range(warm_up or repeats):
+            with watch.stage("grid_s"):
+                grid = build_grid(guide)
+                synchronize()
+            with watch.stage("solve_s"):
+                filtered = bilateral_solve(target, confidence, grid)
+                synchronize()
+            with watch.stage("adjoint_s"):
+                filtered.sum().backward()
+                synchronize()
+    result = {name: statistics.median(values) for name, values in watch.wall.items()}
     result["total_s"] = result["grid_s"] + result["solve_s"]
     result["num_vertices"] = grid.num_vertices
     columns = [i.detach().double().permute(0, 2, 3, 1).reshape(-1, 4) for i in (target, confidence)]
@@ -89,14 +87,12 @@ def main() -> None:
         "threads": args.threads,
         "device": args.device,
         "torch": torch.__version__,
-        "machine": platform.processor() or platform.machine(),
+        "machine": machine(),
         "results": results,
     }
     for kind, values in results.items():
         print(kind, "  ".join(f"{name} {value:.4g}" for name, value in values.items()))
-    if args.out:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(json.dumps(report, indent=2) + "\n")
+    write_report(report, args.out, is_printed=False)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Speed of the multi-view statistics, and what their choices cost in accuracy.
 
-    python benchmarks/bench_statistics.py                       speed, against the vectorised NumPy oracle
-    python benchmarks/bench_statistics.py --scene S/scene.xml   the same on a Mitsuba scene, and accuracy
+    python -m benchmarks.bench_statistics                       speed, against the vectorised NumPy oracle
+    python -m benchmarks.bench_statistics --scene S/scene.xml   the same on a Mitsuba scene, and accuracy
 
 Speed: 40 views of 640x384, 12 best; kernels and oracle take turns on the same views in one run. Growth:
 seconds a view for 10, 20, 40 and 80 views, in turns, with a straight line fitted. Accuracy (for a scene with
@@ -16,27 +16,17 @@ Writes JSON with medians and interquartile ranges to --out, and a summary to the
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
-import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
+from benchmarks.timing import machine, summary, timed, write_report
 from datagen.foundation.cameras import Camera, look_at
 from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics, has_surface
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe_points
 from mitsuba_plugins.variant import select_variant
 from oracles.statistics import OracleOptions, statistics_vectorized
-
-
-def summary(values: list[float]) -> dict:
-    low, median, high = np.percentile(values, [25, 50, 75])
-    return {"median": float(median), "iqr": [float(low), float(high)], "repeats": len(values)}
 
 
 def furnished_room():
@@ -139,25 +129,19 @@ def place_cameras(
 
 def seconds_a_view(views: list[StatisticsView], options: StatisticsOptions, scene=None) -> float:
     """Everything counted: packing, upload, kernels, download."""
-    start = time.perf_counter()
-    for _ in compute_statistics(views, options, scene):
-        pass
-    return (time.perf_counter() - start) / len(views)
+    return timed(lambda: list(compute_statistics(views, options, scene))).wall / len(views)
 
 
 def measure_speed(views: list[StatisticsView], scene, repeats: int) -> dict:
     options = StatisticsOptions()
     traced = StatisticsOptions(visibility=VisibilityOptions("trace"))
     seconds: dict[str, list[float]] = {"kernel": [], "kernel_trace": [], "oracle": [], "ratio": []}
-    start = time.perf_counter()
-    seconds_a_view(views[:2], options)
-    first = time.perf_counter() - start
+    first = 2 * seconds_a_view(views[:2], options)
     seconds_a_view(views[:2], traced, scene)
     for repeat in range(repeats):
         seconds["kernel"].append(seconds_a_view(views, options))
-        start = time.perf_counter()
-        statistics_vectorized(views, repeat % len(views), OracleOptions())
-        seconds["oracle"].append(time.perf_counter() - start)
+        oracle = partial(statistics_vectorized, views, repeat % len(views), OracleOptions())
+        seconds["oracle"].append(timed(oracle).wall)
         seconds["ratio"].append(seconds["oracle"][-1] / seconds["kernel"][-1])
         seconds["kernel_trace"].append(seconds_a_view(views, traced, scene))
     return {"first_two_views_with_compilation_s": first} | {k: summary(v) for k, v in seconds.items()}
@@ -245,7 +229,7 @@ def main() -> None:
     report = {
         "benchmark": "statistics",
         "variant": variant,
-        "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
+        "machine": machine(),
         "scene": str(arguments.scene or "room of boxes"),
         "size": list(arguments.size),
         "best_views": 12,
@@ -255,8 +239,7 @@ def main() -> None:
     }
     if is_textured:
         report["accuracy"] = measure_accuracy(views[:40], scene)
-    arguments.out.write_text(json.dumps(report, indent=2) + "\n")
-    print(json.dumps(report, indent=2))
+    write_report(report, arguments.out)
 
 
 if __name__ == "__main__":

@@ -17,15 +17,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from benchmarks.timing import Stopwatch, interleaved, machine, summary
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -87,7 +87,7 @@ def lit_views(
     for camera in candidates(environment, size):
         small = camera.scaled(size[0] // 10, size[1] // 10)
         view = ViewCamera.from_camera("probe", small)
-        renderer.configuration = base.model_copy(update={"cameras": (view,)})
+        renderer.scene.configuration = base.model_copy(update={"cameras": (view,)})
         buffers = renderer.render_view(0).buffers
         light, depth = float(np.median(buffers["beauty"])), buffers["depth_z_m"]
         if not chosen:
@@ -116,40 +116,6 @@ def configuration_of(library: Library, count: int, size: tuple[int, int]) -> Con
     views = lit_views(base, library, environment, count)
     cameras = tuple(ViewCamera.from_camera(f"view_{k:03}", camera) for k, camera in enumerate(views))
     return base.model_copy(update={"cameras": cameras})
-
-
-def cpu_seconds() -> float:
-    """User and system time of all threads of this process."""
-    times = os.times()
-    return times.user + times.system
-
-
-def summary(values: list[float]) -> dict[str, Any]:
-    """Median and interquartile range."""
-    low, median, high = np.percentile(values, [25, 50, 75])
-    return {"median": round(float(median), 4), "iqr": [round(float(low), 4), round(float(high), 4)]}
-
-
-class Stopwatch:
-    """Wall and CPU seconds by stage, one entry a view."""
-
-    def __init__(self) -> None:
-        self.wall: dict[str, list[float]] = {}
-        self.cpu: dict[str, list[float]] = {}
-
-    @contextmanager
-    def stage(self, name: str, share: int = 1) -> Iterator[None]:
-        """Time a block; ``share`` views are made in it."""
-        wall, cpu = time.perf_counter(), cpu_seconds()
-        yield
-        self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)
-        self.cpu.setdefault(name, []).append((cpu_seconds() - cpu) / share)
-
-    def result(self) -> dict[str, Any]:
-        """Medians by stage."""
-        return {
-            name: {"wall_s": summary(self.wall[name]), "cpu_s": summary(self.cpu[name])} for name in self.wall
-        }
 
 
 def references(
@@ -249,16 +215,13 @@ def measure_error(
 
 def measure_overlap(renderer: SceneRenderer, count: int, repeats: int) -> dict[str, Any]:
     """Seconds a view of sequential and of overlapped rendering, in turns, and their paired ratio."""
-    seconds: dict[str, list[float]] = {"sequential": [], "overlapped": []}
-    for _ in range(repeats):
-        start = time.perf_counter()
-        for index in range(count):
-            renderer.render_view(index)
-        middle = time.perf_counter()
-        for _ in renderer.render_views(range(count)):
-            pass
-        seconds["sequential"].append((middle - start) / count)
-        seconds["overlapped"].append((time.perf_counter() - middle) / count)
+    seconds: dict[str, list[float]] = {}
+    orders = {
+        "sequential": lambda: [renderer.render_view(index) for index in range(count)],
+        "overlapped": lambda: list(renderer.render_views(range(count))),
+    }
+    for name, times in interleaved(orders, repeats, warm_up=0).items():
+        seconds[name] = [turn.wall / count for turn in times]
     ratios = [a / b for a, b in zip(seconds["sequential"], seconds["overlapped"], strict=True)]
     return {name: summary(values) for name, values in seconds.items()} | {"speedup": summary(ratios)}
 
@@ -282,7 +245,7 @@ def main() -> None:
     library = converted(arguments.scene, arguments.cache)
     configuration = configuration_of(library, arguments.views, tuple(arguments.size))
     result: dict[str, Any] = {
-        "machine": {"cores": os.cpu_count(), "processor": platform.processor() or platform.machine()},
+        "machine": machine(),
         "versions": pixel_versions(),
         "arguments": {k: v if not isinstance(v, Path) else v.name for k, v in vars(arguments).items()},
         "by_samples": {},

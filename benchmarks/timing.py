@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Timing harness of the benchmarks: warm-up, interleaved repeats, medians with quartiles, JSON reports."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Action = Callable[[], Any]
+
+
+class Seconds(NamedTuple):
+    """Wall time, and processor time of all threads, which hardly depends on the machine's load."""
+
+    wall: float
+    cpu: float
+
+
+def cpu_seconds() -> float:
+    """User and system time of all threads of this process."""
+    times = os.times()
+    return times.user + times.system
+
+
+def timed(action: Action) -> Seconds:
+    """Time of one call; the action waits for its device."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    action()
+    return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -> dict[str, list[Seconds]]:
+    """Times of ``repeats`` calls of each action after ``warm_up`` calls, which compile and fill caches.
+
+    Actions take turns, in reversed order every other time, so that drift of the machine affects all alike;
+    entries of one index belong to one turn.
+    """
+    names = list(actions)
+    found: dict[str, list[Seconds]] = {name: [] for name in names}
+    for turn in range(warm_up + repeats):
+        for name in names if turn % 2 else reversed(names):
+            seconds = timed(actions[name])
+            if turn >= warm_up:
+                found[name].append(seconds)
+    return found
+
+
+def median_seconds(action: Action, repeats: int, clock: str = "wall", warm_up: int = 1) -> float:
+    """Median time of ``action`` by one clock of :class:`Seconds`."""
+    times = interleaved({"": action}, repeats, warm_up)[""]
+    return float(np.median([getattr(seconds, clock) for seconds in times]))
+
+
+def summary(values: list[float], digits: int = 6) -> dict[str, Any]:
+    """Median and interquartile range."""
+    low, median, high = (round(float(v), digits) for v in np.percentile(values, [25, 50, 75]))
+    return {"median": median, "iqr": [low, high], "repeats": len(values)}
+
+
+class Stopwatch:
+    """Times by stage, for work whose stages cannot be called apart."""
+
+    def __init__(self) -> None:
+        self.wall: dict[str, list[float]] = {}
+        self.cpu: dict[str, list[float]] = {}
+
+    @contextmanager
+    def stage(self, name: str, share: int = 1) -> Iterator[None]:
+        """Time a block, which counts as ``share`` entries."""
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        yield
+        self.wall.setdefault(name, []).append((time.perf_counter() - wall) / share)
+        self.cpu.setdefault(name, []).append((cpu_seconds() - cpu) / share)
+
+    def result(self) -> dict[str, Any]:
+        """Medians and interquartile ranges by stage."""
+        return {
+            name: {"wall_s": summary(self.wall[name], 4), "cpu_s": summary(self.cpu[name], 4)}
+            for name in self.wall
+        }
+
+
+def machine() -> dict[str, Any]:
+    """Processor and interpreter that figures belong to."""
+    return {
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+    }
+
+
+def write_report(report: Any, out: Path | None, *, is_printed: bool = True) -> None:
+    """Print a report as JSON and write it to ``out``, where given."""
+    text = json.dumps(report, indent=1)
+    if is_printed:
+        print(text)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text + "\n", encoding="utf-8")
