@@ -128,7 +128,7 @@ def print_slopes() -> None:
         for angle in angles:
             cos, sin = np.float32(np.cos(angle)), np.float32(np.sin(angle))
             pair = mi.Point2f(mi.Float(u), mi.Float(0.5))
-            slope, _ = beckmann._sample_visible_slopes(mi.Float(cos), mi.Float(sin), pair, num_steps)
+            slope, _ = beckmann.sample_visible_slopes(mi.Float(cos), mi.Float(sin), pair, num_steps)
             tan = float(sin) / float(cos)
             top = min(1.0 / max(tan, 1e-12), 10.0)
             s = np.append(np.array(slope, np.float64), top)
@@ -142,7 +142,7 @@ def print_slopes() -> None:
             dr.eval(pair, cos_array, sin_array)
             dr.sync_thread()
             start = time.perf_counter()
-            dr.eval(beckmann._sample_visible_slopes(cos_array, sin_array, pair, num_steps))
+            dr.eval(beckmann.sample_visible_slopes(cos_array, sin_array, pair, num_steps))
             dr.sync_thread()
             seconds.append(time.perf_counter() - start)
         rows.append([num_steps, f"{worst:.1e}", f"{np.median(seconds):.3f}"])

@@ -35,8 +35,8 @@ from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.ply import decode_ply, encode_ply
 from datagen.library import Library
 from datagen.rendering.materials import SurfaceMaterial, resolve_materials
-from datagen.rendering.scene_builder import _uv_scale
-from datagen.rendering.textures import NO_ADJUSTMENT, SCALAR_ROLES, _decoded, adjusted_constant
+from datagen.rendering.scene_builder import uv_scale_of
+from datagen.rendering.textures import NO_ADJUSTMENT, SCALAR_ROLES, adjusted_constant, decoded_texture
 
 SKY_SIZE = (512, 1024)
 
@@ -71,7 +71,7 @@ class RoomExport:
             for part in asset.parts:
                 world_from_part = np.array(placed.world_from_asset) @ np.array(part.asset_from_part)
                 surface = surfaces[part.material]
-                scale = _uv_scale(surface, part, world_from_part)
+                scale = uv_scale_of(surface, part, world_from_part)
                 self.parts.append(
                     {
                         "name": f"{placed.name}/{part.name}",
@@ -125,7 +125,7 @@ class RoomExport:
             name = f"textures/{stem}{source.suffix}"
             shutil.copyfile(source, self.out / name)
             return {**value.model_dump(mode="json"), "texture": name}
-        values = _decoded(surface.package, value, role, adjustment)
+        values = decoded_texture(surface.package, value, role, adjustment)
         is_scalar = role in SCALAR_ROLES
         coded = values if is_scalar else srgb_from_linear(values)
         name = f"textures/{stem}.png"

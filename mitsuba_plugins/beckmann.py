@@ -118,13 +118,13 @@ def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
     inverse = 1.0 / dr.select(has_azimuth, radial, 1.0)
     cos_phi = dr.select(has_azimuth, stretched.x * inverse, 1.0)
     sin_phi = dr.select(has_azimuth, stretched.y * inverse, 0.0)
-    slope_x, slope_y = _sample_visible_slopes(stretched.z, radial, sample)
+    slope_x, slope_y = sample_visible_slopes(stretched.z, radial, sample)
     rotated_x = cos_phi * slope_x - sin_phi * slope_y
     rotated_y = sin_phi * slope_x + cos_phi * slope_y
     return dr.normalize(mi.Vector3f(-alpha * rotated_x, -alpha * rotated_y, 1.0))
 
 
-def _sample_visible_slopes(
+def sample_visible_slopes(
     cos: Array, sin: Array, sample: Array, num_steps: int = NEWTON_STEPS
 ) -> tuple[Array, Array]:
     """Slopes seen from an angle with the given cosine and sine, at alpha = 1, azimuth 0.

@@ -363,7 +363,7 @@ class MaterialNetwork(nn.Module):
         maps: dict[str, Tensor] = {}
         for track in tracks:
             x = assemble_inputs(track, buffers, exposure, self.config, depth_max_m)
-            if self._is_channels_last:
+            if self.is_channels_last:
                 x = x.contiguous(memory_format=torch.channels_last)
             outputs = TRACK_OUTPUTS[track]
             predicted = self.tracks[track](x)
@@ -372,7 +372,8 @@ class MaterialNetwork(nn.Module):
         return maps
 
     @property
-    def _is_channels_last(self) -> bool:
+    def is_channels_last(self) -> bool:
+        """Whether weights are stored with channels last."""
         weight = self.get_parameter("tracks.diffuse.enc2.conv.weight")
         return weight.is_contiguous(memory_format=torch.channels_last) and not weight.is_contiguous()
 

@@ -133,11 +133,11 @@ def test_what_is_installed_without_its_data_says_so(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(bundled, "__file__", str(folder / "datagen" / "foundation" / "bundled.py"))
     with pytest.raises(InputError, match="install the project again"):
         bundled_folder()
-    finding = doctor._bundled()
+    finding = doctor.bundled_finding()
     assert finding.is_required and not finding.is_fine and "no such folder" in finding.value
     (folder / "datagen" / "scenes" / "library").mkdir(parents=True)
     assert bundled_folder() == folder / "datagen" / "scenes"
-    assert not doctor._bundled().is_fine, "an empty library is none"
+    assert not doctor.bundled_finding().is_fine, "an empty library is none"
     assert bundled_names("recipes") == []
 
 
@@ -155,12 +155,12 @@ def test_the_doctor_names_a_command_for_each_lack(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setenv("PATH", str(tmp_path))
     for title, told in doctor.PROGRAMS.items():
-        finding = doctor._program(title, *told)
+        finding = doctor.program_finding(title, *told)
         assert not finding.is_fine and not finding.is_required
         assert re.search(r"apt-get install|https://", finding.remedy), finding
     for system, command in (("darwin", "brew install colmap"), ("win32", "COLMAP's own page")):
         monkeypatch.setattr(doctor.sys, "platform", system)
-        assert doctor._program("COLMAP", *doctor.PROGRAMS["COLMAP"]).remedy.endswith(command)
+        assert doctor.program_finding("COLMAP", *doctor.PROGRAMS["COLMAP"]).remedy.endswith(command)
 
 
 @pytest.mark.parametrize(("version", "is_fine"), [("3.4.1", False), ("4.5.0", True), ("5.0.1", True)])
@@ -173,13 +173,13 @@ def test_the_doctor_knows_an_old_blender(
     program.write_text(f"#!/bin/sh\necho Blender {version}\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
-    finding = doctor._program("Blender", *doctor.PROGRAMS["Blender"])
+    finding = doctor.program_finding("Blender", *doctor.PROGRAMS["Blender"])
     assert finding.is_fine == is_fine and bool(finding.remedy) != is_fine
 
 
 def test_the_doctor_sees_absent_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
     from datagen.inspection import doctor
 
-    assert doctor._checkpoints().is_fine
+    assert doctor.checkpoint_finding().is_fine
     monkeypatch.setattr(doctor, "CHECKPOINTS", ("small.safetensors", "large.safetensors"))
-    assert doctor._checkpoints().value == "without large.safetensors"
+    assert doctor.checkpoint_finding().value == "without large.safetensors"

@@ -36,7 +36,7 @@ def serve() -> None:
         process = os.fork()
         if process == 0:
             _run(request)
-        print(_wait(process, request["timeout_s"]), flush=True)
+        print(outcome_of(process, request["timeout_s"]), flush=True)
 
 
 def _run(request: dict[str, Any]) -> None:
@@ -54,9 +54,9 @@ def _run(request: dict[str, Any]) -> None:
     os._exit(code)
 
 
-def _wait(process: int, timeout_s: float) -> int:
-    """By processor time, since other work may keep tests from running; by ten times the clock, since they may
-    sleep."""
+def outcome_of(process: int, timeout_s: float) -> int:
+    """Exit code of a process that is killed after ``timeout_s`` of processor time, since other work may keep
+    tests from running, or ten times that by the clock, since they may sleep."""
     end = time.monotonic() + CLOCK_SHARE * timeout_s
     while time.monotonic() < end and _processor_s(process) < timeout_s:
         found, status = os.waitpid(process, os.WNOHANG)

@@ -333,10 +333,10 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         views=tuple(timings),
         peak_memory_mb=round(process_peak_mb(), 1),
     )
-    _commit_manifest(run, manifest)
+    commit_manifest(run, manifest)
 
 
-def _commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
+def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
     """Make the manifest appear under its name if no other attempt's is there; the first wins."""
     path = run.folder.manifest_path(run.unit)
     partial = path.with_name(f".{path.name}.{run.attempt}.partial")

@@ -87,13 +87,13 @@ def examine(folder: Path | None = None) -> list[Finding]:
     findings = [
         Finding("Python", sys.version.split()[0], sys.version_info >= (3, 10), True, "install Python 3.11")
     ]
-    findings.append(_bundled())
+    findings.append(bundled_finding())
     findings += [_package(name, True, _AGAIN) for name in REQUIRED]
     for extra, (purpose, names) in OPTIONAL.items():
         remedy = f"for {purpose}: pip install 'scene-materials[{extra}]'"
         findings += [_package(name, False, remedy) for name in names]
-    findings.append(_checkpoints())
-    findings += [_program(title, *told) for title, told in PROGRAMS.items()]
+    findings.append(checkpoint_finding())
+    findings += [program_finding(title, *told) for title, told in PROGRAMS.items()]
     try:
         variant = resolve_variant()
         findings.append(Finding("variant", variant, True, True))
@@ -130,7 +130,7 @@ def _found(error: InputError) -> tuple[str, bool, bool, str]:
     return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
 
 
-def _bundled() -> Finding:
+def bundled_finding() -> Finding:
     """Whether the bundled library, recipes and suites were installed, too."""
     try:
         num = len(find_packages(bundled_library()))
@@ -142,7 +142,7 @@ def _bundled() -> Finding:
         return Finding("bundled library", f"{problem.where}: {problem.got}", False, True, _AGAIN)
 
 
-def _checkpoints() -> Finding:
+def checkpoint_finding() -> Finding:
     """Whether the networks that `materials infer` takes by itself were installed; nothing is imported."""
     package = importlib.util.find_spec("model")
     folders = [Path(p) / "checkpoints" for p in (package.submodule_search_locations or ())] if package else []
@@ -151,7 +151,7 @@ def _checkpoints() -> Finding:
     return Finding("bundled checkpoints", value, not lacking, False, _AGAIN)
 
 
-def _program(title: str, command: str, purpose: str, debian: str) -> Finding:
+def program_finding(title: str, command: str, purpose: str, debian: str) -> Finding:
     """A program on the path."""
     path = shutil.which(command)
     if path is None:

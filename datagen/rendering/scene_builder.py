@@ -221,7 +221,7 @@ class _Builder:
             self.problems.append(Problem(where, f"part {part.name}", got, "texture coordinates", remedy))
             return
         world_from_part = world_from_asset @ np.asarray(part.asset_from_part, dtype=np.float64)
-        world = in_world(mesh, world_from_part, _uv_scale(surface, part, world_from_part))
+        world = in_world(mesh, world_from_part, uv_scale_of(surface, part, world_from_part))
         has_normal_map = surface.material.normal is not None
         pieces = split_by_uv_handedness(world) if has_normal_map else [(False, world)]
         self._register_material(surface)
@@ -282,7 +282,7 @@ class _Builder:
         )
 
 
-def _uv_scale(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
+def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
     """Factor on the part's UVs: the assignment's, or such that a tiled material has its size in the world."""
     if surface.uv_scale is not None:
         return surface.uv_scale

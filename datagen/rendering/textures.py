@@ -113,7 +113,7 @@ class TextureCache:
         if key in self._textures:
             self._textures.move_to_end(key)
             return self._textures[key][0]
-        values = box_filtered(_decoded(package, value, role, adjustment), self.shrink)
+        values = box_filtered(decoded_texture(package, value, role, adjustment), self.shrink)
         if flip_green:
             values = values.copy()
             values[..., 1] = 1.0 - values[..., 1]
@@ -129,7 +129,7 @@ class TextureCache:
         return texture
 
 
-def _decoded(package: Package, texture: Texture, role: Role, adjustment: ColorAdjustment) -> NDArray:
+def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: ColorAdjustment) -> NDArray:
     path = package.local_file(texture.texture)
     pixels = read_image(path)
     num_bad = int(np.count_nonzero(~np.isfinite(pixels))) if pixels.dtype.kind == "f" else 0

@@ -77,7 +77,7 @@ def test_a_crash_between_the_shard_and_its_marker(
         raise SystemExit("killed")
 
     with monkeypatch.context() as context:
-        context.setattr(work_unit, "_commit_manifest", crash)
+        context.setattr(work_unit, "commit_manifest", crash)
         with pytest.raises(SystemExit):
             run_unit(_attempt(folder, 1), ("pack",))
     (orphan,) = [path for path in folder.shards_path.iterdir() if "small-00001" in path.name]

@@ -214,7 +214,7 @@ def test_the_first_marker_wins_unless_it_proves_nothing(
     path = folder.manifest_path(folder.read_plan().units[0])
     before = there(folder, manifest) if there else None
     path.write_bytes(b"{" if before is None else canonical_json(before))
-    work_unit._commit_manifest(made.attempt(folder), manifest)
+    work_unit.commit_manifest(made.attempt(folder), manifest)
     assert manifest_of(folder) == (manifest if wins else before)
     assert (folder.root / manifest.shard).exists() == wins  # the loser's is nobody's
     assert names(folder.units_path) == [path.name]

@@ -117,7 +117,7 @@ def test_sampled_slopes_follow_the_distribution_function(angle_rad: float) -> No
 
     u = ((np.arange(4000) + 0.5) / 4000).astype(np.float32)
     cos, sin = np.float32(np.cos(angle_rad)), np.float32(np.sin(angle_rad))
-    slope, _ = beckmann._sample_visible_slopes(
+    slope, _ = beckmann.sample_visible_slopes(
         mi.Float(cos), mi.Float(sin), mi.Point2f(mi.Float(u), mi.Float(0.5))
     )
     s = array(slope).astype(np.float64)

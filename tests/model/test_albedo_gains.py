@@ -54,7 +54,7 @@ def fit(
         "region": REGIONS[which],
     }
     points = albedo_level._Points(**{**fields, **changes})
-    return albedo_level._fit(points, arriving * known[:, None], known, 4, 0.01)
+    return albedo_level.fit_level(points, arriving * known[:, None], known, 4, 0.01)
 
 
 def test_gains_are_those_of_each_region_and_the_rooms_elsewhere() -> None:
@@ -95,7 +95,7 @@ def test_points_that_nothing_arrives_at_are_not_used() -> None:
     """What leaves them came by ways that no photograph shows: they would reflect without end."""
     arriving = ARRIVING.copy()
     arriving[:60] = 0.0
-    level = albedo_level._fit(points_of(leaving()), arriving, np.ones(NUM), 4, 0.0)
+    level = albedo_level.fit_level(points_of(leaving()), arriving, np.ones(NUM), 4, 0.0)
     assert level.report.points_used == NUM - 60 and level.report.impossible_share == 0.0
     np.testing.assert_allclose(level.gains[REGIONS], WANTED, rtol=0.02)
 
@@ -104,7 +104,7 @@ def test_a_surface_may_reflect_all_that_arrives() -> None:
     """Exactly all is not more than all."""
     left = np.random.default_rng(7).uniform(0.1, 0.5, (NUM, 3))
     for factor, share in ((1.0, 0.0), (0.999, 1.0)):
-        level = albedo_level._fit(points_of(left), left * np.pi * factor, np.ones(NUM), 4, 0.0)
+        level = albedo_level.fit_level(points_of(left), left * np.pi * factor, np.ones(NUM), 4, 0.0)
         assert level.report.impossible_share == share
 
 
@@ -175,7 +175,7 @@ def test_outliers_do_not_move_a_regions_gain() -> None:
 
 def test_rays_go_by_the_cosine_one_to_each_stratum() -> None:
     normal = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.36, -0.48, -0.8]])
-    rays = albedo_level._cosine_rays(normal, np.random.default_rng(3)).reshape(3, NUM_RAYS, 3)
+    rays = albedo_level.cosine_rays(normal, np.random.default_rng(3)).reshape(3, NUM_RAYS, 3)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=1e-9)
     cosine = np.einsum("nrc,nc->nr", rays, normal)
     assert cosine.min() > 0
@@ -191,6 +191,6 @@ def test_rays_go_by_the_cosine_one_to_each_stratum() -> None:
 
 def test_weighted_quantiles_are_where_the_weights_reach_them() -> None:
     values, weight = np.array([3.0, 1.0, 2.0, 4.0]), np.array([1.0, 5.0, 1.0, 3.0])
-    found = albedo_level._quantiles(values, weight, (0.2, 0.55, 0.65, 0.95))
+    found = albedo_level.weighted_quantiles(values, weight, (0.2, 0.55, 0.65, 0.95))
     assert found.tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert albedo_level._range(values, weight) == 3.0
+    assert albedo_level.interquartile_range(values, weight) == 3.0

@@ -107,7 +107,7 @@ def test_channels_last_and_bfloat16_agree_with_float32():
     with torch.no_grad():
         reference = network(buffers, exposure)
         network.to(memory_format=torch.channels_last)
-        assert network._is_channels_last
+        assert network.is_channels_last
         fast = network(buffers, exposure)
         with torch.autocast("cpu", torch.bfloat16):
             coarse = network(buffers, exposure)

@@ -66,7 +66,7 @@ class Cluster:
             self.start_controller()
             for name in self.node_names:
                 self.start_node(name)
-            self.wait_for(lambda: self._states().count("idle") == self.num_nodes, "idle nodes")
+            self.wait_for(lambda: self.states().count("idle") == self.num_nodes, "idle nodes")
         except BaseException:
             self.__exit__()
             raise
@@ -204,7 +204,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP OverSubscribe
             raise RuntimeError(f"{' '.join(command)}: {result.stderr or result.stdout}")
         return result.stdout
 
-    def _states(self) -> list[str]:
+    def states(self) -> list[str]:
         try:
             return self.run("sinfo", "--noheader", "-N", "-o", "%t").split()
         except RuntimeError:

@@ -115,7 +115,7 @@ def test_a_killed_node_costs_time_only(
         cluster.wait_until_idle()
     finally:
         cluster.start_node("n1")
-    cluster.wait_for(lambda: cluster._states().count("idle") == 3, "the node to come back")
+    cluster.wait_for(lambda: cluster.states().count("idle") == 3, "the node to come back")
     assert _hashes(folder) == expected
     assert len(list(folder.shards_path.iterdir())) == 4
 
@@ -203,9 +203,7 @@ def test_a_controller_that_dies_loses_nothing_that_was_finished(
         cluster.wait_for(lambda: list(folder.root.glob("work/*/running")), "a unit that runs")
         cluster.kill_controller()
         cluster.start_controller()
-        cluster.wait_for(
-            lambda: cluster._states().count("idle") + cluster._states().count("mix") >= 1, "nodes"
-        )
+        cluster.wait_for(lambda: cluster.states().count("idle") + cluster.states().count("mix") >= 1, "nodes")
         for _ in range(3):
             if cluster.wait_until_stuck_or_idle():
                 assert cancel(folder.root)

@@ -106,10 +106,10 @@ def find_level(
         arriving = irradiance @ LUMINANCE_WEIGHTS / np.maximum(coverage, 1e-3)
         unsure = np.pi * doubt_at(points.position_m, points.normal) / np.maximum(arriving, 1e-300)
         sure = np.clip((NO_DOUBT - unsure) / (NO_DOUBT - LITTLE_DOUBT), 0, 1)
-    return _fit(points, irradiance, coverage, num_regions, clipped_share, sure)
+    return fit_level(points, irradiance, coverage, num_regions, clipped_share, sure)
 
 
-def _fit(
+def fit_level(
     points: _Points,
     irradiance: Floats,
     coverage: Floats,
@@ -146,8 +146,8 @@ def _fit(
         rest[:, channel] = wanted[:, channel] - own[region]
     green = 1  # most of luminance
     found |= {
-        "spread": 0.5 * _range(rest[:, green], weight[used]),
-        "region_spread": 0.5 * _range(np.log(gains[regions, green])[region], weight[used]),
+        "spread": 0.5 * interquartile_range(rest[:, green], weight[used]),
+        "region_spread": 0.5 * interquartile_range(np.log(gains[regions, green])[region], weight[used]),
         "regions_used": len(regions),
     }
     gain = (float(np.exp(rooms[0])), float(np.exp(rooms[1])), float(np.exp(rooms[2])))
@@ -214,7 +214,7 @@ def _irradiance(
     irradiance, coverage = np.zeros_like(position_m), np.zeros(len(position_m))
     for first in range(0, len(position_m), _CHUNK):
         part = slice(first, first + _CHUNK)
-        direction = _cosine_rays(normal[part], random)
+        direction = cosine_rays(normal[part], random)
         start = np.repeat(position_m[part] + normal[part] * (2e-4 * cache.size_m), NUM_RAYS, axis=0)
         distance, facing = _first_hits(traced, start, direction)
         hit = np.isfinite(distance)
@@ -227,7 +227,7 @@ def _irradiance(
     return irradiance, coverage
 
 
-def _cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
+def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
     """(N NUM_RAYS, 3) directions by the cosine about ``normal`` (N, 3), stratified."""
     side = int(np.sqrt(NUM_RAYS))
     cell = np.arange(NUM_RAYS)
@@ -267,7 +267,7 @@ def _modes(
     """The room's mode and those of its regions (num_regions,): the most likely ones where points spread about
     their region's by Student's t, and regions about the room's."""
     num = np.bincount(region, weight, num_regions)
-    room = float(_quantiles(values, weight, (0.4,))[0])  # unseen light only ever adds
+    room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unseen light only ever adds
     offset = np.zeros(num_regions)
     for _ in range(_ROUNDS):
         of_point = weight * _precision((values - room - offset[region]), _POINT_SCALE)
@@ -284,13 +284,13 @@ def _precision(residual: Floats, scale: float) -> Floats:
     return (_FREEDOM + 1) / (_FREEDOM + (residual / scale) ** 2) / scale**2
 
 
-def _quantiles(values: Floats, weight: Floats, levels: tuple[float, ...]) -> Floats:
+def weighted_quantiles(values: Floats, weight: Floats, levels: tuple[float, ...]) -> Floats:
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weight[order])
     return values[order][np.searchsorted(total, np.array(levels) * total[-1])]
 
 
-def _range(values: Floats, weight: Floats) -> float:
+def interquartile_range(values: Floats, weight: Floats) -> float:
     """Weighted interquartile range."""
-    low, high = _quantiles(values, weight, (0.25, 0.75))
+    low, high = weighted_quantiles(values, weight, (0.25, 0.75))
     return float(high - low)
