@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""What a scene's surfaces are made of, by lookup: shape -> (material channels, ids), for ground-truth passes.
+"""Materials of a scene's surfaces by lookup: shape -> (material channels, ids), for ground-truth passes.
 
 A material reaches a shape through wrappers (``mask``, ``normalmap``, ``twosided``). Mitsuba forwards
 attributes through none of them, so the tree of wrappers is walked once per scene, and the walk's result is a
 Python function per material which Dr.Jit compiles into one indirect call, :func:`drjit.switch`.
 
-Shapes are told apart by their index in Mitsuba's registry: what a ``ShapePtr`` holds in a kernel. The index
-changes from process to process; the tables here translate it to numbers the caller chose.
+Shapes are identified by their index in Mitsuba's registry, the value of a ``ShapePtr`` in a kernel. The index
+changes from process to process; the tables here map it to the caller's numbers.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _normal_map_evaluator(texture: Any, nested: Evaluator) -> Evaluator:
         length2 = dr.squared_norm(normal)
         is_degenerate = ~(length2 > 1e-12)  # a black texel encodes no direction
         normal = dr.select(is_degenerate, mi.Normal3f(0.0, 0.0, 1.0), normal * dr.rsqrt(length2))
-        # The nested material sees wi in the mapped frame; all that matters to it is on which side it lies.
+        # The nested material gets wi in the mapped frame; it depends on the side of wi alone.
         side = dr.mulsign(mi.Float(1.0), dr.dot(normal, si.wi))
         nested_si = mi.SurfaceInteraction3f(si)
         nested_si.wi = mi.Vector3f(0.0, 0.0, side)
@@ -136,7 +136,7 @@ def _nothing(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(1.0)
 
 
-def _invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
+def invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
     """Channels of the ``null`` BSDF: rays pass."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(0.0)
 
@@ -147,7 +147,7 @@ def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
     Keys are shape ids; scenes read from XML leave them all alike, and these become ``id#2``, ``id#3``...
     """
     materials: dict[int, int] = {}
-    bsdfs = []  # kept alive: id() tells objects apart only while they exist
+    bsdfs = []  # kept alive: id() is unique only while objects exist
     table: dict[str, tuple[int, int]] = {}
     for shape, name in zip(scene.shapes(), _unique_names(scene.shapes()), strict=True):
         if shape.is_emitter():
@@ -251,7 +251,7 @@ class SceneMaterials:
 
     def _add_evaluator(self, bsdf: Any, name: str, problems: list[Problem]) -> int:
         if bsdf.class_name() == "Null":
-            self._evaluators.append(_invisible)
+            self._evaluators.append(invisible)
             self.has_transparency = True
             return len(self._evaluators) - 1
         try:

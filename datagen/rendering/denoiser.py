@@ -21,7 +21,7 @@ QUALITIES = ("fast", "balanced", "high")
 
 
 class Denoiser(Protocol):
-    """Something that turns a noisy image into a clean one. ``name`` goes into the view's record."""
+    """A denoiser of images; ``name`` is written to the view's record."""
 
     name: str
     wants_camera_normals: ClassVar[bool]
@@ -48,7 +48,7 @@ def auxiliary_albedo(
 class OidnDenoiser:
     """Intel Open Image Denoise on the CPU. ``num_threads`` 0 takes all cores. One caller at a time.
 
-    ``is_guided`` False leaves albedo and normal out, to measure what they bring.
+    ``is_guided`` False leaves albedo and normal out, to measure their effect.
     """
 
     quality: Quality = "high"
@@ -160,7 +160,7 @@ def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDen
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """One for estimates of the error, at a quarter of the cost; None where the recipe has none, or where its
+    """A denoiser for error estimates at a quarter of the cost; None where the recipe has none, or where its
     own is fast."""
     from mitsuba_plugins.variant import select_variant
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How far an image is from convergence: the relative mean squared error that budgets and benchmarks use.
+"""Relative mean squared error of an image, as budgets and benchmarks use it.
 
 relMSE(x, r) = mean of (x - r)^2 / (r^2 + epsilon), epsilon = 0.01, over pixels and channels, in scene-linear
 radiance. With two independent references r1, r2 of the same pixels the numerator is (x - r1)(x - r2): their
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for
 
 EPSILON = 0.01
-"""Keeps black pixels from counting without bound; a hundredth of white, squared, in exposed images."""
+"""Bounds the weight of black pixels; a tenth of white, squared, in exposed images."""
 
 
 def relative_mse_map(
@@ -49,9 +49,9 @@ def relative_mse_of_parts(
 ) -> tuple[float, float]:
     """Mean relMSE against four independent images of the same pixels, and its standard error by their noise.
 
-    (x - r1)(x - r2) is divided by what r3 and r4 say of the brightness, and so for all six pairs. Divided by
-    the mean of r1 and r2 themselves, pixels that are dark by chance in both would weigh too much: relative
-    noise s of each adds 3/2 s^4.
+    (x - r1)(x - r2) is divided by the brightness in r3 and r4, and so for all six pairs. Divided by the mean
+    of r1 and r2 themselves, pixels that are dark by chance in both would weigh too much: relative noise s of
+    each adds 3/2 s^4.
     """
     x, references = image.astype(np.float64), [part.astype(np.float64) for part in parts]
     scale = exposure_for(np.mean(references, axis=0)) if exposed else 1.0

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The meshes of a configuration, merged so that one Mitsuba shape holds all that shares a BSDF.
+"""The meshes of a configuration, merged into one Mitsuba shape for each BSDF.
 
 Parts are brought to world space in double precision and joined by BSDF, emission and vertex layout: a room of
-775 meshes is 35 shapes, which load faster and trace as fast (docs/decisions/0007). Which instance a triangle
-belongs to is kept in a table beside, by face.
-v of a texture coordinate runs upwards in files and downwards in Mitsuba; it is turned round here.
+775 meshes is 35 shapes, which load faster and trace as fast (docs/decisions/0007). A table gives the instance
+of each triangle. v of a texture coordinate runs upwards in files, downwards in Mitsuba; it is flipped here.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class MeshCache:
 
 
 def _check(mesh: Mesh, where: str) -> None:
-    """Refuse what would poison a render; the full inspection (edges) is the library's, not the renderer's."""
+    """Refuse meshes that would give NaN; the full inspection (edges) is part of the library."""
     arrays = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     indices_fit = len(mesh.faces) > 0 and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.positions)
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
@@ -66,7 +65,7 @@ def _check(mesh: Mesh, where: str) -> None:
 
 @dataclass(frozen=True)
 class GroupKey:
-    """What the triangles of one Mitsuba shape have in common."""
+    """The properties that all triangles of one Mitsuba shape share."""
 
     bsdf: Hashable
     emission: tuple[float, float, float] | None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From slots and assignments to BSDFs: the assigned materials, and the ``cook_torrance`` tree that shows it.
+"""From slots and assignments to BSDFs: assigned materials and their trees of ``cook_torrance``.
 
 Two slots share a BSDF, and a material id, exactly if package, material and adjustment agree; UV scales are
 in the meshes.
@@ -81,10 +81,10 @@ def resolve_materials(
 
 
 def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_uv: bool = False) -> Any:
-    """The BSDF of a material: ``cook_torrance`` inside ``normalmap`` inside ``mask``, as far as needed.
+    """The BSDF of a material: ``cook_torrance`` inside ``normalmap`` inside ``mask``, where needed.
 
     ``has_mirrored_uv``: the mesh's UVs run clockwise, where Mitsuba's tangent frame (right-handed by
-    construction) turns the bitangent round; the normal map's green channel is turned round with it.
+    construction) flips the bitangent; the normal map's green channel is flipped with it.
     """
     import mitsuba as mi
 

@@ -1,22 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Where an image keeps its noisy pixels: beside what is many times brighter than white, the denoiser bleeds.
+"""Noisy pixels kept beside sources many times brighter than white, where the denoiser bleeds.
 
-OIDN errs by a few per cent of the brightest thing that its network sees around a pixel. For what is up to
-white that is less than the noise which it removes. Of panes at forty times white it is more than a dark bar
-between them shows at all, while the bar's own samples are few but right.
+OIDN errs by a few per cent of the highest radiance in its network's receptive field. Up to white that is less
+than the noise which it removes. Of panes at forty times white it is more than the radiance of a dark bar
+between them, whose own samples are noisy but unbiased.
 
-Two independent halves a and b of the samples tell which pixels these are. With F, their denoised image, the
-expectation of (a - F)(b - F) is F's squared error, as far as F does not depend on the noise of that pixel; a
+Two independent halves a and b of the samples identify these pixels. With F, their denoised image, the
+expectation of (a - F)(b - F) is F's squared error, as long as F does not depend on the noise of that pixel; a
 firefly is in one half only and makes it negative. So the noisy image N replaces F with the share
 
     g max(0, 1 - v / ((a - F)(b - F)))
 
 where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
-Iglesias-Guitian and Moon 2022) that leaves F alone wherever the noise may explain what it differs by. v is
-relative to the darker of F and N, and pooled, because two halves alone say little of a pixel's variance. g
-rises from 0 to 1 where something that both halves agree to be ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE`` times
-white lies within ``REACH_PX``. Without it samples that are low by chance would pass for dark things
-(decision 78).
+Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. v is relative to the
+darker of F and N, and pooled, because two halves give a poor estimate of a pixel's variance. g rises from 0
+to 1 where a source that is ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE`` times white in both halves lies within
+``REACH_PX``. Without it samples that are low by chance would pass for dark surfaces (decision 78).
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for, luminance
 
 FAINTEST_SOURCE, BRIGHT_SOURCE = 4.0, 8.0
-"""Luminance, over the exposed image's white, from which neighbours are mistrusted, and wholly so."""
+"""Luminance, over the exposed image's white, at which the gate g begins to open, and is fully open."""
 REACH_PX = 5
 """Side of the square around a pixel in which such a source lies."""
 NEAR_PX, WIDE_PX = 3, 15
-"""Sides of the squares over which relative variances are pooled; the larger of the two means counts: noise
-that is wild here, or wild somewhere around and not yet met here."""
+"""Sides of the squares over which relative variances are pooled; the larger of the two means is used: strong
+noise here, or nearby and not yet sampled here."""
 MIN_LEVEL = 0.01
-"""Of white: what keeps relative variances of black pixels finite."""
+"""Of white: keeps relative variances of black pixels finite."""
 
 
 def noisy_share(

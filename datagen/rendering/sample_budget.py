@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""How many samples a view needs: its error is estimated from two independent halves of its samples.
+"""Adaptive sampling: the error of a view is estimated from two independent halves of its samples.
 
 Letters: ``a`` and ``b`` are the images of the two halves, n samples a pixel each, independent and with the
 right expectation r; ``A`` and ``B`` the same images denoised; all of them (H, W, 3), scene-linear, and here
 multiplied by the image's exposure. Errors are relMSE as :mod:`datagen.rendering.error` defines it: per-pixel
-squares are divided by r^2 + 0.01, for which (A + B) / 2 stands in. A and B have their noisy pixels where
-those are surer (:mod:`datagen.rendering.noisy_share`): a dark bar that the denoiser drowned between bright
-panes would weigh hundreds of times too little.
+squares are divided by r^2 + 0.01, for which (A + B) / 2 stands in. A and B keep noisy pixels where those are
+more accurate (:mod:`datagen.rendering.noisy_share`): a dark bar that the denoiser blurs with the bright panes
+around it would weigh hundreds of times too little.
 
-The error of a denoised half is a spread V, which the halves show, and a bias of the denoiser, which both
-share and their difference hides. What shows the bias is that each half is an unbiased witness of the other:
+The error of a denoised half consists of a spread V, the variance between the halves, and a bias of the
+denoiser, common to both. The bias is estimated by comparing each denoised half with the other noisy one,
+whose noise is independent and unbiased:
 
     U = [(A - b)^2 + (B - a)^2 - (a - b)^2] / 2      E U = E [(A - r)^2 + (B - r)^2] / 2
     V = (A - B)^2 / 2                                 E V = Var A
@@ -18,9 +19,9 @@ share and their difference hides. What shows the bias is that each half is an un
     E [((A + B) / 2 - r)^2] = E [U - V / 2],  pixel by pixel, whatever the denoiser does.
 
 U contains products of the halves' noise, (a - r)(b - r), which vanish in the mean over many pixels only:
-with few pixels or wild noise, bias^2 is known badly, and V, which is calm, serves to guess it
-(:func:`_squared_bias`). What a firefly clamp took away is common to everything and seen by none of this; how
-much it is, and where, is recorded with each half (:func:`_clamped_error`).
+with few pixels or strong noise, the estimate of bias^2 has a high variance, and V, whose variance is low,
+serves as a prior (:func:`_squared_bias`). Energy removed by a firefly clamp is missing in all of these; its
+amount in each pixel is recorded with each half (:func:`_clamped_error`).
 """
 
 from __future__ import annotations
@@ -37,29 +38,28 @@ from datagen.rendering.error import EPSILON
 FIRST_SAMPLES = 8
 """Of the first pass, both halves together, in every pixel; later passes go where the error is."""
 BIAS_PER_SPREAD = 1.0
-"""Squared bias of a denoised half over its spread, as far as nothing better is known (decision 70)."""
+"""Prior of the squared bias of a denoised half, over its spread (decision 70)."""
 TILE_PX = 4
 """Side of the blocks that get the same number of samples: edges and highlights are narrow."""
 AROUND_PX = 3
-"""Side of the squares whose mean error counts, so that one wild pixel does not decide, and of those in which
-the greatest of these means counts, so that an edge gets samples also where its halves happened to agree."""
+"""Side of the squares over which errors are averaged, against outliers, and of those over which the maximum
+of these means is taken, so that an edge gets samples also where its halves agree by chance."""
 MAX_GROWTH = 4
-"""A pass multiplies the samples of a tile by this at most: what is known of it comes from few samples."""
+"""Bound on the factor by which a pass multiplies a tile's samples: its error comes from few samples."""
 MIN_SHARE = 0.05
-"""Error that every tile is believed to have, over the mean of the tiles: light that no sample has met yet."""
+"""Minimum error of a tile, over the mean of the tiles: light that no sample has found yet."""
 CLAMP_BLUR_PX = 2.0
-"""Standard deviation of the Gaussian that evens out what a clamp took from single pixels."""
+"""Standard deviation of the Gaussian that smooths the clamped energy of single pixels."""
 MIN_PASS = 0.1
-"""What a pass adds at least, over all before it: an estimate costs as much as some samples."""
+"""Minimum of a pass, over all samples before it: an estimate costs as much as some samples."""
 SAMPLE_STEP = 4
-"""What a tile gets more in one half is a multiple of this, so that lists of pixels stay short."""
+"""Samples are added to a tile's half in multiples of this, which keeps lists of pixels short."""
 
 
 @dataclass(frozen=True)
 class PathSums:
-    """What light paths brought: ``radiance`` (H, W, 3), summed, and the luminance (H, W) that a clamp took
-    away from it, both float64; ``counts`` (H, W) int64, paths of each pixel. Nothing yet: zeros that fit any
-    image."""
+    """Sums over light paths: ``radiance`` (H, W, 3) and the luminance (H, W) that a clamp removed from it,
+    both float64; ``counts`` (H, W) int64, paths of each pixel. The default is zero and fits any image."""
 
     radiance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1, 3)))
     removed_luminance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1)))
@@ -82,11 +82,11 @@ class PathSums:
         return (self.radiance / self.counts[..., None]).astype(np.float32)
 
     def removed_mean(self) -> NDArray[np.float64]:
-        """Luminance (H, W) that the clamp took away from the mean."""
+        """Luminance (H, W) that the clamp removed from the mean."""
         return self.removed_luminance / self.counts
 
     def removed_share(self) -> float:
-        """Share of the luminance that the clamp took away, in [0, 1]."""
+        """Share of the luminance that the clamp removed, in [0, 1]."""
         removed = float((self.removed_luminance / self.counts).sum())
         kept = float((luminance(self.radiance) / self.counts).sum())
         return removed / max(removed + kept, 1e-300)  # of nothing: 0
@@ -94,9 +94,9 @@ class PathSums:
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """``rel_mse`` of the finished image and its ``standard_error``; of one half: ``spread``, the squared bias
-    as it was measured (it may be negative) and the standard error of that measurement. ``spread_map`` (H, W):
-    the pixels' parts of the spread, whose mean it is."""
+    """``rel_mse`` of the finished image and its ``standard_error``; of one half: ``spread``, the measured
+    squared bias (it may be negative) and the standard error of that measurement. ``spread_map`` (H, W): the
+    spread by pixel."""
 
     rel_mse: float
     standard_error: float
@@ -141,10 +141,10 @@ def estimate_error(
 def _clamped_error(
     removed: tuple[NDArray[np.float64], NDArray[np.float64]], scale: float, finished: NDArray[np.float64]
 ) -> float:
-    """Error of what a clamp took away: mean of the square of its share of the light around each pixel.
+    """Error by clamping: mean square of the removed share of the light around each pixel.
 
-    What both halves lost there is multiplied, so that what one of them lost by chance adds nothing on
-    average.
+    The square is the product of both halves' shares, so that their independent noise adds nothing in the
+    mean.
     """
     from scipy import ndimage
 
@@ -160,9 +160,9 @@ def _clamped_error(
 def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:
     """Squared bias of a denoised half from its measurement and from the spread, and its standard error.
 
-    Before anything is measured the bias is ``BIAS_PER_SPREAD`` times the spread, give or take as much, or
-    more where the measurement is further above than its own error explains. The mean of the two figures with
-    weights 1 / variance; never negative.
+    The prior is ``BIAS_PER_SPREAD`` times the spread, with a standard deviation of as much, or more where the
+    measurement is further above than its own error explains. Prior and measurement are averaged with weights
+    1 / variance; never negative.
     """
     expected = BIAS_PER_SPREAD * spread
     variance = bias_error**2
@@ -190,8 +190,8 @@ class SampleBudget:
     max_samples: int
 
     def is_met(self, estimate: ErrorEstimate) -> bool:
-        """Whether the target is met with a margin of one standard error: few samples of wild noise show a
-        small error easily, but do not show it well."""
+        """Whether the target is met with a margin of one standard error: estimates from few and noisy samples
+        are small by chance."""
         return estimate.rel_mse + estimate.standard_error <= self.max_rel_mse
 
     def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -211,7 +211,7 @@ class SampleBudget:
         errors = tiles.means(_around(estimate.spread_map))
         errors += MIN_SHARE * float(errors.mean())
         if not errors.any():
-            errors += 1.0  # the halves agree everywhere: what is wrong is the bias, which says not where
+            errors += 1.0  # the halves agree everywhere: the rest is bias, whose place is unknown
         before = tiles.means(counts)
         for share in (0.25, 0.5, 1.0, 2.0):
             after = _distribute(errors, before, tiles.areas, min(share * mean, room))

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from datagen.rendering.scene_builder import BuiltScene
-from mitsuba_plugins.surface_material import SceneMaterials, SurfaceChannels, _invisible
+from mitsuba_plugins.surface_material import SceneMaterials, SurfaceChannels, invisible
 
 Array = Any
 
@@ -47,7 +47,7 @@ class MergedShapeMaterials(SceneMaterials):
     def _hide(self, built: BuiltScene, registry: np.ndarray) -> None:
         if not built.hidden_shapes:
             return
-        self._evaluators.append(_invisible)
+        self._evaluators.append(invisible)
         self.has_transparency = True
         evaluator = np.array(self._evaluator_of_shape)
         is_emitter = np.array(self._is_emitter_shape)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Channels of a material as Mitsuba textures: decoded, adjusted and uploaded once, shared between scenes.
 
-What the BSDF reads is what the ground truth reads, so every decision about values falls here, before upload:
-decoding, scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`, then the
-rounding to half floats. Constants go through the same functions as images, as images of one texel.
+BSDF and ground truth read the same textures, so all operations on values are applied here, before upload:
+decoding, scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`, then
+rounding to half floats. Constants pass through the same functions, as images of one texel.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def adjusted_constant(
 class TextureCache:
     """Uploaded textures by content, least recently used go first. One a process serves all configurations.
 
-    A variation is drawn for one configuration and hardly ever again: varied textures are shared within a
-    configuration and forgotten with :meth:`forget_variations`. UV scales are in the meshes.
+    Variations hardly ever recur in another configuration: varied textures are shared within a configuration
+    and dropped by :meth:`forget_variations`. UV scales are in the meshes.
 
     ``shrink``: textures are averaged over squares of so many texels a side, in linear values, before upload.
     """
@@ -130,6 +130,7 @@ class TextureCache:
 
 
 def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: ColorAdjustment) -> NDArray:
+    """Linear values (H, W) or (H, W, 3) of a texture under a variation, checked for NaN and Inf."""
     path = package.local_file(texture.texture)
     pixels = read_image(path)
     num_bad = int(np.count_nonzero(~np.isfinite(pixels))) if pixels.dtype.kind == "f" else 0

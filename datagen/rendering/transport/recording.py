@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recording of kernels (``dr.freeze``) without Python's garbage collector in between."""
+"""Recording of kernels (``dr.freeze``) with Python's garbage collector suspended."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from contextlib import contextmanager
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """No garbage is collected inside.
+    """Suspend the garbage collector.
 
-    Dr.Jit ends the process ("enqueue_host_func(): this function cannot be recorded") where an array that
-    stands on NumPy's memory comes to its end while a function is recorded. References that fall do not do
-    that here; the collector may at any time, for the arrays of a scene that is long out of use.
+    Dr.Jit ends the process ("enqueue_host_func(): this function cannot be recorded") where an array on
+    NumPy's memory is freed while a function is recorded. The collector may do that at any time, for arrays of
+    an earlier scene; reference counts do not.
     """
     was_enabled = gc.isenabled()
     gc.disable()

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Owen-scrambled Sobol' points: well-spread random numbers for light paths.
+"""Owen-scrambled Sobol' points: low-discrepancy random numbers for light paths.
 
-The samples of a pixel are the first points of a (0, 2)-sequence, so that any power of two of them are spread
-over the unit square as evenly as can be, and later passes go on where earlier ones stopped. Every pair of
-dimensions of a path has a sequence of its own: the same points in another scrambled order under another
-scramble (padding). Scrambles come from hashes (Laine and Karras 2011; Burley, Practical Hash-Based Owen
-Scrambling, 2020, with its constants), the second dimension from the Pascal matrix in five steps (Ahmed, An
-Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and Compact, 2024). Owen's scrambling makes every
-point uniform by itself, so that estimates stay unbiased.
+The samples of a pixel are the first points of a (0, 2)-sequence: any power of two of them are stratified over
+the unit square, and later passes continue the sequence. Every pair of dimensions of a path has a sequence of
+its own: the same points, shuffled and under another scramble (padding). Scrambles come from hashes (Laine and
+Karras 2011; Burley, Practical Hash-Based Owen Scrambling, 2020, with its constants), the second dimension from
+the Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
+Compact, 2024). Owen's scrambling makes every point uniform by itself, so that estimates stay unbiased.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _UNIT = 2.0**-24
 
 
 class OwenSobol:
-    """One point after the other for each lane; a state of loops and an argument of recorded functions.
+    """A sampler of one sequence a lane; a state of loops and an argument of recorded functions.
 
     ``index``: number of the lane's sample within its pixel; ``key``: the pixel's hash. Lanes of one key and
     different indices are points of one sequence; different keys are independent.
