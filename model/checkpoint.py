@@ -177,8 +177,3 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
     assert isinstance(network, MaterialNetwork | OwnNetwork)
     assert confidence is None or isinstance(confidence, ConfidenceNets)
     return Checkpoint(network, confidence, card)
-
-
-def checkpoint_sha256(path: Path) -> str:
-    """Hash of the weights' file, which identifies a checkpoint."""
-    return sha256_file(path)

@@ -156,10 +156,6 @@ class DatasetFolder:
         return self.root / "failed"
 
     @property
-    def sheets_path(self) -> Path:
-        return self.root / "sheets"
-
-    @property
     def rooms_path(self) -> Path:
         return self.root / "rooms"
 

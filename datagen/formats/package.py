@@ -76,10 +76,6 @@ class Package:
     def id(self) -> str:
         return self.asset.id
 
-    @property
-    def is_zip(self) -> bool:
-        return self._archive is not None
-
     def names(self) -> tuple[str, ...]:
         """The files that ``asset.json`` refers to, sorted."""
         return tuple(sorted({name for _, name in referenced_files(self.asset)}))

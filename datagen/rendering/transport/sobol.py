@@ -4,7 +4,7 @@
 The samples of a pixel are the first points of a (0, 2)-sequence: any power of two of them are stratified over
 the unit square, and later passes continue the sequence. Every pair of dimensions of a path has a sequence of
 its own: the same points, shuffled and under another scramble (padding). Scrambles come from hashes (Laine and
-Karras 2011; Burley, Practical Hash-Based Owen Scrambling, 2020, with its constants), the second dimension from
+Karras 2011; Burley, Practical Hash-Based Owen Scrambling, 2020, with its constants), the second dimension by
 the Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
 Compact, 2024). Owen's scrambling makes every point uniform by itself, so that estimates stay unbiased.
 """
