@@ -18,7 +18,7 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from datagen.formats.base import StrictModel, canonical_json, parse_model, sha256_file, write_bytes_atomically
+from datagen.formats.base import StrictModel, canonical_json, parse_model, write_bytes_atomically
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.bilateral_solver import SolverConfig
 from model.confidence import ConfidenceNets
