@@ -18,6 +18,7 @@ from datagen.formats.asset import (
     Material,
     MaterialAsset,
     ObjectAsset,
+    PanoramaAsset,
     Part,
     Texture,
 )
@@ -109,6 +110,15 @@ class _Checker:
             material.normal.encoding != "linear" or material.normal.channel != "rgb"
         ):
             self.error(f"{field}.normal", material.normal.encoding, "a linear texture with channel 'rgb'")
+
+    def check_panorama(self, image: str) -> None:
+        _, fault = self.check_image(image)
+        if not fault and not image.lower().endswith(".exr"):
+            fault = "no EXR"
+        if not fault and (read_image(self.package.local_file(image)) < 0).any():
+            fault = "negative values"
+        if fault:
+            self.error("image", f"{image!r}: {fault}", "a finite EXR of radiance", "replace the image")
 
     # geometry
 
@@ -225,6 +235,8 @@ class _Checker:
         asset = self.asset
         if isinstance(asset, MaterialAsset):
             self.check_material("material", asset.material)
+        elif isinstance(asset, PanoramaAsset):
+            self.check_panorama(asset.image)
         else:
             for name, material in asset.materials.items():
                 self.check_material(f"materials.{name}", material)

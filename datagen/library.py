@@ -15,14 +15,19 @@ from pathlib import Path
 from typing import Literal
 
 from datagen.asset_check import check_package
-from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset
+from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset, PanoramaAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.package import AnyAsset, Package, is_package, open_package
 from datagen.foundation.bundled import bundled_library
 from datagen.foundation.errors import InputError, Problem
 
-AssetKind = Literal["environment", "object", "material"]
-KIND_FOLDERS: dict[str, str] = {"environment": "environments", "object": "objects", "material": "materials"}
+AssetKind = Literal["environment", "object", "material", "panorama"]
+KIND_FOLDERS: dict[AssetKind, str] = {
+    "environment": "environments",
+    "object": "objects",
+    "material": "materials",
+    "panorama": "panoramas",
+}
 _MAX_DEPTH = 4  # folders below a library's root that are searched
 
 
@@ -186,7 +191,9 @@ def find_packages(root: Path) -> list[Path]:
 
 
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
-    """Material classes of an asset: its own for a material, those of its slots for anything else."""
+    """Material classes of an asset: its own for a material, those of its slots for things and rooms."""
+    if isinstance(asset, PanoramaAsset):
+        return ()
     if isinstance(asset, MaterialAsset):
         return asset.material.classes
     return tuple(sorted({c for material in asset.materials.values() for c in material.classes[:1]}))
@@ -194,7 +201,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A line of the library's table. ``detail`` is the category, the classes, or the counts of a room."""
+    """A line of the library's table. ``detail``: category, classes, time of day, or the counts of a room."""
 
     id: str
     kind: AssetKind
@@ -218,6 +225,8 @@ def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
             f"{len(asset.light_slots)} light slots, "
             f"{len(asset.openings)} openings, {len(asset.cameras)} cameras"
         )
+    elif isinstance(asset, PanoramaAsset):
+        detail = asset.daytime
     else:
         detail = ", ".join(asset_classes(asset))
     provenance = asset.provenance

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.assembly.materials import CLASS_RANGES, MeanMaterials
-from datagen.formats.asset import MATERIAL_CLASSES, Material, MaterialAsset, Texture
+from datagen.formats.asset import MATERIAL_CLASSES, Material, MaterialAsset, PanoramaAsset, Texture
 from datagen.formats.package import Package
 from datagen.formats.textures import texture_values
 from datagen.foundation.errors import InputError
@@ -85,6 +85,8 @@ def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
         asset = package.asset
         if isinstance(asset, MaterialAsset):
             materials: list[Material] = [asset.material]
+        elif isinstance(asset, PanoramaAsset):
+            continue
         else:
             materials = [asset.materials[slot] for slot in sorted(asset.materials)]
         for material in materials:

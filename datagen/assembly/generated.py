@@ -49,7 +49,8 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
     if wanted is None or not draws.chance(wanted.share):
         return None
     kind = draws.choice(_kinds(wanted))
-    return _made(kind, f"{recipe.seed}/{index}" if attempt == 0 else f"{recipe.seed}/{index}/{attempt}")
+    seed = f"{recipe.seed}/{index}" if attempt == 0 else f"{recipe.seed}/{index}/{attempt}"
+    return _made(kind, seed, recipe.lights.panoramas is None)
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
@@ -65,7 +66,7 @@ def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
     """One room of each kind that the recipe may make, when asked for."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
-        asset = _made(kind, "example").package.asset
+        asset = _made(kind, "example", False).package.asset
         assert isinstance(asset, EnvironmentAsset)
         yield asset
 
@@ -75,5 +76,5 @@ def _kinds(wanted: ParametricRecipe) -> list[str]:
 
 
 @lru_cache(maxsize=_KEPT_IN_MEMORY)
-def _made(kind: str, seed: str) -> GeneratedRoom:
-    return GeneratedRoom(*room_package(kind, seed))
+def _made(kind: str, seed: str, has_scenery: bool) -> GeneratedRoom:
+    return GeneratedRoom(*room_package(kind, seed, has_scenery))

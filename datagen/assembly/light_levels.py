@@ -2,7 +2,8 @@
 """How bright the lights are: a probe of the finished room sets the intensity of every group.
 
 The probe says what each group adds to the mean irradiance at the places where cameras may be; the groups'
-shares are drawn log-uniformly and all are scaled so that their sum is the irradiance drawn from the recipe.
+shares are drawn log-uniformly, each from its range, and all are scaled so that their sum is the irradiance
+drawn from the recipe.
 A light that adds nothing is dropped and counted: no configuration is dark or burnt by construction.
 """
 
@@ -31,7 +32,6 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 from datagen.library import Library
 
-SHARE_RANGE = (0.25, 1.0)  # of a group in the sum, before normalisation
 _NEGLIGIBLE = 1e-9  # of the strongest group's irradiance at unit intensity: no light arrives
 
 
@@ -92,7 +92,7 @@ def light_room(
     rejections["light.no_effect"] += int((~useful).sum())
     draws = Draws(*key, "intensity")
     target = draws.log_uniform(*recipe.mean_irradiance)
-    shares = [draws.log_uniform(*SHARE_RANGE) for _ in groups]
+    shares = [draws.log_uniform(*group.share) for group in groups]
     total = sum(share for share, is_useful in zip(shares, useful, strict=True) if is_useful)
     gains = [
         quantized(target * share / total / float(e), 4) if is_useful else 0.0

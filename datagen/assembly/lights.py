@@ -14,22 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from datagen.assembly.daylight import (
-    draw_sun_direction,
-    environment_image,
-    rotation_about_up,
-)
+from datagen.assembly.daylight import draw_sun_direction, environment_image
 from datagen.assembly.geometry import Floats, RayScene, WorldScene
 from datagen.assembly.light_probe import is_from_outside
 from datagen.assembly.materials import MeanMaterial
+from datagen.assembly.panoramas import DARK, OUTSIDE_SHARE, draw_daytime, draw_panorama, turned_image
 from datagen.assembly.things import fibonacci_sphere
-from datagen.formats.asset import EnvironmentAsset, LightSlot, ObjectAsset
+from datagen.formats.asset import Daytime, EnvironmentAsset, LightSlot, ObjectAsset
 from datagen.formats.base import quantized
 from datagen.formats.configuration import PlacedAsset
 from datagen.formats.light_changes import moved_light
 from datagen.formats.lights import (
     AreaLight,
-    EnvironmentLight,
     Light,
     PointLight,
     SkyLight,
@@ -39,6 +35,7 @@ from datagen.foundation.color import color_of_temperature
 from datagen.foundation.random import Draws
 from datagen.library import Library
 
+SHARE_RANGE = (0.25, 1.0)  # of a group in the sum, before normalisation
 _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
@@ -49,11 +46,15 @@ _PANEL_TRIES = 60
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights dimmed together; ``slots`` names emissive slots as (item, slot), item 0 the environment."""
+    """Lights dimmed together; ``slots`` names emissive slots as (item, slot), item 0 the environment.
+
+    ``share`` is the range of the group's part in the light, relative to those of the others.
+    """
 
     name: str
     lights: tuple[Light, ...] = ()
     slots: tuple[tuple[int, str], ...] = ()
+    share: tuple[float, float] = SHARE_RANGE
 
 
 @dataclass(frozen=True)
@@ -84,16 +85,26 @@ def plan_lights(
         "point": draws.chance(recipe.point_probability),
         "daylight": draws.chance(recipe.daylight_probability),
     }
+    daytime = draw_daytime(room.assets, recipe, Draws(*key, "daytime"))
+    if daytime is not None:
+        wants["daylight"] = True
+        wants["native"] |= daytime in DARK
     makers: dict[str, Any] = {
         "native": lambda: _native(room),
         "area": lambda: _area(room, recipe, Draws(*key, "area"), rejections),
         "point": lambda: _point(room, recipe, Draws(*key, "point"), rejections),
-        "daylight": lambda: _daylight(room, recipe, library, Draws(*key, "daylight"), rejections),
+        "daylight": lambda: (
+            _daylight(room, recipe, library, Draws(*key, "daylight"), rejections)
+            if daytime is None
+            else _panorama(daytime, library, Draws(*key, "panorama"))
+        ),
     }
     groups: list[PlannedGroup] = []
     for kind in wants:
         if wants[kind]:
             groups += _without_doubles(makers[kind](), groups, rejections)
+        if kind == "native" and daytime in DARK and not groups:
+            wants["area"] = True
     for kind in ("native", "daylight", "area", "point"):  # at least one is on, if the recipe allows any
         if not groups and not wants[kind] and getattr(recipe, f"{kind}_probability") > 0:
             groups += makers[kind]()
@@ -279,6 +290,11 @@ def _point_fault(position: Floats, room: RoomToLight) -> str:
     return "blocked" if float(hits.distance_m.min()) < _MIN_LIGHT_CLEARANCE_M else ""
 
 
+def _panorama(daytime: Daytime, library: Library, draws: Draws) -> list[PlannedGroup]:
+    light = draw_panorama(daytime, library, draws)
+    return [PlannedGroup("daylight", (light,), share=OUTSIDE_SHARE[daytime])]
+
+
 def _daylight(
     room: RoomToLight, recipe: LightRecipe, library: Library, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
@@ -293,14 +309,7 @@ def _daylight(
         return []
     if images and wants_image:
         asset = images[int(pick * len(images))]
-        rows = tuple(tuple(round(x, 9) for x in row) for row in rotation_about_up(turn).tolist())
-        light: Light = EnvironmentLight(
-            name="daylight",
-            image=environment_image(library, asset),
-            asset=asset,
-            world_from_environment=rows,  # type: ignore[arg-type]
-        )
-        return [PlannedGroup("daylight", (light,))]
+        return [PlannedGroup("daylight", (turned_image(asset, environment_image(library, asset), turn),))]
     direction, reaches = draw_sun_direction(room.scene.rays, openings, room.eyes, enters, draws)
     if enters and not reaches:
         rejections["light.sun_kept_out"] += 1

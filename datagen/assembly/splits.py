@@ -17,7 +17,8 @@ from fractions import Fraction
 from weakref import WeakKeyDictionary
 
 from datagen.assembly.materials import is_plain
-from datagen.formats.asset import Material, MaterialAsset, ObjectAsset
+from datagen.assembly.panoramas import panoramas_of
+from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
 from datagen.formats.package import Package
@@ -223,7 +224,10 @@ def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str,
 
 def _materials(package: Package) -> dict[str, Material]:
     asset = package.asset
-    return {"": asset.material} if isinstance(asset, MaterialAsset) else dict(asset.materials)
+    if isinstance(asset, MaterialAsset):
+        return {"": asset.material}
+    assert isinstance(asset, ObjectAsset | EnvironmentAsset)
+    return dict(asset.materials)
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
@@ -336,4 +340,8 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem
         check("objects.category_weights", name, categories, "a category of the library")
     for name in recipe.lights.environment_images:
         check("lights.environment_images", name, [p.id for p in library], "an asset of the library")
+    for time in recipe.lights.panoramas.wanted() if recipe.lights.panoramas is not None else ():
+        if not panoramas_of(library, time):
+            got, remedy = "no such panorama", "add `bundled` to the recipe's library, or leave it out"
+            problems.append(Problem(where, f"lights.panoramas.{time}", got, "one in the library", remedy))
     return problems

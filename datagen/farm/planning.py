@@ -12,6 +12,7 @@ import yaml
 
 from datagen.assembly.generated import room_of
 from datagen.assembly.plan import NUM_TRIES, assemble, check_recipe, configuration_id
+from datagen.assembly.skyless import rooms_without_sky
 from datagen.assembly.unplaceable import implausible_sizes, unplaceable
 from datagen.farm.folder import DatasetFolder, FolderRecord, Plan, PlannedUnit, rooms_of, unit_key
 from datagen.formats.base import canonical_json, read_json, sha256_hex, write_bytes_atomically
@@ -105,7 +106,11 @@ def create_plan(
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
     """What a person would want to know before a plan is made, though nothing is wrong with it."""
-    return [*map(str, unplaceable(recipe, library)), *implausible_sizes(recipe, library)]
+    return [
+        *map(str, unplaceable(recipe, library)),
+        *implausible_sizes(recipe, library),
+        *rooms_without_sky(recipe, library),
+    ]
 
 
 def read_configurations(root: Path, plan: Plan) -> Iterator[Configuration]:

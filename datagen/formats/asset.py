@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Asset packages: environments, objects and materials on disk (``asset.json`` in a folder or a zip).
+"""Asset packages: rooms, objects, materials and panoramas on disk (``asset.json`` in a folder or a zip).
 
 Frames: metres, right-handed, Z up. An object's frame has its resting plane at z = 0 and its footprint around
 the origin; its front looks along -Y. Meshes are binary little-endian PLY with vertex positions (x y z),
@@ -46,6 +46,8 @@ Surface = Literal[
 ]  # fmt: skip
 """What a surface is in a room: which materials are likely on it (``datagen.assembly.looks``)."""
 SURFACES: tuple[str, ...] = get_args(Surface)
+Daytime = Literal["day", "overcast", "dusk", "night"]
+DAYTIMES: tuple[Daytime, ...] = get_args(Daytime)
 SupportKind = Literal["floor", "table", "shelf", "seat", "bed", "sill", "counter"]
 
 
@@ -265,4 +267,16 @@ class EnvironmentAsset(_GeometryAsset):
     cameras: tuple[AssetCamera, ...] = ()
 
 
-Asset = Annotated[MaterialAsset | ObjectAsset | EnvironmentAsset, Field(discriminator="kind")]
+class PanoramaAsset(_AssetBase):
+    """The surroundings of a room: an equirectangular EXR ``image`` of relative radiance, linear Rec.709.
+
+    Its centre column looks along +Y and its top row along +Z. ``daytime`` is when it was taken, ``overcast``
+    a day without shadows.
+    """
+
+    kind: Literal["panorama"] = "panorama"
+    image: RelativePath
+    daytime: Daytime
+
+
+Asset = Annotated[MaterialAsset | ObjectAsset | EnvironmentAsset | PanoramaAsset, Field(discriminator="kind")]

@@ -27,6 +27,7 @@ from datagen.formats.asset import (
     EnvironmentAsset,
     MaterialAsset,
     ObjectAsset,
+    PanoramaAsset,
     Texture,
 )
 from datagen.formats.base import MAX_TEXT_BYTES, canonical_json, parse_model, sha256_file, sha256_hex
@@ -37,11 +38,12 @@ from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.paths import fault_of
 
-AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset
+AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset | PanoramaAsset
 _MODELS: dict[str, type[AnyAsset]] = {
     "material": MaterialAsset,
     "object": ObjectAsset,
     "environment": EnvironmentAsset,
+    "panorama": PanoramaAsset,
 }
 ZIP_SUFFIX = ".zip"
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold: equal content, equal bytes
@@ -152,6 +154,8 @@ def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
     if isinstance(asset, MaterialAsset):
         add_material("material", asset.material)
         return found
+    if isinstance(asset, PanoramaAsset):
+        return [("image", asset.image)]
     for name, material in asset.materials.items():
         add_material(f"materials.{name}", material)
     found += [(f"parts[{k}].mesh", part.mesh) for k, part in enumerate(asset.parts)]

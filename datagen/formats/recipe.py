@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from datagen.formats.asset import MaterialClass
+from datagen.formats.asset import DAYTIMES, Daytime, MaterialClass
 from datagen.formats.base import NonNegative, Positive, Slug, StrictModel, Unit
 
 
@@ -111,8 +111,33 @@ class MaterialRecipe(AssetFilter):
     variation_strength: Unit = 1.0
 
 
+class PanoramaWeights(StrictModel):
+    """How often it is which time of day outside. A panorama of the library of that time is drawn, and a turn.
+
+    At dusk and at night the room's lamps are on, or others where it has none.
+    """
+
+    day: NonNegative = 0.0
+    overcast: NonNegative = 0.0
+    dusk: NonNegative = 0.0
+    night: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _has_weight(self) -> PanoramaWeights:
+        if not self.wanted():
+            raise ValueError(f"expected a positive weight of {', '.join(DAYTIMES)}")
+        return self
+
+    def wanted(self) -> dict[Daytime, float]:
+        """The times of day that occur, with their weights."""
+        return {time: getattr(self, time) for time in DAYTIMES if getattr(self, time) > 0}
+
+
 class LightRecipe(StrictModel):
     """Which light there is. Probabilities are per kind; at least one light is always on.
+
+    With ``panoramas`` every room that has openings and no sky of its own has the radiance of a panorama
+    outside, whatever ``daylight_probability`` says; generated rooms then have no modelled outside.
 
     Intensities are drawn log-uniformly, then all are scaled by one factor so that a probe estimate of the
     mean irradiance in the camera region falls into ``mean_irradiance`` (W/m^2, in the renderer's units).
@@ -127,6 +152,7 @@ class LightRecipe(StrictModel):
     color_temperature_k: PositiveRange = (2700.0, 7500.0)
     mean_irradiance: PositiveRange = (0.5, 4.0)
     environment_images: tuple[Slug, ...] = ()
+    panoramas: PanoramaWeights | None = Field(default=None, exclude_if=lambda value: value is None)
 
 
 class CameraRecipe(StrictModel):

@@ -38,7 +38,7 @@ _REMEDY = "make the shard again (remove it and rerun), or restore the file"
 class AssetRecord(StrictModel):
     """An asset that the dataset used: kind, content hash, licence, author and source."""
 
-    kind: Literal["environment", "object", "material"]
+    kind: Literal["environment", "object", "material", "panorama"]
     sha256: str
     license: str
     author: str = ""

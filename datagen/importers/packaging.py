@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen.asset_check import check_package
-from datagen.formats.asset import MaterialAsset, ObjectAsset
+from datagen.formats.asset import MaterialAsset, ObjectAsset, PanoramaAsset
 from datagen.formats.base import canonical_json
 from datagen.formats.package import AnyAsset, FileSource, Package, write_package
 from datagen.foundation.findings import Findings
@@ -60,6 +60,8 @@ def finish(
 
 def _contents(asset: AnyAsset) -> str:
     """Size, parts and materials in a few words."""
+    if isinstance(asset, PanoramaAsset):
+        return asset.daytime
     if isinstance(asset, MaterialAsset):
         size = f", {asset.material.tile_size_m:g} m a tile" if asset.material.tile_size_m else ""
         return ", ".join(asset.material.classes) + size

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from datagen.foundation.random import Draws
-from datagen.parametric import fittings, seating, storage, tables
+from datagen.parametric import fittings, metalware, seating, storage, tables
 from datagen.parametric.items import Item, Style
 
 
@@ -22,6 +22,7 @@ def _files(style: Style, draws: Draws) -> Item:
 
 EXTRAS: Mapping[str, Callable[[Style, Draws], Item]] = {
     "basket": storage.basket,
+    "bin": metalware.pedal_bin,
     "bench": lambda style, draws: seating.bench(style, draws, draws.uniform(0.8, 1.4), False),
     "chair": lambda style, draws: seating.chair(style, draws),
     "chest": lambda style, draws: storage.chest(style, draws, draws.uniform(0.55, 1.05)),
@@ -29,6 +30,7 @@ EXTRAS: Mapping[str, Callable[[Style, Draws], Item]] = {
     "cubes": lambda style, draws: storage.cube_shelf(style, draws, draws.integer(1, 2), draws.integer(1, 3)),
     "cupboard": _cupboard,
     "files": _files,
+    "lockers": metalware.lockers,
     "open_shelf": lambda style, draws: storage.bookcase(
         style, draws, draws.uniform(0.7, 1.3), draws.uniform(0.9, 2.0), 0.32, 0.3
     ),
@@ -43,5 +45,6 @@ EXTRAS: Mapping[str, Callable[[Style, Draws], Item]] = {
         style, draws, draws.uniform(0.8, 1.6), draws.uniform(0.75, 0.95)
     ),
     "side_table": lambda style, draws: tables.round_table(style, draws, draws.uniform(0.4, 0.55), 0.5),
+    "trolley": metalware.trolley,
     "stool": lambda style, draws: seating.stool(style, draws, draws.choice((0.45, 0.6))),
 }

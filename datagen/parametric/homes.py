@@ -126,7 +126,9 @@ def living_room(room: Furnisher) -> None:
         if side is not None:
             lamp_on(room, side)
     floor_lamp_somewhere(room)
-    fill(room, ("sideboard", "chest", "bookcase", "pouf", "basket", "side_table"), 2, 5)
+    if draws.chance(0.35):
+        room.hang(fittings.mirror(style, draws, draws.uniform(0.6, 0.9), draws.uniform(0.8, 1.2)), 0.95)
+    fill(room, ("sideboard", "chest", "bookcase", "trolley", "pouf", "basket", "side_table"), 2, 5)
     decorate(room, rug=0.0 if rug else 0.3)
     ceiling_light(room, ("pendant", "globe", "disc", "spots"))
 
@@ -153,7 +155,9 @@ def dining_room(room: Furnisher) -> None:
             storage.bookcase(style, draws, draws.uniform(0.8, 1.2), draws.uniform(1.8, 2.1), 0.36, 0.25),
             where="corner",
         )
-    fill(room, ("chest", "open_shelf", "chair", "bench", "basket"), 1, 4)
+    if draws.chance(0.35):
+        room.hang(fittings.mirror(style, draws, draws.uniform(0.6, 1.0), draws.uniform(0.7, 1.1)), 1.0)
+    fill(room, ("chest", "trolley", "open_shelf", "chair", "bench", "basket"), 1, 4)
     decorate(room, rug=0.0)
     ceiling_light(room, ("pendant", "pendant", "globe"), over=table)
 
@@ -190,7 +194,7 @@ def kitchen(room: Furnisher) -> None:
         room.at_wall(item, where="any")
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.7, 1.2), draws.integer(1, 2)), 1.45)
-    fill(room, ("sideboard", "stool", "basket", "open_shelf", "bench"), 1, 4)
+    fill(room, ("trolley", "bin", "sideboard", "stool", "rack", "basket", "open_shelf"), 2, 5)
     decorate(room, rug=0.0, most=1)
     ceiling_light(room, ("spots", "disc", "pendant", "panel"))
 
@@ -226,7 +230,7 @@ def bathroom(room: Furnisher) -> None:
         )
     if draws.chance(0.3):
         plant_somewhere(room)
-    fill(room, ("basket", "stool", "cupboard"), 1, 3)
+    fill(room, ("bin", "basket", "stool", "trolley", "cupboard"), 1, 4)
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.4, 0.7), draws.integer(1, 2)), 1.4)
     pictures(room, draws.integer(0, 2))

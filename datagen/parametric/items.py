@@ -34,11 +34,16 @@ class Style:
     is_soft: bool
     """Rounded rather than boxy upholstery."""
 
+    @property
+    def leg_slot(self) -> str:
+        """Slot of legs and frames: tubes are of the metal of handles and taps."""
+        return "metal" if self.legs == "metal" else "legs"
+
     @classmethod
     def draw(cls, draws: Draws) -> Style:
         front: Front = draws.weighted(("flat", "framed"), (0.6, 0.4))
         handle: Handle = draws.weighted(("bar", "knob", "grip"), (0.45, 0.3, 0.25))
-        legs: Legs = draws.weighted(("square", "round", "tapered", "metal"), (0.3, 0.2, 0.3, 0.2))
+        legs: Legs = draws.weighted(("square", "round", "tapered", "metal"), (0.23, 0.16, 0.23, 0.38))
         return cls(front, handle, legs, draws.chance(0.55))
 
 

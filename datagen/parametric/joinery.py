@@ -138,13 +138,13 @@ def legs(
     for x in (x0 + t / 2, x1 - t / 2):
         for y in (y0 + t / 2, y1 - t / 2):
             if style.legs == "square":
-                item.add(slot or "legs", box((t, t, height), (x, y, 0), 0.004, grain=2))
+                item.add(slot or style.leg_slot, box((t, t, height), (x, y, 0), 0.004, grain=2))
             elif style.legs == "metal":
-                item.add(slot or "legs", box((0.7 * t, 0.7 * t, height), (x, y, 0), 0.003, grain=2))
+                item.add(slot or style.leg_slot, box((0.7 * t, 0.7 * t, height), (x, y, 0), 0.003, grain=2))
             else:
                 low = 0.3 * t if style.legs == "tapered" else 0.42 * t
                 profile = [(0, 0), (low, 0), (low + 0.001, 0.004), (0.5 * t, height), (0, height)]
-                item.add(slot or "legs", lathe(profile, (x, y, 0), 12))
+                item.add(slot or style.leg_slot, lathe(profile, (x, y, 0), 12))
 
 
 def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, height: float) -> float:

@@ -18,7 +18,10 @@ _WORK: Classes = ("stone", "glazed", "wood")
 
 @dataclass(frozen=True)
 class Kind:
-    """Ranges in metres; ``windows`` and ``doors`` are least and most, ``tiled`` the most walls with tiles."""
+    """Ranges in metres; ``windows`` and ``doors`` are least and most, ``tiled`` the walls with tiles.
+
+    ``steel_fronts``: share of the rooms whose cabinets have fronts of steel.
+    """
 
     furnish: Callable[[Furnisher], None]
     width: Range
@@ -33,6 +36,7 @@ class Kind:
     blinds: float = 0.25
     radiators: float = 0.7
     beams: float = 0.04
+    steel_fronts: float = 0.0
 
 
 KINDS: dict[str, Kind] = {
@@ -62,12 +66,20 @@ KINDS: dict[str, Kind] = {
         curtains=0.1,
         blinds=0.15,
         beams=0.3,
+        steel_fronts=0.4,
     ),
     "childs_room": Kind(homes.childs_room, (3.0, 4.4), (2.9, 4.2)),
     "dining_room": Kind(homes.dining_room, (3.4, 5.2), (3.2, 4.8), beams=0.1),
     "hallway": Kind(homes.hallway, (3.2, 6.0), (1.7, 2.4), (2.4, 2.8), (0, 1), (2, 3), curtains=0.3),
     "kitchen": Kind(
-        homes.kitchen, (3.2, 5.2), (2.7, 4.2), sill=(0.98, 1.1), floor=_WET, curtains=0.15, blinds=0.4
+        homes.kitchen,
+        (3.2, 5.2),
+        (2.7, 4.2),
+        sill=(0.98, 1.1),
+        floor=_WET,
+        curtains=0.15,
+        blinds=0.4,
+        steel_fronts=0.2,
     ),
     "laundry": Kind(
         workplaces.laundry,
@@ -80,6 +92,7 @@ KINDS: dict[str, Kind] = {
         tiled=(0, 2),
         curtains=0.0,
         blinds=0.2,
+        steel_fronts=0.3,
     ),
     "living_room": Kind(
         homes.living_room, (4.2, 6.4), (3.8, 5.4), (2.5, 3.1), (1, 3), sill=(0.12, 0.9), beams=0.1
@@ -94,7 +107,16 @@ KINDS: dict[str, Kind] = {
         blinds=0.7,
         sill=(0.4, 0.95),
     ),
-    "office": Kind(workplaces.office, (3.8, 6.8), (3.4, 5.2), (2.5, 3.1), (1, 3), curtains=0.05, blinds=0.7),
+    "office": Kind(
+        workplaces.office,
+        (3.8, 6.8),
+        (3.4, 5.2),
+        (2.5, 3.1),
+        (1, 3),
+        curtains=0.05,
+        blinds=0.7,
+        steel_fronts=0.35,
+    ),
     "reading_room": Kind(workplaces.reading_room, (4.4, 6.2), (4.0, 5.4), (2.6, 3.2), beams=0.15),
     "study": Kind(homes.study, (2.9, 4.4), (2.8, 4.0)),
     "workshop": Kind(
@@ -109,6 +131,7 @@ KINDS: dict[str, Kind] = {
         blinds=0.1,
         beams=0.25,
         radiators=0.3,
+        steel_fronts=0.6,
     ),
 }
 """All kinds by name."""

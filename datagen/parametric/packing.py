@@ -35,7 +35,7 @@ from datagen.parametric.shapes import Floats, Shape, joined
 from datagen.parametric.shell import (
     openings,
 )
-from datagen.parametric.slots import SLOTS
+from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
 
 _LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, as renderers use it
 _BALANCE_K, _WHITE_K = 4000.0, 6500.0  # a camera set to mixed light shows a lamp of 4000 K as white
@@ -48,14 +48,15 @@ _AUTHOR = "the scene-materials authors"
 Rectangle = tuple[Floats, Floats]
 
 
-def room_id(kind: str, seed: str) -> str:
-    """Id of the package of a room; no two seeds share one."""
-    return f"room-{kind}-{sha256_hex(f'{kind}/{seed}'.encode())[:12]}"
+def room_id(kind: str, seed: str, has_scenery: bool = True) -> str:
+    """Id of the package of a room; no two seeds share one, nor does a room with and without scenery."""
+    key = f"{kind}/{seed}" if has_scenery else f"{kind}/{seed}/no scenery"
+    return f"room-{kind}-{sha256_hex(key.encode())[:12]}"
 
 
-def room_package(kind: str, seed: str) -> tuple[bytes, Package]:
+def room_package(kind: str, seed: str, has_scenery: bool = True) -> tuple[bytes, Package]:
     """The room of a kind and seed as the bytes of a zip and as an opened package."""
-    return package_of(make_room(kind, seed))
+    return package_of(make_room(kind, seed, has_scenery))
 
 
 def package_of(room: MadeRoom) -> tuple[bytes, Package]:
@@ -81,7 +82,7 @@ def package_of(room: MadeRoom) -> tuple[bytes, Package]:
         materials[slot] = _glowing(lamps[slot])
     shell, rectangles = room.furnished.shell, _free_rectangles(room)
     asset = EnvironmentAsset(
-        id=room_id(room.kind, room.seed),
+        id=room_id(room.kind, room.seed, room.has_scenery),
         title=f"{room.kind.replace('_', ' ').capitalize()}, generated",
         provenance=Provenance(
             license="CC0-1.0", author=_AUTHOR, source=f"datagen.parametric {room.kind} {room.seed}"
@@ -140,6 +141,9 @@ def _material(
             roughness=0.7,
             surface="cover",
         )
+    steel = kind.steel_fronts if slot == "front" else METAL_SHARE.get(slot, 0.0)
+    if steel > draws.unit():
+        return in_metal(slot)
     return SLOTS[slot].material(kind.floor if slot == "floor" else None)
 
 

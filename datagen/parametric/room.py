@@ -35,7 +35,10 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A sound room. ``tries`` is how many were drawn; ``rejected`` says why the others were not taken."""
+    """A sound room. ``tries`` is how many were drawn; ``rejected`` says why the others were not taken.
+
+    Without ``has_scenery`` windows look out onto nothing: a panorama lies there.
+    """
 
     kind: str
     seed: str
@@ -43,9 +46,10 @@ class MadeRoom:
     scenery: tuple[Placed, ...]
     tries: int
     rejected: tuple[str, ...]
+    has_scenery: bool = True
 
 
-def make_room(kind: str, seed: str) -> MadeRoom:
+def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
     """The room of a kind and seed. Raises :class:`InputError` where none of :data:`MAX_TRIES` is sound."""
     rejected: list[str] = []
     for attempt in range(MAX_TRIES):
@@ -67,8 +71,8 @@ def make_room(kind: str, seed: str) -> MadeRoom:
         if faults:
             rejected.append("; ".join(map(str, faults)))
             continue
-        scenery = tuple(outside(shell, Draws(*key, "outside"))) if shell.windows else ()
-        return MadeRoom(kind, seed, furnished, scenery, attempt + 1, tuple(rejected))
+        scenery = tuple(outside(shell, Draws(*key, "outside"))) if shell.windows and has_scenery else ()
+        return MadeRoom(kind, seed, furnished, scenery, attempt + 1, tuple(rejected), has_scenery)
     raise input_error(
         f"room of kind {kind}",
         "seed",

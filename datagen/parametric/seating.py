@@ -19,7 +19,8 @@ def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
     w, d = draws.uniform(0.42, 0.48), draws.uniform(0.44, 0.5)
     back = draws.choice(("slats", "board", "soft"))
     top = draws.uniform(0.8, 0.92)
-    legs(item, style, (-w / 2, w / 2, -d, -d + 0.04), seat_height - 0.03, 0.038, "wood")
+    frame = "metal" if style.legs == "metal" else "wood"
+    legs(item, style, (-w / 2, w / 2, -d, -d + 0.04), seat_height - 0.03, 0.038, frame)
     for side in (-1, 1):
         x = side * (w / 2 - 0.019)
         path = [
@@ -29,12 +30,12 @@ def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
             (x, -0.03, 0.65),
             (x, -0.018, top),
         ]
-        item.add("wood", tube(path, 0.0165, 10))
+        item.add(frame, tube(path, 0.0165, 10))
     for y in (-d + 0.02, -0.055):
-        item.add("wood", box((w - 0.04, 0.02, 0.05), (0, y, seat_height - 0.08), 0.003, grain=0))
+        item.add(frame, box((w - 0.04, 0.02, 0.05), (0, y, seat_height - 0.08), 0.003, grain=0))
     for side in (-1, 1):
         item.add(
-            "wood",
+            frame,
             box((0.02, d - 0.09, 0.045), (side * (w / 2 - 0.02), -d / 2 - 0.015, seat_height - 0.08), 0.003),
         )
     if back == "soft" or draws.chance(0.5):
@@ -75,7 +76,7 @@ def stool(style: Style, draws: Draws, height: float = 0.46) -> Item:
         (0, height - 0.003),
     ]
     item.add("wood", lathe(seat, (0, -0.2, 0), 28))
-    slot = "legs" if style.legs == "metal" else "wood"
+    slot = "metal" if style.legs == "metal" else "wood"
     for x, y in ring_of(4, 1.0, math.pi / 4):
         item.add(
             slot,
@@ -92,7 +93,9 @@ def office_chair(style: Style, draws: Draws) -> Item:
     item = Item("office_chair")
     c = -0.33
     for x, y in ring_of(5, 0.27, draws.uniform(0, 1)):
-        item.add("legs", tube([(0.03 * x / 0.27, c + 0.03 * y / 0.27, 0.09), (x, c + y, 0.06)], 0.016, 8))
+        item.add(
+            style.leg_slot, tube([(0.03 * x / 0.27, c + 0.03 * y / 0.27, 0.09), (x, c + y, 0.06)], 0.016, 8)
+        )
         castor(item, x, c + y)
     item.add("metal", cylinder(0.024, 0.33, (0, c, 0.08), 14))
     item.add("machine", cylinder(0.035, 0.12, (0, c, 0.1), 16, 0.004))
@@ -203,25 +206,24 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
     w = width + 0.08
     level = draws.uniform(0.27, 0.34)
     kind = draws.choice(("board", "soft", "slats"))
+    frame = "metal" if kind == "slats" and style.legs == "metal" else "wood"
     if kind == "soft":
         item.add("sofa", rounded_box((w + 0.04, 0.1, head), 0.04, (0, -0.051, 0), 3, 0.01))
     elif kind == "board":
         item.add("wood", box((w + 0.02, 0.035, head), (0, -0.03, 0), 0.008, grain=0))
     else:
         for x in (-w / 2 + 0.02, w / 2 - 0.02):
-            item.add("wood", box((0.05, 0.05, head), (x, -0.03, 0), 0.006, grain=2))
+            item.add(frame, box((0.05, 0.05, head), (x, -0.03, 0), 0.006, grain=2))
         for z in np.linspace(level + 0.12, head - 0.09, 4):
-            item.add("wood", box((w - 0.05, 0.02, 0.07), (0, -0.03, float(z)), 0.004, grain=0))
+            item.add(frame, box((w - 0.05, 0.02, 0.07), (0, -0.03, float(z)), 0.004, grain=0))
     y0 = -0.075 if kind != "soft" else -0.115
     for x in (-w / 2 + 0.014, w / 2 - 0.014):
-        item.add(
-            "wood", box((0.028, length - 0.04, 0.17), (x, y0 - length / 2, level - 0.12), 0.004, grain=1)
-        )
-    item.add("wood", box((w - 0.057, 0.028, 0.17), (0, y0 - length + 0.03, level - 0.12), 0.004, grain=0))
+        item.add(frame, box((0.028, length - 0.04, 0.17), (x, y0 - length / 2, level - 0.12), 0.004, grain=1))
+    item.add(frame, box((w - 0.057, 0.028, 0.17), (0, y0 - length + 0.03, level - 0.12), 0.004, grain=0))
     item.add("wood", box((w - 0.06, length - 0.08, 0.02), (0, y0 - length / 2, level - 0.04), 0.0))
     for x in (-w / 2 + 0.05, w / 2 - 0.05):
         for y in (y0 - 0.06, y0 - length + 0.08):
-            item.add("legs", box((0.05, 0.05, level - 0.12), (x, y, 0), 0.004, grain=2))
+            item.add(style.leg_slot, box((0.05, 0.05, level - 0.12), (x, y, 0), 0.004, grain=2))
     thick = draws.uniform(0.18, 0.24)
     base = level - 0.018
     item.add("mattress", rounded_box((width, length - 0.09, thick), 0.045, (0, y0 - length / 2, base), 3))

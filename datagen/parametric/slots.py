@@ -120,4 +120,18 @@ SLOTS: Mapping[str, Slot] = {
     "foliage": _fixed("small", "organic", (0.06, 0.11, 0.03), 0.85),
 }  # fmt: skip
 """Slots by name. Those of lamps (``glow``) and pictures (``art``) are added by the room."""
+METAL_SHARE: Mapping[str, float] = {
+    "appliance": 0.75, "frame": 0.35, "legs": 0.25, "machine": 0.5, "shade": 0.3, "slats": 0.5, "steel": 0.85,
+    "tool": 0.6, "worktop": 0.35,
+}  # fmt: skip
+"""Share of the rooms in which a slot is of metal and of nothing else."""
+_FINISHED = ("frame", "legs", "shade", "slats")
+
+
+def in_metal(slot: str) -> SlotMaterial:
+    """The slot's material where it is of metal: slender ones have the finish of handles and taps."""
+    surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
+    return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
+
+
 BOOKS = ("book_a", "book_b", "book_c", "book_d", "book_e", "book_f")

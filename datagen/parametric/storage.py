@@ -10,6 +10,8 @@ from datagen.parametric.items import Item, Style
 from datagen.parametric.joinery import books, fronts, legs
 from datagen.parametric.shapes import Shape, box, lathe, loft, rounded_box, tube
 
+_MIRRORED = 0.4  # of the wardrobes have mirrors on their doors
+
 
 def cabinet(
     name: str,
@@ -85,10 +87,16 @@ def sideboard(style: Style, draws: Draws, width: float, height: float = 0.78) ->
 
 
 def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
-    """A wardrobe with two to five doors."""
+    """A wardrobe with two to five doors, some with mirrors."""
     w, h = doors * draws.uniform(0.45, 0.52), draws.uniform(2.0, 2.25)
     rows = [("drawer", 0.22), ("door", 1.7)] if draws.chance(0.35) else [("door", 1.9)]
-    item = cabinet("wardrobe", style, (w, draws.uniform(0.56, 0.62), h), rows, doors, 0.06)
+    d = draws.uniform(0.56, 0.62)
+    item = cabinet("wardrobe", style, (w, d, h), rows, doors, 0.06)
+    if draws.chance(_MIRRORED):
+        low = h - 1.66
+        for k in draws.shuffled(range(doors))[: draws.integer(1, doors)]:
+            pane = (w / doors - 0.16, 0.004, h - low - 0.12)
+            item.add("mirror", box(pane, ((k + 0.5) * w / doors - w / 2, -d - 0.001, low), 0.0))
     item.front_m = 0.6
     return item
 
@@ -170,6 +178,7 @@ def rack(style: Style, draws: Draws, width: float) -> Item:
     """A shelf of steel uprights and boards with boxes and cans, for stores and workshops."""
     item = Item("rack", front_m=0.5)
     h, d = draws.uniform(1.75, 2.0), draws.uniform(0.38, 0.5)
+    boards = "steel" if draws.chance(0.6) else "wood"
     for x in (-width / 2 + 0.02, width / 2 - 0.02):
         for y in (-0.02, -d + 0.02):
             item.add("steel", box((0.035, 0.035, h), (x, y, 0), 0.002, grain=2))
@@ -180,7 +189,7 @@ def rack(style: Style, draws: Draws, width: float) -> Item:
                 "steel",
                 box((width - 0.075, 0.012, 0.05), (0, y - 0.008 if y > -0.1 else y + 0.008, z - 0.03), 0.001),
             )
-        item.add("wood", box((width - 0.076, d - 0.045, 0.018), (0, -d / 2, z), 0.001, grain=0))
+        item.add(boards, box((width - 0.076, d - 0.045, 0.018), (0, -d / 2, z), 0.001, grain=0))
         x = -width / 2 + 0.07
         while x < width / 2 - 0.3 and k < 3:
             bw, bh = draws.uniform(0.2, 0.36), draws.uniform(0.14, min(0.32, (h - 0.2) / 3 - 0.1))

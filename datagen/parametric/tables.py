@@ -28,12 +28,12 @@ def table(
         rail = 0.07 if height > 0.6 else 0.04
         for y in (-depth + inset + t / 2, -inset - t / 2):
             item.add(
-                "legs",
+                style.leg_slot,
                 box((width - 2 * inset - t, 0.02, rail), (0, y, under - rail + 0.0005), 0.002, grain=0),
             )
         for x in (-width / 2 + inset + t / 2, width / 2 - inset - t / 2):
             item.add(
-                "legs",
+                style.leg_slot,
                 box(
                     (0.02, depth - 2 * inset - t, rail),
                     (x, -depth / 2, under - rail + 0.0005),
@@ -43,15 +43,21 @@ def table(
             )
     elif base == "trestle":
         for x in (-width / 2 + 0.25, width / 2 - 0.25):
-            item.add("legs", box((0.07, depth - 0.1, 0.05), (x, -depth / 2, under - 0.05), 0.004, grain=1))
-            item.add("legs", box((0.08, depth - 0.06, 0.045), (x, -depth / 2, 0), 0.006, grain=1))
+            item.add(
+                style.leg_slot, box((0.07, depth - 0.1, 0.05), (x, -depth / 2, under - 0.05), 0.004, grain=1)
+            )
+            item.add(style.leg_slot, box((0.08, depth - 0.06, 0.045), (x, -depth / 2, 0), 0.006, grain=1))
             for y in (-depth * 0.3, -depth * 0.7):
-                item.add("legs", box((0.06, 0.06, under - 0.09), (x, y, 0.042), 0.004, grain=2))
-        item.add("legs", box((width - 0.5, 0.035, 0.08), (0, -depth / 2, 0.3), 0.004, grain=0))
+                item.add(style.leg_slot, box((0.06, 0.06, under - 0.09), (x, y, 0.042), 0.004, grain=2))
+        item.add(style.leg_slot, box((width - 0.5, 0.035, 0.08), (0, -depth / 2, 0.3), 0.004, grain=0))
     else:
         for x in (-width / 2 + 0.06, width / 2 - 0.06):
-            item.add("legs", box((0.045, depth - 0.08, under + 0.0005), (x, -depth / 2, 0), 0.004, grain=2))
-        item.add("legs", box((width - 0.16, 0.025, 0.16), (0, -depth / 2, under - 0.16), 0.003, grain=0))
+            item.add(
+                style.leg_slot, box((0.045, depth - 0.08, under + 0.0005), (x, -depth / 2, 0), 0.004, grain=2)
+            )
+        item.add(
+            style.leg_slot, box((width - 0.16, 0.025, 0.16), (0, -depth / 2, under - 0.16), 0.003, grain=0)
+        )
     item.support("table", (0, -depth / 2), (width - 0.06, depth - 0.06), height)
     return item
 
@@ -78,7 +84,7 @@ def round_table(style: Style, draws: Draws, diameter: float, height: float = 0.7
     foot = 0.52 * r if height > 0.6 else 0.6 * r
     if draws.chance(0.5):
         item.add(
-            "legs",
+            style.leg_slot,
             lathe(
                 [
                     (0, 0),
@@ -95,11 +101,12 @@ def round_table(style: Style, draws: Draws, diameter: float, height: float = 0.7
             ),
         )
     else:
-        item.add("legs", cylinder(0.032, height - 0.085, (0, c, 0.06), 18))
-        item.add("legs", cylinder(0.13, 0.012, (0, c, height - 0.038), 20))
+        item.add(style.leg_slot, cylinder(0.032, height - 0.085, (0, c, 0.06), 18))
+        item.add(style.leg_slot, cylinder(0.13, 0.012, (0, c, height - 0.038), 20))
         for x, y in ring_of(4, foot, math.pi / 4):
             item.add(
-                "legs", tube([(0, c, 0.075), (0.5 * x, c + 0.5 * y, 0.045), (x, c + y, 0.018)], 0.017, 8)
+                style.leg_slot,
+                tube([(0, c, 0.075), (0.5 * x, c + 0.5 * y, 0.045), (x, c + y, 0.018)], 0.017, 8),
             )
     side = 1.3 * r
     item.support("table", (0, c), (side, side), height)
@@ -118,7 +125,7 @@ def desk(style: Style, draws: Draws, width: float, depth: float = 0.7) -> Item:
         item.add("wood", box((w, depth - 0.08, h - thick - 0.06), (x, -depth / 2, 0.0605), 0.002, grain=2))
         for fx in (x - w / 2 + 0.05, x + w / 2 - 0.05):
             for fy in (-0.1, -depth + 0.1):
-                item.add("legs", cylinder(0.016, 0.061, (fx, fy, 0), 10))
+                item.add(style.leg_slot, cylinder(0.016, 0.061, (fx, fy, 0), 10))
         rows = [("drawer", 0.28), ("drawer", 0.18), ("drawer", h - thick - 0.06 - 0.46)]
         fronts(item, style, w, (x, -depth + 0.04, 0.06), rows)
         corners = (

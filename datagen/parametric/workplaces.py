@@ -48,7 +48,7 @@ def office(room: Furnisher) -> None:
         room.hang(fittings.board(style, draws, draws.uniform(1.2, 1.8), 0.95, "white_board"), 0.95)
     if draws.chance(0.6):
         room.hang(fittings.clock(style, draws), 1.95)
-    fill(room, ("files", "bookcase", "chair", "crates", "basket"), 1, 4)
+    fill(room, ("files", "lockers", "bin", "bookcase", "chair", "crates"), 1, 4)
     decorate(room, rug=0.1, is_home=False)
     ceiling_light(room, ("panel", "panel", "spots"), many=True)
 
@@ -66,7 +66,7 @@ def meeting_room(room: Furnisher) -> None:
     room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8)))
     if draws.chance(0.5):
         room.hang(fittings.clock(style, draws), 1.95)
-    fill(room, ("sideboard", "open_shelf", "chair"), 0, 3)
+    fill(room, ("sideboard", "trolley", "open_shelf", "chair"), 0, 3)
     decorate(room, rug=0.0, is_home=False)
     ceiling_light(room, ("panel", "pendant", "spots"), over=table, many=True)
 
@@ -112,7 +112,7 @@ def laundry(room: Furnisher) -> None:
         room.at_wall(storage.rack(style, draws, draws.uniform(0.8, 1.2)))
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.8, 1.3), draws.integer(1, 2)), 1.5)
-    fill(room, ("basket", "rack", "crates", "cupboard", "stool"), 2, 4)
+    fill(room, ("bin", "basket", "rack", "trolley", "crates", "cupboard"), 2, 4)
     if draws.chance(0.5):
         room.hang(storage.coat_rail(style, draws, draws.uniform(0.6, 1.0)), 1.6)
     pictures(room, draws.integer(0, 1))
@@ -147,7 +147,7 @@ def workshop(room: Furnisher) -> None:
         )
         room.in_middle(table)
     room.hang(fittings.clock(style, draws), 2.0)
-    fill(room, ("rack", "crates", "chest", "stool"), 2, 5)
+    fill(room, ("rack", "lockers", "bin", "crates", "stool"), 2, 5)
     if draws.chance(0.5):
         room.hang(storage.tool_board(style, draws, draws.uniform(0.8, 1.2)), 1.2)
     if draws.chance(0.5):
@@ -205,6 +205,6 @@ def cafe(room: Furnisher) -> None:
         made += any([room.seat(chair, table, side, 0.0, 0.12) is not None for side in sides])
     if made < 2:
         raise Unfit("too few tables for guests")
-    fill(room, ("sideboard", "open_shelf", "plant"), 0, 3)
+    fill(room, ("sideboard", "trolley", "bin", "open_shelf", "plant"), 1, 4)
     decorate(room, rug=0.0, is_home=False)
     ceiling_light(room, ("pendant", "globe", "spots"), many=True)

@@ -37,6 +37,14 @@ def _parser() -> argparse.ArgumentParser:
     gallery = verbs.add_parser("gallery", help="render one picture a kind with every asset")
     gallery.add_argument("--out", type=Path, required=True, help="folder for the pictures")
     gallery.add_argument("--kind", action="append", default=[], choices=("material", "object", "environment"))
+    panoramas = verbs.add_parser("panoramas", help="reduce environment maps to the bundled panoramas")
+    panoramas.add_argument("--out", type=Path, required=True, help="the library's folder")
+    panoramas.add_argument(
+        "--maps", type=Path, required=True, help="folder of Poly Haven's 1k Radiance files"
+    )
+    panoramas.add_argument(
+        "--blender-maps", type=Path, required=True, help="Blender's datafiles/studiolights/world"
+    )
     verbs.add_parser("list", help="list ids by kind")
     return parser
 
@@ -44,6 +52,8 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     arguments = _parser().parse_args(argv)
+    if arguments.verb == "panoramas":
+        return _panoramas(arguments.maps, arguments.blender_maps, arguments.out)
     from scenes.sources.build import sources
 
     known = sources()
@@ -76,6 +86,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(path)
         return 0
     return _build(arguments, known)
+
+
+def _panoramas(maps: Path, blender_maps: Path, out: Path) -> int:
+    from datagen.foundation.errors import InputError
+    from scenes.sources.panoramas import write_panoramas
+
+    try:
+        for path in write_panoramas(maps, blender_maps, out):
+            print(path)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
 
 
 def _build(arguments: argparse.Namespace, known: dict[str, str]) -> int:

@@ -13,9 +13,17 @@ from datagen.assembly.geometry import AssetGeometry, RayScene, load_geometry
 from datagen.assembly.placement import CONTACT_TOLERANCE_M, MIN_CONTACT_MARGIN_M
 from datagen.assembly.things import convex_hull_2d, margin_inside
 from datagen.asset_check import check_package
-from datagen.formats.asset import EnvironmentAsset, MaterialAsset, ObjectAsset, SupportSurface
+from datagen.formats.asset import (
+    DAYTIMES,
+    EnvironmentAsset,
+    MaterialAsset,
+    ObjectAsset,
+    PanoramaAsset,
+    SupportSurface,
+)
 from datagen.formats.package import open_package
 from datagen.foundation.bundled import bundled_library
+from datagen.foundation.images import read_image
 from datagen.library import Library
 
 ROOT = bundled_library()
@@ -86,17 +94,30 @@ def test_size_and_licence() -> None:
     assert {package.asset.provenance.license for package in library()} == {"CC0-1.0"}
 
 
+def test_panoramas_show_every_time_of_day() -> None:
+    """At least two of each, finite, of 2 : 1, and those of the day brighter above than below."""
+    found: dict[str, list[np.ndarray]] = {}
+    for package in library().select("panorama"):
+        assert isinstance(package.asset, PanoramaAsset)
+        pixels = read_image(package.local_file(package.asset.image))
+        assert pixels.shape == (384, 768, 3) and np.isfinite(pixels).all() and pixels.min() >= 0
+        found.setdefault(package.asset.daytime, []).append(pixels)
+    assert set(found) == set(DAYTIMES) and min(map(len, found.values())) >= 2
+    for time in ("day", "overcast"):
+        assert all(np.median(p[:150]) > np.median(p[-150:]) for p in found[time])
+
+
 def test_every_class_that_slots_ask_for_has_materials() -> None:
     supply = Counter(p.asset.material.classes[0] for p in library() if isinstance(p.asset, MaterialAsset))
     for package in library():
-        if isinstance(package.asset, MaterialAsset):
+        if not isinstance(package.asset, ObjectAsset | EnvironmentAsset):
             continue
         for name, slot in package.asset.materials.items():
             missing = [c for c in slot.replaceable_by if supply[c] == 0]
             assert not missing, f"{package.id}.{name}: no material of class {missing}"
 
 
-@pytest.mark.parametrize("kind", ["material", "object", "environment"])
+@pytest.mark.parametrize("kind", ["material", "object", "environment", "panorama"])
 def test_packages_are_sound(kind: str) -> None:
     faults = []
     for package in library():

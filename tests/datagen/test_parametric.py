@@ -29,7 +29,7 @@ from datagen.parametric.items import Item, Placed, hull_of
 from datagen.parametric.kinds import KINDS
 from datagen.parametric.packing import package_of, room_id
 from datagen.parametric.room import MadeRoom, draw_shell, make_room
-from datagen.parametric.slots import SLOTS
+from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
 
 SEEDS = ("1", "2", "3")
 
@@ -89,6 +89,23 @@ def test_bytes_depend_on_kind_and_seed_alone() -> None:
     output = subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
     here = [sha256_hex(package_of(make_room(*w))[0]) for w in wanted]
     assert output.split() == here[::-1]
+
+
+def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
+    """Where a slot is drawn in metal, nothing else may take its place; the share is that of the table."""
+    found: dict[str, list[bool]] = {}
+    for kind in sorted(KINDS):
+        for seed in SEEDS:
+            _, package = package_of(_room(kind, seed))
+            assert isinstance(package.asset, EnvironmentAsset)
+            for slot, material in package.asset.materials.items():
+                if slot in METAL_SHARE:
+                    found.setdefault(slot, []).append(material.replaceable_by == ("metal",))
+    drawn = [is_metal for slot in found for is_metal in found[slot]]
+    expected = [METAL_SHARE[slot] for slot in found for _ in found[slot]]
+    spread = np.sqrt(sum(p * (1 - p) for p in expected))
+    assert len(found) >= 8 and abs(sum(drawn) - sum(expected)) < 3 * spread
+    assert in_metal("legs").surface == "fitting" and in_metal("worktop").surface == "worktop"
 
 
 def test_every_seed_makes_another_room() -> None:

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""The outside of windows as panoramas of the library: which time of day, which panorama, how bright."""
+
+from __future__ import annotations
+
+import math
+
+from datagen.assembly.daylight import rotation_about_up
+from datagen.assembly.light_probe import is_from_outside
+from datagen.formats.asset import Daytime, EnvironmentAsset, ObjectAsset, PanoramaAsset
+from datagen.formats.lights import EnvironmentLight
+from datagen.formats.recipe import LightRecipe
+from datagen.foundation.random import Draws
+from datagen.library import Library
+
+OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
+    "day": (0.4, 1.5),
+    "overcast": (0.3, 1.0),
+    "dusk": (0.02, 0.15),
+    "night": (5e-4, 4e-3),
+}
+"""Of light from outside, relative to lamps: at night a street brings a few per mille of theirs."""
+DARK: tuple[Daytime, ...] = ("dusk", "night")
+"""Times of day when lamps are on."""
+
+
+def draw_daytime(
+    assets: tuple[EnvironmentAsset | ObjectAsset, ...], recipe: LightRecipe, draws: Draws
+) -> Daytime | None:
+    """The time of day outside a room (the first of ``assets``); None where the recipe names none, or where
+    the room is closed or has a sky of its own."""
+    room = assets[0]
+    assert isinstance(room, EnvironmentAsset)
+    has_sky = any(is_from_outside(light) for asset in assets for light in asset.lights)
+    if recipe.panoramas is None or not room.openings or has_sky:
+        return None
+    weights = recipe.panoramas.wanted()
+    return draws.weighted(list(weights), list(weights.values()))
+
+
+def panoramas_of(library: Library, daytime: Daytime) -> list[PanoramaAsset]:
+    """The library's panoramas of a time of day, in the order of their ids."""
+    assets = (package.asset for package in library.select("panorama"))
+    return [asset for asset in assets if isinstance(asset, PanoramaAsset) and asset.daytime == daytime]
+
+
+def draw_panorama(daytime: Daytime, library: Library, draws: Draws) -> EnvironmentLight:
+    """Light from one of the panoramas of a time of day, turned at random."""
+    chosen = draws.choice(panoramas_of(library, daytime))
+    return turned_image(chosen.id, chosen.image, draws.uniform(-math.pi, math.pi))
+
+
+def turned_image(asset: str, image: str, turn_rad: float) -> EnvironmentLight:
+    """An image of a package as daylight, turned about the vertical."""
+    rows = tuple(tuple(round(x, 9) for x in row) for row in rotation_about_up(turn_rad).tolist())
+    return EnvironmentLight(
+        name="daylight",
+        image=image,
+        asset=asset,
+        world_from_environment=rows,  # type: ignore[arg-type]
+    )

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""Panoramas outside of windows: which rooms get one, how bright it is, that lamps are on when it is dark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from datagen.assembly.generated import generated_room
+from datagen.assembly.panoramas import OUTSIDE_SHARE, panoramas_of
+from datagen.assembly.plan import assemble, check_recipe
+from datagen.assembly.skyless import rooms_without_sky
+from datagen.asset_check import check_package
+from datagen.formats.asset import Daytime, PanoramaAsset, Provenance
+from datagen.formats.base import canonical_json
+from datagen.formats.configuration import Configuration
+from datagen.formats.lights import AreaLight, EnvironmentLight
+from datagen.formats.package import write_package
+from datagen.formats.recipe import LightRecipe, Recipe
+from datagen.foundation.bundled import bundled_library
+from datagen.foundation.errors import InputError
+from datagen.library import Library, describe_library
+from tests.datagen.small_library import write_room, write_small_library
+
+TIMES: tuple[Daytime, ...] = ("day", "night")
+
+
+def write_panorama(root: Path, name: str, daytime: Daytime, value: float = 1.0) -> None:
+    """A panorama of constant radiance."""
+    file = root.parent / f"{name}.exr"
+    pixels = np.full((8, 16, 3), value, np.float32)
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": pixels}).write(str(file))
+    asset = PanoramaAsset(
+        id=name, title=name, provenance=Provenance(license="CC0-1.0"), image="sky.exr", daytime=daytime
+    )
+    write_package(root / "panoramas" / name, asset, {"sky.exr": file})
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    root = write_small_library(tmp_path_factory.mktemp("panoramas") / "library")
+    for time in TIMES:
+        write_panorama(root, f"{time}-view", time)
+    return Library([root])
+
+
+def recipe(weights: dict[str, float], **lights: Any) -> Recipe:
+    base = {"area_probability": 0, "point_probability": 0, "native_probability": 0, "panoramas": weights}
+    return Recipe.model_validate(
+        {
+            "name": "outside",
+            "configurations": 20,
+            "views": 1,
+            "resolution": (32, 24),
+            "environments": {"include": ["room-0"]},
+            "objects": {"count": (0, 1)},
+            "lights": {**base, **lights},
+        }
+    )
+
+
+def outside_of(configuration: Configuration) -> EnvironmentLight:
+    (light,) = (x for x in configuration.lights if isinstance(x, EnvironmentLight))
+    return light
+
+
+def test_rooms_with_openings_have_a_panorama_outside(library: Library) -> None:
+    wanted = recipe({"day": 1}, daylight_probability=0)
+    found = [assemble(wanted, index, library) for index in range(3)]
+    for configuration in found:
+        light = outside_of(configuration)
+        assert light.asset == "day-view" and light.image == "sky.exr" and light.scale > 0
+        assert configuration.assets["day-view"] == library.package("day-view").sha256
+    assert len({outside_of(configuration).world_from_environment for configuration in found}) == 3
+    again = assemble(wanted, 1, library)
+    assert canonical_json(again) == canonical_json(found[1])
+
+
+def test_by_night_lamps_are_on_and_the_outside_is_dim(library: Library) -> None:
+    """Lamps that the recipe never asks for are on; the outside keeps to its small share of the light."""
+    for index in range(3):
+        configuration = assemble(recipe({"night": 1}), index, library)
+        assert any(isinstance(light, AreaLight) for light in configuration.lights)
+        by_day = assemble(recipe({"day": 1}), index, library)
+        assert not any(isinstance(light, AreaLight) for light in by_day.lights)
+        assert 0 < outside_of(configuration).scale < 0.1 * outside_of(by_day).scale
+    assert OUTSIDE_SHARE["night"][1] < OUTSIDE_SHARE["dusk"][1] < OUTSIDE_SHARE["overcast"][1]
+
+
+def test_rooms_without_openings_or_with_a_sky_have_none(tmp_path: Path) -> None:
+    root = write_small_library(tmp_path / "library")
+    write_panorama(root, "day-view", "day")
+    write_room(root, "closed", openings=())
+    write_room(root, "with-sky", lights=(EnvironmentLight(name="sky"),))
+    library = Library([root])
+    for name in ("closed", "with-sky"):
+        wanted = recipe({"day": 1}, native_probability=1)
+        wanted = wanted.model_copy(
+            update={"environments": wanted.environments.model_copy(update={"include": (name,)})}
+        )
+        lights = assemble(wanted, 0, library).lights
+        assert not any(isinstance(light, EnvironmentLight) and light.asset == "day-view" for light in lights)
+
+
+def test_rooms_of_ones_own_without_a_sky_are_told(tmp_path: Path, library: Library) -> None:
+    root = tmp_path / "own"
+    write_room(root, "closed", openings=())
+    write_room(root, "open")
+    write_room(root, "with-sky", lights=(EnvironmentLight(name="sky"),))
+    own = Library([root, *library.paths])
+
+    def told(**lights: Any) -> dict[str, str]:
+        fields = {"environments": {"include": ["closed", "open", "with-sky"]}, "lights": lights}
+        wanted = recipe({"day": 1}).model_dump(mode="json") | fields
+        return {line.split()[0]: line for line in rooms_without_sky(Recipe.model_validate(wanted), own)}
+
+    by_chance = told(daylight_probability=0.7)
+    assert set(by_chance) == {"closed", "open"}
+    assert "70% of its configurations" in by_chance["open"] and "mark its windows" in by_chance["closed"]
+    assert "panorama" in told(panoramas={"day": 1})["open"]
+    assert told(daylight_probability=0) == {}
+    bundled = Recipe.model_validate({"name": "b", "configurations": 1, "views": 1})
+    with Library([bundled_library()]) as library:
+        assert rooms_without_sky(bundled, library) == []
+
+
+def test_times_of_day_are_weighed_and_must_be_in_the_library(library: Library) -> None:
+    both = recipe({"day": 3, "night": 1})
+    times = [outside_of(assemble(both, index, library)).asset for index in range(12)]
+    assert 6 <= times.count("day-view") < 12
+    assert [asset.id for asset in panoramas_of(library, "night")] == ["night-view"]
+    with pytest.raises(InputError, match=r"lights.panoramas.dusk = no such panorama.*leave it out"):
+        check_recipe(recipe({"dusk": 1}), library)
+    with pytest.raises(ValueError, match="positive weight of day, overcast, dusk, night"):
+        LightRecipe.model_validate({"panoramas": {"day": 0}})
+
+
+def test_generated_rooms_lose_their_modelled_outside() -> None:
+    parametric = {"parametric": {"kinds": ["study"]}}
+    old = Recipe.model_validate({"name": "a", "configurations": 9, "views": 1, "environments": parametric})
+    new = Recipe.model_validate(
+        {
+            "name": "a",
+            "configurations": 9,
+            "views": 1,
+            "environments": parametric,
+            "lights": {"panoramas": {"day": 1}},
+        }
+    )
+    index = next(k for k in range(9) if (room := generated_room(old, k)) and room.package.asset.openings)  # type: ignore[union-attr]
+    rooms = [generated_room(wanted, index) for wanted in (old, new)]
+    parts = [{part.name for part in room.package.asset.parts} for room in rooms if room]  # type: ignore[union-attr]
+    gone = parts[0] - parts[1]
+    assert parts[1] < parts[0] and gone and all(name.startswith("outside.") for name in gone)
+    assert len({room.package.id for room in rooms if room}) == 2
+
+
+def test_panoramas_are_listed_and_checked(library: Library, tmp_path: Path) -> None:
+    lines = {line.id: line for line in describe_library(library.paths)}
+    assert lines["night-view"].kind == "panorama" and lines["night-view"].detail == "night"
+    assert check_package(library.package("day-view")).is_usable
+    for value, fault in ((float("nan"), "NaN or infinite"), (-1.0, "negative values")):
+        root = tmp_path / f"value {value}"
+        write_panorama(root / "library", "broken", "day", value)
+        with Library([root / "library"]) as broken:
+            (problem,) = check_package(broken.package("broken")).errors
+        assert fault in problem.got
