@@ -32,6 +32,7 @@ TIMES: tuple[Daytime, ...] = ("day", "night")
 def write_panorama(root: Path, name: str, daytime: Daytime, value: float = 1.0) -> None:
     """A panorama of constant radiance."""
     file = root.parent / f"{name}.exr"
+    file.parent.mkdir(parents=True, exist_ok=True)
     pixels = np.full((8, 16, 3), value, np.float32)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": pixels}).write(str(file))
     asset = PanoramaAsset(
