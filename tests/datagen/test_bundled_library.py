@@ -95,7 +95,7 @@ def test_size_and_licence() -> None:
 
 
 def test_panoramas_show_every_time_of_day() -> None:
-    """At least two of each, finite, of 2 : 1, and those of the day brighter above than below."""
+    """At least two of each, finite, and brighter above the horizon than below: none stands on its head."""
     found: dict[str, list[np.ndarray]] = {}
     for package in library().select("panorama"):
         assert isinstance(package.asset, PanoramaAsset)
@@ -103,8 +103,7 @@ def test_panoramas_show_every_time_of_day() -> None:
         assert pixels.shape == (384, 768, 3) and np.isfinite(pixels).all() and pixels.min() >= 0
         found.setdefault(package.asset.daytime, []).append(pixels)
     assert set(found) == set(DAYTIMES) and min(map(len, found.values())) >= 2
-    for time in ("day", "overcast"):
-        assert all(np.median(p[:150]) > np.median(p[-150:]) for p in found[time])
+    assert all(p[:192].mean() > 3 * p[192:].mean() for panoramas in found.values() for p in panoramas)
 
 
 def test_every_class_that_slots_ask_for_has_materials() -> None:
