@@ -104,7 +104,7 @@ MATRIX = {
         "model.cli": f"{_GROUND} model",
         "oracles": _RENDER,
         "benchmarks": "datagen mitsuba_plugins model blender_addon scenes oracles",
-        "scenes": "blender_addon",
+        "scenes": f"{_GROUND} blender_addon",
         "tests": "datagen mitsuba_plugins model blender_addon scenes oracles",
         "tests.benchmarks": "datagen mitsuba_plugins model blender_addon scenes oracles benchmarks tests",
     }.items()
