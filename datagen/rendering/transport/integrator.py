@@ -88,7 +88,9 @@ class PathTracer:
             return
         with dr.suspend_grad():
             rays = (self._rays_of(sensor, num_samples, seed + k) for k, sensor in enumerate(sensors))
-            self.use_sky_guide(fit_sky_guide(self.scene, observe_sky(self.emitters, rays)))
+            self.use_sky_guide(
+                fit_sky_guide(self.scene, observe_sky(self.scene, self.emitters.is_hidden, rays))
+            )
 
     def use_sky_guide(self, guide: SkyGuide | None) -> None:
         """Sample the openings of ``guide`` from here on; drops what was gathered with another."""

@@ -6,7 +6,7 @@ Paths from the cameras bounce twice with cosine-distributed directions, whatever
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,6 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.rendering.transport.emitters import SceneEmitters
 from datagen.rendering.transport.vertex import MAX_CROSSINGS_BEFOREHAND, Walk, cosine_bounce, facing_normal
 
 BOUNCES = 2
@@ -53,12 +52,17 @@ class SkyObservations:
         return sky / total if total > 0.0 else 0.0
 
 
-def observe_sky(emitters: SceneEmitters, camera_rays: Iterable[tuple[Any, Any]]) -> SkyObservations:
-    """Observations along paths from cameras; ``camera_rays``: for each, rays and a sampler for as many."""
+def observe_sky(
+    scene: Any, is_hidden: Callable[[Any, Any], Any], camera_rays: Iterable[tuple[Any, Any]]
+) -> SkyObservations:
+    """Observations along paths from cameras; ``camera_rays``: for each, rays and a sampler for as many.
+
+    ``is_hidden(si, depth)``: whether the camera does not see a light that was hit.
+    """
     points, origins, directions, radiance = [], [], [], []
     sums = np.zeros(2)
     for ray, numbers in camera_rays:
-        segments, irradiance = _walk(emitters, emitters.scene, ray, numbers)
+        segments, irradiance = _walk(scene, is_hidden, ray, numbers)
         dr.eval(segments, irradiance)
         for origin, direction, luminance, end in segments:
             kind = np.array(end)
@@ -82,7 +86,7 @@ def observe_sky(emitters: SceneEmitters, camera_rays: Iterable[tuple[Any, Any]])
 
 
 @dr.syntax
-def _walk(emitters: Any, scene: Any, ray: Any, numbers: Any) -> tuple[list[tuple[Any, ...]], list[Any]]:
+def _walk(scene: Any, is_hidden: Any, ray: Any, numbers: Any) -> tuple[list[tuple[Any, ...]], list[Any]]:
     """Of the segments after each bounce: origin, direction, luminance of the environment, and how they end;
     irradiance at all vertices from environment and others."""
     walk = Walk(ray)
@@ -96,7 +100,7 @@ def _walk(emitters: Any, scene: Any, ray: Any, numbers: Any) -> tuple[list[tuple
     while active:
         si = walk.intersect(scene, active)
         is_null = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Null)
-        passes = si.is_valid() & (is_null | emitters.is_hidden(si, walk.depth))
+        passes = si.is_valid() & (is_null | is_hidden(si, walk.depth))
         leaves = active & ~si.is_valid()
         luminance = mi.luminance(si.emitter(scene).eval(si, leaves))
         for bounce in range(BOUNCES):
