@@ -177,11 +177,12 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 
 
 def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    from datagen.farm.planning import create_plan, notes_before, read_configurations
+    from datagen.farm.planning import check_start, create_plan, notes_before, read_configurations
     from datagen.foundation.progress import Bars
     from datagen.inspection.plan_summary import plan_summary
 
     opened = _open_library(recipe, base)
+    check_start(recipe, opened)  # what stops the work is said alone
     for note in notes_before(recipe, opened):
         typer.echo(f"note: {note}", err=True)
     with Bars("configurations") as bars:
