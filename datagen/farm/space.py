@@ -7,7 +7,7 @@ import shutil
 from dataclasses import dataclass
 
 from datagen.farm.folder import DatasetFolder
-from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS
 from datagen.foundation.errors import input_error
 
 VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2
@@ -39,7 +39,8 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
     if done:
         bytes_per_view = sum(m.num_bytes for m in done) / sum(m.num_views for m in done)
     else:
-        stored = sum(buffer.num_channels * buffer.dtype.itemsize for buffer in BUFFERS.values())
+        left_out = () if recipe.statistics.light else LIGHT_BUFFERS
+        stored = sum(b.num_channels * b.dtype.itemsize for b in BUFFERS.values() if b.name not in left_out)
         share = 1.0 if recipe.output.compression == "none" else _PACKED_SHARE
         bytes_per_view = pixels * stored * share
     views = sorted((unit.num_views for unit in todo), reverse=True)
