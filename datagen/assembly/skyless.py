@@ -7,7 +7,7 @@ from datagen.assembly.light_probe import is_from_outside
 from datagen.assembly.splits import pools_of_split, splits_in_use
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.recipe import Recipe
-from datagen.foundation.bundled import bundled_library
+from datagen.foundation.bundled import is_bundled
 from datagen.library import Library
 
 
@@ -26,7 +26,7 @@ def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
         for package in pools_of_split(recipe, library, split).environments:
             room = package.asset
             assert isinstance(room, EnvironmentAsset)
-            if package.path.is_relative_to(bundled_library()) or any(map(is_from_outside, room.lights)):
+            if is_bundled(package.path) or any(map(is_from_outside, room.lights)):
                 continue
             if not room.openings:
                 how = (

@@ -16,14 +16,24 @@ BundledKind = Literal["recipes", "suites"]
 
 def bundled_folder() -> Path:
     """The folder of what is bundled. Raises :class:`InputError` where the installation left it out."""
-    package = Path(__file__).resolve().parents[1]
-    installed, checkout = package / "scenes", package.parent / "scenes"
+    installed, checkout = _places()
     if (installed / "library").is_dir():
         return installed
-    if (checkout / "library").is_dir() and (package.parent / "pyproject.toml").is_file():
+    if (checkout / "library").is_dir() and (checkout.parent / "pyproject.toml").is_file():
         return checkout
     remedy = "install the project again: pip install --force-reinstall --no-deps scene-materials"
     raise input_error(installed, "", "no such folder", "the bundled library, recipes and suites", remedy)
+
+
+def _places() -> tuple[Path, Path]:
+    """Where an installation and a checkout have it."""
+    package = Path(__file__).resolve().parents[1]
+    return package / "scenes", package.parent / "scenes"
+
+
+def is_bundled(package: Path) -> bool:
+    """Whether an asset package is of the bundled library, of a copy of the sources too."""
+    return any(package.resolve().is_relative_to((place / "library").resolve()) for place in _places())
 
 
 def bundled_library() -> Path:
