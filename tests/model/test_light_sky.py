@@ -34,7 +34,7 @@ from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, Rectangle, lights_text
 from model.reconstruction.light.lamps import found_lamps
 from model.reconstruction.light.openings import LeavingRays, box_squares, found_windows
-from model.reconstruction.light.options import LightOptions, LightReport
+from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.rectangles import cover, cut, largest_rectangle
 from model.reconstruction.light.shining import shining_patches
 from model.reconstruction.light.sky import (
@@ -178,7 +178,7 @@ def test_lamp_that_no_geometry_names_is_found() -> None:
         traced = TracedGeometry(geometry)
         views = [replace(v, geometry=traced.trace_view(v.camera)) for v in photographed_room()]
         emits = geometry.emitter_mask()
-        return light_surfels(views, traced, emits, smooth_regions(traced.mesh), options, LightReport())
+        return light_surfels(views, traced, emits, smooth_regions(traced.mesh), options)
 
     lit = lit_by(CaptureGeometry(named.mesh, parts))
     (panel,) = shining_patches(lit)
