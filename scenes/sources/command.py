@@ -58,7 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     known = sources()
     if arguments.verb == "list":
-        for name, kind in known.items():
+        from scenes.sources.panoramas import PANORAMAS
+
+        for name, kind in (*known.items(), *((panorama.id, "panorama") for panorama in PANORAMAS)):
             print(kind, name)
         return 0
     asked = [arguments.id] if arguments.verb == "preview" else getattr(arguments, "only", [])
