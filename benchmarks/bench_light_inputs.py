@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What does the light that views record bring to a network? Trains one with and without it on the same views.
+"""Ablation of light buffers as network inputs: errors with and without them, trained on the same views.
 
     python -m benchmarks.bench_light_inputs ROOM.tar ... --held-out ROOM.tar ... --out DIR
 
@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import canonical_json, sha256_file, sha256_hex
 from datagen.formats.capture import CaptureView
 from datagen.formats.configuration import Split, ViewCamera
-from datagen.formats.recipe import Recipe
-from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord, write_shard
+from datagen.formats.shard import ShardReader, ShardRecord, write_shard
 from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS, STATISTICS_BUFFERS
 from datagen.foundation.cameras import Camera
 from datagen.foundation.exr import encode_view
@@ -50,7 +49,17 @@ from model.training.validation import (
     network_predictor,
     whole_views,
 )
+from oracles.dataset_index import index_of
 
+STORED = (
+    "beauty",
+    *MATERIAL_MAPS,
+    "surface_mask",
+    "normal_world",
+    "depth_z_m",
+    *STATISTICS_BUFFERS,
+    *LIGHT_BUFFERS,
+)
 INPUTS: dict[str, tuple[str, ...]] = {
     "radiance": (),
     "with reflectance, known share": ("reflectance", "known_share"),
@@ -153,29 +162,9 @@ def small_dataset(
             told_s = f"light {seconds[shard.stem]:.2f} s each"
             print(f"{shard.stem}: {record.num_views} views, {told_s}", flush=True)
     with (out / "index.json").open("wb") as file:
-        file.write(canonical_json(_index(records)))
+        file.write(canonical_json(index_of("small", records, STORED)))
     told.write_text(json.dumps(seconds))
     return out, seconds
-
-
-def _index(records: Sequence[ShardRecord]) -> DatasetIndex:
-    splits: dict[Split, int] = {"train": 0, "validation": 0, "test": 0}
-    for record in records:
-        splits[record.split] += 1
-    truth = (*MATERIAL_MAPS, "surface_mask", "normal_world", "depth_z_m")
-    return DatasetIndex(
-        recipe=Recipe(name="small", configurations=len(records), views=max(r.num_views for r in records)),
-        versions={},
-        variant="llvm_ad_rgb",
-        num_configurations=len(records),
-        num_views=sum(r.num_views for r in records),
-        num_bytes=sum(r.num_bytes for r in records),
-        is_complete=True,
-        splits=splits,
-        buffers=tuple(sorted(("beauty", *truth, *STATISTICS_BUFFERS, *LIGHT_BUFFERS))),
-        assets={},
-        shards=tuple(records),
-    )
 
 
 def configured(inputs: Sequence[str], seed: int, steps: int) -> TrainingConfig:

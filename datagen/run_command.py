@@ -177,20 +177,21 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 
 
 def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
-    from datagen.farm.planning import check_start, create_plan, notes_before, read_configurations
+    from datagen.farm.planning import create_plan, read_configurations
     from datagen.foundation.progress import Bars
     from datagen.inspection.plan_summary import plan_summary
 
     opened = _open_library(recipe, base)
-    check_start(recipe, opened)  # what stops the work is said alone
-    for note in notes_before(recipe, opened):
-        typer.echo(f"note: {note}", err=True)
     with Bars("configurations") as bars:
-        created = create_plan(recipe, opened, out, workers, partial(bars.tell, "assembling"))
+        created = create_plan(recipe, opened, out, workers, partial(bars.tell, "assembling"), _print_note)
     typer.echo(f"{out}: {len(created.units)} units, {sum(u.num_views for u in created.units)} views planned")
     summary = plan_summary(read_configurations(out, created))
     if summary:
         typer.echo(summary)
+
+
+def _print_note(note: str) -> None:
+    typer.echo(f"note: {note}", err=True)
 
 
 def _print_left(out: Path, options: RunOptions) -> None:

@@ -349,7 +349,7 @@ class MaterialNetwork(nn.Module):
         return {f"{name} track": track for name, track in self.tracks.items()}
 
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
-        """What a phase of these tracks trains."""
+        """Modules whose weights a phase of these tracks optimises."""
         return [self.tracks[track] for track in tracks]
 
     def forward(
@@ -373,7 +373,7 @@ class MaterialNetwork(nn.Module):
 
     @property
     def is_channels_last(self) -> bool:
-        """Whether weights are stored with channels last."""
+        """Whether weights have the memory format ``torch.channels_last``."""
         weight = self.get_parameter("tracks.diffuse.enc2.conv.weight")
         return weight.is_contiguous(memory_format=torch.channels_last) and not weight.is_contiguous()
 

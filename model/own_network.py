@@ -51,7 +51,7 @@ class OwnNetwork(nn.Module):
         return {str(self.config.factory): self.module}
 
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
-        """What a phase trains: all of it."""
+        """The whole module, in every phase."""
         return [self.module]
 
     def forward(

@@ -75,13 +75,17 @@ def create_plan(
     root: Path,
     workers: int = 1,
     report: Callable[[int, int], None] = lambda done, total: None,
+    tell: Callable[[str], None] = lambda note: None,
 ) -> Plan:
     """Assemble the configurations that are not on disk yet and write the plan; a finished one is read.
 
-    ``report(done, total)`` is called as configurations are finished. Raises :class:`InputError`.
+    ``report(done, total)`` is called as configurations are finished, ``tell`` with each of
+    :func:`notes_before`, once nothing stops the work. Raises :class:`InputError`.
     """
     if not DatasetFolder(root).plan_path.exists():
         check_start(recipe, library)  # before anything is written
+    for note in notes_before(recipe, library):
+        tell(note)
     folder = start_folder(recipe, library, root)
     if folder.plan_path.exists():
         return folder.read_plan()

@@ -26,7 +26,7 @@ def bundled_folder() -> Path:
 
 
 def _places() -> tuple[Path, Path]:
-    """Where an installation and a checkout have it."""
+    """The folder in an installation, and in a checkout."""
     package = Path(__file__).resolve().parents[1]
     return package / "scenes", package.parent / "scenes"
 

@@ -95,7 +95,7 @@ def test_size_and_licence() -> None:
 
 
 def test_panoramas_show_every_time_of_day() -> None:
-    """At least two of each, finite, and brighter above the horizon than below: none stands on its head."""
+    """At least two for each time of day; finite; upright: brighter above the horizon than below."""
     found: dict[str, list[np.ndarray]] = {}
     for package in library().select("panorama"):
         assert isinstance(package.asset, PanoramaAsset)

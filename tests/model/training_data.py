@@ -13,12 +13,12 @@ import numpy as np
 
 from datagen.formats.base import canonical_json, sha256_file, sha256_hex
 from datagen.formats.configuration import Configuration, PlacedAsset, Split, ViewCamera
-from datagen.formats.recipe import Recipe
-from datagen.formats.shard import DatasetIndex, ShardRecord, write_shard
+from datagen.formats.shard import ShardRecord, write_shard
 from datagen.formats.view import RenderRecord, StatisticsRecord, ViewRecord
 from datagen.foundation.buffers import LIGHT_BUFFERS, VIEW_BUFFERS
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.exr import encode_view
+from oracles.dataset_index import index_of
 
 Change = Callable[[dict[str, np.ndarray], dict[str, Any]], None]
 """Spoils a view's buffers and its record (as a dictionary) in place."""
@@ -60,7 +60,7 @@ def floor_buffers(camera: Camera, seed: int) -> dict[str, np.ndarray]:
 
 
 def light_buffers(buffers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What the light in a view of the plane would say."""
+    """Light buffers of a view of the plane."""
     mask = buffers["surface_mask"]
     return {
         "reflectance": buffers["diffuse_albedo"],
@@ -170,21 +170,7 @@ def make_dataset(
                 assets=(),
             )
         )
-    counts: dict[Split, int] = {"train": 0, "validation": 0, "test": 0}
-    for record in records:
-        counts[record.split] += 1
-    index = DatasetIndex(
-        recipe=Recipe(name="tiny", configurations=len(records), views=max(r.num_views for r in records)),
-        versions={},
-        variant="llvm_ad_rgb",
-        num_configurations=len(records),
-        num_views=sum(r.num_views for r in records),
-        num_bytes=sum(r.num_bytes for r in records),
-        is_complete=True,
-        splits=counts,
-        buffers=tuple(sorted(VIEW_BUFFERS + (LIGHT_BUFFERS if options.get("has_light") else ()))),
-        assets={},
-        shards=tuple(records),
-    )
+    buffers = VIEW_BUFFERS + (LIGHT_BUFFERS if options.get("has_light") else ())
+    index = index_of("tiny", records, buffers)
     (folder / "index.json").write_bytes(canonical_json(index))
     return folder

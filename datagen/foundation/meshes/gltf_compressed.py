@@ -58,7 +58,7 @@ def unpack_meshopt(
 
 
 def is_ktx2(content: bytes) -> bool:
-    """Whether these bytes begin as a KTX 2 file does."""
+    """Whether ``data`` has the signature of a KTX 2 file."""
     return content[: len(_KTX2)] == _KTX2
 
 

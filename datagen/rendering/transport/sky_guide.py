@@ -85,7 +85,7 @@ class SkyGuide:
         return [self.low, self.high, self.brightest, self.distance, self.table, self.density]
 
     def contains(self, point: Array) -> Array:
-        """Whether a point is inside the box."""
+        """Mask of points inside the box."""
         return dr.all((point >= self.low) & (point <= self.high))
 
     def pdf(self, point: Array, direction: Array) -> Array:
