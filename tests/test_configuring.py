@@ -23,7 +23,7 @@ HEADER = "# yaml-language-server: $schema="
 WRITTEN = sorted(
     [
         *(REPOSITORY / "scenes" / "recipes").glob("*.yaml"),
-        *(REPOSITORY / "scenes" / "suites").glob("*.yaml"),
+        *(REPOSITORY / "scenes" / "suites").rglob("*.yaml"),
         *(REPOSITORY / "model" / "training" / "presets").glob("*.yaml"),
     ]
 )
