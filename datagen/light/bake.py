@@ -57,6 +57,19 @@ class SpecularShading:
     photographed: NDArray[np.float32]
 
 
+def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:
+    """``num_rays`` rays of each point (N, 3), one point's after the other's, by the cosine to its normal (N,
+    3); they start ``start_m`` before the surface."""
+    import drjit as dr
+    import mitsuba as mi
+
+    n = vectors_from_rows(np.repeat(normal, num_rays, axis=0))
+    origin = mi.Point3f(vectors_from_rows(np.repeat(position_m, num_rays, axis=0)))
+    sample = np.random.default_rng(seed).random((2, dr.width(n))).astype(np.float32)
+    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(mi.Float(sample[0]), mi.Float(sample[1])))
+    return mi.Ray3f(origin + n * start_m, mi.Frame3f(n).to_world(local))
+
+
 class Baker:
     """Bakes points of a radiance field. ``size_m``: diagonal of the room."""
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
-from datagen.light.bake import Baker, Irradiance
+from datagen.light.bake import Baker, Irradiance, cosine_rays
 from datagen.light.emitters import photographed_emitters
+from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
 from datagen.light.radiance_field import RadianceField, surface_cells
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
-from datagen.multiview.visibility import vectors_from_rows
 
 MIN_KNOWN = 0.1
 """Least share of known light that is scaled up to all light."""
@@ -38,13 +38,15 @@ _MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
 class GatherOptions:
     """Rays a surfel (``irradiance_rays``; ``second_irradiance_rays`` in :func:`relight`; ``estimate_rays``
     for what no photograph shows), and surfels that its shading is smoothed over. ``estimates_unseen``:
-    whether surface that no photograph shows gets the mean reflectance."""
+    whether surface that no photograph shows gets the mean reflectance; ``fits_estimates``: whether estimates
+    get gains by what they light."""
 
     irradiance_rays: int = 144
     second_irradiance_rays: int = 512
     estimate_rays: int = 48
     smoothing_neighbours: int = 9
     estimates_unseen: bool = True
+    fits_estimates: bool = True
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def light_surfels(
         scene_field = RadianceField(traced.scene, surfels, emitters, background)
         size_m = surfels.grid.cell_m * CELLS_ACROSS
         if options.estimates_unseen:
-            scene_field = _estimated(scene_field, surfels, size_m, options)
+            scene_field = _estimated(scene_field, surfels, size_m, region_of_face[surfels.face], options)
     with step("irradiance"):
         return _lit(surfels, Baker(scene_field, size_m), options.irradiance_rays, options)
 
@@ -103,35 +105,39 @@ def _lit(surfels: Surfels, baker: Baker, num_rays: int, options: GatherOptions) 
 
 
 def _estimated(
-    scene_field: RadianceField, surfels: Surfels, size_m: float, options: GatherOptions
+    scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
 ) -> RadianceField:
     """The field with estimates where rays of the surfels end on surface that no photograph shows: the mean
-    reflectance of the room times the light that arrives there."""
+    reflectance of the room times the light that arrives there; then with the gains of all estimates."""
     position, facing = _unknown_surface(scene_field, surfels, size_m)
-    if not len(position):
-        return scene_field
-    reflectance = _mean_reflectance(Baker(scene_field, size_m), surfels, options)
     extended = scene_field
-    for _ in range(ESTIMATE_ROUNDS):
-        lit = Baker(extended, size_m).irradiance(position, facing, options.estimate_rays)
-        radiance = reflectance * lit.diffuse / np.maximum(lit.known, 2 * MIN_KNOWN)[:, None]
-        extended = scene_field.extended(position, facing, surfels, radiance.astype(np.float32))
-    return extended
+    radiance = np.zeros((len(position), 3), np.float32)
+    if len(position):
+        reflectance = _mean_reflectance(Baker(scene_field, size_m), surfels, options)
+        for _ in range(ESTIMATE_ROUNDS):
+            lit = Baker(extended, size_m).irradiance(position, facing, options.estimate_rays)
+            arriving = lit.diffuse / np.maximum(lit.known, 2 * MIN_KNOWN)[:, None]
+            radiance = (reflectance * arriving).astype(np.float32)
+            extended = scene_field.extended(position, facing, surfels, radiance)
+    if not options.fits_estimates:
+        return extended
+    gains = fitted_gains(Baker(extended, size_m), surfels, region)
+    radiance *= gains[surface_groups(position, facing, surfels), None].astype(np.float32)
+    background = with_gains(scene_field.background, gains)
+    fitted = RadianceField(scene_field.scene, surfels, scene_field.emitters, background)
+    return fitted.extended(position, facing, surfels, radiance) if len(position) else fitted
 
 
 def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:
     """A position and normal (K, 3) for each cell without radiance that rays of the surfels end in."""
-    import drjit as dr
-    import mitsuba as mi
-
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
-    rays = ESTIMATE_RAYS_A_SURFEL
-    normal = vectors_from_rows(np.repeat(surfels.normal[::step], rays, axis=0))
-    origin = mi.Point3f(vectors_from_rows(np.repeat(surfels.position_m[::step], rays, axis=0)))
-    random = np.random.default_rng(0).random((2, dr.width(normal))).astype(np.float32)
-    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(mi.Float(random[0]), mi.Float(random[1])))
-    start_m = Baker(scene_field, size_m).start_m
-    ray = mi.Ray3f(origin + normal * start_m, mi.Frame3f(normal).to_world(local))
+    ray = cosine_rays(
+        surfels.position_m[::step],
+        surfels.normal[::step],
+        ESTIMATE_RAYS_A_SURFEL,
+        Baker(scene_field, size_m).start_m,
+        seed=0,
+    )
     position, facing = scene_field.unknown_hits(ray)
     keys, first = np.unique(surface_cells(surfels.grid, position, facing), return_index=True)
     chosen = first[keys >= 0]

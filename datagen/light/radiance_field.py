@@ -71,6 +71,17 @@ class Metals:
     start_m: float
 
 
+class Estimated(NamedTuple):
+    """Rays whose radiance is an estimate: ``ray`` (K,) their numbers, ``radiance`` (K, 3), ``background_bin``
+    (K,) of those that leave the mesh, else -1, then ``position_m`` and ``normal`` (K, 3) of the surface."""
+
+    ray: NDArray[np.int64]
+    radiance: NDArray[np.float32]
+    background_bin: NDArray[np.int64]
+    position_m: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
 class _End(NamedTuple):
     """Where a ray ends: what it meets, the surfels' row there or -1, position, and normal towards the ray."""
 
@@ -225,6 +236,24 @@ class RadianceField:
             np.asarray(normal.numpy()).reshape(3, -1).T[chosen],
         )
 
+    def estimated(self, ray: Any) -> Estimated:
+        """Those of the rays that meet what photographs do not show and estimates do."""
+        import drjit as dr
+        import mitsuba as mi
+
+        end = self._end_of(ray, mi.Bool(True))
+        leaves = ~self.scene.ray_test(ray)
+        where = dr.select(leaves, mi.Int32(self.background.bin_of(ray.o, ray.d)), -1)
+        is_estimated = end.met.is_known & ~end.met.is_photographed
+        dr.eval(is_estimated, where, end)
+        chosen = np.flatnonzero(is_estimated.numpy())
+        radiance, position, normal = (
+            np.asarray(values.numpy()).reshape(3, -1).T[chosen]
+            for values in (end.met.radiance, end.position, end.normal)
+        )
+        bins = np.asarray(where.numpy())[chosen].astype(np.int64)
+        return Estimated(chosen, radiance, bins, position, normal)
+
     def extended(
         self, position_m: NDArray, normal: NDArray, surfels: Surfels, radiance: NDArray
     ) -> RadianceField:
@@ -279,10 +308,14 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
     """Cell and side (N,) of points, -1 outside of the grid."""
     at = np.floor((position_m - grid.low) / grid.cell_m).astype(np.int64)
     inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
-    axis = np.abs(normal).argmax(axis=1)
-    side = 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
-    key = ((at[:, 0] * grid.shape[1] + at[:, 1]) * grid.shape[2] + at[:, 2]) * NUM_SIDES + side
+    key = ((at[:, 0] * grid.shape[1] + at[:, 1]) * grid.shape[2] + at[:, 2]) * NUM_SIDES + side_of(normal)
     return np.where(inside, key, -1)
+
+
+def side_of(normal: NDArray) -> NDArray[np.int64]:
+    """Side (N,) of a cell that normals (N, 3) belong to."""
+    axis = np.abs(normal).argmax(axis=1)
+    return 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:

@@ -21,8 +21,9 @@ from datagen.light.lighting import MIN_KNOWN, MIN_SHADING, GatherOptions, light_
 from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, surfels_around
 from datagen.multiview.compiled import compiled
 
-GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24)
-"""Rays are fewer than the reconstruction's: a network is to be fed, and does not mind some noise."""
+GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24, fits_estimates=False)
+"""Rays are fewer than the reconstruction's, and estimates stay as they are: a network is to be fed, and does
+not mind some noise."""
 MIRROR_RAYS = 6
 """Of an observation and roughness; pixels are means over several observations."""
 _MIRROR_SEED = 23

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: MIT
+"""Gains of light that no photograph shows, from the surfaces that it falls on.
+
+The radiance of rays that leave the room where no photograph looks, or that hit surface which none shows, is
+an estimate. Estimates of like places and directions form groups with one unknown gain each. The irradiance
+of surfel i is E_i + sum_k g_k F_ik, with F_ik the estimate's share from group k, and smooth surface r has
+much the same albedo wherever it is lit. Residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik) are compared with
+their region's mean, and ln g minimises
+
+    sum_i huber(e_i - mean of e in r(i)) + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
+
+by Gauss-Newton steps, rays outside and surface inside with a mean of their own each. Texture is noise to the
+fit, as it does not go with the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.color import luminance
+from datagen.light.background import AZIMUTHS, HEIGHTS, PLACES, Background
+from datagen.light.bake import Baker, cosine_rays
+from datagen.light.radiance_field import side_of
+from datagen.light.surfels import NUM_SIDES, Surfels
+
+MAX_SURFELS, RAYS = 16_000, 96
+"""Surfels that the fit is made on, and rays of each."""
+PLACE_BINS, AZIMUTH_BINS, HEIGHT_BINS = 4, 6, 6
+"""Bins of the background along each of its axes that share a gain."""
+ROOM_PARTS = 5
+"""Parts of the room along its longest side; surface in one that faces one way shares a gain."""
+MIN_SHARE, MAX_GROUPS = 0.002, 96
+"""Mean share of the surfels' irradiance below which a group keeps its estimate, and how many are fitted."""
+SURFELS_A_SAMPLE = 10.0
+"""Neighbouring surfels err alike: as many count as one."""
+PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
+"""Samples that speak for a gain like the others' of its kind, for their mean of 1, and for a region's albedo
+like the room's."""
+MAX_LOG_GAIN = 2.5
+_HUBER = 0.25  # in ln L
+_STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
+_MIN_REST = 0.02  # of the irradiance: samples of its parts are not those of the whole
+_PLACES = PLACES // PLACE_BINS
+_DIRECTIONS = (AZIMUTHS // AZIMUTH_BINS) * (HEIGHTS // HEIGHT_BINS)
+NUM_OUTSIDE = 6 * _PLACES * _PLACES * _DIRECTIONS
+NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
+
+
+def background_groups() -> NDArray[np.int64]:
+    """Group of each bin of a :class:`~datagen.light.background.Background`, below :data:`NUM_OUTSIDE`."""
+    face, u, v, row, column = np.unravel_index(
+        np.arange(6 * PLACES * PLACES * HEIGHTS * AZIMUTHS), (6, PLACES, PLACES, HEIGHTS, AZIMUTHS)
+    )
+    place = (face * _PLACES + u // PLACE_BINS) * _PLACES + v // PLACE_BINS
+    direction = (column // AZIMUTH_BINS) * (HEIGHTS // HEIGHT_BINS) + row // HEIGHT_BINS
+    return place * _DIRECTIONS + direction
+
+
+def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> NDArray[np.int64]:
+    """Group (N,) of surface at positions with normals (N, 3), from :data:`NUM_OUTSIDE` on."""
+    grid = surfels.grid
+    side_m = grid.cell_m * float(grid.shape.max()) / ROOM_PARTS
+    part = np.floor((position_m - grid.low) / side_m).astype(np.int64)
+    x, y, z = (np.clip(part, -1, ROOM_PARTS) + 1).T  # the outermost parts hold what lies outside
+    across = ROOM_PARTS + 2
+    return NUM_OUTSIDE + ((x * across + y) * across + z) * NUM_SIDES + side_of(normal)
+
+
+def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> NDArray[np.float64]:
+    """Gain of each group, 1 where nothing is known of it. ``region`` (N,) is the surfels' smooth surface."""
+    step = max(1, len(surfels) // MAX_SURFELS)
+    position, normal = surfels.position_m[::step], surfels.normal[::step]
+    whole = luminance(baker.irradiance(position, normal, RAYS).diffuse.astype(np.float64))
+    estimated = baker.field.estimated(cosine_rays(position, normal, RAYS, baker.start_m, seed=3))
+    group = np.where(
+        estimated.background_bin >= 0,
+        background_groups()[estimated.background_bin],
+        surface_groups(estimated.position_m, estimated.normal, surfels),
+    )
+    surfel = estimated.ray // RAYS
+    part = luminance(estimated.radiance.astype(np.float64)) / RAYS
+    share = np.bincount(group, part / np.maximum(whole[surfel], 1e-12), NUM_GROUPS) / len(position)
+    fitted = np.argsort(-share, kind="stable")[:MAX_GROUPS]
+    fitted = fitted[share[fitted] > MIN_SHARE]
+    gains = np.ones(NUM_GROUPS)
+    radiance = luminance(surfels.radiance[::step].astype(np.float64))
+    is_lit = (whole > 0) & (radiance > 0)
+    if not len(fitted) or not is_lit.any():
+        return gains
+    column = np.full(NUM_GROUPS, -1)
+    column[fitted] = np.arange(len(fitted))
+    chosen = column[group] >= 0
+    shape = (len(position), len(fitted))
+    cell = surfel[chosen] * shape[1] + column[group[chosen]]
+    parts = np.bincount(cell, part[chosen], shape[0] * shape[1]).reshape(shape)
+    rest = np.maximum(whole - parts.sum(axis=1), _MIN_REST * whole)
+    gains[fitted] = solve_gains(
+        np.log(radiance[is_lit]), rest[is_lit], parts[is_lit], region[::step][is_lit], fitted < NUM_OUTSIDE
+    )
+    return gains
+
+
+def solve_gains(
+    log_radiance: NDArray, rest: NDArray, parts: NDArray, region: NDArray, is_outside: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Gains (K,) of the ``parts`` (N, K) of the irradiance whose other part is ``rest`` (N,), with
+    ``is_outside`` (K,) the kind of each group."""
+    num_groups = parts.shape[1]
+    region = np.unique(region, return_inverse=True)[1]
+    is_alike = is_outside[:, None] == is_outside[None, :]
+    mean_of_kind = is_alike / is_alike.sum(axis=1, keepdims=True)
+    prior = PRIOR * (np.eye(num_groups) - mean_of_kind) + MEAN_PRIOR * mean_of_kind
+    log_gain = np.zeros(num_groups)
+    for _ in range(_STEPS):
+        scaled = parts * np.exp(log_gain)
+        irradiance = rest + scaled.sum(axis=1)
+        residual = log_radiance - np.log(irradiance)
+        rows = np.concatenate([residual[:, None], -scaled / irradiance[:, None]], axis=1)
+        weight = _robust_weights(residual, region)
+        rows -= _region_means(rows, region, weight)
+        error, slope = rows[:, 0], rows[:, 1:] * weight[:, None]
+        change = np.linalg.solve(slope.T @ rows[:, 1:] + prior, -slope.T @ error - prior @ log_gain)
+        log_gain = np.clip(log_gain + np.clip(change, -_MAX_STEP, _MAX_STEP), -MAX_LOG_GAIN, MAX_LOG_GAIN)
+    return np.exp(log_gain)
+
+
+def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
+    """Huber weights (N,) of residuals about their region's mean, in samples."""
+    weight = np.ones(len(residual))
+    for _ in range(_REWEIGHTINGS):
+        mean = np.bincount(region, weight * residual) / np.bincount(region, weight)
+        weight = 1 / np.maximum(1, np.abs(residual - mean[region]) / _HUBER)
+    return weight / SURFELS_A_SAMPLE
+
+
+def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np.float64]:
+    """Means (N, J) over the regions of ``rows`` (N, J), those of few samples drawn to the mean of all."""
+    total = np.bincount(region, weight)
+    means = np.stack([np.bincount(region, weight * column) / total for column in rows.T], axis=1)
+    own = (total / (total + REGION_PRIOR))[:, None]
+    return (own * means + (1 - own) * (weight @ rows / weight.sum()))[region]
+
+
+def with_gains(background: Background, gains: NDArray) -> Background:
+    """The background with its estimates, but not what photographs show, times their gains."""
+    is_estimated = background.is_known & ~background.is_photographed
+    factor = np.where(is_estimated, gains[background_groups()], 1.0)[:, None]
+    return replace(background, radiance=(background.radiance * factor).astype(np.float32))
