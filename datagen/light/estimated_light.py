@@ -15,7 +15,7 @@ fit, as it does not go with the light.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,8 @@ PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
 """Samples that speak for a gain like the others' of its kind, for their mean of 1, and for a region's albedo
 like the room's."""
 MAX_LOG_GAIN = 2.5
+HIDDEN_GAIN = 4.0
+"""Surface that is brighter than this many times its estimate holds a lamp that no photograph shows."""
 _HUBER = 0.25  # in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
 _MIN_REST = 0.02  # of the irradiance: samples of its parts are not those of the whole
@@ -47,6 +49,15 @@ _PLACES = PLACES // PLACE_BINS
 _DIRECTIONS = (AZIMUTHS // AZIMUTH_BINS) * (HEIGHTS // HEIGHT_BINS)
 NUM_OUTSIDE = 6 * _PLACES * _PLACES * _DIRECTIONS
 NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
+
+
+@dataclass(frozen=True)
+class EstimateGains:
+    """Gain ``of_group`` (:data:`NUM_GROUPS`,), 1 where nothing is known of it, and the share ``hidden`` (N,)
+    of the surfels' irradiance that comes from groups beyond :data:`HIDDEN_GAIN`, a mean by region."""
+
+    of_group: NDArray[np.float64]
+    hidden: NDArray[np.float64]
 
 
 def background_groups() -> NDArray[np.int64]:
@@ -69,8 +80,8 @@ def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> ND
     return NUM_OUTSIDE + ((x * across + y) * across + z) * NUM_SIDES + side_of(normal)
 
 
-def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> NDArray[np.float64]:
-    """Gain of each group, 1 where nothing is known of it. ``region`` (N,) is the surfels' smooth surface."""
+def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGains:
+    """Gains by what the estimates light; ``region`` (N,) is the smooth surface of each surfel."""
     step = max(1, len(surfels) // MAX_SURFELS)
     position, normal = surfels.position_m[::step], surfels.normal[::step]
     whole = luminance(baker.irradiance(position, normal, RAYS).diffuse.astype(np.float64))
@@ -85,22 +96,32 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> NDArray[np.
     share = np.bincount(group, part / np.maximum(whole[surfel], 1e-12), NUM_GROUPS) / len(position)
     fitted = np.argsort(-share, kind="stable")[:MAX_GROUPS]
     fitted = fitted[share[fitted] > MIN_SHARE]
-    gains = np.ones(NUM_GROUPS)
+    found = EstimateGains(np.ones(NUM_GROUPS), np.zeros(len(surfels)))
     radiance = luminance(surfels.radiance[::step].astype(np.float64))
     is_lit = (whole > 0) & (radiance > 0)
     if not len(fitted) or not is_lit.any():
-        return gains
+        return found
     column = np.full(NUM_GROUPS, -1)
     column[fitted] = np.arange(len(fitted))
     chosen = column[group] >= 0
     shape = (len(position), len(fitted))
     cell = surfel[chosen] * shape[1] + column[group[chosen]]
-    parts = np.bincount(cell, part[chosen], shape[0] * shape[1]).reshape(shape)
-    rest = np.maximum(whole - parts.sum(axis=1), _MIN_REST * whole)
-    gains[fitted] = solve_gains(
-        np.log(radiance[is_lit]), rest[is_lit], parts[is_lit], region[::step][is_lit], fitted < NUM_OUTSIDE
-    )
-    return gains
+    parts = np.bincount(cell, part[chosen], shape[0] * shape[1]).reshape(shape)[is_lit]
+    rest = np.maximum(whole[is_lit] - parts.sum(axis=1), _MIN_REST * whole[is_lit])
+    lit_region = region[::step][is_lit]
+    gains = solve_gains(np.log(radiance[is_lit]), rest, parts, lit_region, fitted < NUM_OUTSIDE)
+    found.of_group[fitted] = gains
+    scaled = parts * gains
+    hidden = scaled[:, gains > HIDDEN_GAIN].sum(axis=1) / (rest + scaled.sum(axis=1))
+    return replace(found, hidden=_by_region(hidden, lit_region, region))
+
+
+def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:
+    """Means (N,) of a sample's values over each region; of all of them where a region has none."""
+    num = int(region.max()) + 1
+    count = np.bincount(sampled_region, minlength=num)
+    total = np.bincount(sampled_region, values, num)
+    return np.where(count > 0, total / np.maximum(count, 1), values.mean())[region]
 
 
 def solve_gains(

@@ -51,12 +51,14 @@ class GatherOptions:
 
 @dataclass(frozen=True)
 class Lit:
-    """Surfels with their shading: ``diffuse`` (N, 3), smoothed."""
+    """Surfels with their shading: ``diffuse`` (N, 3), smoothed; ``hidden`` (N,) is the share of their light
+    that seems to come from lamps which no photograph shows."""
 
     surfels: Surfels
     baker: Baker
     irradiance: Irradiance
     diffuse: NDArray[np.float32]
+    hidden: NDArray[np.float64]
 
 
 def light_surfels(
@@ -76,10 +78,12 @@ def light_surfels(
         background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
         scene_field = RadianceField(traced.scene, surfels, emitters, background)
         size_m = surfels.grid.cell_m * CELLS_ACROSS
+        hidden = np.zeros(len(surfels))
         if options.estimates_unseen:
-            scene_field = _estimated(scene_field, surfels, size_m, region_of_face[surfels.face], options)
+            region = region_of_face[surfels.face]
+            scene_field, hidden = _estimated(scene_field, surfels, size_m, region, options)
     with step("irradiance"):
-        return _lit(surfels, Baker(scene_field, size_m), options.irradiance_rays, options)
+        return _lit(surfels, Baker(scene_field, size_m), hidden, options.irradiance_rays, options)
 
 
 def relight(
@@ -94,21 +98,23 @@ def relight(
     field = lit.baker.field
     if is_metal.any():
         field = field.with_metals(lit.surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
-    return _lit(lit.surfels, Baker(field, lit.baker.size_m), options.second_irradiance_rays, options)
+    baker = Baker(field, lit.baker.size_m)
+    return _lit(lit.surfels, baker, lit.hidden, options.second_irradiance_rays, options)
 
 
-def _lit(surfels: Surfels, baker: Baker, num_rays: int, options: GatherOptions) -> Lit:
+def _lit(surfels: Surfels, baker: Baker, hidden: NDArray, num_rays: int, options: GatherOptions) -> Lit:
     irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
     known = np.maximum(irradiance.known, MIN_KNOWN)[:, None]
     diffuse = smoothed(surfels, irradiance.diffuse / known, options.smoothing_neighbours)
-    return Lit(surfels, baker, irradiance, diffuse)
+    return Lit(surfels, baker, irradiance, diffuse, hidden)
 
 
 def _estimated(
     scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
-) -> RadianceField:
+) -> tuple[RadianceField, NDArray[np.float64]]:
     """The field with estimates where rays of the surfels end on surface that no photograph shows: the mean
-    reflectance of the room times the light that arrives there; then with the gains of all estimates."""
+    reflectance of the room times the light that arrives there; then with the gains of all estimates. Beside
+    it the surfels' share of light from hidden lamps (N,)."""
     position, facing = _unknown_surface(scene_field, surfels, size_m)
     extended = scene_field
     radiance = np.zeros((len(position), 3), np.float32)
@@ -120,12 +126,14 @@ def _estimated(
             radiance = (reflectance * arriving).astype(np.float32)
             extended = scene_field.extended(position, facing, surfels, radiance)
     if not options.fits_estimates:
-        return extended
+        return extended, np.zeros(len(surfels))
     gains = fitted_gains(Baker(extended, size_m), surfels, region)
-    radiance *= gains[surface_groups(position, facing, surfels), None].astype(np.float32)
-    background = with_gains(scene_field.background, gains)
+    radiance *= gains.of_group[surface_groups(position, facing, surfels), None].astype(np.float32)
+    background = with_gains(scene_field.background, gains.of_group)
     fitted = RadianceField(scene_field.scene, surfels, scene_field.emitters, background)
-    return fitted.extended(position, facing, surfels, radiance) if len(position) else fitted
+    if len(position):
+        fitted = fitted.extended(position, facing, surfels, radiance)
+    return fitted, gains.hidden
 
 
 def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:

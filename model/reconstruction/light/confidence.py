@@ -30,6 +30,9 @@ BLOCK_CELLS = 25
 """Side of the blocks whose shares count, in cells: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
 """Part of a surfel's light that is not sure up to which it counts fully, and from which it does not count."""
+HIDDEN_LIGHT = (0.3, 0.5)
+"""Share of the light of a surfel's smooth region from lamps that no photograph shows, whose place is not
+known: up to the first it counts fully, and from the second on, it does not count."""
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
 """Share of a surfel's hemisphere that photographs show: below the first number the light counts nothing,
@@ -99,6 +102,12 @@ def impossible_shares(
 def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> NDArray[np.float64]:
     """``part`` of ``total``, with :data:`MIN_OBSERVATIONS` more of which ``otherwise`` is the share."""
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
+
+
+def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
+    """Factor (N,) of all confidences by the share ``hidden`` (N,) of light from unseen lamps; where it is
+    low, the network's maps replace those from light."""
+    return (1 - _ramp(hidden, HIDDEN_LIGHT)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:

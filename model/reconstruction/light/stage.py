@@ -20,7 +20,12 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
-from model.reconstruction.light.confidence import impossible_shares, sureness, surfel_confidence
+from model.reconstruction.light.confidence import (
+    impossible_shares,
+    sureness,
+    surfel_confidence,
+    trust_in_hidden,
+)
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
@@ -150,7 +155,7 @@ def _solved_surfels(
     confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
     is_lit = lit.diffuse.max(axis=1) > 0  # nothing is known where nothing arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
-    replaced = impossible.trust() * is_lit
+    replaced = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit
     confidence *= replaced[:, None]
     confidence[:, 0] *= impossible.evidence()
     diffuse = lit.diffuse
