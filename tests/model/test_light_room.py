@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from datagen.geometry.traced import TracedGeometry, smooth_regions
 from datagen.geometry.views import TracedView
+from datagen.light import estimated_light
+from datagen.light.lighting import light_surfels
+from model.reconstruction.light.confidence import trust_in_hidden
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
-from tests.model.light_room import LAMP, SKY, photographed_room, quads, room_geometry
+from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 EXPOSURE = 0.5
@@ -155,22 +158,48 @@ SEEN_FROM_M = 1.3
 """What lies west of it, a third of all surface, is in no photograph of :func:`cropped_room`."""
 
 
-@lru_cache(maxsize=1)
-def cropped_room() -> LightMaterials:
+def without(axis: int, low_m: float, high_m: float) -> tuple[TracedView, ...]:
+    """The photographs without what they show between two planes."""
     views = []
     for view in photographed_room():
         depth = view.geometry.depth_z_m[..., 0]
         way = view.camera.ray_directions()
         to_plane = way @ view.camera.world_from_camera[:3, 2]
-        x = view.camera.position_m[0] + way[..., 0] * depth / to_plane
-        hidden = (x < SEEN_FROM_M) & (view.geometry.face >= 0)
+        at = view.camera.position_m[axis] + way[..., axis] * depth / to_plane
+        hidden = (at > low_m) & (at < high_m) & (view.geometry.face >= 0)
         geometry = replace(
             view.geometry,
             face=np.where(hidden, -1, view.geometry.face),
             depth_z_m=np.where(hidden[..., None], np.float32(0), view.geometry.depth_z_m),
         )
         views.append(replace(view, geometry=geometry, valid_mask=view.valid_mask & ~hidden))
-    return solved(tuple(views), predicted(tuple(views)))
+    return tuple(views)
+
+
+@lru_cache(maxsize=1)
+def cropped_room() -> LightMaterials:
+    views = without(0, -np.inf, SEEN_FROM_M)
+    return solved(views, predicted(views))
+
+
+def test_light_of_a_lamp_that_no_photograph_shows_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the ceiling and word of its lamp, the surface there is more than three times too bright for
+    what it reflects; without the west wall, nothing is."""
+    monkeypatch.setattr(estimated_light, "HIDDEN_GAIN", 3.0)
+    geometry = room_geometry()
+    traced = TracedGeometry(geometry)
+    regions = smooth_regions(traced.mesh)
+    without_ceiling = without(2, float(SIDES[2]) - 0.1, np.inf)
+    nothing_emits = np.zeros_like(geometry.emitter_mask())
+    lit = light_surfels(without_ceiling, traced, nothing_emits, regions, LightOptions())
+    median, most = float(np.median(lit.hidden)), float(cropped_room().lit.hidden.max())
+    assert median > 0.05
+    assert most == 0
+
+
+def test_trust_falls_with_the_share_of_hidden_light() -> None:
+    trust = trust_in_hidden(np.array([0.0, 0.3, 0.4, 0.5, 1.0]))
+    np.testing.assert_allclose(trust, [1, 1, 0.5, 0, 0], atol=1e-6)
 
 
 def test_surface_that_no_photograph_shows_reflects_light() -> None:
