@@ -191,6 +191,8 @@ def test_lamp_that_no_geometry_names_is_found() -> None:
     for rectangle in panel.rectangles:
         assert np.cross(rectangle.edge_u_m, rectangle.edge_v_m)[2] < 0
         assert 2.4 < rectangle.origin_m[2] < 2.48  # between surface and room
+    hardly_seen = replace(lit.irradiance, photographed=0.4 * lit.irradiance.photographed)
+    assert shining_patches(replace(lit, irradiance=hardly_seen)) == ()
     assert shining_patches(lit_by(named)) == ()  # the twin: the lamp is named, and nothing else shines
 
 

@@ -25,8 +25,8 @@ EXCESS = 2.5
 """Radiance over that of a white surface from which a surfel shines."""
 FAINTEST, MIN_VIEWS = 0.2, 3
 """Share of the views in which it may be fainter than that, and views that must see it."""
-MIN_KNOWN = 0.5
-"""Share of the light that arrives at a surfel that must be known."""
+MIN_PHOTOGRAPHED = 0.5
+"""Share of a surfel's hemisphere that photographs must show: estimates are too dark beside unseen lamps."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
 """Cells of the smallest lamp, and what it sends out at least, as a part of what all surfels do."""
 MAX_BLOCK = 16
@@ -39,7 +39,8 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
     surfels, grid = lit.surfels, lit.surfels.grid
     sent = luminance(surfels.radiance.astype(np.float64))
     arriving = luminance(lit.diffuse.astype(np.float64))
-    bright = np.flatnonzero((sent > EXCESS * arriving) & (lit.irradiance.known > MIN_KNOWN))
+    is_lit_by_seen = lit.irradiance.photographed > MIN_PHOTOGRAPHED
+    bright = np.flatnonzero((sent > EXCESS * arriving) & is_lit_by_seen)
     shining = bright[_faintest(lit, bright) > EXCESS * arriving[bright]]
     if not len(shining):
         return ()
