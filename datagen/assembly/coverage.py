@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from datagen.assembly.geometry import Floats, Hits, RayScene, WorldScene
 from datagen.assembly.materials import MeanMaterial
 from datagen.formats.asset import Surface
-from datagen.formats.configuration import ViewCoverage
+from datagen.formats.configuration import GLOSSY_ROUGHNESS, METAL_SPECULAR, ViewCoverage
 from datagen.foundation.cameras import Camera
 
 PREVIEW_WIDTH_PX = 64
-METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3  # S above and R below which a pixel counts as metal and as gloss
 MIN_SHELL_PIXELS = 0.03  # of the image: less of a wall is not a wall that is seen
 _WALLS: tuple[Surface, ...] = ("wall", "tiles")
 _POINTS = 400

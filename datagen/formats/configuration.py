@@ -103,13 +103,17 @@ class ViewCamera(StrictModel):
         )
 
 
+METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3
+"""S (brightest channel) above and R below which a surface pixel counts as metal and as gloss."""
+
+
 class ViewCoverage(StrictModel):
     """What the views show, from rays at low resolution.
 
     ``median_observations``: how many views see the median surface pixel, its own included; ``thin_share`` of
     the surface pixels are seen by two or fewer. ``room_share`` of the views show two walls or a wall and the
-    ceiling. ``metal_share`` and ``gloss_share`` of the surface pixels have S > 0.3 and R < 0.3 (means of
-    their materials).
+    ceiling. ``metal_share`` and ``gloss_share`` of the surface pixels are metal and gloss, by the
+    means of their materials.
     """
 
     median_observations: NonNegative

@@ -60,23 +60,38 @@ def exposure_for(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> floa
 
 
 MAX_CLIPPED_SHARE = 0.025
+MIN_MEDIAN = 0.1  # luminance of the median pixel under which an image looks dark; middle grey is 0.18
+MAX_DARK_CLIPPED_SHARE = 0.1  # of an image that would look dark otherwise
 
 
 def photographic_exposure(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> float:
     """Factor by which a photographer shows an image: that of :func:`exposure_for`, but less where more than
     :data:`MAX_CLIPPED_SHARE` of the pixels would have a channel above 1, as under a warm lamp or in the sun.
 
+    Where that leaves the median luminance below :data:`MIN_MEDIAN`, as in a room whose blinds and window sill
+    are lit by the sky, it is raised to this, but to at most :data:`MAX_DARK_CLIPPED_SHARE` of clipped pixels.
     ``linear_rgb`` (..., 3); ``valid_mask`` (...) leaves pixels out, as lamps and windows.
     """
     exposure = exposure_for(linear_rgb, valid_mask)
-    brightest = np.asarray(linear_rgb, dtype=np.float64).max(axis=-1)
-    if valid_mask is not None:
-        brightest = brightest[valid_mask]
-    brightest = brightest[np.isfinite(brightest)]
-    if brightest.size == 0:
+    colors = np.asarray(linear_rgb, dtype=np.float64)
+    colors = colors[valid_mask] if valid_mask is not None else colors.reshape(-1, 3)
+    colors = colors[np.isfinite(colors).all(axis=-1)]
+    if colors.size == 0:
         return exposure
-    highlight = float(np.quantile(brightest, 1 - MAX_CLIPPED_SHARE, method="higher"))
-    return min(exposure, 1.0 / highlight) if highlight > 0 else exposure
+    shares = [1 - MAX_CLIPPED_SHARE, 1 - MAX_DARK_CLIPPED_SHARE]
+    highlight, dark_highlight = np.quantile(colors.max(axis=-1), shares, method="higher").tolist()
+    if highlight > 0:
+        exposure = min(exposure, 1.0 / highlight)
+    median = float(np.median(luminance(colors)))
+    return max(exposure, min(MIN_MEDIAN / median, 1.0 / dark_highlight)) if median > 0 else exposure
+
+
+def clipped_share(linear_rgb: NDArray, exposure: float, valid_mask: NDArray | None = None) -> float:
+    """Share of the pixels of ``linear_rgb`` (..., 3), of those in ``valid_mask`` (...), of which a channel is
+    above 1 at an exposure; 0 of none."""
+    brightest = np.asarray(linear_rgb, dtype=np.float64).max(axis=-1)
+    chosen = brightest[valid_mask] if valid_mask is not None else brightest
+    return float((chosen * exposure > 1).mean()) if chosen.size else 0.0
 
 
 def color_of_temperature(kelvin: float) -> tuple[float, float, float]:

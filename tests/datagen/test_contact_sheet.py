@@ -10,7 +10,13 @@ import pytest
 
 from datagen.formats.base import canonical_json
 from datagen.formats.shard import write_shard
-from datagen.foundation.color import exposure_for, photographic_exposure, srgb_from_linear
+from datagen.foundation.color import (
+    clipped_share,
+    exposure_for,
+    luminance,
+    photographic_exposure,
+    srgb_from_linear,
+)
 from datagen.foundation.errors import InputError
 from datagen.inspection.contact_sheet import (
     COLUMNS,
@@ -106,6 +112,20 @@ def test_a_photographer_lets_few_highlights_clip():
     bright = np.where(window[..., None], 500.0, warm)
     assert photographic_exposure(bright, ~window) == pytest.approx(photographic_exposure(warm[20:]))
     assert photographic_exposure(np.zeros((4, 4, 3))) == 1.0
+
+
+def test_a_photographer_exposes_for_the_room_not_for_its_sill():
+    rng = np.random.default_rng(4)
+    room = rng.uniform(0.02, 0.04, (60, 80, 1)) * np.ones(3)
+    room[:2, :72] = 1.0  # 3 % of the pixels: a sill in the light of the sky
+    exposure = photographic_exposure(room)
+    assert np.median(luminance(room)) * exposure == pytest.approx(0.1)
+    assert clipped_share(room, exposure) == pytest.approx(144 / 4800)
+    room[:8] = 1.0  # 13 %: no sill, but a wall, which is to be seen
+    assert clipped_share(room, photographic_exposure(room)) == 0
+    is_room = np.ones((60, 80), dtype=bool)
+    is_room[:8] = False
+    assert clipped_share(room, 30, ~is_room) == 1 and clipped_share(room, 30, np.zeros_like(is_room)) == 0
 
 
 def test_every_view_of_a_sheet_has_its_exposure():

@@ -18,7 +18,14 @@ from datagen.foundation.exr import decode_view, encode_view
 from datagen.inspection.findings import Fault, Report
 from datagen.inspection.report import summary
 from datagen.inspection.report.command import parse_pixels, report_command
-from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, count_view, hue_deg
+from datagen.inspection.report.figures import (
+    NUM_COVERAGE_BINS,
+    PIXEL_AXES,
+    Axis,
+    count_metal_and_gloss,
+    count_view,
+    hue_deg,
+)
 from datagen.inspection.report.gather import light_intensity
 from datagen.inspection.report.predictions import parse_methods
 from datagen.inspection.report.sources import NO_VIEW, options_of, source_views
@@ -149,9 +156,24 @@ def test_values_beyond_an_axis_stay_in_sight() -> None:
 def test_missing_regions_are_named() -> None:
     cells = np.ones((32, 32), int)
     cells[0:4, 8:16] = 0
-    found = summary.coverage([{"coverage": cells.tolist()}])
+    views = [{"surface_pixels": 60, "metal_pixels": 6, "gloss_pixels": 30}, {"surface_pixels": 40}]
+    views[1] |= {"metal_pixels": 0, "gloss_pixels": 0}
+    found = summary.coverage([{"coverage": cells.tolist(), "views": views}])
+    assert (found["metal_share"], found["gloss_share"]) == (0.06, 0.3)
     assert found["missing"] == ["R 0 to 0.125, luminance of D 0.25 to 0.5"]
     assert found["coarse_filled"] == 62 and found["filled_share"] == 1 - 32 / 1024
+
+
+def test_metal_and_gloss_are_counted() -> None:
+    view = {
+        "specular_albedo": np.full((4, 5, 3), 0.04, np.float16),
+        "roughness": np.full((4, 5, 1), 0.5, np.float16),
+        "surface_mask": np.ones((4, 5, 1), np.float16),
+    }
+    view["specular_albedo"][:2, :, 0] = 0.9  # copper: one channel is bright
+    view["roughness"][:3] = 0.2
+    view["surface_mask"][0] = 0  # a lamp
+    assert count_metal_and_gloss(view) == {"surface_pixels": 15, "metal_pixels": 5, "gloss_pixels": 10}
 
 
 def test_light_intensities_keep_their_units() -> None:
@@ -259,6 +281,7 @@ def test_report_holds_what_the_page_needs(report: Path, dataset: Path) -> None:
         and summed["effort"]["hours"] > 0
     )
     figures = {figure["title"]: figure for figure in summed["distributions"]}
+    assert sum(figures["Clipped surface pixels at a photographer's exposure"]["counts"]) == 10
     assert sum(figures["Camera height (z)"]["counts"]) == 10
     assert sum(figures["Intensity of point lights"]["counts"]) == 2
     classes = dict(summed["assets"]["class_shares"])

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.formats.configuration import GLOSSY_ROUGHNESS, METAL_SPECULAR
 from datagen.foundation.buffers import surface_pixels
 from datagen.foundation.color import luminance
 
@@ -105,6 +106,16 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
         cells = np.clip((pairs[:, is_finite] * NUM_COVERAGE_BINS).astype(int), 0, NUM_COVERAGE_BINS - 1)
         np.add.at(coverage, tuple(cells), 1)
     return {name: PIXEL_AXES[name].count(found) for name, found in values.items()}, coverage
+
+
+def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
+    """How many surface pixels a view has, and how many of them are metal and gloss."""
+    mask = surface_pixels(view)
+    return {
+        "surface_pixels": int(mask.sum()),
+        "metal_pixels": int((view["specular_albedo"].max(axis=-1)[mask] > METAL_SPECULAR).sum()),
+        "gloss_pixels": int((view["roughness"][..., 0][mask] < GLOSSY_ROUGHNESS).sum()),
+    }
 
 
 def nice_axis(title: str, unit: str, values: Sequence[float], num: int = 24, log: bool = False) -> Axis:

@@ -22,11 +22,11 @@ from datagen.formats.lights import Light
 from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.formats.view import ViewRecord
 from datagen.foundation.buffers import surface_pixels
-from datagen.foundation.color import luminance, srgb_from_linear
-from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_view
+from datagen.foundation.color import clipped_share, luminance, photographic_exposure, srgb_from_linear
+from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
 from datagen.inspection.report.tiles import write_tile
 
-REVISION = 3
+REVISION = 4
 """Part of the key of what is kept: raise it when the form of the gathered figures or tiles changes."""
 SHOWN_BUFFERS = (
     "beauty",
@@ -165,12 +165,16 @@ def _view_figures(view: View) -> dict[str, Any]:
     mask = surface_pixels(buffers)
     forward = camera.forward
     counts = buffers["observation_count"][..., 0][mask] if "observation_count" in buffers else None
+    beauty = buffers["beauty"].astype(np.float32)
+    shown = photographic_exposure(beauty, mask)
     return {
         "name": record.name,
         "samples": record.render.path_samples,
         "rel_mse": record.render.estimated_rel_mse,
         "clipped_pixels": record.render.clipped_pixels,
         "exposure": record.exposure,
+        "clipped_share": round(clipped_share(beauty, shown, mask), 5),
+        **count_metal_and_gloss(buffers),
         "height_m": round(float(camera.position_m[2]), 4),
         "pitch_deg": round(float(np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))), 2),
         "heading_deg": round(float(np.degrees(np.arctan2(forward[1], forward[0]))) % 360, 2),
@@ -188,7 +192,8 @@ def _write_thumbnail(path: Path, view: View) -> None:
     height, width = beauty.shape[:2]
     shown = min(_THUMBNAIL_WIDTH_PX, width)
     size = (shown, max(1, round(height * shown / width)))
-    screen = (np.clip(srgb_from_linear(beauty * view.record.exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
+    exposure = photographic_exposure(beauty, surface_pixels(view.buffers))
+    screen = (np.clip(srgb_from_linear(beauty * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)
     stream = io.BytesIO()
     Image.fromarray(screen).resize(size, Image.Resampling.BOX).save(stream, "JPEG", quality=82)
     path.parent.mkdir(parents=True, exist_ok=True)

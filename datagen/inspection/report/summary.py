@@ -57,6 +57,7 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     views = [view for shard in gathered for view in shard["views"]]
     for name, title, unit, log in (
         ("exposure", "Exposure", "factor on linear radiance", True),
+        ("clipped_share", "Clipped surface pixels at a photographer's exposure", "share", False),
         ("samples", "Light paths a pixel", "samples", False),
         ("rel_mse", "Estimated error (relMSE)", "1", True),
         ("height_m", "Camera height (z)", "m", False),
@@ -71,9 +72,11 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Counts over R x luminance of D, and what is missing, in words."""
+    """Counts over R x luminance of D, what is missing, in words, and the shares of metal and gloss."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
+    views = [view for shard in gathered for view in shard["views"]]
+    surface = max(sum(view["surface_pixels"] for view in views), 1)
     size = NUM_COVERAGE_BINS // _COARSE
     coarse = cells.reshape(_COARSE, size, _COARSE, size).sum(axis=(1, 3)) / total
     missing = []
@@ -85,6 +88,8 @@ def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {
         "cells": cells.tolist(),
         "filled_share": float((cells > 0).mean()),
+        "metal_share": sum(view["metal_pixels"] for view in views) / surface,
+        "gloss_share": sum(view["gloss_pixels"] for view in views) / surface,
         "coarse_filled": int((coarse >= _MISSING_SHARE).sum()),
         "coarse_total": _COARSE * _COARSE,
         "threshold": _MISSING_SHARE,
@@ -309,6 +314,7 @@ def _stand_out(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for title, name, sign in (
         ("largest estimated error", "rel_mse", -1),
         ("most pixels clipped to the range of half floats", "clipped_pixels", -1),
+        ("most surface clipped at a photographer's exposure", "clipped_share", -1),
         ("fewest views behind a surface pixel, on average", "mean_count", 1),
         ("least surface", "surface_share", 1),
     ):

@@ -137,6 +137,7 @@ REPORT.overview = (() => {
     const coverage = data.coverage;
     section("coverage").append(element("div", { class: "beside" }, heatMap(coverage), element("div", {},
       element("p", { text: `${percent(coverage.filled_share)} of the fine cells hold pixels. Of ${coverage.coarse_total} coarse cells, ${coverage.coarse_filled} hold at least ${percent(coverage.threshold)} of all surface pixels.` }),
+      element("p", { text: `${percent(coverage.metal_share)} of the surface pixels have S > 0.3, ${percent(coverage.gloss_share)} R < 0.3.` }),
       element("h3", { text: coverage.missing.length ? "Missing" : "Nothing is missing" }),
       element("ul", { class: "missing" }, ...coverage.missing.map((text) => element("li", { text }))))));
     fillAssets(data);
