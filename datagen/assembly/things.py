@@ -38,18 +38,17 @@ def convex_hull_2d(points: Floats) -> Floats:
         with contextlib.suppress(QhullError):  # of points on a line
             unique = np.unique(unique[ConvexHull(unique).vertices], axis=0)
     chains = []
-    for run in (unique, unique[::-1]):
-        chain: list[Floats] = []
-        for point in run:
-            while len(chain) > 1 and _cross(chain[-1] - chain[-2], point - chain[-2]) <= 0:
+    for run in (unique.tolist(), unique[::-1].tolist()):  # numbers of Python: the loop is of a plan's hottest
+        chain: list[list[float]] = []
+        for x, y in run:
+            while len(chain) > 1:
+                (x0, y0), (x1, y1) = chain[-2:]
+                if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
+                    break
                 chain.pop()
-            chain.append(point)
+            chain.append([x, y])
         chains += chain[:-1]
     return np.array(chains)
-
-
-def _cross(a: Floats, b: Floats) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
 
 
 def margin_inside(hull: Floats, point: Floats) -> float:
