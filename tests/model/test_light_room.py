@@ -16,7 +16,9 @@ from datagen.light import estimated_light
 from datagen.light.lighting import light_surfels
 from model.reconstruction.light.confidence import trust_in_hidden
 from model.reconstruction.light.options import LightOptions
+from model.reconstruction.light.solve import MAX_ALBEDO
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
+from model.reconstruction.light.view_maps import WHITE_PAINT
 from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -180,6 +182,18 @@ def without(axis: int, low_m: float, high_m: float) -> tuple[TracedView, ...]:
 def cropped_room() -> LightMaterials:
     views = without(0, -np.inf, SEEN_FROM_M)
     return solved(views, predicted(views))
+
+
+def test_surface_in_light_that_is_not_sure_is_no_whiter_than_paint() -> None:
+    packed = [
+        np.dstack([m["diffuse_albedo"].max(axis=2), m["confidence"][..., 0]]) for m in cropped_room().maps
+    ]
+    albedo, confidence = np.concatenate([maps.reshape(-1, 2) for maps in packed]).astype(np.float64).T
+    assert (albedo <= WHITE_PAINT + (MAX_ALBEDO - WHITE_PAINT) * confidence + 2e-3).all()
+    unsure = confidence < 0.5
+    assert np.isclose(
+        albedo[unsure], WHITE_PAINT + (MAX_ALBEDO - WHITE_PAINT) * confidence[unsure], atol=2e-3
+    ).any()
 
 
 def test_light_of_a_lamp_that_no_photograph_shows_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,9 +5,9 @@ At a pixel, shading and materials of the surfels around it are interpolated betw
 
     D = (L - specular part) / ((1 - S) Ld),
 
-clipped to [0, MAX_ALBEDO], with the specular part of the same view. S and R come from the surfels whose
-reflectance is like the pixel's, so that they change where the colour does, mixed with the network's by their
-confidence.
+clipped to [0, MAX_ALBEDO], or to what white paint reflects where the light is not sure, with the specular
+part of the same view. S and R come from the surfels whose reflectance is like the pixel's, so that they
+change where the colour does, mixed with the network's by their confidence.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ from model.reconstruction.light.solve import MAX_ALBEDO
 
 SIMILAR = 0.35
 """Difference of the logarithm of reflectance at which a surfel's S and R count exp(-1/2)."""
+WHITE_PAINT = 0.85
+"""Greatest D where the light is not sure: surfels of the development rooms that come out whiter there are of
+0.78 to 0.91."""
 _DARK = 1e-12  # keeps 0 / 0 out of the reflectance of a room without light
 
 
@@ -134,6 +137,7 @@ def _pixels(
             ld[c] = max(ld[c] / total, floor)
             conf[c] /= total
             spec[c] /= max(total_spec, np.float32(1e-12))
+        max_albedo = np.float32(WHITE_PAINT) + conf[0] * np.float32(MAX_ALBEDO - WHITE_PAINT)
         s[:] = 0
         r, is_metal, total_like = np.float32(0), np.float32(0), np.float32(0)
         for k in range(num):
@@ -156,7 +160,7 @@ def _pixels(
         for c in range(3):
             s[c] /= total_like
             d = (color[index, c] - spec[c]) / (max(1 - s[c], np.float32(0.05)) * ld[c])
-            d = min(max(d, np.float32(0)), np.float32(MAX_ALBEDO)) * (1 - is_metal)
+            d = min(max(d, np.float32(0)), max_albedo) * (1 - is_metal)
             out[index, c] = of_light * d + (1 - of_light) * prior[index, c]
             out[index, 3 + c] = conf[1] * s[c] + (1 - conf[1]) * prior[index, 3 + c]
             out[index, 7 + c] = conf[c]
