@@ -42,6 +42,8 @@ like the room's."""
 MAX_LOG_GAIN = 2.5
 HIDDEN_GAIN = 4.0
 """Surface that is brighter than this many times its estimate holds a lamp that no photograph shows."""
+MAX_REFLECTED = 1.1
+"""Radiance over Ld that a white surface reaches, with noise."""
 _HUBER = 0.25  # in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
 _MIN_REST = 0.02  # of the irradiance: samples of its parts are not those of the whole
@@ -54,7 +56,8 @@ NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 @dataclass(frozen=True)
 class EstimateGains:
     """Gain ``of_group`` (:data:`NUM_GROUPS`,), 1 where nothing is known of it, and the share ``hidden`` (N,)
-    of the surfels' irradiance that comes from groups beyond :data:`HIDDEN_GAIN`, a mean by region."""
+    of the surfels' irradiance that comes from groups beyond :data:`HIDDEN_GAIN`, a mean by region; at least
+    the share of the room's surfels that reflect more than arrives without gains."""
 
     of_group: NDArray[np.float64]
     hidden: NDArray[np.float64]
@@ -113,7 +116,8 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGai
     found.of_group[fitted] = gains
     scaled = parts * gains
     hidden = scaled[:, gains > HIDDEN_GAIN].sum(axis=1) / (rest + scaled.sum(axis=1))
-    return replace(found, hidden=_by_region(hidden, lit_region, region))
+    too_bright = float((radiance > MAX_REFLECTED * whole)[is_lit].mean())
+    return replace(found, hidden=np.maximum(_by_region(hidden, lit_region, region), too_bright))
 
 
 def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:

@@ -208,7 +208,7 @@ def test_light_of_a_lamp_that_no_photograph_shows_is_told(monkeypatch: pytest.Mo
     lit = light_surfels(without_ceiling, traced, nothing_emits, regions, LightOptions())
     median, most = float(np.median(lit.hidden)), float(cropped_room().lit.hidden.max())
     assert median > 0.05
-    assert most == 0
+    assert most < 0.04
 
 
 def test_trust_falls_with_the_share_of_hidden_light() -> None:
