@@ -373,7 +373,7 @@ class MaterialNetwork(nn.Module):
 
     @property
     def is_channels_last(self) -> bool:
-        """Whether weights have the memory format ``torch.channels_last``."""
+        """Whether the weights are in channels-last order."""
         weight = self.get_parameter("tracks.diffuse.enc2.conv.weight")
         return weight.is_contiguous(memory_format=torch.channels_last) and not weight.is_contiguous()
 

@@ -37,7 +37,7 @@ class SceneEmitters:
 
     @property
     def has_hidden(self) -> bool:
-        """Whether any light is invisible to camera rays."""
+        """Whether any emitter is hidden from camera rays."""
         return self._is_hidden_shape is not None
 
     def tables(self) -> list[Any]:
@@ -48,7 +48,7 @@ class SceneEmitters:
         ]
 
     def is_hidden(self, si: Any, depth: Array) -> Array:
-        """Whether a camera ray hits a light that is invisible to it."""
+        """Mask of camera rays that hit an emitter hidden from them."""
         if self._is_hidden_shape is None:
             return mi.Bool(False)
         shape: Any = dr.reinterpret_array(mi.UInt32, si.shape)

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.light.estimated_light import MAX_REFLECTED
 from datagen.light.radiance_field import cell_keys
 from datagen.light.surfels import CellGrid, Surfels
 
-NOISE = 1.1
-"""Radiance over Ld that a white surface reaches by noise."""
 IMPOSSIBLE = (0.1, 0.3)
 """Share of the surfels around that reflect more than arrives, up to which the light counts fully, and from
 which it does not count."""
@@ -72,11 +71,11 @@ def impossible_shares(
 ) -> ImpossibleShares:
     """Where surfels of the smooth regions ``region`` (N,) reflect more than arrives.
 
-    A surfel does where its radiance is above :data:`NOISE` times ``diffuse`` (N, 3). Shares, by views, are
-    those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between the blocks; few surfels count
-    less than the whole region, and a small region less than the room. Metals do not count.
+    A surfel does where its radiance is above :data:`MAX_REFLECTED` times ``diffuse`` (N, 3). Shares, by
+    views, are those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between the blocks; few
+    surfels count less than the whole region, and a small region less than the room. Metals do not count.
     """
-    excess = (surfels.radiance - NOISE * diffuse) @ LUMINANCE_WEIGHTS > 0
+    excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = (np.diff(surfels.observations.start) * ~is_metal).astype(np.float64)
     grid = surfels.grid
     side_m = BLOCK_CELLS * grid.cell_m
