@@ -1,3 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The light that views of a room record: surfels, the radiance that rays meet, irradiance and mirror
-images."""
+"""Light recorded by the views of a room: surfels, radiance field, irradiance and mirror reflections."""

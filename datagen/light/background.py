@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The radiance of rays that leave the mesh, out of the pixels that show no surface.
+"""Background radiance: rays that leave the mesh, from the pixels that show no surface.
 
-Windows and open sides are near and the sky is far, so a ray is told by where it leaves the box of the room
-and by its direction: bins of both. A bin holds the median of its pixels. One that no pixel falls into takes
-the nearest that has some, a move by the diagonal of the box counting as :data:`PLACE_WEIGHT` radians: within
-:data:`PHOTOGRAPHED_REACH` as if it was photographed, within :data:`REACH` as an estimate, else unknown.
+Windows are near and the sky is far, so the background is binned by direction and by the place where a ray
+leaves the room's box. A bin holds the median of its pixels. An empty bin takes the nearest filled one, with a
+move by the box's diagonal counted as :data:`PLACE_WEIGHT` radians: within :data:`PHOTOGRAPHED_REACH` as
+photographed, within :data:`REACH` as an estimate, else unknown.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Background:
     is_photographed: NDArray[np.bool_]
 
     def bin_of(self, origin: Any, direction: Any) -> Any:
-        """Bin of Dr.Jit rays from inside of the box."""
+        """Bin of Dr.Jit rays that start inside the box."""
         import drjit as dr
         import mitsuba as mi
 
@@ -79,7 +79,7 @@ class Background:
 
 
 def bins_of(origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
-    """The same (N,) of rays (N, 3) as NumPy arrays."""
+    """Bins (N,) of rays (N, 3), in NumPy."""
     safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
     leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
     axis = leaves.argmin(axis=1)
@@ -96,7 +96,7 @@ def bins_of(origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) ->
 
 
 def _centres(bins: NDArray, low: NDArray, high: NDArray) -> NDArray[np.float64]:
-    """Rays (N, 6) of bins, as their place in units of :data:`PLACE_WEIGHT` diagonals and their direction."""
+    """Bin centres as rays (N, 6): place in units of :data:`PLACE_WEIGHT` diagonals, and direction."""
     face, direction = np.divmod(bins, PLACES * PLACES * _NUM_DIRECTIONS)
     u, direction = np.divmod(direction, PLACES * _NUM_DIRECTIONS)
     v, direction = np.divmod(direction, _NUM_DIRECTIONS)
@@ -116,7 +116,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray) -> NDArray[np.float64]:
 
 
 def photographed_background(views: Sequence[TracedView], low: NDArray, high: NDArray) -> Background:
-    """The background that ``views`` show beyond the box from ``low`` to ``high`` (3,)."""
+    """Background of ``views`` beyond the box from ``low`` to ``high`` (3,)."""
     origins, directions, colors = [], [], []
     for view in views:
         pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())

@@ -38,8 +38,8 @@ _SHADOW = 1e-3  # of the distance to an emitter that a shadow ray leaves out
 
 @dataclass(frozen=True)
 class Irradiance:
-    """``diffuse`` (N, 3): Ld = E / pi of all known light; ``known`` (N,) share of the cosine-weighted
-    hemisphere whose radiance is known or estimated, ``photographed`` (N,) that photographs show."""
+    """``diffuse`` (N, 3): Ld = E / pi of all known light; cosine-weighted shares of the hemisphere: ``known``
+    (N,), photographed or estimated, and ``photographed`` (N,)."""
 
     diffuse: NDArray[np.float32]
     known: NDArray[np.float32]
@@ -58,8 +58,8 @@ class SpecularShading:
 
 
 def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:
-    """``num_rays`` rays of each point (N, 3), one point's after the other's, by the cosine to its normal (N,
-    3); they start ``start_m`` before the surface."""
+    """``num_rays`` cosine-distributed rays for each point (N, 3) with normal (N, 3), grouped by point;
+    origins are offset by ``start_m`` along the normal."""
     import drjit as dr
     import mitsuba as mi
 
@@ -71,7 +71,7 @@ def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: fl
 
 
 class Baker:
-    """Bakes points of a radiance field. ``size_m``: diagonal of the room."""
+    """Bakes shading at points of a radiance field. ``size_m``: diagonal of the room."""
 
     def __init__(self, field: RadianceField, size_m: float):
         self.field = field
@@ -80,7 +80,7 @@ class Baker:
         self._sampler = EmitterSampler(field.emitters)
 
     def irradiance(self, position_m: NDArray, normal: NDArray, num_rays: int, seed: int = 0) -> Irradiance:
-        """Of points (N, 3) with unit normals (N, 3), by ``num_rays`` rays each."""
+        """Irradiance at points (N, 3) with unit normals (N, 3), from ``num_rays`` rays each."""
         import drjit as dr
         import mitsuba as mi
 
@@ -107,8 +107,8 @@ class Baker:
         num_rays: int,
         seed: int = 0,
     ) -> SpecularShading:
-        """Of observations: points (K, 3), normals (K, 3), unit directions to the cameras (K, 3) and
-        ``roughness`` (K,)."""
+        """Specular shading of observations: points (K, 3), normals (K, 3), unit directions to the cameras (K,
+        3) and ``roughness`` (K,)."""
         import drjit as dr
         import mitsuba as mi
 
@@ -134,8 +134,8 @@ class Baker:
         )
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """A point of an emitter: local direction, radiance where it is visible, density by solid angle, and
-        whether it counts."""
+        """A sampled point of an emitter: local direction, radiance if visible, density by solid angle, and
+        whether the sample is valid."""
         import drjit as dr
         import mitsuba as mi
 
@@ -154,7 +154,7 @@ class Baker:
         return wo, dr.select(counts, radiance, 0.0), pdf, counts
 
     def emitter_pdf(self, met: Any, ray: Any) -> Any:
-        """Density by solid angle at which :meth:`emitter_sample` finds what a ray met."""
+        """Density by solid angle at which :meth:`emitter_sample` samples the hit of a ray."""
         import drjit as dr
         import mitsuba as mi
 
@@ -174,7 +174,7 @@ def _rows(values: Any) -> NDArray[np.float32]:
 
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Five numbers in [0, 1) of a point's sample: a rank-1 lattice with shifts of the point's own."""
+    """Five numbers in [0, 1) of a point's sample: a rank-1 lattice with a shift for each point."""
     import drjit as dr
     import mitsuba as mi
 
@@ -199,7 +199,7 @@ def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, An
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
-    """Two more numbers of a sample, for the bounce at a metal; None in fields without."""
+    """Two more numbers of a sample, for the reflection at a metal; None in fields without metals."""
     import drjit as dr
     import mitsuba as mi
 

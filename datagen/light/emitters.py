@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Emitters of a room: triangles that shine, the radiance that photographs show of them, and their sampling.
+"""Emitters of a room: emissive triangles, their photographed radiance, and their sampling.
 
-The geometry of a capture may name its emitters; others are found where the radiance of a surface is beyond
-what any albedo below 1 explains (``lamps``). The triangles of one smooth region are one emitter,
-whose radiance is the median of its pixels.
+The capture's geometry may name emitters; others are found where a surface's radiance exceeds any albedo below
+1 (``lamps``). The triangles of one smooth region form one emitter with the median radiance of its pixels.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ MIN_PIXELS = 4
 @dataclass(frozen=True)
 class Emitters:
     """``of_face`` (M,) emitter of each triangle, -1 for none; ``radiance`` (K, 3); ``side_of_face`` (M,) 1 or
-    -1, the side of the triangle that shines; ``triangles`` (T,) those that emit, ``vertices`` (T, 3, 3) in
-    metres and ``power`` (T,) area times luminance, for sampling."""
+    -1, the emitting side; for sampling the emitting ``triangles`` (T,), their ``vertices`` (T, 3, 3) in
+    metres and ``power`` (T,), area times luminance."""
 
     of_face: NDArray[np.int32]
     radiance: NDArray[np.float32]
@@ -44,7 +43,7 @@ class Emitters:
 def photographed_emitters(
     views: Sequence[TracedView], mesh: Mesh, emits: NDArray[np.bool_], region_of_face: NDArray[np.int32]
 ) -> Emitters:
-    """The emitters of triangles where ``emits`` (M,). Those that no photograph shows have radiance 0."""
+    """Emitters among the triangles where ``emits`` (M,); radiance 0 for those in no photograph."""
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
         none = np.zeros(0, np.float32)
@@ -75,7 +74,7 @@ def photographed_emitters(
 
 
 class EmitterSampler:
-    """Draws points of emitters by power, on the device."""
+    """Samples points of emitters by power, on the device."""
 
     def __init__(self, emitters: Emitters):
         import drjit as dr
@@ -111,7 +110,7 @@ class EmitterSampler:
         dr.eval(self._corner, self._edge_u, self._edge_v, self._normal, self._radiance, self._area_pdf)
 
     def sample(self, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """Point, normal, radiance and density by area [1/m^2]."""
+        """Sampled point, normal, radiance and density by area [1/m^2]."""
         import drjit as dr
         import mitsuba as mi
 

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Gains of light that no photograph shows, from the surfaces that it falls on.
+"""Gains of estimated light, fitted to the surfaces that it illuminates.
 
-The radiance of rays that leave the room where no photograph looks, or that hit surface which none shows, is
-an estimate. Estimates of like places and directions form groups with one unknown gain each. The irradiance
-of surfel i is E_i + sum_k g_k F_ik, with F_ik the estimate's share from group k, and smooth surface r has
-much the same albedo wherever it is lit. Residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik) are compared with
-their region's mean, and ln g minimises
+Rays that leave the room outside all photographs, or that hit unphotographed surface, have estimated radiance.
+Estimates of similar place and direction form groups with one unknown gain each. The irradiance of surfel i is
+E_i + sum_k g_k F_ik, with F_ik the estimate's share from group k, and the albedo of a smooth surface r is
+nearly constant. With residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik), ln g minimises
 
     sum_i huber(e_i - mean of e in r(i)) + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
 
-by Gauss-Newton steps, rays outside and surface inside with a mean of their own each. Texture is noise to the
-fit, as it does not go with the light.
+by Gauss-Newton steps, with one mean for rays outside and one for surface inside. Texture acts as noise: it is
+uncorrelated with the light.
 """
 
 from __future__ import annotations
@@ -55,9 +54,9 @@ NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 
 @dataclass(frozen=True)
 class EstimateGains:
-    """Gain ``of_group`` (:data:`NUM_GROUPS`,), 1 where nothing is known of it, and the share ``hidden`` (N,)
-    of the surfels' irradiance that comes from groups beyond :data:`HIDDEN_GAIN`, a mean by region; at least
-    the share of the room's surfels that reflect more than arrives without gains."""
+    """``of_group`` (:data:`NUM_GROUPS`,): gain of each group, 1 where undetermined. ``hidden`` (N,): share of
+    the surfels' irradiance from groups beyond :data:`HIDDEN_GAIN`, averaged by region; at least the share of
+    the room's surfels that reflect more than arrives without gains."""
 
     of_group: NDArray[np.float64]
     hidden: NDArray[np.float64]
@@ -74,7 +73,7 @@ def background_groups() -> NDArray[np.int64]:
 
 
 def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> NDArray[np.int64]:
-    """Group (N,) of surface at positions with normals (N, 3), from :data:`NUM_OUTSIDE` on."""
+    """Group (N,) of surface positions with normals (N, 3), from :data:`NUM_OUTSIDE` on."""
     grid = surfels.grid
     side_m = grid.cell_m * float(grid.shape.max()) / ROOM_PARTS
     part = np.floor((position_m - grid.low) / side_m).astype(np.int64)
@@ -84,7 +83,7 @@ def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> ND
 
 
 def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGains:
-    """Gains by what the estimates light; ``region`` (N,) is the smooth surface of each surfel."""
+    """Gains of all estimates; ``region`` (N,) is the smooth surface of each surfel."""
     step = max(1, len(surfels) // MAX_SURFELS)
     position, normal = surfels.position_m[::step], surfels.normal[::step]
     whole = luminance(baker.irradiance(position, normal, RAYS).diffuse.astype(np.float64))
@@ -121,7 +120,7 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGai
 
 
 def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Means (N,) of a sample's values over each region; of all of them where a region has none."""
+    """Means (N,) of sampled values by region; the overall mean for regions without samples."""
     num = int(region.max()) + 1
     count = np.bincount(sampled_region, minlength=num)
     total = np.bincount(sampled_region, values, num)
@@ -131,8 +130,8 @@ def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDA
 def solve_gains(
     log_radiance: NDArray, rest: NDArray, parts: NDArray, region: NDArray, is_outside: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Gains (K,) of the ``parts`` (N, K) of the irradiance whose other part is ``rest`` (N,), with
-    ``is_outside`` (K,) the kind of each group."""
+    """Gains (K,) of ``parts`` (N, K) of the irradiance beside its known part ``rest`` (N,); ``is_outside``
+    (K,) is the kind of each group."""
     num_groups = parts.shape[1]
     region = np.unique(region, return_inverse=True)[1]
     is_alike = is_outside[:, None] == is_outside[None, :]
@@ -162,7 +161,7 @@ def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
 
 
 def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np.float64]:
-    """Means (N, J) over the regions of ``rows`` (N, J), those of few samples drawn to the mean of all."""
+    """Means (N, J) of ``rows`` (N, J) by region, shrunk to the overall mean where samples are few."""
     total = np.bincount(region, weight)
     means = np.stack([np.bincount(region, weight * column) / total for column in rows.T], axis=1)
     own = (total / (total + REGION_PRIOR))[:, None]
@@ -170,7 +169,7 @@ def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np
 
 
 def with_gains(background: Background, gains: NDArray) -> Background:
-    """The background with its estimates, but not what photographs show, times their gains."""
+    """The background with gains applied to its estimates, not to photographed radiance."""
     is_estimated = background.is_known & ~background.is_photographed
     factor = np.where(is_estimated, gains[background_groups()], 1.0)[:, None]
     return replace(background, radiance=(background.radiance * factor).astype(np.float32))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Surfels and the light that arrives at them: radiance field, estimates of what no photograph shows,
-irradiance."""
+"""Surfels and their incident light: radiance field, estimates of unphotographed surface, irradiance."""
 
 from __future__ import annotations
 
@@ -36,10 +35,9 @@ _MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
 
 @dataclass(frozen=True)
 class GatherOptions:
-    """Rays a surfel (``irradiance_rays``; ``second_irradiance_rays`` in :func:`relight`; ``estimate_rays``
-    for what no photograph shows), and surfels that its shading is smoothed over. ``estimates_unseen``:
-    whether surface that no photograph shows gets the mean reflectance; ``fits_estimates``: whether estimates
-    get gains by what they light."""
+    """Rays a surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, ``estimate_rays``
+    for unphotographed surface; and the surfels over which shading is smoothed. ``estimates_unseen``: whether
+    unphotographed surface gets the mean reflectance; ``fits_estimates``: whether estimates get gains."""
 
     irradiance_rays: int = 144
     second_irradiance_rays: int = 512
@@ -51,8 +49,8 @@ class GatherOptions:
 
 @dataclass(frozen=True)
 class Lit:
-    """Surfels with their shading: ``diffuse`` (N, 3), smoothed; ``hidden`` (N,) is the share of their light
-    that seems to come from lamps which no photograph shows."""
+    """Surfels with their shading: ``diffuse`` (N, 3), smoothed; ``hidden`` (N,), the share of their light
+    attributed to unphotographed lamps."""
 
     surfels: Surfels
     baker: Baker
@@ -69,7 +67,7 @@ def light_surfels(
     options: GatherOptions,
     step: Callable[[str], AbstractContextManager[None]] = lambda name: nullcontext(),
 ) -> Lit:
-    """Surfels of the views and the light that arrives at them. ``step`` surrounds each part of the work."""
+    """Surfels of the views and their incident light. ``step`` wraps each part of the work."""
     with step("surfels"):
         surfels = build_surfels(views)
     with step("field"):
@@ -93,7 +91,7 @@ def relight(
     is_metal: NDArray[np.bool_],
     options: GatherOptions,
 ) -> Lit:
-    """The same surfels with less noise, in the light that metals with S (N, 3) and R (N,) reflect in all
+    """The same surfels, relit with less noise and with reflections at metals of S (N, 3) and R (N,) in all
     directions."""
     field = lit.baker.field
     if is_metal.any():
@@ -112,9 +110,9 @@ def _lit(surfels: Surfels, baker: Baker, hidden: NDArray, num_rays: int, options
 def _estimated(
     scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
 ) -> tuple[RadianceField, NDArray[np.float64]]:
-    """The field with estimates where rays of the surfels end on surface that no photograph shows: the mean
-    reflectance of the room times the light that arrives there; then with the gains of all estimates. Beside
-    it the surfels' share of light from hidden lamps (N,)."""
+    """The field with estimates for unphotographed surface that the surfels' rays hit (the room's mean
+    reflectance times the incident light), then with the gains of all estimates; and the surfels' share of
+    light from hidden lamps (N,)."""
     position, facing = _unknown_surface(scene_field, surfels, size_m)
     extended = scene_field
     radiance = np.zeros((len(position), 3), np.float32)
@@ -137,7 +135,7 @@ def _estimated(
 
 
 def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float) -> tuple[NDArray, NDArray]:
-    """A position and normal (K, 3) for each cell without radiance that rays of the surfels end in."""
+    """A position and normal (K, 3) for each cell without radiance that the surfels' rays hit."""
     step = max(1, len(surfels) // MAX_ESTIMATED_SURFELS)
     ray = cosine_rays(
         surfels.position_m[::step],
@@ -153,7 +151,7 @@ def _unknown_surface(scene_field: RadianceField, surfels: Surfels, size_m: float
 
 
 def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) -> NDArray[np.float64]:
-    """Median (3,) of pi L / E over surfels whose light photographs show."""
+    """Median (3,) of pi L / E over surfels in photographed light."""
     step = max(1, len(surfels) // MAX_RATIO_SURFELS)
     lit = baker.irradiance(surfels.position_m[::step], surfels.normal[::step], options.estimate_rays)
     used = (lit.photographed > 0.8) & (lit.diffuse.min(axis=1) > 0)
@@ -164,7 +162,7 @@ def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) ->
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
-    """Means of ``values`` (N, K) over the nearest surfels of like normals."""
+    """Means of ``values`` (N, K) over the nearest surfels of similar normals."""
     distance, index = near_surfels(surfels, neighbours)
     weight = np.exp(-0.5 * (distance / 1.5) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Incident radiance of a photographed room: the radiance that a ray meets, as one Dr.Jit function.
+"""Incident radiance of a photographed room, as one Dr.Jit function of a ray.
 
-A ray that hits an emitter meets the emitter's radiance; one that hits another surface meets the radiance of
-the surfel there, else that of the cells twice and four times as large; one that leaves the mesh meets the
-background in its direction. What no photograph shows is estimated (:meth:`RadianceField.extended`) or
-unknown. At metals that were found rays go on by a bounce (:meth:`RadianceField.with_metals`): what metals
-send to the cameras is not what they send along the ray. Everything runs on CPU and CUDA from one source.
+A ray that hits an emitter returns its radiance; one that hits another surface that of the surfel there, else
+of the cells of twice and four times the size; one that leaves the mesh the background in its direction.
+Unphotographed radiance is estimated (:meth:`RadianceField.extended`) or unknown. Rays are reflected once at
+detected metals (:meth:`RadianceField.with_metals`), whose radiance towards the cameras differs from that
+along the ray. Everything runs on CPU and CUDA from one source.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ beyond it: by the diagonal of what the views show."""
 
 
 class Met(NamedTuple):
-    """Of a ray: ``radiance``, 0 where unknown; ``is_known`` and ``is_photographed`` (not estimated);
+    """Result of a ray: ``radiance``, 0 where unknown; ``is_known``; ``is_photographed`` (not estimated);
     ``is_front_of_emitter``, then ``face`` its triangle, ``distance_m`` and ``cosine`` at it."""
 
     radiance: Any
@@ -49,8 +49,8 @@ class Met(NamedTuple):
 
 @dataclass(frozen=True)
 class Cells:
-    """Radiance (K, 3) by cell: ``index`` (cells of a level) into it or -1; ``low`` corner (3,), ``cell_m``
-    side and ``shape`` (3,) of the grid."""
+    """Radiance (K, 3) of cells: ``index`` maps the cells of a level to its rows, or -1; ``low`` corner (3,),
+    ``cell_m`` side and ``shape`` (3,) of the grid."""
 
     index: NDArray[np.int32]
     low: NDArray[np.float64]
@@ -62,8 +62,8 @@ class Cells:
 
 @dataclass(frozen=True)
 class Metals:
-    """By cell's radiance: ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). Rays start
-    ``start_m`` before the surface."""
+    """By row of the cells' radiance: ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,).
+    Reflected rays are offset by ``start_m``."""
 
     specular_albedo: NDArray[np.float32]
     roughness: NDArray[np.float32]
@@ -72,8 +72,8 @@ class Metals:
 
 
 class Estimated(NamedTuple):
-    """Rays whose radiance is an estimate: ``ray`` (K,) their numbers, ``radiance`` (K, 3), ``background_bin``
-    (K,) of those that leave the mesh, else -1, then ``position_m`` and ``normal`` (K, 3) of the surface."""
+    """Rays of estimated radiance: ``ray`` (K,) indices, ``radiance`` (K, 3), ``background_bin`` (K,) of rays
+    that leave the mesh, else -1 with ``position_m`` and ``normal`` (K, 3) of the surface."""
 
     ray: NDArray[np.int64]
     radiance: NDArray[np.float32]
@@ -83,7 +83,7 @@ class Estimated(NamedTuple):
 
 
 class _End(NamedTuple):
-    """Where a ray ends: what it meets, the surfels' row there or -1, position, and normal towards the ray."""
+    """End of a ray: the result, the surfel's row or -1, position, and normal towards the ray."""
 
     met: Met
     row: Any
@@ -92,7 +92,7 @@ class _End(NamedTuple):
 
 
 class RadianceField:
-    """The radiance that leaves the surfaces of ``surfels``, the ``emitters`` and the ``background``."""
+    """Radiance of ``surfels``, ``emitters`` and ``background``."""
 
     def __init__(
         self,
@@ -158,8 +158,8 @@ class RadianceField:
         return radiance, is_known, is_photographed, finest
 
     def meet(self, ray: Any, active: Any, sample: Any | None = None) -> Met:
-        """What ``ray`` meets. ``sample``, uniform on [0, 1)^2, chooses the half vector by which it goes on
-        where it meets a metal; fields without metals need none."""
+        """Trace ``ray`` into the field. ``sample``, uniform on [0, 1)^2, chooses the half vector of the
+        reflection at a metal; fields without metals ignore it."""
         import drjit as dr
         import mitsuba as mi
 
@@ -219,7 +219,7 @@ class RadianceField:
         return _End(met, row, si.p, normal)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray]:
-        """Where rays hit surface whose radiance is unknown: positions and normals (K, 3) towards the rays."""
+        """Hits of rays on surface of unknown radiance: positions and normals (K, 3) towards the rays."""
         import drjit as dr
         import mitsuba as mi
 
@@ -237,7 +237,7 @@ class RadianceField:
         )
 
     def estimated(self, ray: Any) -> Estimated:
-        """Those of the rays that meet what photographs do not show and estimates do."""
+        """The rays whose radiance is an estimate."""
         import drjit as dr
         import mitsuba as mi
 
@@ -257,8 +257,8 @@ class RadianceField:
     def extended(
         self, position_m: NDArray, normal: NDArray, surfels: Surfels, radiance: NDArray
     ) -> RadianceField:
-        """The same with estimates of the radiance (K, 3) of surface that no photograph shows, also outside
-        of the surfels' grid."""
+        """The field with estimated radiance (K, 3) of unphotographed surface, also outside of the surfels'
+        grid."""
         keys = cell_keys(surfels.grid, position_m, normal)
         inside = keys >= 0
         outer = _outer_cells(surfels.grid, position_m[~inside], normal[~inside], radiance[~inside])
@@ -283,7 +283,7 @@ class RadianceField:
         is_metal: NDArray[np.bool_],
         start_m: float,
     ) -> RadianceField:
-        """The same with the metals among the ``surfels``: S (N, 3), R (N,) and ``is_metal`` (N,)."""
+        """The field with metals among the ``surfels``: S (N, 3), R (N,) and ``is_metal`` (N,)."""
         rest = len(self.cells.radiance) - len(surfels)  # estimated surface
         metals = Metals(
             np.pad(specular_albedo, ((0, rest), (0, 0))).astype(np.float32),
@@ -313,21 +313,21 @@ def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[n
 
 
 def side_of(normal: NDArray) -> NDArray[np.int64]:
-    """Side (N,) of a cell that normals (N, 3) belong to."""
+    """Cell side (N,) of normals (N, 3)."""
     axis = np.abs(normal).argmax(axis=1)
     return 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Numbers (N,) of the cells, with sides, of points in the grid of the surfels or, outside of it, in the
-    larger cells around; -1 beyond those."""
+    """Indices (N,) of the cells and sides of points in the surfels' grid or, outside of it, in the larger
+    cells around; -1 beyond those."""
     keys = cell_keys(grid, position_m, normal)
     around = cell_keys(_outer_grid(grid), position_m, normal)
     return np.where(keys >= 0, keys, np.where(around >= 0, len(grid.surfel) + around, -1))
 
 
 def _outer_grid(grid: CellGrid) -> CellGrid:
-    """Larger cells that reach beyond the surfels' grid."""
+    """Larger cells that extend beyond the surfels' grid."""
     margin = -(-OUTER_MARGIN_CELLS // OUTER_CELLS)
     side_m = OUTER_CELLS * grid.cell_m
     shape = -(-grid.shape // OUTER_CELLS) + 2 * margin
@@ -335,7 +335,7 @@ def _outer_grid(grid: CellGrid) -> CellGrid:
 
 
 def _outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
-    """Estimates of the radiance (K, 3) of surface outside of the surfels' grid; None without any."""
+    """Estimated radiance (K, 3) of surface outside of the surfels' grid; None without any."""
     outer = _outer_grid(grid)
     keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
     keys, first = keys[keys >= 0], first[keys >= 0]
@@ -350,7 +350,7 @@ def _outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance:
 
 
 def _side(normal: Any) -> Any:
-    """Side of a cell that a normal belongs to, as :func:`surfels.cell_of` has it."""
+    """Cell side of a normal, consistent with :func:`surfels.cell_of`."""
     import drjit as dr
     import mitsuba as mi
 
@@ -369,7 +369,7 @@ def _surfel_cells(surfels: Surfels) -> Cells:
 
 
 def _pyramid(cells: Cells) -> list[Cells]:
-    """The cells, and those of twice and four times their side, whose radiance is the mean of theirs."""
+    """The cells, and those of twice and four times the side with the mean radiance of their children."""
     levels = [cells]
     occupied = np.flatnonzero(cells.index >= 0)
     side, rest = occupied % NUM_SIDES, occupied // NUM_SIDES

@@ -84,7 +84,7 @@ class Surfels:
 
 
 def build_surfels(views: Sequence[TracedView]) -> Surfels:
-    """Surfels of what the views show of surfaces that do not emit.
+    """Surfels of the non-emitting surfaces in the views.
 
     Raises ValueError where the views see no extended surface.
     """
@@ -162,7 +162,7 @@ def _extent(
 
 @compiled
 def cell_of(position, normal, low, cell_m, shape):
-    """Number of the cell and side of a point; -1 outside of the grid."""
+    """Index of the cell and side of a point; -1 outside of the grid."""
     index = 0
     for axis in range(3):
         at = int(np.floor((position[axis] - low[axis]) / cell_m))
@@ -181,7 +181,7 @@ def cell_of(position, normal, low, cell_m, shape):
 
 @compiled
 def place_pixel(index, depth, width, camera, out):
-    """World position of a pixel's centre."""
+    """World position of a pixel centre."""
     u = (index % width + 0.5 - camera[14]) / camera[12] * depth
     v = (index // width + 0.5 - camera[15]) / camera[13] * depth
     for axis in range(3):
@@ -192,8 +192,8 @@ def place_pixel(index, depth, width, camera, out):
 
 @compiled
 def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
-    """Surfels of one side around a point, between the centres of cells: how many, at most 8, their numbers
-    into ``near`` and their trilinear weights into ``share``."""
+    """Surfels of one side around a point for trilinear interpolation: their number, at most 8, their indices
+    in ``near`` and their weights in ``share``."""
     num = 0
     for corner in range(8):
         key = 0
@@ -257,8 +257,8 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
 
 @compiled
 def _observe_view(cell, weight, color, depth, camera, low, cell_m, shape, surfel, num):
-    """Surfels (K,) that a view sees, in order, their radiance (K, 3) and weight (K,), and the pixel (K,)
-    nearest to the cell's centre with its squared distance (K,)."""
+    """Surfels (K,) in a view in order, their radiance (K, 3) and weight (K,), and the pixel (K,) nearest to
+    the cell centre with its squared distance (K,)."""
     sums = np.zeros((num, 3), np.float32)
     total = np.zeros(num, np.float32)
     nearest = np.full(num, -1, np.int32)
@@ -315,7 +315,7 @@ def _gathered(
     pixel_surfel: tuple[NDArray[np.int32], ...],
     pixel_weight: tuple[Floats32, ...],
 ) -> Surfels:
-    """Observations of all views in the order of the surfels, and a point of the surface for each surfel."""
+    """Observations of all views ordered by surfel, and a surface point of each surfel."""
     num = int(grid.surfel.max()) + 1
     surfel = np.concatenate([part[0] for part in seen])
     view = np.repeat(np.arange(len(views), dtype=np.int32), [len(part[0]) for part in seen])
@@ -374,8 +374,8 @@ def weighted_medians(start, values, weight):
 
 
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distance in cells and number (N, ``num`` or N) of the nearest surfels of like normals, each its own
-    first neighbour."""
+    """Distances in cells and indices (N, ``num`` or N) of the nearest surfels of similar normals; the first
+    is the surfel itself."""
     cell = surfels.grid.cell_m
     tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
     nearest = np.arange(min(num, len(surfels))) + 1

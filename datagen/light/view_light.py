@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The light that the views of a room record, pixel by pixel, as inputs of networks.
+"""Light recorded by the views of a room, by pixel, as inputs of networks.
 
 Letters: V views, N surfels, M observations. Everything comes from the views' colours and the mesh, never from
-the ground truth, so that datasets (``datagen run --only stats``) and captures (``materials infer``) hold the
-same values. Irradiance is baked by surfel, mirror images by observation; pixels take the means over the
-surfels of their side around them.
+the ground truth, so that datasets (``datagen run --only stats``) and captures (``materials infer``) get the
+same values. Irradiance is baked by surfel, mirror reflections by observation; pixels interpolate the surfels
+of their side around them.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _MIRROR_SEED = 23
 
 
 class ViewLight:
-    """Light of all views, ready to be asked for view by view.
+    """Light of all views; :meth:`buffers` evaluates one view.
 
-    ``emits`` (M,) are the triangles that are known to emit. The result does not depend on the order of the
-    views. Raises ValueError where the views see no extended surface.
+    ``emits`` (M,) are the triangles known to emit. The result does not depend on the order of the views.
+    Raises ValueError where the views see no extended surface.
     """
 
     def __init__(self, views: Sequence[TracedView], traced: TracedGeometry, emits: NDArray[np.bool_]):

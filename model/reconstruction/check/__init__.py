@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Does the mesh project onto the photographs? Looked at before minutes are spent on a capture."""
+"""Checks whether the mesh projects onto the photographs, before minutes are spent on a capture."""

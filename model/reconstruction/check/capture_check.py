@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Looks at a capture before minutes are spent on it: does the mesh project onto the photographs?
+"""Checks a capture before minutes are spent on it: whether the mesh projects onto the photographs.
 
-By view: what share shows the mesh, from which side and how near; whether the photograph is black or clipped;
-whether the mesh's edges lie on the photograph's, and how far they are off (``check_edges``). Over all views:
-whether their shifts are explained by one offset and scale of the mesh (``check_registration``), and, where
-edges do not fit at all, whether another up axis or unit of the mesh fits better. Every warning names its
-views and a remedy.
+By view: share, side and distance of the visible mesh; black or clipped photographs; whether the mesh's edges
+coincide with the photograph's, and their offset (``check_edges``). Over all views: whether one offset and
+scale of the mesh explains the shifts (``check_registration``), and, where edges do not fit at all, whether
+another up axis or unit fits better. Every warning names its views and a remedy.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def check_capture(capture: Capture, out: Path | None = None, progress: Progress 
 
 
 def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
-    """The same for a capture that has been read and traced."""
+    """Check a capture that has been read and traced."""
     looks = [
         Look(view.name, view.camera, ColorImage(view.color, view.valid_mask), view.geometry)
         for view in traced.views
@@ -63,7 +62,7 @@ def check_traced(traced: TracedCapture, out: Path | None = None) -> CheckReport:
 
 
 def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None) -> CheckReport:
-    """The same for views that have been read and traced. The Mitsuba variant must have been selected."""
+    """Check views that have been read and traced. The Mitsuba variant must have been selected."""
     if not any((look.geometry.face >= 0).any() for look in looks):
         raise _nothing_seen(capture, looks)
     sides = seen_sides([look.geometry for look in looks], len(capture.geometry.mesh.faces))
@@ -82,7 +81,7 @@ def check_looks(capture: Capture, looks: Sequence[Look], out: Path | None = None
 
 
 def _try_other_frames(report: CheckReport, capture: Capture, looks: Sequence[Look]) -> None:
-    """Whether the mesh fits better with another axis up or another unit, on a few views."""
+    """Whether the mesh fits better with another up axis or unit, on a few views."""
     step = max(1, len(looks) // _MAX_TRIED_VIEWS)
     chosen = looks[::step][:_MAX_TRIED_VIEWS]
     in_file = z_up_from(capture.mesh_up).T

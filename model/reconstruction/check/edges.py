@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""How well a mesh's edges lie on a photograph's: a score for every shift of one against the other.
+"""Agreement of a mesh's edges with a photograph's: a score for every shift of one against the other.
 
-Both are fields of double angles: length = how much of an edge, direction = twice the angle of its normal, so
-that parallel edges agree (+1), perpendicular ones disagree (-1) and textures without direction cancel. The
-score of a shift is the mean agreement over the mesh's edges. A camera that is turned by a small angle shifts
-the picture by focal length x angle, so that the score over shifts tells whether the camera is right (the peak
-is at 0), by how much it is off, and how sure that is (the peak against the scores of all other shifts). A
-camera that is rolled, or stands too far forward, turns or magnifies the picture: the peak is higher for a
-mesh that is turned or magnified as much.
+Both are fields of double angles: length is edge strength, direction twice the angle of the normal, so that
+parallel edges agree (+1), perpendicular ones disagree (-1) and textures without direction cancel. The score
+of a shift is the mean agreement over the mesh's edges. A small rotation of the camera shifts the image by
+focal length x angle: the peak of the scores gives the error of the camera, and its height against all other
+shifts the certainty. For a camera that is rolled, or stands too far forward, the peak is higher for an
+equally rotated or magnified mesh.
 
 Letters: H, W size; R largest shift in pixels. Image axes: x right, y down; a shift (dx, dy) moves the mesh's
 edges onto the photograph's.
@@ -40,8 +39,8 @@ _ZOOMS = (0.92, 0.95, 0.975, 1.025, 1.05, 1.08)
 
 @dataclass(frozen=True)
 class EdgeMatch:
-    """``peak_px`` (dx, dy): the shift that scores best; ``blur_px2``: the mean of (dx^2, dx dy, dy^2) around
-    it over shifts that do nearly as well, long where edges may slide along themselves. ``at_zero`` and
+    """``peak_px`` (dx, dy): the best shift; ``blur_px2``: the mean of (dx^2, dx dy, dy^2) around it over
+    shifts that score nearly as well, elongated where edges may slide along themselves. ``at_zero`` and
     ``at_peak``: scores in standard deviations of the scores of other shifts. ``num_edge_px``: pixels of mesh
     edges."""
 
@@ -61,9 +60,9 @@ class EdgeMatch:
 
 @dataclass(frozen=True)
 class WarpMatch:
-    """By how much the mesh's picture must be turned (clockwise as seen) and magnified about the camera's
-    axis to lie on the photograph's, each with what it adds to the peak, in standard deviations. ``at_peak``:
-    the higher of both peaks."""
+    """Rotation (clockwise in the image) and magnification of the mesh's image about the camera axis that
+    align it with the photograph's, each with its gain of the peak in standard deviations. ``at_peak``: the
+    higher of both peaks."""
 
     roll_rad: float
     roll_gain: float
@@ -73,7 +72,7 @@ class WarpMatch:
 
 
 def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
-    """(H, W): creases and depth discontinuities that the view shows, as lines two pixels wide."""
+    """(H, W): visible creases and depth discontinuities, as lines two pixels wide."""
     z = geometry.depth_z_m[..., 0].astype(np.float64)
     hit = geometry.face >= 0
     normal = geometry.normal_world.astype(np.float64) @ camera.world_from_camera[:3, :3]

@@ -1,3 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Materials from light: diffuse albedo, specular albedo and roughness out of the radiance that photographs
-of a whole room record (docs/light.md)."""
+"""Materials from light: D, S and R from the radiance in photographs of a whole room (docs/light.md)."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How much the light is trusted: the confidence of D, S and R."""
+"""Confidence of D, S and R from light."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ above the second it counts fully."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
-    """Confidence (N, 3) of D, S and R of surfels from the share of their hemisphere that photographs show:
-    D scales with the irradiance, while S and R hold a prior already that grows where evidence lacks."""
+    """Confidence (N, 3) of D, S and R of surfels from the photographed share of their hemisphere: D scales
+    with the irradiance, while S and R already have a prior that grows where evidence is weak."""
     of_d = _ramp(photographed, D_EVIDENCE)
     of_s = _ramp(photographed, S_EVIDENCE)
     return np.stack([of_d, of_s, of_s], axis=1).astype(np.float32)
@@ -48,15 +48,15 @@ def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class ImpossibleShares:
-    """Share of the surfels that reflect more than arrives: ``around`` each surfel (N,), on its smooth region,
-    and ``of_room``. They do in the light of lamps and windows that no photograph shows."""
+    """Share of the surfels that reflect more than arrives, because of unphotographed lamps and windows:
+    ``around`` each surfel (N,), on its smooth region, and ``of_room``."""
 
     around: NDArray[np.float64]
     of_room: float
 
     def trust(self) -> NDArray[np.float32]:
-        """Factor (N,) of all confidences; where it is low, the network's maps replace those from light. Some
-        surfels are too bright in any room: :data:`IMPOSSIBLE_ROOM`."""
+        """Factor (N,) of all confidences; a low factor blends in the network's maps. Some surfels are too
+        bright in any room: :data:`IMPOSSIBLE_ROOM`."""
         trust = 1 - _ramp(self.of_room, IMPOSSIBLE_ROOM) * _ramp(self.around, IMPOSSIBLE)
         return (trust * (1 - _ramp(self.of_room, DARK_ROOM))).astype(np.float32)
 
@@ -69,11 +69,11 @@ class ImpossibleShares:
 def impossible_shares(
     surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_], region: NDArray
 ) -> ImpossibleShares:
-    """Where surfels of the smooth regions ``region`` (N,) reflect more than arrives.
+    """Where surfels of the smooth regions ``region`` (N,) reflect more than arrives: their radiance exceeds
+    :data:`MAX_REFLECTED` times ``diffuse`` (N, 3).
 
-    A surfel does where its radiance is above :data:`MAX_REFLECTED` times ``diffuse`` (N, 3). Shares, by
-    views, are those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between the blocks; few
-    surfels count less than the whole region, and a small region less than the room. Metals do not count.
+    Shares, weighted by views, are those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between
+    blocks; blocks of few surfels shrink to the whole region, small regions to the room. Metals are ignored.
     """
     excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = (np.diff(surfels.observations.start) * ~is_metal).astype(np.float64)
@@ -99,19 +99,19 @@ def impossible_shares(
 
 
 def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> NDArray[np.float64]:
-    """``part`` of ``total``, with :data:`MIN_OBSERVATIONS` more of which ``otherwise`` is the share."""
+    """``part`` of ``total``, shrunk to ``otherwise`` with the weight of :data:`MIN_OBSERVATIONS`."""
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 
 def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of all confidences by the share ``hidden`` (N,) of light from unseen lamps; where it is
-    low, the network's maps replace those from light."""
+    """Factor (N,) of all confidences by the share ``hidden`` (N,) of light from unphotographed lamps; a low
+    factor blends in the network's maps."""
     return (1 - _ramp(hidden, HIDDEN_LIGHT)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
-    """Factor (N,) of the confidence of surfels of whose shading ``diffuse`` (N, 3) the luminance ``doubt``
-    (N,) is not sure."""
+    """Factor (N,) of the confidence of surfels whose shading ``diffuse`` (N, 3) has the uncertain luminance
+    ``doubt`` (N,)."""
     part = doubt / np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
     return 1.0 - _ramp(part, DOUBT)
 

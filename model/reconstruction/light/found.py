@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The lights of a room that was solved, so that they can leave (docs/light.md)."""
+"""The recovered lights of a room, for export (docs/light.md)."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from model.reconstruction.light.sky import is_far, sky_image, sky_pixels
 def found_lights(
     lit: Lit, views: Sequence[TracedView], traced: TracedGeometry, geometry: CaptureGeometry
 ) -> FoundLights:
-    """Lamps, windows and, where light from outside is far, the sky, as the photographs show them. What the
-    geometry names as lamps need not be found."""
+    """Lamps, windows and, where light from outside is far, the sky, as photographed. Lamps named by the
+    geometry are not searched for."""
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
     rays = leaving_rays(field, lit.surfels)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Surfaces that shine, as lights that can leave: one lamp for each emissive part that the geometry names, and
-one for each smooth region beside them that was found to shine."""
+"""Emissive surfaces as exported lights: one lamp for each emissive part named by the geometry, and one for
+each smooth region beside them that was found to emit."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from model.reconstruction.found_lights import Color, FoundLamp
 
 
 def found_lamps(emitters: Emitters, mesh: Mesh, parts: Sequence[GeometryPart]) -> tuple[FoundLamp, ...]:
-    """The lamps ``lamp-0``, ... of the emissive ``parts`` in their order, and ``found-0``, ... besides.
+    """The lamps ``lamp-0``, ... of the emissive ``parts`` in order, and ``found-0``, ... for others.
 
-    A part shines as its photographed triangles do, by area; the side of its winding is the one that shines.
-    What no photograph shows from there has radiance 0.
+    A part has the area-weighted radiance of its photographed triangles, on the side of its winding; 0 where
+    no photograph shows that side.
     """
     areas = mesh.areas()
     shown = np.zeros((len(mesh.faces), 3))

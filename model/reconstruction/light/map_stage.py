@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stage of ``materials infer`` that takes materials from light, as the pipeline wants it."""
+"""The pipeline stage of ``materials infer`` for materials from light."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from model.reconstruction.stages import Maps, Run
 
 
 def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions | None = None) -> list[Maps]:
-    """The maps with D, S and R out of the light that the photographs record. The network's stay where
-    evidence lacks. What lies on disk stays as it was predicted."""
+    """The maps with D, S and R from light. The network's remain where evidence is weak; files on disk keep
+    the prediction."""
     options = options or LightOptions(has_prior=run.options.materials == "both")
     report = LightReport()
     with run.stage("light") as report.advance:

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Windows: where rays from a room's surfaces leave its mesh, as rectangles with the radiance that they bring
-in.
+"""Windows: rectangles where rays from a room's surfaces leave its mesh, with the incident radiance.
 
-Rays that leave the box of the background through one part of a face belong to one opening. It lies where they
-are closest together: in the plane, parallel to the face, that they cross in the smallest area. A ray from a
-surfel is drawn by the cosine, so that the mean over those that leave through a rectangle is the radiance that
-counts for what the rectangle lights. All rays through an opening are its own, whichever face of the box they
-leave through behind it.
+Rays that leave the background's box through one connected part of a face belong to one opening. Its plane,
+parallel to the face, is the one that they cross in the smallest area. Rays from surfels are
+cosine-distributed, so that the mean radiance of the rays through a rectangle preserves the irradiance. All
+rays through an opening belong to it, whichever face of the box they cross behind it.
 """
 
 from __future__ import annotations
@@ -47,8 +45,8 @@ _GAP = 1e-3  # diagonals between the plane and the rectangles, which else may li
 
 @dataclass(frozen=True)
 class LeavingRays:
-    """Rays (N, 3) that leave the mesh: ``origin``, ``direction``, the ``face`` of the box (N,), axis times 2
-    and 1 for the upper one, ``radiance`` (N, 3) and whether it ``is_known``."""
+    """Rays (N, 3) that leave the mesh: ``origin``, ``direction``, the ``face`` (N,) of the box (twice the
+    axis, plus 1 for the upper one), ``radiance`` (N, 3) and whether it ``is_known``."""
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -62,7 +60,7 @@ class LeavingRays:
 
 
 def leaving_rays(field: RadianceField, surfels: Surfels) -> LeavingRays:
-    """Rays of surfels, by the cosine, that meet nothing."""
+    """Cosine-distributed rays of surfels that hit nothing."""
     import mitsuba as mi
 
     random = np.random.default_rng(0x77696E64)
@@ -107,7 +105,7 @@ def box_squares(
 def found_windows(
     rays: LeavingRays, background: Background, median_luminance: float
 ) -> tuple[FoundPatch, ...]:
-    """The windows that ``rays`` leave through, brightest power first; dark ones are left out."""
+    """The windows of ``rays``, brightest power first, without dark ones."""
     windows: list[FoundPatch] = []
     rest = rays
     for _ in range(MAX_BUNDLES):
@@ -175,8 +173,8 @@ class _Plane:
 
 @dataclass(frozen=True)
 class _Squares:
-    """Of the squares (FINE, FINE) of a plane: rays through them, those of known radiance, and its ``sums``
-    (FINE, FINE, 3)."""
+    """Of the squares (FINE, FINE) of a plane: number of rays, of rays of known radiance, and ``sums`` (FINE,
+    FINE, 3) of radiance."""
 
     num: NDArray[np.int64]
     known: NDArray[np.int64]
@@ -207,13 +205,13 @@ def _is_open(num: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _components(is_open: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """Connected parts (FINE, FINE) of what is open."""
+    """Connected components (FINE, FINE) of the open squares."""
     labels, count = ndimage.label(is_open)
     return [labels == label for label in range(1, count + 1)]
 
 
 def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[np.bool_], int]:
-    """Most rays (N,) that leave through one connected part of a face of the box, and the face."""
+    """The most rays (N,) through one connected part of a face of the box, and that face."""
     best, of_face, most = np.zeros(len(rays.face), dtype=bool), 0, 0
     for face in range(6):
         mine = rays.face == face
@@ -243,8 +241,8 @@ def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
 
 
 def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatch | None:
-    """A part of what is open as a window; None where it is too small, or all of it unknown. Its rectangles,
-    which cover most of it, send what all of it does."""
+    """An open component as a window; None where it is too small or of unknown radiance. Its rectangles, which
+    cover most of it, emit its total."""
     area_m2 = float(part.sum() * plane.square_m.prod())
     diagonal = float(np.linalg.norm(plane.box.high - plane.box.low))
     if area_m2 < (MIN_SIDE * diagonal) ** 2 or not seen.known[part].any():
@@ -262,7 +260,7 @@ def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatc
 
 
 def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:
-    """A block of squares of a plane, shining inwards."""
+    """A block of squares of a plane, emitting inwards."""
     row, column, rows, columns = block
     window = (slice(row, row + rows), slice(column, column + columns))
     known = int(seen.known[window].sum())

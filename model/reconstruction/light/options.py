@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the light stage is told, and what it tells."""
+"""Options and report of the light stage."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class LightReport:
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        """Add the time inside to a step, and ``advance`` beyond it."""
+        """Time a step, and move ``advance`` on after it."""
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

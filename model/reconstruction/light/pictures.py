@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of views for the report: the photograph, D, and how far it is to be trusted."""
+"""Pictures of views for the report: photograph, D and its confidence."""
 
 from __future__ import annotations
 

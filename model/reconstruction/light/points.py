@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The surfels whose observations are solved, their specular shading, and S and R of the segments."""
+"""Solved surfels, the specular shading of their observations, and S and R of the segments."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Segmentation:
 
 @dataclass(frozen=True)
 class Points:
-    """Surfels whose observations are solved: ``surfel`` (P,), ``row`` (P, O) observations and ``weight`` (P,
-    O), 0 for none; ``start`` (G + 1,) of the segments, ``segment`` (G,) which they are."""
+    """Surfels with solved observations: ``surfel`` (P,), ``row`` (P, O) observations and ``weight`` (P, O), 0
+    for none; ``segment`` (G,) the solved segments and ``start`` (G + 1,) of their points."""
 
     surfel: NDArray[np.int64]
     row: NDArray[np.int64]
@@ -51,8 +51,8 @@ class Points:
 
 
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
-    """At most ``max_points`` surfels, as many of each segment as it has and all may have; of each the
-    brightest, the darkest and evenly ranked observations between them."""
+    """At most ``max_points`` surfels, evenly over the segments; of each surfel the brightest, the darkest and
+    evenly ranked observations between them."""
     num_segments = int(segment.max()) + 1
     size = np.bincount(segment, minlength=num_segments)
     quota = _QUOTA_STEP
@@ -74,7 +74,7 @@ def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: L
 
 
 def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
-    """Weight (M,) of each observation: its pixels, up to four, times the cosine of its view."""
+    """Weight (M,) of each observation: its pixels, up to four, times the cosine of the view direction."""
     observations = surfels.observations
     surfel = surfels.surfel_of_observation()
     direction = surfels.directions(surfel, observations.view)
@@ -101,8 +101,8 @@ def _choose_observations(
 
 @dataclass(frozen=True)
 class PointShading:
-    """Specular shading ``ls0`` and ``ls1`` (P, O, levels, 3) of the observations of points, and their
-    ``weight`` (P, O), which is less where the lobe sees what no photograph shows."""
+    """Specular shading ``ls0`` and ``ls1`` (P, O, levels, 3) of the points' observations, and their
+    ``weight`` (P, O), lower where the lobe includes unphotographed radiance."""
 
     ls0: NDArray[np.float32]
     ls1: NDArray[np.float32]

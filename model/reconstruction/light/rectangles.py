@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Masks as few rectangles."""
+"""Covers masks with few rectangles."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ COVERED, MAX_RECTANGLES = 0.98, 12
 
 
 def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Rectangles (row, column, rows, columns) of a mask, largest first, that cover :data:`COVERED` of it and
-    do not overlap, at most :data:`MAX_RECTANGLES`."""
+    """Disjoint rectangles (row, column, rows, columns) of a mask, largest first, that cover :data:`COVERED`
+    of it; at most :data:`MAX_RECTANGLES`."""
     rest = mask.copy()
     found: list[tuple[int, int, int, int]] = []
     while rest.sum() > (1 - COVERED) * mask.sum() and len(found) < MAX_RECTANGLES:
@@ -25,7 +25,7 @@ def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
 
 
 def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """The largest rectangle (row, column, rows, columns) of True: of each row as its lowest, by heights."""
+    """The largest rectangle (row, column, rows, columns) of True, by column heights above each row."""
     best, size = (0, 0, 0, 0), 0
     heights = np.zeros(mask.shape[1] + 1, np.int64)  # the last one ends all that is open
     for row, line in enumerate(mask):
@@ -44,7 +44,7 @@ def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 
 
 def cut(block: tuple[int, int, int, int], most: int) -> list[tuple[int, int, int, int]]:
-    """A rectangle in pieces of at most ``most`` squares along a side."""
+    """A rectangle cut into pieces of at most ``most`` squares a side."""
     row, column, rows, columns = block
     down, along = -(-rows // most), -(-columns // most)
     tops = np.linspace(row, row + rows, down + 1).round().astype(int)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Segments: surfels that share specular albedo and roughness.
 
-A segment is a part of a smooth region of the mesh whose surfels have similar reflectance and similar
-predictions of the network: bins of these features, the sparse ones joined to the nearest of the same region.
+A segment is a part of a smooth region of the mesh with similar reflectance and predictions: bins of these
+features; sparse bins join the nearest one of the same region.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _MIN_REFLECTANCE, _MAX_REFLECTANCE = 0.01, 2.0
 def segment_surfels(
     region: NDArray, reflectance: NDArray, specular_albedo: NDArray, roughness: NDArray
 ) -> NDArray[np.int32]:
-    """Segment (N,) of each surfel, from 0 without gaps: smooth ``region`` (N,), ``reflectance`` pi L / E (N,
-    3), predicted ``specular_albedo`` (N, 3) and ``roughness`` (N,)."""
+    """Segment (N,) of each surfel, numbered from 0 without gaps, from its smooth ``region`` (N,),
+    ``reflectance`` pi L / E (N, 3), predicted ``specular_albedo`` (N, 3) and ``roughness`` (N,)."""
     feature = _features(reflectance, specular_albedo, roughness)
     bins = np.round(feature).astype(np.int64)
     bins -= bins.min(axis=0, initial=0)
@@ -50,7 +50,7 @@ def segment_surfels(
 
 
 def _features(reflectance: NDArray, specular_albedo: NDArray, roughness: NDArray) -> NDArray[np.float64]:
-    """(N, 5), in steps."""
+    """Features (N, 5) in units of bin width."""
     rho = np.log(np.clip(reflectance.astype(np.float64), _MIN_REFLECTANCE, _MAX_REFLECTANCE))
     green = rho[:, 1]
     return np.stack(

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Correction of the diffuse shading where the incident light is not photographed.
 
-The error of Ld is smooth over a surface, whatever its texture, because light that is missing or wrongly
-estimated is missing over all of its surroundings. The logarithm u (N, 3) of the factor by which the albedo
-pi L / E is too low minimises a sum of squares over the surfels,
+The error of Ld is smooth over a surface, whatever its texture: missing or wrongly estimated light affects all
+of its surroundings. The logarithm u (N, 3) of the factor by which the albedo pi L / E is too low minimises
+over the surfels
 
     c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
 
-with rho = pi L / E, c the confidence in the light, D_p the network's albedo at the level of the confident
-surfels, and D_r the mean albedo of the confident surfels of the same smooth region: a wall that is white
-where its light is known is white beside it. The weight of each prior is the inverse square of its spread
-among the confident surfels. Huber weights make both robust. The pattern of a surface stays
-that of the photographs.
+with rho = pi L / E, c the confidence in the light, D_p the network's albedo at the scale of the confident
+surfels, and D_r the mean albedo of the confident surfels of the same smooth region. The weight of each prior
+is the inverse square of its spread among the confident surfels; Huber weights make both robust. The texture
+of a surface remains that of the photographs.
 """
 
 from __future__ import annotations
@@ -48,10 +47,11 @@ def shading_correction(
     confidence: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected one, exp(-u) times Ld the corrected shading.
+    """u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected albedo, exp(-u) times Ld the corrected
+    shading.
 
     ``region`` (N,) smooth regions, ``predicted`` (N, 3) the network's albedo, ``confidence`` (N,) in [0, 1]
-    of the light, ``is_diffuse`` (N,) where a diffuse albedo is known at all.
+    of the light, ``is_diffuse`` (N,) where a diffuse albedo is known.
     """
     log_albedo = np.log(np.clip(albedo.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
     log_network = np.log(np.clip(predicted.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
@@ -86,8 +86,8 @@ def shading_correction(
 def _minimised(
     matrix: sparse.csr_matrix, right: NDArray, blocks: sparse.csr_matrix, start: NDArray
 ) -> NDArray:
-    """Solution (N, 3) by conjugate gradients; the preconditioner adds the exact solution by ``blocks``
-    (N, K), which carries smooth corrections over long distances, to the division by the diagonal."""
+    """Solution (N, 3) by conjugate gradients. The preconditioner adds the exact solution by ``blocks`` (N,
+    K), for smooth corrections over long distances, to the division by the diagonal."""
     coarse = splu((blocks.T @ matrix @ blocks).tocsc())
     diagonal = matrix.diagonal()
 
@@ -106,7 +106,7 @@ def _minimised(
 
 
 def _blocks(surfels: Surfels) -> sparse.csr_matrix:
-    """Which block of :data:`_BLOCK` cells along each axis, by side, a surfel is in, (N, K)."""
+    """Block (N, K) of :data:`_BLOCK` cells along each axis, by side, of each surfel."""
     grid = surfels.grid
     shape = -(-grid.shape // _BLOCK)
     coarse = CellGrid(grid.low, _BLOCK * grid.cell_m, shape, grid.surfel)
@@ -118,9 +118,9 @@ def _blocks(surfels: Surfels) -> sparse.csr_matrix:
 def _grouped_spread(
     values: NDArray, weight: NDArray, group: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """By row: the centre (N, 3) of its group, the standard deviation (N,) out of the mean absolute deviation,
-    each at most 1, and the total weight (N,). 0 for groups without weight. The centre is the mean,
-    values beyond twice the deviation clipped: a median alone is one of the two colours of checks."""
+    """By row: centre (N, 3) of its group, standard deviation (N,) from the mean absolute deviation, at most
+    1, and total weight (N,); 0 for groups without weight. The centre is the mean with values clipped at twice
+    the deviation: a median would be one of the two colours of a checkerboard."""
     order = np.argsort(group, kind="stable")
     keys, first = np.unique(group[order], return_index=True)
     start = np.append(first, len(order)).astype(np.int64)

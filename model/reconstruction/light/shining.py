@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Lamps that no geometry names: surfels that send out several times what any albedo could reflect of the
-light that arrives there, in nearly all views: mirrors show a lamp in some.
+"""Lamps that no geometry names: surfels that emit several times what any albedo could reflect of the incident
+light, in nearly all views (mirrors reflect a lamp in some).
 
-They are clustered by neighbouring cells of one side, and leave as rectangles across the side's axis, just
-before the surface: the triangles of a ceiling hold more than its lamp.
+Neighbouring cells of one side are clustered and exported as rectangles across the side's axis, just before
+the surface: the triangles of a ceiling extend beyond its lamp.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
 
 
 def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Luminance (K,) that all but :data:`FAINTEST` of a surfel's views show; 0 where too few see it."""
+    """Luminance (K,) exceeded in all but :data:`FAINTEST` of a surfel's views; 0 where too few see it."""
     observations = lit.surfels.observations
     found = np.zeros(len(surfels))
     for row, surfel in enumerate(surfels):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Light from outside as an image of the sky, where it is far; and whether it is.
+"""Light from outside as a sky image, where it is far, and the test for that.
 
-Far light depends on the direction alone, near light on where it enters: half of the views say what pixels
-show that meet no surface, by direction or by place, and the other half judges.
+Far light depends on direction alone, near light on where it enters: half of the views predict the background
+pixels of the other half by direction and by place.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MAX_PIXELS = 6000  # of a view
 
 @dataclass(frozen=True)
 class SkyPixels:
-    """Pixels (N,) that show no surface: ``origin``, ``direction`` and ``color`` (N, 3), ``view`` (N,)."""
+    """Background pixels (N,): ``origin``, ``direction`` and ``color`` (N, 3), ``view`` (N,)."""
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -42,7 +42,7 @@ class SkyPixels:
 
 
 def sky_pixels(views: Sequence[TracedView]) -> SkyPixels:
-    """A part of the pixels of each view that show no surface."""
+    """A subset of the background pixels of each view."""
     parts: list[tuple[NDArray, ...]] = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
     for number, view in enumerate(views):
         pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())
@@ -55,7 +55,7 @@ def sky_pixels(views: Sequence[TracedView]) -> SkyPixels:
 
 
 def is_far(pixels: SkyPixels, background: Background) -> bool:
-    """Whether the direction explains the pixels of other views better than the place does."""
+    """Whether direction predicts the pixels of other views better than place."""
     if not len(pixels.view):
         return False
     face, square = box_squares(
@@ -78,8 +78,8 @@ def is_far(pixels: SkyPixels, background: Background) -> bool:
 
 
 def sky_image(pixels: SkyPixels, rays: LeavingRays) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) by direction: the mean of the pixels that show it, else of the rays that leave the
-    room in it, else of the nearest direction that is known."""
+    """Radiance (H, W, 3) by direction: the mean of the pixels in it, else of the rays that leave the room in
+    it, else of the nearest known direction."""
     image = np.zeros((HEIGHT * WIDTH, 3))
     known = np.zeros(len(image), dtype=bool)
     for direction, color in (
@@ -99,8 +99,8 @@ def sky_image(pixels: SkyPixels, rays: LeavingRays) -> NDArray[np.float32]:
 
 
 def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
-    """Pixel (N,) of an image of ``height`` rows and twice as many columns: its top row looks along +Z, its
-    centre column along +Y, and +X is to the right of it."""
+    """Pixel (N,) of an image of ``height`` rows and twice as many columns: the top row looks along +Z, the
+    centre column along +Y, +X is to its right."""
     way = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
     row = np.clip(np.arccos(np.clip(way[:, 2], -1, 1)) / np.pi * height, 0, height - 1).astype(np.int64)
     turn = 0.5 + np.arctan2(way[:, 0], way[:, 1]) / (2 * np.pi)

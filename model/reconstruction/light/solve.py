@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Specular albedo and roughness of segments, out of how the radiance of their points varies over views.
+"""Specular albedo and roughness of segments, from the variation of radiance over views.
 
 For each roughness of :data:`ROUGHNESS_LEVELS` and specular albedo of :data:`SPECULAR_LEVELS`, the diffuse
 albedo of each point follows in closed form from its observations,
@@ -7,8 +7,8 @@ albedo of each point follows in closed form from its observations,
     D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_ALBEDO],
 
 and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
-ln 51 at the capture's exposure, and priors that draw to the network's S and R. Alternatives are matte, S = 0
-and R = 1, and metal, D = 0 and a coloured S, the median of (L - Ls1) / Ls0.
+ln 51 at the capture's exposure, plus priors on the network's S and R. Alternatives are matte, S = 0 and R =
+1, and metal, D = 0 and a coloured S, the median of (L - Ls1) / Ls0.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ METAL_TOLERANCE = 0.005
 
 @dataclass(frozen=True)
 class PriorWeights:
-    """Weights of the squared differences to the network's square root of S, and R; ``metal`` by which metal
-    has to explain the observations better than a dielectric does. They count ``1 / evidence`` times."""
+    """Weights of the squared differences to the network's square root of S, and R; ``metal``: margin by which
+    metal must explain the observations better than a dielectric. Each is multiplied by ``1 / evidence``."""
 
     specular_albedo: float = 0.02
     roughness: float = 0.0005
@@ -59,8 +59,8 @@ class PriorWeights:
 
 @dataclass(frozen=True)
 class Costs:
-    """How well hypotheses explain the observations of G segments: ``dielectric`` (G, levels, speculars),
-    ``metal`` (G, levels), and the metals' ``metal_albedo`` (G, levels, 3)."""
+    """Costs of hypotheses for G segments: ``dielectric`` (G, levels, speculars), ``metal`` (G, levels), and
+    the metals' ``metal_albedo`` (G, levels, 3)."""
 
     dielectric: NDArray[np.float32]
     metal: NDArray[np.float32]
@@ -119,9 +119,9 @@ def decide(
     """The expected material of each segment. ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the
     network's, ``evidence`` (G,) in (0, 1], ``group`` (G,) the smooth region and ``size`` (G,) the surfels.
 
-    A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy hypotheses, each by how well
-    it explains the observations. Metal counts by hysteresis: where it holds :data:`METAL_SHARE` of a region,
-    it also takes the region's segments that it explains about as well as a dielectric does.
+    A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy hypotheses, weighted by
+    likelihood. Metal has hysteresis: where it holds :data:`METAL_SHARE` of a region, it also takes the
+    region's segments that it explains about as well as a dielectric does.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -157,8 +157,8 @@ def decide(
 
 
 def _expected(cost: NDArray) -> tuple[NDArray, NDArray]:
-    """S and R (G,), means over the hypotheses of ``cost`` (G, levels, speculars but 0), each by how well it
-    explains the observations: with squared errors a mean costs less than the likeliest."""
+    """S and R (G,), means over the hypotheses of ``cost`` (G, levels, speculars but 0), weighted by
+    likelihood: under squared error a mean is better than the likeliest."""
     weight = softmax(-cost.reshape(len(cost), -1), axis=1).reshape(cost.shape)
     return weight.sum(axis=1) @ SPECULAR_LEVELS[1:], weight.sum(axis=2) @ ROUGHNESS_LEVELS
 

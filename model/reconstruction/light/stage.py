@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The stage between prediction and merge: maps of the views out of the light that their photographs record.
+"""The stage between prediction and merge: maps of the views from recorded light.
 
-Surfels and where rays end (``lighting``) → segments → S and R of segments (``points``, ``solve``) → light
-again, with less noise and with metals that reflect the room, and S and R in it → specular part of every
-observation → correction of the shading where light is not photographed (``shading_correction``) → maps of
-the views (``view_maps``), mixed with the network's by ``confidence``.
-docs/light.md explains them.
+Surfels and radiance field (``lighting``) → segments → S and R of segments (``points``, ``solve``) → light
+again, with less noise and reflecting metals, and S and R in it → specular part of every observation →
+correction of the shading where light is not photographed (``shading_correction``) → maps of the views
+(``view_maps``), blended with the network's by ``confidence``. See docs/light.md.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _SEED = 99  # of the specular part of all observations: other samples than the s
 @dataclass(frozen=True)
 class LightMaterials:
     """``maps`` of the views with their ``confidence`` (H, W, 3) of D, S and R; the surfels, their light and
-    what was found for them: ``solved``, ``albedo`` (N, 3), ``segment`` (N,)."""
+    their materials: ``solved``, ``albedo`` (N, 3), ``segment`` (N,)."""
 
     maps: list[dict[str, NDArray]]
     report: LightReport
@@ -60,9 +59,9 @@ def materials_from_light(
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
     report: LightReport | None = None,
 ) -> LightMaterials:
-    """Materials of ``views`` in the light that they record; ``maps`` are the network's, ``emits`` (M,) the
-    triangles that are known to emit, ``exposure`` brings the bright surfaces to 0.9, ``doubt_at`` positions
-    and normals is the diffuse shading (N,) that is not sure.
+    """Materials of ``views`` in their recorded light. ``maps`` are the network's, ``emits`` (M,) the
+    triangles known to emit, ``exposure`` brings bright surfaces to 0.9, ``doubt_at`` gives the uncertain
+    diffuse shading (N,) at positions and normals.
 
     The result does not depend on the order of the views. Raises ValueError where the views see no extended
     surface.
@@ -144,7 +143,7 @@ def _solved_surfels(
     sure: NDArray,
     options: LightOptions,
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
-    """What the maps of the views are made of, and the surfels' own diffuse albedo (N, 3)."""
+    """Inputs of the views' maps, and the surfels' diffuse albedo (N, 3)."""
     surfels, segment = lit.surfels, segmentation.segment
     s, r = segments.specular_albedo[segment], segments.roughness[segment]
     is_metal = segments.is_metal[segment]

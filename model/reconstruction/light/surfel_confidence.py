@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R anywhere on a room's surface, from that of the surfels, in little memory."""
+"""Confidence of D, S and R at any surface point, from the surfels, in little memory."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1),
 
 @dataclass(frozen=True)
 class SurfelConfidence:
-    """``cell`` (N,) ascending, the cells and sides of the surfels; ``confidence`` (N, 3) of D, S and R, 255
-    for 1; ``low``, ``cell_m`` and ``shape`` of the grid."""
+    """``cell`` (N,): cells and sides of the surfels, ascending; ``confidence`` (N, 3) of D, S and R as bytes;
+    ``low``, ``cell_m`` and ``shape`` of the grid."""
 
     low: NDArray[np.float64]
     cell_m: float

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Maps of views from solved surfels: the pattern is the photographs', the level is the light's.
+"""Maps of views from solved surfels: texture from the photographs, scale from the light.
 
-At a pixel, shading and materials of the surfels around it are interpolated between the centres of cells, and
+Shading and materials of the surfels around a pixel are interpolated between cell centres, and
 
     D = (L - specular part) / ((1 - S) Ld),
 
-clipped to [0, MAX_ALBEDO], or to what white paint reflects where the light is not sure, with the specular
-part of the same view. S and R come from the surfels whose reflectance is like the pixel's, so that they
-change where the colour does, mixed with the network's by their confidence.
+clipped to [0, MAX_ALBEDO], or to the albedo of white paint in uncertain light, with the specular part of the
+same view. S and R come from surfels of similar reflectance, so that they change with the colour, blended with
+the network's by confidence.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _DARK = 1e-12  # keeps 0 / 0 out of the reflectance of a room without light
 @dataclass(frozen=True)
 class SolvedSurfels:
     """``diffuse`` (N, 3) their Ld, ``specular`` (M, 3) S Ls0 + Ls1 of each observation, ``specular_albedo``
-    (N, 3), ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1],
-    ``replaced`` (N,) share of the network's D that gives way."""
+    (N, 3), ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1], ``replaced``
+    (N,) share of the network's D that is replaced."""
 
     diffuse: NDArray[np.float32]
     specular: NDArray[np.float32]
@@ -55,7 +55,7 @@ def view_materials(
     predicted: dict[str, NDArray],
 ) -> dict[str, NDArray[np.float16]]:
     """Maps of view ``index``: ``diffuse_albedo``, ``specular_albedo``, ``roughness``, and ``confidence`` (H,
-    W, 3) of the three. Pixels without surfels keep what was ``predicted``."""
+    W, 3) of the three. Pixels without surfels keep ``predicted``."""
     observations = surfels.observations
     rows = np.flatnonzero(observations.view == index)
     surfel = surfels.surfel_of_observation()[rows]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The maps of all views merged into one atlas, and what no view has seen filled in."""
+"""Merges the maps of all views into one atlas and fills unseen texels."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Fills what no view has seen of an atlas.
+"""Fills unseen texels of an atlas.
 
-Inside a chart that is seen in part, unseen texels take the nearest seen texel of the same chart; the
-triangles of charts that are not seen at all take the mean of the nearest seen triangle in the room. Texels
-between charts take the nearest texel with surface, so that filtering at seams and in smaller versions finds
-no foreign colour. ``count`` keeps telling seen from filled.
+In a partly seen chart, unseen texels take the nearest seen texel of the chart; triangles of unseen charts
+take the mean of the nearest seen triangle in the room. Texels between charts take the nearest texel with
+surface, so that filtering at seams and in mip levels stays clean. ``count`` still distinguishes seen from
+filled texels.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LARGE_WINDOW = 2**22  # texels of a chart after which memory is let go of
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
-    """Give every texel a value; ``mesh`` is the one that the atlas was merged for."""
+    """Fill every texel; ``mesh`` is the mesh of the merge."""
     means, num_seen = _face_means(atlas, len(mesh.faces))
     if not num_seen.any():
         return  # nothing was seen at all: there is nothing to fill with
@@ -49,14 +49,14 @@ def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
 
 
 def _bands(atlas: Atlas) -> Iterator[slice]:
-    """Rows to work on, one band after another; what was touched is let go of."""
+    """Rows to work on, band after band; finished bands are released from memory."""
     for top in range(0, atlas.size, BAND):
         yield slice(top, min(top + BAND, atlas.size))
         atlas.release()
 
 
 def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
-    """Rows of the maps as the integers that half floats are stored as: they are only moved."""
+    """Rows of the maps as the integers of their half floats: values are only copied."""
     return [array[rows].view(np.uint16) for array in atlas.maps.values()]
 
 
@@ -101,7 +101,7 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """(M, 7) the mean of each triangle or, where it has none, of the nearest that has one."""
+    """(M, 7) mean of each triangle or, without one, of the nearest triangle that has one."""
     from scipy.spatial import cKDTree
 
     centroids = mesh.triangles().mean(axis=1)
@@ -111,7 +111,7 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 
 
 def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -> NDArray[np.bool_]:
-    """Fill within charts that are seen in part; returns which charts are now complete, by chart."""
+    """Fill partly seen charts; returns which charts are complete."""
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
     seen_in_chart = np.bincount(charts, num_seen, num_charts) > 0
@@ -171,8 +171,8 @@ def _copy_nearest(
 
 
 def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Labels (H, W) and the places (L,) that they stand for: flat index of the nearest True pixel, about
-    Euclidean. At least one must be True."""
+    """Labels (H, W) and flat indices (L,) of the nearest True pixel, approximately Euclidean. At least one
+    pixel must be True."""
     import cv2
 
     mask = np.where(source, np.uint8(0), np.uint8(255))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Sorts many short lists at once, as machine code: a list a lane of vector instructions, by Batcher's
-networks (odd-even merge sort), whose comparisons do not depend on the values."""
+"""Sorts many short lists at once in machine code: one list for each lane of vector instructions, by Batcher's
+odd-even merge sort, whose comparisons do not depend on the values."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def networks(most: int) -> tuple[Any, Any]:
 
 @compiled
 def sort_lanes(values: Any, network: Any) -> None:
-    """Sort rows of (R, LANES) ``values``, every lane by itself, upwards."""
+    """Sort each lane of (R, LANES) ``values`` in ascending order."""
     for index in range(len(network)):
         a, b = values[network[index, 0]], values[network[index, 1]]
         for lane in range(LANES):
@@ -54,7 +54,7 @@ def sort_lanes(values: Any, network: Any) -> None:
 
 @compiled
 def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
-    """As :func:`sort_lanes`; rows of ``weights`` go along."""
+    """As :func:`sort_lanes`; ``weights`` are permuted alike."""
     for index in range(len(network)):
         i, k = network[index, 0], network[index, 1]
         a, b, light, heavy = values[i], values[k], weights[i], weights[k]
@@ -69,8 +69,8 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 
 @compiled
 def weighted_median(values: Any, weights: Any, lane: Any, num: Any) -> Any:
-    """Of a lane's sorted values: the first at which the weights of what came so far pass half of all; the
-    mean of two where one ends at exactly half."""
+    """Weighted median of a lane's sorted values: the first at which the cumulative weight exceeds half of the
+    total; the mean of two where one reaches exactly half."""
     total = np.float32(0)
     for k in range(num):
         total += weights[k, lane]

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The loop of the merge: medians over views, by texel, as machine code.
+"""The loop of the merge: medians over views by texel, in machine code.
 
-Texels are taken in squares of 8 x 8, whose covered texels are the lanes of vector instructions. For each
-view that may see a square's bounding sphere all lanes are projected and tested (``datagen.multiview``'s
-definition of visibility), and the values of those that see it are appended to the lanes' lists. The lists of
-a square are then sorted together (``lane_sort``); where a list is shorter than its neighbours', it is padded
-with Inf. Weights, if any, travel with the values.
+Texels are processed in squares of 8 x 8, whose covered texels are the lanes of vector instructions. For each
+view that may see a square's bounding sphere, all lanes are projected and tested (visibility as in
+``datagen.multiview``), and visible values are appended to the lanes' lists. The lists of a square are sorted
+together (``lane_sort``), padded with Inf to equal length. Weights, if any, are permuted with the values.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ _MIN_COSINE = np.float32(1e-3)  # a weight of 0 would take a view away that sees
 
 
 class ViewArrays(NamedTuple):
-    """All views, one after another, for the loop."""
+    """All views, concatenated for the loop."""
 
     cameras: NDArray[np.float32]
     """(V, CAMERA)."""
@@ -51,7 +50,7 @@ class ViewArrays(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What counts as seen and how much; as :class:`datagen.multiview.visibility.VisibilityOptions`."""
+    """Visibility and weights, as in :class:`datagen.multiview.visibility.VisibilityOptions`."""
 
     depth_tolerance: np.float32
     slope_tolerance_px: np.float32
@@ -65,7 +64,7 @@ class Rules(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The mesh as :class:`TexelSurface` has it, and regions of triangles."""
+    """The mesh of :class:`TexelSurface`, and regions of triangles."""
 
     size: int
     uv: NDArray[np.float32]
@@ -103,7 +102,7 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
 
 @compiled
 def may_see(camera: Any, x: Any, y: Any, z: Any, radius: Any) -> Any:
-    """Whether a sphere may meet a view's frustum, up to the depth of what it shows."""
+    """Whether a sphere may intersect a view's frustum, up to its depth."""
     dx, dy, dz = x - camera[9], y - camera[10], z - camera[11]
     depth = camera[6] * dx + camera[7] * dy + camera[8] * dz
     if depth + radius <= _ZERO or depth - radius > camera[18]:
@@ -134,10 +133,9 @@ def _append_view(
     found: Any,
     values: Any,
 ) -> None:
-    """Append what a view shows of the lanes to their lists, (lists * V, LANES) ``values``.
+    """Append a view's values at the lanes to their lists, (lists * V, LANES) ``values``.
 
-    Pixels of another smooth region, or (between pixels) of another depth, show something else and do not
-    count.
+    Pixels of another smooth region, or (when interpolating) of another depth, are ignored.
     """
     camera, first, depths, packets = views.cameras[view], views.first_pixel[view], views.depth, views.packets
     width, height, num_views = int(camera[16]), int(camera[17]), len(views.first_pixel)

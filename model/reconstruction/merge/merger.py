@@ -2,12 +2,11 @@
 """Merges the maps of all views into one atlas (method 7): by texel, the exact median over the views that see
 it.
 
-Letters: V views, P pixels of all views. For each covered texel the point and the normal under its centre are
-projected into every view; the views that see it (``datagen.multiview.visibility``) contribute their D, S and
-R there, and each channel takes the median, of an even number the mean of the middle two. With weights it is
-the value at which the weights of the smaller ones reach half of all. Nothing is scattered, so an atlas may
-have more texels than the views have pixels. Work goes tile by tile, a thread a tile: memory holds the views'
-maps and a few tiles, while the atlas itself lies on disk. The loop is in ``medians``.
+Letters: V views, P pixels of all views. For each covered texel, the point and normal at its centre are
+projected into every view; views that see it (``datagen.multiview.visibility``) contribute their D, S and R,
+and each channel takes the median, the mean of the middle two for even counts, or the weighted median. Values
+are gathered, not scattered, so an atlas may have more texels than the views have pixels. Threads process
+tiles: memory holds the views' maps and a few tiles, the atlas is on disk. The loop is in ``medians``.
 """
 
 from __future__ import annotations
@@ -51,9 +50,9 @@ class MapView:
     """A view's maps: ``diffuse_albedo`` and ``specular_albedo`` (H, W, 3), ``roughness`` (H, W, 1), in [0,
     1].
 
-    ``depth_z_m`` (H, W, 1) is 0 where the view has nothing to say: background, lamps, pixels without a
-    source. ``face`` (H, W) is the triangle of each pixel, ``confidence`` (H, W, 3) how much its D, S and R
-    are worth, for weights that want it.
+    ``depth_z_m`` (H, W, 1) is 0 at pixels without a value: background, lamps, pixels without a source.
+    ``face`` (H, W) is the triangle of each pixel, ``confidence`` (H, W, 3) weighs its D, S and R where
+    requested.
     """
 
     camera: Camera
@@ -102,10 +101,9 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
 
 @dataclass(frozen=True)
 class MergeOptions:
-    """``fetch`` reads a map at a projection between the pixels that show the same depth, or from the nearest
-    pixel; ``tile`` is the side of a tile in texels. ``weights`` of the medians: by the cosine at which a view
-    sees the texel, by the pixels that it has on a square metre facing it, by the views' confidence, or the
-    product of all three."""
+    """``fetch`` interpolates a map between pixels of the same depth, or takes the nearest pixel; ``tile`` is
+    the side of a tile in texels. ``weights`` of the medians: by cosine, by pixels on a square metre facing
+    the view, by the views' confidence, or the product of all three."""
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
@@ -129,7 +127,7 @@ class MergeOptions:
 
 
 class MapMerger:
-    """The maps of all views, ready to be gathered for any texel.
+    """The maps of all views, ready to merge into any texel.
 
     Raises :class:`InputError` for maps that do not fit their cameras.
     """
@@ -239,7 +237,7 @@ class MapMerger:
 def _view_arrays(
     views: Sequence[MapView], region_of_face: NDArray | None, *, has_confidence: bool
 ) -> ViewArrays:
-    """The views as the loop wants them; a pixel's region is 0 where regions do not count."""
+    """The views as arrays for the loop; a pixel's region is 0 where regions are ignored."""
     if region_of_face is not None and len(region_of_face) >= 2**24:
         raise ValueError("expected fewer regions than float32 counts exactly")
     sizes = [view.camera.width_px * view.camera.height_px for view in views]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How large an atlas should be: its texels as fine as the views' pixels on the surface."""
+"""Atlas size: texels as fine as the views' pixels on the surface."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _GRAZING_COSINE = 0.1  # footprints grow without bound towards grazing views
 
 
 def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: float = 0.1) -> float | None:
-    """Side of what a fine pixel covers, None where no view sees the surface.
+    """Side of a fine pixel's footprint, None where no view sees the surface.
 
-    A pixel covers z / f / sqrt(cos) on a surface at depth z; the finest tenth of all pixels (``quantile``)
-    decides.
+    A pixel covers z / f / sqrt(cos) of a surface at depth z; the result is the ``quantile`` (the finest
+    tenth) of all pixels.
     """
     footprints = []
     for camera, view in views:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""By what the views are weighted in the medians of the merge."""
+"""Weights of views in the medians of the merge."""
 
 from __future__ import annotations
 

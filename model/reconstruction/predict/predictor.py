@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Maps of views from a checkpoint: inputs by name, both tracks in batches, then the bilateral solver.
 
-One exposure serves all views of a capture: the 95th percentile of the luminance of all their surface pixels
-goes to 0.9 (method 3), so that a surface has one brightness in every view.
+One exposure serves all views of a capture: it brings the 95th percentile of the luminance of all their
+surface pixels to 0.9 (method 3), so that a surface has one brightness in every view.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _EXPOSURE_STEP = 5  # every fifth pixel decides a percentile as well as all do
 
 @dataclass(frozen=True)
 class PredictOptions:
-    """``precision`` auto is bfloat16 where the device computes in it; ``batch`` views at a time;
-    ``is_filtered`` runs the bilateral solver where the checkpoint has confidence networks;
-    ``has_confidence`` returns what they say."""
+    """``precision`` auto is bfloat16 where the device supports it natively; ``batch`` views at a time;
+    ``is_filtered`` runs the bilateral solver where the checkpoint has confidence networks; ``has_confidence``
+    also returns their output."""
 
     precision: Precision = "auto"
     batch: int = 4
@@ -42,7 +42,7 @@ class PredictOptions:
 
 
 def has_fast_bfloat16(device: str) -> bool:
-    """Whether bfloat16 is computed by the device's own instructions."""
+    """Whether the device has native bfloat16 instructions."""
     if device.startswith("cuda"):
         return torch.cuda.is_bf16_supported(including_emulation=False)
     flags = torch.backends.cpu.get_cpu_capability()

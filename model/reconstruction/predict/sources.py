@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where maps of views come from: a checkpoint, the capture's own truth, or elsewhere."""
+"""Sources of the views' maps: a checkpoint, the capture's truth, or given maps."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class CheckpointMaps:
 
 @dataclass(frozen=True)
 class GivenMaps:
-    """Maps that are there: ``read`` gives every view's."""
+    """Maps of any method: ``read`` returns those of every view."""
 
     identity: str
     read: Callable[[TracedCapture], list[Maps]]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps of a capture's views from a checkpoint, kept on disk view by view: a run that was stopped continues
-after them."""
+"""Maps of a capture's views from a checkpoint, stored by view so that an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ USUAL_PIXELS = 640 * 384
 
 
 def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> list[Maps]:
-    """Maps of all views: those on disk, and the rest predicted and written there."""
+    """Maps of all views: stored ones, and the others predicted and stored."""
     capture, views, options, report = traced.capture, traced.statistics, run.options, run.report
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
@@ -79,9 +78,9 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
 
 
 def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Views of one size in a row, at most ``size`` of them, of large ones fewer.
+    """Consecutive views of one size, at most ``size`` of them, fewer of large ones.
 
-    They do not depend on what was done before: in another company a view's maps would round differently.
+    Independent of stored maps: convolutions round differently for other batch sizes.
     """
     batches: list[list[int]] = []
     for index, camera in enumerate(capture.cameras):
@@ -96,7 +95,7 @@ def _batches(capture: Capture, size: int) -> list[list[int]]:
 
 
 def _halves(maps: Maps) -> Maps:
-    """As they are stored, so that a continued run equals an uninterrupted one."""
+    """Rounded as stored, so that a resumed run equals an uninterrupted one."""
     return {name: values.astype(np.float16) for name, values in maps.items()}
 
 
