@@ -24,12 +24,12 @@ else:  # pytest brings it there
     import tomli as tomllib
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-USER_EXTRAS = ("train", "heic", "gltf", "export", "blender")
+USER_EXTRAS = ("train", "heic", "gltf", "usd", "export", "blender")
 PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
 MODULES = {
     "opencv-contrib-python-headless": "cv2", "Pillow": "PIL", "PyYAML": "yaml", "python-fcl": "fcl",
     "scikit-image": "skimage", "fast-simplification": "fast_simplification", "pillow-heif": "pillow_heif",
-    "opengl-basisu": "opengl_basisu",
+    "opengl-basisu": "opengl_basisu", "usd-core": "pxr",
 }  # fmt: skip
 """Import names that differ from the names of their distributions."""
 BROUGHT_ALONG = {"drjit": "mitsuba", "mathutils": "bpy", "bpy_extras": "bpy"}

@@ -27,6 +27,7 @@ OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
     "gltf": ("glTF with meshopt or Basis Universal", ("meshopt", "opengl-basisu")),
+    "usd": ("assets in USD", ("usd-core",)),
     "export": ("exports to Hypersim's layout", ("h5py",)),
     "blender": ("the exporter, FBX and USD, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
     "notebook": ("the notebook of the tutorials", ("ipykernel", "nbclient")),

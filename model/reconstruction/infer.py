@@ -5,7 +5,7 @@ exported.
 OUT/state.json      what the work belongs to: a hash over checkpoint, cameras, geometry and options
 OUT/views/          predicted maps, one EXR a view; a run that was stopped continues after them
 OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 seen, 128 filled in, 0 no surface)
-OUT/asset/          the asset package; OUT/NAME.glb and OUT/mitsuba/scene.xml for others
+OUT/asset/          the asset package; OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz for others
 OUT/check/          what the check of mesh against photographs found, with pictures
 OUT/report.html     the report for people
 OUT/report.json     unwrap, size, coverage, warnings, seconds and memory by stage, lights
@@ -109,6 +109,10 @@ def infer(
     report = InferReport(capture.name, len(capture.views), len(capture.geometry.mesh.faces))
     run = Run(out, options or InferOptions(), report, progress or (lambda stage, done, total: None))
     try:
+        if run.options.has_usd:
+            from model.reconstruction.export.usd import require_usd
+
+            require_usd()
         source.prepare(run.options)  # before hours of work, and before OUT belongs to it
         select_variant()
         report.notes += capture.notes
@@ -260,6 +264,7 @@ def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
     from model.reconstruction.export.gltf import write_glb
     from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
     from model.reconstruction.export.slots import Reconstruction
+    from model.reconstruction.export.usd import write_usdz
 
     geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
     capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
@@ -267,11 +272,14 @@ def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
     with run.stage("export") as advance:
         reconstruction = Reconstruction(capture, merged.mesh, atlas, out / "atlas", run.found.lights)
         write_atlas_images(out / "atlas", atlas, has_exr=run.options.has_exr)
-        advance(1, 4)
+        advance(1, 5)
         write_asset(out / "asset", reconstruction, f"{capture.name}-reconstruction").close()
-        advance(2, 4)
+        advance(2, 5)
         glb = out / f"{capture.name}.glb"
         error = write_glb(glb, reconstruction, has_punctual=run.options.has_punctual)
-        advance(3, 4)
+        advance(3, 5)
         write_mitsuba_scene(out / "mitsuba", reconstruction)
+        advance(4, 5)
+        if run.options.has_usd:
+            write_usdz(out / f"{capture.name}.usdz", reconstruction)
     run.report.gltf_error = asdict(error)

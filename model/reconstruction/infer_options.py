@@ -31,7 +31,8 @@ def _atlas_side(text: str) -> int | Literal["auto"]:
 @dataclass(frozen=True)
 class AssetOptions:
     """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``is_checked``:
-    whether the mesh is compared with the photographs first."""
+    whether the mesh is compared with the photographs first. ``has_usd``: whether a USDZ is written beside the
+    GLB."""
 
     atlas: Annotated[
         int | Literal["auto"],
@@ -41,6 +42,7 @@ class AssetOptions:
     is_checked: Annotated[
         bool, typer.Option("--check/--no-check", help="Compare the mesh with the photographs first.")
     ] = True
+    has_usd: Annotated[bool, typer.Option("--usd", help="Also write NAME.usdz (the extra usd).")] = False
 
     def __post_init__(self) -> None:
         if self.atlas != "auto" and not 16 <= self.atlas <= 16384:

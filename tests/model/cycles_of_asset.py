@@ -2,8 +2,8 @@
 """Loads an asset package with the add-on, in a process of its own, and renders its cameras with Cycles.
 
 ``python -m tests.model.cycles_of_asset PACKAGE OUT SAMPLES CAMERA...`` writes ``OUT/CAMERA.npy``, linear.
-``PACKAGE+FILE.glb`` takes the surfaces from a GLB, opened by Blender's own importer; cameras and lights stay
-the package's.
+``PACKAGE+FILE.glb`` (or ``.usdz``) takes the surfaces from there, opened by Blender's own importer;
+cameras and lights stay the package's.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ def main(source: str, out: Path, samples: int, names: list[str]) -> None:
     from blender_addon.cycles import render_linear
     from blender_addon.import_package import import_package
 
-    package, _, glb = source.partition("+")
+    package, _, other = source.partition("+")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     remarks = import_package(Path(package)).remarks
-    if glb:
+    if other:
         for thing in [t for t in scene.objects if t.type == "MESH"]:
             bpy.data.objects.remove(thing)
-        bpy.ops.import_scene.gltf(filepath=glb)
+        if other.endswith(".usdz"):
+            bpy.ops.wm.usd_import(filepath=other, import_lights=False)
+        else:
+            bpy.ops.import_scene.gltf(filepath=other)
     scene.render.engine = "CYCLES"
     cycles = scene.cycles
     cycles.device = "CPU"

@@ -5,6 +5,7 @@ Blender's own importer, Khronos' validator."""
 from __future__ import annotations
 
 import importlib.util
+import io
 import json
 import shutil
 import subprocess
@@ -17,8 +18,11 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from datagen.formats.lights import PointLight
+from datagen.foundation.color import linear_from_srgb
+from datagen.foundation.images import read_image
 from model.reconstruction.infer import InferOptions, infer
 from model.reconstruction.predict.sources import TRUTH
 from model.reconstruction.render.relight import RelightOptions, render_asset
@@ -30,6 +34,7 @@ needs_bpy = pytest.mark.skipif(
     importlib.util.find_spec("bpy") is None, reason="needs bpy: pip install '.[blender]' on Python 3.11"
 )
 VIEW, SAMPLES = "view_03", 128
+HAS_USD = importlib.util.find_spec("pxr") is not None
 VALIDATOR = REPOSITORY / ".ci" / "gltf"
 
 
@@ -39,7 +44,7 @@ def asset(tmp_path_factory: pytest.TempPathFactory, mitsuba_variant: str) -> Pat
     out = tmp_path_factory.mktemp("asset") / "out"
     lamp = PointLight(name="lamp", position_m=(2.1, 1.4, 2.2), intensity=(5.0, 5.0, 4.0))
     capture = replace(room_capture(8, (96, 64), has_equal_views=True), lights=(lamp,))
-    infer(capture, out, TRUTH, InferOptions(atlas=256))
+    infer(capture, out, TRUTH, InferOptions(atlas=256, has_usd=HAS_USD))
     return out
 
 
@@ -100,6 +105,59 @@ def test_blender_opens_the_glb(
     assert np.corrcoef(x, y)[0, 1] > 0.98
     turned = cv2.GaussianBlur(np.ascontiguousarray(image[:, ::-1]), (0, 0), 2.0).ravel()
     assert np.corrcoef(turned, y)[0, 1] < 0.8  # the twin: mirrored, it does not pass
+
+
+@pytest.mark.bpy
+@needs_bpy
+@pytest.mark.skipif(not HAS_USD, reason="needs usd-core")
+def test_blender_opens_the_usdz(
+    asset: Path, mitsuba_image: NDArray[np.float32], cycles: Callable[[str], NDArray[np.float32]]
+) -> None:
+    """As the GLB, with one index for all that is no metal."""
+    image = cycles(f"{asset / 'asset'}+{asset / 'room.usdz'}")
+    ratio = image.mean(axis=(0, 1)) / mitsuba_image.mean(axis=(0, 1))
+    assert (ratio > 0.78).all() and (ratio < 1.02).all(), ratio
+    x, y = (cv2.GaussianBlur(i, (0, 0), 2.0).ravel() for i in (image, mitsuba_image))
+    assert np.corrcoef(x, y)[0, 1] > 0.98
+
+
+def test_the_glb_holds_the_written_maps(asset: Path) -> None:
+    """D, S and R from its textures and factors by the equations of glTF 2.0 and KHR_materials_specular,
+    against the EXR files, where F0 is a dielectric's; the packed texture as engines take it, with an
+    occlusion of 1."""
+    data = (asset / "room.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + length])
+    material = next(m for m in document["materials"] if m["name"] == "surface")
+    pbr, specular = material["pbrMetallicRoughness"], material["extensions"]["KHR_materials_specular"]
+
+    def stored(texture: dict[str, int]) -> NDArray[np.float64]:
+        source = document["textures"][texture["index"]]["source"]
+        view = document["bufferViews"][document["images"][source]["bufferView"]]
+        first = 28 + length + view["byteOffset"]
+        return np.asarray(Image.open(io.BytesIO(data[first : first + view["byteLength"]]))) / 255.0
+
+    base = linear_from_srgb(stored(pbr["baseColorTexture"]))
+    orm = stored(pbr["metallicRoughnessTexture"])
+    metallic, color = orm[..., 2:], linear_from_srgb(stored(specular["specularColorTexture"]))
+    f0 = np.minimum(0.04 * np.array(specular["specularColorFactor"]) * color, 1) * specular.get(
+        "specularFactor", 1
+    )
+    got = {
+        "diffuse_albedo": base * (1 - metallic),
+        "specular_albedo": f0 * (1 - metallic) + base * metallic,
+        "roughness": orm[..., 1:2],
+    }
+    assert material["occlusionTexture"] == pbr["metallicRoughnessTexture"] and (orm[..., 0] == 1).all()
+    specular_map = read_image(asset / "atlas" / "specular_albedo.exr")
+    is_surface = np.asarray(Image.open(asset / "atlas" / "mask.png")) > 0
+    is_surface &= specular_map.max(axis=-1) <= 0.16
+    assert is_surface.mean() > 0.1
+    for name, values in got.items():
+        difference = np.abs(values - read_image(asset / "atlas" / f"{name}.exr"))[is_surface]
+        assert difference.mean() < 0.003 and np.percentile(difference, 99) < 0.02, name
+    without = {**got, "specular_albedo": 0.04 * (1 - metallic) + base * metallic}["specular_albedo"]
+    assert np.abs(without - specular_map)[is_surface].mean() > 0.01  # the twin: without the extension
 
 
 def test_khronos_validator_finds_nothing(asset: Path) -> None:

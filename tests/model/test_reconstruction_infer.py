@@ -33,7 +33,7 @@ from model.checkpoint import CheckpointCard, save_checkpoint
 from model.confidence import ConfidenceNets
 from model.networks import MaterialNetwork, NetworkConfig
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.export.gltf import as_read, metallic_channels
+from model.reconstruction.export.metallic_textures import as_read, metallic_channels
 from model.reconstruction.infer import InferOptions, InferReport, infer
 from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 from model.reconstruction.render.relight import Insertion, RelightOptions, render_asset, write_renders
@@ -215,7 +215,7 @@ def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferRepo
     from PIL import Image
 
     from model.reconstruction.atlas.atlas import empty_atlas
-    from model.reconstruction.export import gltf
+    from model.reconstruction.export import atlas_images, gltf
     from model.reconstruction.export.asset import Reconstruction
 
     report = truth[1]
@@ -226,7 +226,7 @@ def test_large_atlases_are_averaged_down_in_the_glb(truth: tuple[Path, InferRepo
     atlas.maps["diffuse_albedo"][:, ::2] = 0.8
     reconstruction = Reconstruction(capture, capture.geometry.mesh, atlas, tmp_path)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gltf, "MAX_SIZE", 32)
+        patch.setattr(atlas_images, "MAX_TEXTURE", 32)
         error = gltf.write_glb(tmp_path / "small.glb", reconstruction)
     assert error.texture_px == 32 and error.diffuse_max < 0.01
     data = (tmp_path / "small.glb").read_bytes()

@@ -26,6 +26,9 @@ from datagen.multiview.compiled import num_threads
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
 _BAND = 1024
+MAX_TEXTURE = 4096
+"""Largest side of textures inside a GLB or USDZ: more is beyond most viewers. Larger atlases are averaged
+down."""
 CONFIDENCE = "confidence"
 SEEN, FILLED, EMPTY = 255, 128, 0
 """Values of the mask: observed, surface that was filled in, no surface."""
@@ -47,6 +50,20 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
         stored[top : top + _BAND] = table[band.view(np.uint16)]
         let_go(array)
     return stored
+
+
+def texture_shrink(atlas: Atlas) -> int:
+    """The side in texels of the squares that are averaged, so that a texture is no larger than it may be."""
+    return next(k for k in range(-(-atlas.size // MAX_TEXTURE), atlas.size + 1) if atlas.size % k == 0)
+
+
+def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
+    """Means of squares of texels, float32."""
+    values = np.asarray(band, np.float32)
+    if shrink == 1:
+        return values
+    height, width, channels = values.shape
+    return values.reshape(height // shrink, shrink, width // shrink, shrink, channels).mean(axis=(1, 3))
 
 
 def mask_png(atlas: Atlas) -> bytes:

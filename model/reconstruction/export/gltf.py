@@ -1,16 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as GLB: metallic-roughness with KHR_materials_specular, and the error of that conversion.
-
-glTF's F0 is lerp(min(0.04 c, 1), base, m) with the specular colour c and the metalness m, its diffuse albedo
-base (1 - m). Surfaces of F0 up to 0.16 (an index of 2.3) become dielectrics, exactly: m = 0, base = D, c = S
-/ 0.04. Beyond, m solves S (1 - m) = 0.16 (1 - m)^2 + D m in the mean over channels, so that viewers without
-the extension see metals as metals; c takes up what it can of the remainder.
-"""
+"""A reconstruction as GLB: metallic-roughness with KHR_materials_specular (``metallic_textures``)."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,56 +12,17 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
-from datagen.foundation.color import linear_from_srgb, srgb_from_linear
-from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
-from model.reconstruction.export.atlas_images import quantized_bytes
 from model.reconstruction.export.gltf_lights import PUNCTUAL, emissive, punctual_lights
+from model.reconstruction.export.metallic_textures import (
+    DIELECTRIC_F0,
+    MAX_DIELECTRIC_F0,
+    ConversionError,
+    metallic_textures,
+)
 from model.reconstruction.export.slots import Reconstruction, export_slots, patch_meshes
 
-DIELECTRIC_F0 = 0.04
-MAX_DIELECTRIC_F0 = 0.16
-MAX_SIZE = 4096
-"""Largest side of textures inside the file: more is beyond most viewers. Larger atlases are averaged down."""
-_BAND = 1024
 _FLOAT, _UINT = 5126, 5125
-
-
-@dataclass(frozen=True)
-class ConversionError:
-    """Absolute error of D and S as a glTF reader has them, over all texels with surface, and the side of the
-    textures."""
-
-    diffuse_mean: float
-    diffuse_max: float
-    specular_mean: float
-    specular_max: float
-    texture_px: int
-
-
-def metallic_channels(
-    diffuse: NDArray[np.float32], specular: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Base colour (..., 3), metalness (...), and specular colour over its factor 4 (..., 3), all in [0,
-    1]."""
-    limit = MAX_DIELECTRIC_F0
-    d, s = diffuse.mean(axis=-1), specular.mean(axis=-1)
-    b = d + s - 2 * limit
-    root = np.sqrt(np.maximum(b * b - 4 * limit * (limit - s), 0.0))
-    metallic = np.where(specular.max(axis=-1) <= limit, 0.0, np.clip((root - b) / (2 * limit), 0.0, 1.0))
-    m = metallic[..., None]
-    from_diffuse = diffuse / np.maximum(1 - m, 1e-3)
-    from_specular = (specular - limit * (1 - m)) / np.maximum(m, 1e-3)
-    base = np.clip(from_diffuse * (1 - m * m) + np.clip(from_specular, 0, 1) * m * m, 0.0, 1.0)
-    tint = np.clip((specular - base * m) / np.maximum(limit * (1 - m), 1e-6), 0.0, 1.0)
-    tint = np.where(m > 1 - 1e-3, 1.0, tint)
-    return tuple(a.astype(np.float32) for a in (base, metallic, tint))  # type: ignore[return-value]
-
-
-def as_read(base: NDArray, metallic: NDArray, tint: NDArray) -> tuple[NDArray, NDArray]:
-    """D and S (..., 3) that a glTF reader gets."""
-    m = metallic[..., None]
-    return base * (1 - m), np.minimum(MAX_DIELECTRIC_F0 * tint, 1.0) * (1 - m) + base * m
 
 
 def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
@@ -77,9 +31,9 @@ def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool 
     Lamps, panels and windows that were found are emissive surfaces; ``has_punctual`` adds point lights where
     lamps are small. glTF has no sky.
     """
-    images, error = _encode_textures(reconstruction)
+    made = metallic_textures(reconstruction.atlas)
     writer = _Glb()
-    textures = [writer.image(data) for data in images]
+    textures = [writer.image(png) for png in (made.base_color, made.orm, made.specular_color)]
     materials: list[dict[str, Any]] = []
     primitives = []
 
@@ -109,7 +63,7 @@ def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool 
         "nodes": nodes,
         "meshes": [{"primitives": primitives, "name": reconstruction.capture.name}],
         "materials": materials,
-        "textures": [{"source": k, "sampler": 0} for k in range(len(images))],
+        "textures": [{"source": k, "sampler": 0} for k in range(len(textures))],
         "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
         **writer.tables(),
     }
@@ -118,50 +72,7 @@ def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool 
     if not used:
         del document["extensionsUsed"]
     write_bytes_atomically(path, writer.encode(document))
-    return error
-
-
-def _encode_textures(reconstruction: Reconstruction) -> tuple[list[bytes], ConversionError]:
-    """PNGs of base colour, roughness and metalness (G and B), specular colour; and the error, bytes
-    included."""
-    atlas = reconstruction.atlas
-    shrink = next(k for k in range(-(-atlas.size // MAX_SIZE), atlas.size + 1) if atlas.size % k == 0)
-    bands: list[list[NDArray[np.uint8]]] = [[], [], []]
-    sums, most, num = np.zeros(2), np.zeros(2), 0
-    for top in range(0, atlas.size, _BAND * shrink):
-        rows = slice(top, top + _BAND * shrink)
-        diffuse, specular, rough = (_averaged(atlas.maps[name][rows], shrink) for name in atlas.maps)
-        base, metallic, tint = metallic_channels(diffuse, specular)
-        packed = np.stack([np.zeros_like(metallic), rough[..., 0], metallic], axis=-1)
-        encoded = [srgb_from_linear(base), packed, srgb_from_linear(tint)]
-        stored = [quantized_bytes(image) for image in encoded]
-        for band, image in zip(bands, stored, strict=True):
-            band.append(image)
-        read = as_read(
-            linear_from_srgb(stored[0] / 255.0),
-            stored[1][..., 2] / 255.0,
-            linear_from_srgb(stored[2] / 255.0),
-        )
-        on_surface = atlas.face[rows][::shrink, ::shrink] >= 0
-        num += int(on_surface.sum())
-        for k, (got, truth) in enumerate(zip(read, (diffuse, specular), strict=True)):
-            difference = np.abs(got - truth)[on_surface]
-            sums[k] += float(difference.sum()) / 3
-            most[k] = max(most[k], float(difference.max(initial=0)))
-        atlas.release()
-    mean = sums / max(num, 1)
-    errors = (float(mean[0]), float(most[0]), float(mean[1]), float(most[1]))
-    error = ConversionError(*errors, atlas.size // shrink)
-    return [encode_png(np.concatenate(band)) for band in bands], error
-
-
-def _averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
-    """Means of squares of texels, float32."""
-    values = np.asarray(band, np.float32)
-    if shrink == 1:
-        return values
-    height, width, channels = values.shape
-    return values.reshape(height // shrink, shrink, width // shrink, shrink, channels).mean(axis=(1, 3))
+    return made.error
 
 
 def _material(name: str, textures: list[int]) -> dict[str, Any]:
@@ -171,8 +82,12 @@ def _material(name: str, textures: list[int]) -> dict[str, Any]:
         "name": name,
         "doubleSided": True,
         "pbrMetallicRoughness": {"baseColorTexture": base, "metallicRoughnessTexture": packed},
+        "occlusionTexture": packed,
         "extensions": {
-            "KHR_materials_specular": {"specularColorTexture": tint, "specularColorFactor": [factor] * 3}
+            "KHR_materials_specular": {
+                "specularColorTexture": tint,
+                "specularColorFactor": [factor] * 3,
+            }
         },
     }
 
