@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How a capture is read: what the commands and :func:`~model.reconstruction.captures.read_capture` take."""
+"""Options for reading a capture, of the commands and :func:`~model.reconstruction.captures.read_capture`."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def _metres(text: str) -> float | None:
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """The mesh, and how its frame and the cameras' differ from metres with Z up.
+    """The mesh, and the frames of mesh and cameras.
 
-    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit, "auto" and None judge them
-    (``captures.frames``). Views wider than ``max_width_px`` are shrunk: the networks learn from views of 640
-    pixels.
+    ``up`` is the up axis of the cameras' world, ``unit_m`` its unit; "auto" and None estimate them
+    (``captures.frames``). Views wider than ``max_width_px`` are scaled down: the networks are trained on
+    views of 640 pixels.
     """
 
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
@@ -52,11 +52,11 @@ class FrameOptions:
 
 @dataclass(frozen=True)
 class CaptureOptions(FrameOptions):
-    """How to read a capture. ``library`` and nothing else concerns rendered ones: packages that they were
-    made of, by default those of their dataset folder, else the bundled ones.
+    """How to read a capture. ``library``, for rendered captures only: packages of their assets, by default
+    those of their dataset folder, else the bundled ones.
 
-    ``mesh_up`` is the mesh's up axis where it differs. ``exposure`` "exif" evens out exposures that the
-    cameras recorded, "auto" where all of them did. ``limits`` are those of the environment if left out.
+    ``mesh_up`` is the mesh's up axis where it differs. ``exposure`` "exif" applies recorded exposures, "auto"
+    where all photographs have one. ``limits`` default to those of the environment.
     """
 
     images: Annotated[Path | None, typer.Option(help="Folder of the photographs.")] = None

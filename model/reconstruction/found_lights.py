@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The lights of a photographed room as they were found, for exports and reports.
+"""Recovered lights of a photographed room, for exports and reports.
 
-Letters: K triangles of a lamp. A *lamp* is surface that shines: triangles that do, or *panels*, rectangles
-before a surface of which a part does. Light from outside comes in by *windows*, through which rays leave the
-mesh. It is near (panels, buildings), and then rectangles send it, or far, and then an image of the *sky*
-does. Radiance is in the photographs' unit; power is that times m^2 sr, hence W where radiance is in W/(m^2
-sr).
+Letters: K triangles of a lamp. A *lamp* is emissive surface: triangles, or *panels*, rectangles just before a
+partly emissive surface. Light from outside enters by *windows*, through which rays leave the mesh: from
+rectangles if near, from an image of the *sky* if far. Radiance is in the photographs' unit; power is that
+times m^2 sr, hence W where radiance is in W/(m^2 sr).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ ENVIRONMENT_FILE = "environment.exr"
 
 @dataclass(frozen=True)
 class Rectangle:
-    """``origin_m + s edge_u_m + t edge_v_m`` with s and t in [0, 1]; it shines along edge_u x edge_v."""
+    """``origin_m + s edge_u_m + t edge_v_m`` with s and t in [0, 1]; emits along edge_u x edge_v."""
 
     origin_m: Color
     edge_u_m: Color
@@ -35,16 +34,15 @@ class Rectangle:
         return float(np.linalg.norm(np.cross(self.edge_u_m, self.edge_v_m)))
 
     def corners(self) -> NDArray[np.float64]:
-        """Corners (4, 3), counter-clockwise seen from where it shines to."""
+        """Corners (4, 3), counter-clockwise from the emitting side."""
         origin, u, v = (np.array(part) for part in (self.origin_m, self.edge_u_m, self.edge_v_m))
         return np.stack([origin, origin + u, origin + u + v, origin + v])
 
 
 @dataclass(frozen=True)
 class FoundLamp:
-    """Triangles ``faces`` (K,) that shine on ``side`` 1, that of their winding, or -1. ``radiance`` is 0
-    where no photograph shows the lamp. ``is_named``: whether the capture's geometry names it as a lamp; else
-    it is a surface with a material that was found to shine."""
+    """Emissive triangles ``faces`` (K,) on ``side`` 1, that of their winding, or -1. ``radiance`` is 0 where
+    no photograph shows the lamp. ``is_named``: whether the capture's geometry names it as a lamp."""
 
     slot: str
     faces: NDArray[np.int32]
@@ -62,7 +60,7 @@ class FoundLamp:
 
 @dataclass(frozen=True)
 class FoundPatch:
-    """A window or a panel with the ``rectangles`` that cover it; ``radiance`` is the mean by area."""
+    """A window or panel covered by ``rectangles``; ``radiance`` is the mean by area."""
 
     slot: str
     rectangles: tuple[Rectangle, ...]
@@ -74,7 +72,7 @@ class FoundPatch:
 @dataclass(frozen=True)
 class FoundLights:
     """``environment`` (H, W, 3): the sky where light from outside is far, in the convention of
-    :class:`~datagen.formats.lights.EnvironmentLight`; None where the windows' rectangles send it."""
+    :class:`~datagen.formats.lights.EnvironmentLight`; None where the windows' rectangles emit it."""
 
     lamps: tuple[FoundLamp, ...] = ()
     panels: tuple[FoundPatch, ...] = ()
@@ -83,18 +81,18 @@ class FoundLights:
 
     @property
     def is_dark(self) -> bool:
-        """Whether nothing shines."""
+        """Whether no light emits."""
         return not (self.windows or self.panels or any(lamp.is_lit for lamp in self.lamps))
 
     @property
     def sending(self) -> tuple[FoundPatch, ...]:
-        """The patches whose rectangles send light: all, or the panels where the sky does for windows."""
+        """The patches with emitting rectangles: all, or the panels where the sky replaces windows."""
         return self.panels if self.environment is not None else (*self.panels, *self.windows)
 
     def described(self) -> list[dict[str, Any]]:
         """For a report: ``kind`` (lamp, window, sky), ``slot`` in exports, ``place_m``, ``area_m2``,
-        ``radiance``, and ``power`` = pi area radiance, what a surface or an opening sends into the room at
-        that radiance in all directions. The sky's power is that of the windows."""
+        ``radiance``, and ``power`` = pi area radiance, the diffusely emitted power. The sky's power is that
+        of the windows."""
         rows = [
             _row("lamp", lamp.slot, lamp.place_m, lamp.area_m2, lamp.radiance)
             for lamp in self.lamps

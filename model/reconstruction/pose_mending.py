@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Small errors of the cameras' poses, found from what other views show of the same points and mended.
+"""Corrects small errors of camera poses by agreement with other views.
 
-Points of the mesh that a view sees, away from depth edges and where its image changes, are looked up in the
-views that see most of them; the median is what the view should show there. Its pose follows from the
-difference by Gauss-Newton, with the weights of Cauchy's distribution and a prior of :data:`SPREAD_M` and
-:data:`SPREAD_DEG`. All views move at once, and the rounds are few. Where the cameras are as a whole is not to
-be told from that: their mean stays.
+Points of the mesh in a view, away from depth edges and where its image varies, are looked up in the views
+that see most of them; the view's pose is fitted to their median by Gauss-Newton, with Cauchy weights and a
+prior of :data:`SPREAD_M` and :data:`SPREAD_DEG`. All views move at once, in a few rounds. A common transform
+of all cameras is undetermined: their mean stays.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ _ALIKE = 25.0  # neighbouring points that err alike
 
 @dataclass(frozen=True)
 class MendedPoses:
-    """``cameras`` in the views' order, those that were given where others explain the views little better;
-    ``moved_mm`` and ``turned_deg`` (V,) by how much; ``residual`` before and after: the median of |ln shown -
-    ln median of others|."""
+    """``cameras`` in the views' order, unchanged where others explain the views hardly better; shifts
+    ``moved_mm`` and ``turned_deg`` (V,); ``residual`` before and after: the median of |ln shown - ln median
+    of others|."""
 
     cameras: tuple[Camera, ...]
     moved_mm: NDArray[np.float64]
@@ -184,7 +183,7 @@ def _step(
     given: Sequence[NDArray],
     index: int,
 ) -> tuple[NDArray[np.float64], float]:
-    """Rotation vector and translation (6,) of a view, and the median of what differs."""
+    """Rotation vector and translation (6,) of a view, and the median residual."""
     look, lens = looks[index], lenses[index]
     local, x, y = _projected(lens, poses[index], look.points)
     rest = _sampled(look.image, x, y) - _expected(looks, lenses, poses, index)

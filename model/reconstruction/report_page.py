@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""The report of ``materials infer`` for people: one page that needs nothing beside it.
-
-What was done, the lights that were found, how far the maps are to be trusted, and what each step cost.
-"""
+"""The HTML report of ``materials infer``, a self-contained page: summary, recovered lights, confidence of the
+maps, cost of the steps."""
 
 from __future__ import annotations
 

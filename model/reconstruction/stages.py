@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the stages of ``materials infer`` agree on: the run that they are part of, where maps come from, and
-what may happen to them before they are merged."""
+"""Interfaces of the stages of ``materials infer``: run, sources of maps, stages before the merge."""
 
 from __future__ import annotations
 
@@ -33,10 +32,10 @@ class ViewPicture:
 
 @dataclass
 class Found:
-    """What stages find beside maps: ``lights``, the ``confidence_at`` points of the surface on the side of
-    normals (both (..., 3), the result in bytes of D, S and R), and ``pictures`` of views; ``doubt_at`` points
-    (N, 3) with normals (N, 3), the diffuse shading (N,), as luminance, that is not sure because photographs
-    clip its source. None and empty where no stage sought them."""
+    """Results of stages beside maps: ``lights``; ``confidence_at`` surface points and normals (both (...,
+    3)), bytes of D, S and R; ``pictures`` of views; ``doubt_at`` points (N, 3) with normals (N, 3), the
+    luminance (N,) of diffuse shading that is uncertain because its source clips. None or empty where no stage
+    provides them."""
 
     lights: FoundLights | None = None
     confidence_at: Callable[[NDArray, NDArray], NDArray[np.uint8]] | None = None
@@ -46,8 +45,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: its folder, what it is told, what it reports, ``tell(stage, done, total)``, and what its
-    stages found beside maps."""
+    """A run: folder, options, report, ``tell(stage, done, total)``, and results of stages beside maps."""
 
     out: Path
     options: InferOptions
@@ -57,7 +55,7 @@ class Run:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
-        """Time a stage, and tell of its begin and end; gives what tells of (done, total) in between."""
+        """Time a stage and report its begin and end; yields a callback for (done, total)."""
         last = (0, 1)
 
         def advance(done: int, total: int) -> None:
@@ -73,18 +71,18 @@ class Run:
 
 
 class MapSource(Protocol):
-    """Where the maps of a capture's views come from."""
+    """Source of the maps of a capture's views."""
 
     @property
     def identity(self) -> str:
-        """Tells its maps from those of others: a run in an existing folder continues only with the same."""
+        """Identifies the maps: a run in an existing folder resumes only with the same."""
 
     @property
     def is_predicted(self) -> bool:
         """Whether its maps are predictions, which stages before the merge may correct."""
 
     def prepare(self, options: InferOptions) -> None:
-        """Refuse what cannot work, before hours of work. Raises :class:`InputError`."""
+        """Refuse unusable input before work starts. Raises :class:`InputError`."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
         """Maps of every view, in the capture's order."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The atlas that views are merged into, its texels, and the loops over them."""
+"""The merged atlas, its texels, and loops over them."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An atlas: merged maps by texel, in memory or in files that are mapped into it."""
+"""An atlas: merged maps by texel, in memory or in memory-mapped files."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ ATLAS_DTYPE = np.float16
 
 @dataclass(frozen=True)
 class Atlas:
-    """A merged atlas: ``maps`` by name (N, N, 3 or 1) in [0, 1], ``count`` (N, N) how many views each
-    texel's medians are over, ``face`` (N, N) its triangle or -1. Row 0 is at v = 1. Texels of count 0 hold 0
-    until they are filled. ``confidence`` (N, N, 3) of D, S and R, 255 for 1, where it is known: how far they
-    come from the light of the photographs rather than from a network."""
+    """A merged atlas: ``maps`` by name (N, N, 3 or 1) in [0, 1], ``count`` (N, N) of views in each texel's
+    medians, ``face`` (N, N) its triangle or -1. Row 0 is at v = 1. Texels of count 0 hold 0 until they are
+    filled. ``confidence`` (N, N, 3) of D, S and R in bytes, where known: 255 from light alone, 0 from a
+    network alone."""
 
     maps: dict[str, NDArray]
     count: NDArray[np.uint16]
@@ -41,21 +41,21 @@ class Atlas:
         return np.asarray((self.face >= 0) & (self.count == 0))
 
     def release(self) -> None:
-        """Let go of what lies in files; the next access reads it again. Else a large atlas that is walked
-        through from end to end would fill the memory with what is not needed any more."""
+        """Release memory-mapped pages; the next access reads them again. Otherwise a pass over a large atlas
+        would fill the memory."""
         for array in (*self.maps.values(), self.count, self.face, self.confidence):
             if array is not None:
                 let_go(array)
 
 
 def let_go(array: NDArray) -> None:
-    """Let go of an array's pages in memory, if it lies in a file that they can be read from again."""
+    """Release an array's pages from memory if a file backs them."""
     if isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         array.base.madvise(mmap.MADV_DONTNEED)
 
 
 def empty_atlas(size: int, folder: Path | None = None, *, has_confidence: bool = False) -> Atlas:
-    """An atlas in memory or, given a ``folder``, in files there that are mapped into memory."""
+    """An atlas in memory or, given a ``folder``, in memory-mapped files."""
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {
         name: ((size, size, channels), ATLAS_DTYPE) for name, channels in MAP_CHANNELS.items()
     }

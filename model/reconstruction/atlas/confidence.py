@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The confidence of an atlas: how far each texel's D, S and R rest on evidence rather than on a guess."""
+"""Confidence of an atlas's D, S and R by texel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TILE = 512
 
 
 def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
-    """Fill the atlas's ``confidence``, which must be there; 0 where no view has seen a texel."""
+    """Fill the atlas's allocated ``confidence``; 0 where no view has seen a texel."""
     target = atlas.confidence
     if target is None:
         raise ValueError("expected an atlas with confidence")

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The level of diffuse albedo, from the light between the surfaces."""
+"""The albedo scale, from interreflection."""

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""The level of diffuse albedo, out of how light is reflected between the surfaces of a room.
+"""The albedo scale, from interreflection in a photographed room.
 
-Networks take a grey wall in a bright room for a white one in a dim room. A room that was photographed all
-over tells: its photographs are the radiance L that leaves every surface, so rays from a point x give its
-irradiance E(x), and with it what the surface reflects (inverse global illumination, Yu et al. 1999):
+Networks confuse a grey wall in a bright room with a white one in a dim room. Photographs of a whole room are
+the radiance L that leaves its surfaces, so rays from a point x give its irradiance E(x) and reflectance
+(inverse global illumination, Yu et al. 1999):
 
-    rho(x) = pi L(x) / E(x),   about D + S on a rough surface.
+    rho(x) = pi L(x) / E(x),   about D + S on a rough surface,
 
-It does not depend on exposure. Light that no photograph shows makes rho too large where it falls: lamps
-behind the photographers, sun through a window. So rho corrects D by smooth regions of the mesh, robustly: by
-the mode of ln(rho / (D + S)) over a region's points, drawn to the room's mode where there are few of them.
-What D does within a region stays the networks'. docs/measurements.md has the figures.
+whatever the exposure. Unphotographed light (lamps behind the camera, sun through a window) makes rho too
+large where it falls, so D is corrected by smooth regions of the mesh, by the mode of ln(rho / (D + S)) over a
+region's points, shrunk to the room's mode where points are few. Variation of D within a region remains the
+network's. Figures: docs/measurements.md.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ _CHUNK = 512
 
 @dataclass(frozen=True)
 class LevelReport:
-    """What was found. ``gain``: the room's, R, G, B; its regions have their own about it. ``coverage``: mean
-    known share of the points' hemispheres; ``used_share``: mean weight of the points, 1 for one that is
-    covered. ``spread``: half the interquartile range of ln(rho / (D + S)) of points about their region's
-    mode, green; ``region_spread``: the same of the regions' ln gains, by points. ``impossible_share``: of
-    the points, by weight, those that reflect more than arrives. ``clipped_share`` of the photographs' pixels.
-    ``reason``: why nothing was changed, or empty."""
+    """``gain``: the room's, R, G, B; regions vary around it. ``coverage``: mean known share of the points'
+    hemispheres; ``used_share``: mean weight of the points, 1 if covered. ``spread``: half the interquartile
+    range of ln(rho / (D + S)) of points about their region's mode, green; ``region_spread``: the same of the
+    regions' ln gains, weighted by points. ``impossible_share``: weighted share of the points that reflect
+    more than arrives. ``clipped_share`` of the photographs' pixels. ``reason`` for changing nothing, or
+    empty."""
 
     is_applied: bool
     reason: str
@@ -75,8 +75,8 @@ class AlbedoLevel:
     report: LevelReport
 
     def corrected(self, diffuse_albedo: NDArray, region: NDArray) -> NDArray[np.float16]:
-        """A view's ``diffuse_albedo`` (H, W, 3) times its gains, clipped to [0, 1]; ``region`` (H, W), -1 off
-        the mesh, where it stays."""
+        """A view's ``diffuse_albedo`` (H, W, 3) times its gains, clipped to [0, 1]; unchanged off the mesh,
+        where ``region`` (H, W) is -1."""
         found = diffuse_albedo.astype(np.float16)
         on_mesh = region >= 0
         gained = self.gains[region[on_mesh]] * diffuse_albedo[on_mesh]
@@ -92,8 +92,8 @@ def find_level(
     clipped_share: float = 0.0,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
 ) -> AlbedoLevel:
-    """The level of D in the views' ``maps``. Where there is too little evidence, gains are 1 and the report
-    says why. ``doubt_at`` positions and normals, the diffuse shading (N,) that is not sure."""
+    """The albedo scale of the views' ``maps``. With too little evidence gains are 1 and the report has the
+    reason. ``doubt_at`` gives the uncertain diffuse shading (N,) at positions and normals."""
     num_regions = int(region_of_face.max(initial=-1)) + 1
     try:
         cache = RadianceCache(views)
@@ -117,8 +117,8 @@ def fit_level(
     clipped_share: float,
     sure: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Gains out of the points' known irradiance (N, 3) and its share (N,) of the hemisphere; ``sure`` (N,) in
-    [0, 1], how much each counts besides."""
+    """Gains from the points' known irradiance (N, 3) and its share (N,) of the hemisphere; ``sure`` (N,) in
+    [0, 1] weighs points further."""
     arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]  # the unknown is taken to be like the rest
     weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * sure
     left = points.radiance @ LUMINANCE_WEIGHTS
@@ -171,7 +171,7 @@ def _unchanged(num_regions: int, reason: str, **found: Any) -> AlbedoLevel:
 
 @dataclass(frozen=True)
 class _Points:
-    """Points on surface that does not emit: where, what leaves them, predicted D + S, smooth region."""
+    """Points on non-emitting surface: position, radiance, predicted D + S, smooth region."""
 
     position_m: Floats
     normal: Floats
@@ -186,7 +186,7 @@ def _draw_points(
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
 ) -> _Points:
-    """At most one pixel of each cube: points are spread by area and not by how often they were seen."""
+    """At most one pixel of each cube: points are distributed by area, not by number of views."""
     pixels, random = cache.pixels, np.random.default_rng(0)
     is_surface = np.zeros(len(pixels.view), dtype=bool)
     for index, view in enumerate(views):
@@ -209,7 +209,7 @@ def _draw_points(
 def _irradiance(
     cache: RadianceCache, traced: TracedGeometry, position_m: Floats, normal: Floats
 ) -> tuple[Floats, Floats]:
-    """(N, 3) irradiance out of known directions, and their share (N,) of the hemisphere, by the cosine."""
+    """(N, 3) irradiance from known directions, and their cosine-weighted share (N,) of the hemisphere."""
     random = np.random.default_rng(1)
     irradiance, coverage = np.zeros_like(position_m), np.zeros(len(position_m))
     for first in range(0, len(position_m), _CHUNK):
@@ -228,7 +228,7 @@ def _irradiance(
 
 
 def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
-    """(N NUM_RAYS, 3) directions by the cosine about ``normal`` (N, 3), stratified."""
+    """(N NUM_RAYS, 3) stratified cosine-distributed directions about ``normal`` (N, 3)."""
     side = int(np.sqrt(NUM_RAYS))
     cell = np.arange(NUM_RAYS)
     u = (cell // side + random.random((len(normal), NUM_RAYS))) / side
@@ -264,8 +264,8 @@ def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tup
 def _modes(
     values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
 ) -> tuple[float, Floats]:
-    """The room's mode and those of its regions (num_regions,): the most likely ones where points spread about
-    their region's by Student's t, and regions about the room's."""
+    """The room's mode and those of its regions (num_regions,): maximum likelihood with Student's t for points
+    about their region's mode, and for regions about the room's."""
     num = np.bincount(region, weight, num_regions)
     room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unseen light only ever adds
     offset = np.zeros(num_regions)

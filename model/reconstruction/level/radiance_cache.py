@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""The light that leaves every photographed surface of a room, out of its photographs: where a ray ends, what
-radiance does it meet?
+"""Radiance of every photographed surface of a room, and of rays that leave its mesh.
 
-Surfaces: pixels fall into cubes of space, apart by the axis that their normal is nearest to, so that the two
-sides of a wall stay two. A cube holds the median over views of each view's mean. Background: windows and what
-is beyond the mesh are not far away in general, so a ray takes the photographed ray that leaves the mesh's box
-nearest to it in place and direction. Where no photograph tells, the radiance is unknown, and is said to be.
+Surfaces: pixels are grouped by cubes of space and the axis nearest to their normal, which separates the two
+sides of a wall. A cube holds the median over views of each view's mean. Background: windows and the outside
+are generally near, so a ray takes the photographed ray that leaves the mesh's box nearest to it in place and
+direction. Otherwise the radiance is reported as unknown.
 
-Colours are linear and of one exposure; radiance is in its unit, as it comes.
+Colours are linear and of one exposure; radiance is in the same unit.
 """
 
 from __future__ import annotations
@@ -69,7 +68,7 @@ class RadianceCache:
         self._set_background(views, step)
 
     def cubes(self, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-        """Number of the cube (N,) of places and the normals there; places outside count to the rim."""
+        """Index of the cube (N,) of points with their normals; points outside count to the rim."""
         at = ((position_m - self._low) / self.cube_m).astype(np.int64) + 1
         at = np.clip(at, 0, self._shape - 1)
         axis = np.abs(normal).argmax(axis=1)
@@ -103,8 +102,8 @@ class RadianceCache:
         self._tree = cKDTree(np.concatenate([place, facing * self.cube_m], axis=1))
 
     def at(self, position_m: Floats, normal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) that leaves surface with ``normal`` (N, 3, towards the onlooker), and whether it is
-        known: of the place's cube, else of the nearest within reach."""
+        """Radiance (N, 3) of surface with ``normal`` (N, 3, towards the viewer), and whether it is known: of
+        the point's cube, else of the nearest within reach."""
         wanted = self.cubes(position_m, normal)
         index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
         is_known = self._keys[index] == wanted
@@ -130,7 +129,7 @@ class RadianceCache:
         self._rays = cKDTree(ray[chosen]) if len(chosen) else None
 
     def _leaving(self, origin: Floats, direction: Floats) -> Floats:
-        """Rays (N, 6) as where they leave the box of what was seen, in diagonals, and their direction."""
+        """Rays (N, 6) as exit point of the box of the seen surface, in diagonals, and direction."""
         safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
         distance = np.maximum((np.where(safe > 0, self._high, self._low) - origin) / safe, 0.0).min(axis=1)
         place = (origin + distance[:, None] * direction) * (_PLACE_WEIGHT / self.size_m)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stage that corrects the level of predicted diffuse albedo before the maps are merged."""
+"""The stage that corrects the scale of predicted diffuse albedo before the merge."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from model.reconstruction.stages import Maps, Run
 
 
 def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
-    """The maps with diffuse albedo at the level that the light between the surfaces tells; unchanged where
-    it tells too little. What lies on disk stays as it was predicted."""
+    """The maps with corrected scale of diffuse albedo; unchanged where evidence is weak. Files on disk keep
+    the prediction."""
     with run.stage("level"):
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(

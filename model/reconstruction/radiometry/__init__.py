@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What cameras do to radiance, found from photographs that overlap, and undone."""
+"""Radiometric calibration of cameras from overlapping photographs."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Photographs brought to one exposure and completed where they clip.
 
-A pixel at the sensor's limit is a lower bound. Where other views show its surface below the limit, it takes
-their median; where none does, it belongs to a source whose radiance follows from what it lights
-(``recovered``), unless light enough arrives there for the surface to be bright by reflection alone.
+A clipped pixel is a lower bound. It takes the median of the views in which its surface is below the limit;
+without any, it belongs to a source whose radiance follows from its illumination of other surfaces
+(``recovered``), unless enough light arrives there for the surface to be bright by reflection alone.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from model.reconstruction.radiometry.sources import Sources, find_sources, sourc
 
 @dataclass(frozen=True)
 class Completed:
-    """``views`` of one exposure, completed; what was found of the cameras; the ``sources`` that every view
-    clips, their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; shares of the pixels that are
-    clipped, and of those that nothing completes."""
+    """``views`` of one exposure, completed; the cameras' calibration; the ``sources`` that clip in every
+    view, their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; shares of clipped pixels, and of
+    those that remain incomplete."""
 
     views: list[TracedView]
     radiometry: Radiometry
@@ -47,8 +47,8 @@ def completed_views(
     *,
     is_evened: bool = True,
 ) -> Completed:
-    """``views`` with radiance of one exposure and without limit; ``is_evened``: whether their exposures are
-    sought. Raises ValueError where they see no extended surface."""
+    """``views`` with radiance of one exposure and without limit; ``is_evened``: whether exposures are
+    estimated. Raises ValueError where the views see no extended surface."""
     surfels = build_surfels(views)
     radiometry = find_radiometry(views, surfels) if is_evened else Radiometry(np.ones((len(views), 3)))
     found = list(views)

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Exposure and white balance of each photograph, vignetting and response, out of surfaces that several show.
+"""Exposure and white balance of each photograph, vignetting and response, from surfaces in several
+photographs.
 
-The logarithm of what view v shows of surfel i at the squared radius r2 of its image (1 in the corners) is
+The logarithm of the value of surfel i in view v, at the squared image radius r2 (1 in the corners), is
 
     f(ln L_i + g_v - VIGNETTING r2),    f: linear of (e - c sin(2 pi e)),
 
-with e the sRGB-encoded value as a part of the sensor's limit, g_v the view's gain by channel, and c for a
-curve that is steeper or flatter than sRGB's; a power of the radiance is not to be told from exposures, and is
-left at 1. Least squares with the weights of Cauchy's distribution and L_i eliminated, which highlights and
-faults of the geometry hardly touch. The gauge is that the median gain is 1.
+with e the sRGB-encoded value relative to the sensor's limit, g_v the view's gain by channel, and c for a
+response steeper or flatter than sRGB; a power of the radiance cannot be determined from exposures and stays
+1. Least squares with Cauchy weights and L_i eliminated is robust to highlights and faults of the geometry.
+The gauge is a median gain of 1.
 """
 
 from __future__ import annotations
@@ -68,14 +69,13 @@ class Radiometry:
 
 
 def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """What a camera whose encoding has a ``curve`` makes of linear values, parts of the limit, as it is
-    read."""
+    """Decoded values of a camera whose response has ``curve``, of linear values relative to the limit."""
     encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
 
 
 def unbent(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """The linear values that :func:`shown` shows as ``value``."""
+    """The inverse of :func:`shown`."""
     encoded = np.linspace(0, 1, 4096)
     bent = encoded - curve * np.sin(2 * np.pi * encoded)
     of_value = np.asarray(srgb_from_linear(np.clip(value, 0, 1)), np.float64)
@@ -93,8 +93,8 @@ def radius_squared(view: TracedView) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class _Samples:
-    """Observations (M,) of chosen surfels: ``surfel``, ``view``, squared radius ``r2``, ``value`` (M, 3) as a
-    part of the ``limit`` (M,), and whether each channel ``counts`` (M, 3)."""
+    """Observations (M,) of chosen surfels: ``surfel``, ``view``, squared radius ``r2``, ``value`` (M, 3)
+    relative to the ``limit`` (M,), and whether each channel ``counts`` (M, 3)."""
 
     surfel: NDArray[np.int64]
     view: NDArray[np.int64]
@@ -105,8 +105,8 @@ class _Samples:
 
 
 def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
-    """Radiometric calibration of the cameras from surfels that several ``views`` observe. The
-    response curve is sought only where all photographs have a limit."""
+    """Radiometric calibration of the cameras from surfels in several ``views``. The response is estimated
+    only where all photographs have a limit."""
     samples = _samples(views, surfels)
     has_limit = all(view.limit is not None for view in views)
     num = len(views)
@@ -162,8 +162,8 @@ def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
 def _solved(
     samples: _Samples, num_views: int, *, has_curve: bool
 ) -> tuple[NDArray[np.float64], float, float, float]:
-    """ln gains (V, 3), vignetting, curve and cost, by Gauss-Newton steps. What a view shows is predicted, not
-    the radiance from what it shows: a curve that flattens all values would explain that best."""
+    """ln gains (V, 3), vignetting, curve and cost, by Gauss-Newton steps. Residuals are of values, not of
+    radiance, which a flattening curve would minimise."""
     channels = [_Channel.of(samples, channel) for channel in range(3)]
     last = 3 * num_views
     spread = np.array([*[_PRIOR_GAIN] * last, _PRIOR_VIGNETTING, _PRIOR_CURVE if has_curve else 1e-9])
@@ -189,8 +189,8 @@ def _solved(
 
 @dataclass
 class _Channel:
-    """Samples (M,) of a channel: ``surfel`` from 0 on, ``view``, ``r2``, logarithms of what is ``shown`` and
-    of the ``limit``; ``radiance`` the logarithm of each surfel's."""
+    """Samples (M,) of a channel: ``surfel`` from 0 on, ``view``, ``r2``, logarithms of the ``shown`` value
+    and of the ``limit``; ``radiance`` the logarithm of each surfel's."""
 
     surfel: NDArray[np.int64]
     view: NDArray[np.int64]
@@ -210,7 +210,7 @@ class _Channel:
         return cls(surfel, samples.view[rows], samples.r2[rows], shown, limit, radiance)
 
     def predicted(self, state: NDArray, first: int, last: int) -> tuple[NDArray[np.float64], ...]:
-        """What :func:`_log_shown` says of the samples."""
+        """:func:`_log_shown` of the samples."""
         fall_off = state[last] * self.r2
         arriving = self.radiance[self.surfel] + state[first + self.view] - fall_off - self.limit
         return _log_shown(arriving, state[last + 1])
@@ -221,8 +221,8 @@ class _Channel:
         return float(np.log1p((rest / _SCALES[1]) ** 2).mean())
 
     def step(self, state: NDArray, first: int, last: int, scale: float) -> tuple[Any, ...]:
-        """Normal matrix and right side of the cameras' unknowns, the surfels eliminated; and what the
-        surfels' own change depends on: (N, unknowns) and (N,)."""
+        """Normal matrix and right side of the cameras' unknowns, with the surfels eliminated; and for
+        back-substitution of the surfels (N, unknowns) and (N,)."""
         predicted, slope, by_curve = self.predicted(state, first, last)
         rest = self.shown - predicted
         weight = 1 / (1 + (rest / scale) ** 2)
@@ -241,7 +241,7 @@ class _Channel:
 
 
 def _log_shown(arriving: NDArray, curve: float) -> tuple[NDArray[np.float64], ...]:
-    """Logarithm of what is shown of ln radiance, both parts of the limit, and its derivatives by either."""
+    """Logarithm of the value for ln radiance, both relative to the limit, and its two derivatives."""
     if not curve:
         here, slope = arriving, np.ones_like(arriving)
     else:

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""The radiance of sources that every photograph clips, from what they light.
+"""Radiance of sources that clip in every photograph, from the surfaces that they illuminate.
 
-At a surfel i that photographs show below the limit, with the light E_i of all that is known and the part F_ik
-that source k of radiance 1 would add,
+At a surfel i below the limit, with the known light E_i and the contribution F_ik of source k at radiance 1,
 
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k),
 
-where the regions' D_g are unknown, too, so that it is the contrast within a region, between what a source
-lights and what it does not, that tells. Few unknowns: the logarithm of each source's colour, no less than the
-photographs show, by least squares with the weights of Student's t. Weak priors hold what nothing tells.
+where the albedo D_g of a region is unknown, too: the contrast within a region, between surfels that a source
+does and does not illuminate, determines Le. The unknowns are the logarithms of each source's colour, bounded
+below by the photographs, by least squares with Student's t weights and weak priors.
 """
 
 from __future__ import annotations
@@ -48,8 +47,8 @@ _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 
 @dataclass(frozen=True)
 class Gathered:
-    """Of P points: ``radiance`` (P, 3), light ``known`` (P, 3) beside the sources', ``form`` (P, S) what a
-    source of radiance 1 adds, and the ``group`` (P,) whose albedo is one."""
+    """Of P points: ``radiance`` (P, 3), light ``known`` (P, 3) beside the sources', ``form`` (P, S) the
+    contribution of a source of radiance 1, and the ``group`` (P,) of equal albedo."""
 
     radiance: NDArray[np.float64]
     known: NDArray[np.float64]
@@ -66,7 +65,7 @@ class Recovered:
 
 
 class _Field:
-    """The radiance field of a room with other colours."""
+    """The radiance field of a room with substituted colours."""
 
     def __init__(self, traced: TracedGeometry, surfels: Surfels, emitters: Emitters, background: Background):
         self._traced, self._surfels = traced, surfels
@@ -76,7 +75,7 @@ class _Field:
         self._area = 0.5 * np.linalg.norm(cross, axis=1)
 
     def alone(self, sources: Sources, radiance: NDArray) -> Colored:
-        """The ``radiance`` (S, 3) of sources, and nothing else."""
+        """The ``radiance`` (S, 3) of the sources, and nothing else."""
         whole = replace(sources, is_open=np.ones_like(sources.is_open))
         return whole.colored(
             radiance,
@@ -104,7 +103,7 @@ def gather(
     sources: Sources,
     region_of_face: NDArray[np.int32],
 ) -> Gathered:
-    """Irradiance that the sources cause on the surfels."""
+    """Irradiance of the surfels from the sources."""
     field = _Field(traced, surfels, emitters, background)
     clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
     usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
@@ -138,8 +137,8 @@ def doubt_of(
     sources: Sources,
     found: Recovered,
 ) -> Callable[[NDArray, NDArray], NDArray[np.float32]]:
-    """The luminance (N,) of the diffuse shading at positions and normals (N, 3) that comes from sources whose
-    radiance is not sure, by how much it is not."""
+    """Uncertain luminance (N,) of the diffuse shading at positions and normals (N, 3): the part from sources
+    of uncertain radiance, weighted by the uncertainty."""
     field = _Field(traced, surfels, emitters, background)
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
     return lambda position_m, normal: (
@@ -148,7 +147,7 @@ def doubt_of(
 
 
 def recovered(gathered: Gathered, sources: Sources) -> Recovered:
-    """Radiance of the sources; where a channel is not open, what photographs show."""
+    """Radiance of the sources; in channels below the limit, that of the photographs."""
     bound = np.maximum(sources.bound, 1e-6 * max(float(sources.bound.max(initial=0)), 1e-12))
     fitted = [_fitted(gathered, sources, bound, start) for start in _STARTS]
     _, factor, spread = min(fitted, key=lambda found: found[0])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What photographs show at the sensor's limit and nothing darker: emitters, openings and surfaces.
+"""Sources that clip wherever photographs show them: emitters, openings and surfaces.
 
-Each emitter that is clipped is a source, each connected part of a face of the room's box through which
-clipped background is seen, and each patch of neighbouring surfels that no view shows below the limit. A
-source has one colour, of which the channels that are clipped are unknown.
+Each clipped emitter is a source, each connected part of a face of the room's box with clipped background, and
+each patch of neighbouring surfels that no view shows below the limit. A source has one colour, unknown in the
+clipped channels.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ MAX_SOURCES = 24
 
 @dataclass(frozen=True)
 class Sources:
-    """``bound`` (S, 3) the radiance that photographs show, ``is_open`` (S, 3) the channels in which it is a
-    lower bound. Which source an emitter (K,), a background's bin (B,) and a surfel (N,) is, -1 for none."""
+    """``bound`` (S, 3) the photographed radiance, ``is_open`` (S, 3) the channels in which it is a lower
+    bound; the source of each emitter (K,), background bin (B,) and surfel (N,), -1 for none."""
 
     bound: NDArray[np.float64]
     is_open: NDArray[np.bool_]
@@ -60,8 +60,7 @@ class Sources:
     def colored(
         self, values: NDArray, emitters: Emitters, background: Background, surfels: Surfels
     ) -> Colored:
-        """The emitters, the background and the surfels with ``values`` (S, 3) where a channel of a source is
-        open."""
+        """Emitters, background and surfels with ``values`` (S, 3) in the open channels of the sources."""
         return Colored(
             _put(emitters.radiance, self.of_emitter, values, self.is_open),
             _put(background.radiance, self.of_bin, values, self.is_open),
@@ -95,7 +94,7 @@ def find_sources(
     region_of_face: NDArray[np.int32],
     mesh: Mesh,
 ) -> Sources:
-    """The sources that ``views`` show."""
+    """The sources in ``views``."""
     marked = [replace(view, color=_mask_of(view).astype(np.float32)) for view in views]
     emitting = photographed_emitters(marked, mesh, emits, region_of_face).radiance
     low, high = background.low, background.high
@@ -138,7 +137,7 @@ def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
 
 
 def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:
-    """Clipped pixels (B,) that are seen through each bin of the background."""
+    """Number of clipped pixels (B,) in each bin of the background."""
     total = np.zeros(6 * PLACES * PLACES * AZIMUTHS * HEIGHTS, np.int64)
     for view in marked:
         clipped = (view.geometry.face < 0) & view.valid_mask & (view.color.max(axis=2) > 0)
@@ -150,8 +149,8 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 
 
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
-    """Openings: connected squares of a face of the box, through which pixels were ``seen`` (B,). Squares that
-    only took their neighbours' radiance belong to the largest."""
+    """Openings: connected squares of a face of the box with ``seen`` (B,) pixels. Squares that only took
+    their neighbours' radiance belong to the largest."""
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
     directions = AZIMUTHS * HEIGHTS
     num = clipped.reshape(6, PLACES, PLACES, directions).sum(axis=3)
@@ -170,7 +169,7 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
 
 
 def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[NDArray[np.int64], NDArray]:
-    """Patches of neighbouring surfels of one side that are clipped wherever they are seen."""
+    """Patches of neighbouring surfels of one side that clip in all views."""
     clipped, total = np.zeros((len(surfels), 3)), np.zeros(len(surfels))
     for view, surfel in zip(views, surfels.pixel_surfel, strict=True):
         mine = surfel >= 0
@@ -194,8 +193,8 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
 
 
 def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
-    """Labels by size, the largest first; those after :data:`MAX_SOURCES` are the last one together, those of
-    fewer than ``least`` none."""
+    """Labels by size, largest first; those after :data:`MAX_SOURCES` are joined, those of fewer than
+    ``least`` dropped."""
     num = np.bincount(label[label >= 0])
     order = np.argsort(-num, kind="stable")
     new = np.full(len(num) + 1, -1, np.int64)  # the last for -1
@@ -207,7 +206,7 @@ def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
 def source_of_pixels(
     view: TracedView, sources: Sources, emitters: Emitters, background: Background, surfel: NDArray
 ) -> NDArray[np.int64]:
-    """Source (P,) that each pixel of a view shows, -1 for none; ``surfel`` (P,) that it shows."""
+    """Source (P,) of each pixel of a view, -1 for none, given its ``surfel`` (P,)."""
     face = view.geometry.face.ravel()
     found = np.full(len(face), -1, np.int64)
     on_mesh = np.flatnonzero(face >= 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stage of ``materials infer`` that brings photographs to one exposure and completes what they clip."""
+"""The stage of ``materials infer`` that evens exposures and completes clipped pixels."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from model.reconstruction.stages import Run
 
 
 def completed(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with views of one exposure that are completed where they clip. Images of floats have no
-    limit: renderings and merged brackets are of one exposure as they come."""
+    """The capture with views of one exposure, completed where they clip. Floating-point images have no limit:
+    renderings and merged brackets already share one exposure."""
     if any(view.limit is None for view in traced.views):
         return traced
     with run.stage("radiometry"):

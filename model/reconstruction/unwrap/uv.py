@@ -46,12 +46,12 @@ _RANGE_SLACK = 1e-5
 
 @dataclass(frozen=True)
 class UvReport:
-    """What an unwrap is like. ``source``: whose it is; ``rejected``: why the mesh's own did not serve, '' if
-    it did or there was none; ``coverage``: share of the atlas with surface; ``metres_per_side``: length that
-    the atlas's side has on the surface (median); ``stretch``: 95th over 5th percentile of the density, 1 at
-    best, by area; ``padding_texels``: gap between charts on an atlas of 1024 texels a side, 8 at most, None
-    where there are too many triangles to tell; ``num_blender_faces``: triangles that Blender placed because
-    xatlas did not; ``num_fallback_faces``: triangles that were laid out one by one."""
+    """Quality of an unwrap. ``source``: its origin; ``rejected``: fault of the mesh's own UVs, or '';
+    ``coverage``: share of the atlas with surface; ``metres_per_side``: length on the surface of the atlas's
+    side (median); ``stretch``: 95th over 5th percentile of the density by area, 1 at best;
+    ``padding_texels``: gap between charts on an atlas of 1024 texels a side, 8 at most, None for too many
+    triangles; ``num_blender_faces``: triangles unwrapped by Blender where xatlas failed;
+    ``num_fallback_faces``: triangles placed individually."""
 
     source: Literal["mesh", "xatlas"]
     rejected: str
@@ -64,7 +64,7 @@ class UvReport:
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know of it, in words."""
+        """Remarks for the user."""
         said = [f"the mesh's own UVs do not serve: {self.rejected}"] if self.rejected else []
         if self.num_blender_faces:
             said.append(f"xatlas failed on {self.num_blender_faces} triangles; Blender unwrapped them")
@@ -89,7 +89,7 @@ def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
 
 
 def own_uv_fault(mesh: Mesh) -> str:
-    """Why the mesh's UVs are not a valid unwrap; '' if they are."""
+    """The reason why the mesh's UVs are not a valid unwrap; '' if they are."""
     assert mesh.uv is not None
     used = mesh.uv[np.unique(mesh.faces)]
     low, high = float(used.min()), float(used.max())
@@ -113,8 +113,8 @@ def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def padding_texels(mesh: Mesh) -> int | None:
-    """Texels between the two charts that are nearest to each other on an atlas of 1024 texels a side, at most
-    ``_MOST_PADDING``; None for meshes too large to tell."""
+    """Texels between the two nearest charts on an atlas of 1024 texels a side, at most ``_MOST_PADDING``;
+    None for large meshes."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     if len(mesh.faces) > _MAX_CHART_FACES:
@@ -222,8 +222,7 @@ def _unwrap_piece(positions: NDArray[np.float32], faces: NDArray[np.int64], stem
 def _run(
     module: str, source: Path, target: Path
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Corners, size and which triangles were placed, by a process that may crash; None where it did, or
-    placed none."""
+    """Corners, size and placed triangles, from a process that may crash; None if it did, or placed none."""
     command = [sys.executable, "-m", module, str(source), str(target)]
     root = Path(__file__).resolve().parents[3]
     try:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""xatlas in a process of its own: it may crash on large or broken meshes, and then takes nothing with it.
+"""xatlas in a separate process, since it may crash on large or broken meshes.
 
 ``python -m model.reconstruction.unwrap.xatlas_process IN.npz OUT.npz``: IN holds ``positions`` (N, 3) and
-``faces`` (M, 3); OUT gets ``corners`` (M, 3, 2), the triangles' corners on the sheet in metres,
-and ``size_m`` (2,).
+``faces`` (M, 3); OUT gets ``corners`` (M, 3, 2), the triangles' corners on the sheet in metres, and
+``size_m`` (2,).
 
-xatlas leaves out what is small in its own measure, edges below 1e-4 and triangles of less than 1.2e-7: in
-metres that is every triangle of a finely tessellated tap. It gets the mesh in units of the median edge.
+xatlas drops edges below 1e-4 and triangles of less than 1.2e-7 in its unit: in metres every triangle of a
+finely tessellated tap. It gets the mesh in units of the median edge.
 """
 
 from __future__ import annotations
