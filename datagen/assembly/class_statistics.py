@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""What materials of a class look like in a library: the measurement behind ``CLASS_RANGES``.
+"""Statistics of the materials of each class in a library: the measurement behind ``CLASS_RANGES``.
 
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
-prints, by main class, how many materials there are and the 5th, 50th and 95th percentile of the brightest
-channel of their mean D and of their mean R, beside the limits within which assembly varies them; and how far
-texels of one material spread about its mean: hue (as a share of a turn), saturation and value as factors,
-roughness as an offset (medians over the materials of the root mean square).
+prints, by main class, the number of materials and the 5th, 50th and 95th percentile of the brightest channel
+of their mean D and of their mean R, beside the limits of variation; and the spread of texels about the
+material's mean: hue (as a share of a turn), saturation and value as factors, roughness as an offset (medians
+over the materials of the root mean square).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def sample_material(package: Package, material: Material, means: MeanMaterials) 
 
 
 def sample_library(library: Library) -> dict[str, list[MaterialSample]]:
-    """Samples by main class of all materials and slots that neither glow nor let light through."""
+    """Samples by main class of all opaque, non-emissive materials and slots."""
     means = MeanMaterials()
     found: dict[str, list[MaterialSample]] = defaultdict(list)
     for package in library:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the views of a configuration show, from rays at low resolution: rooms or corners, and how often.
+"""Coverage of a configuration by its views, from rays at low resolution.
 
 Letters: V views, P points of a view, M triangles.
 """
@@ -34,14 +34,14 @@ def preview_of(camera: Camera) -> Camera:
 
 @dataclass(frozen=True)
 class Shell:
-    """Walls and ceiling of a scene's room: ``surfaces`` says what each slot of the room is."""
+    """Walls and ceiling of a scene's room, from ``surfaces`` by slot."""
 
     scene: WorldScene
     surfaces: dict[str, Surface]
 
     @cached_property
     def _label_of_face(self) -> NDArray[np.int64]:
-        """0 for what is no shell, 1 for the ceiling, 2 to 5 for walls by the quarter that they face."""
+        """0 off the shell, 1 for the ceiling, 2 to 5 for walls by the direction that they face."""
         scene = self.scene
         parts = scene.geometries[0].asset.parts
         kinds = np.array([self.surfaces.get(part.material, "small") for part in parts])
@@ -53,7 +53,7 @@ class Shell:
         return np.where(kind == "ceiling", 1, np.where(is_wall, 2 + quarter, 0))
 
     def is_room(self, faces: NDArray[np.int64], num_pixels: int) -> bool:
-        """Whether the faces that an image's pixels hit hold two walls, or a wall and the ceiling."""
+        """Whether the faces hit by an image's pixels include two walls, or a wall and the ceiling."""
         pixels = np.bincount(self._label_of_face[faces], minlength=2 + _QUADRANTS)[1:]
         seen = pixels >= MIN_SHELL_PIXELS * num_pixels
         return bool(seen[1:].any() and seen.sum() >= 2)

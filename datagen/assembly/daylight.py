@@ -124,7 +124,7 @@ def _sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) of Mitsuba's ``sunsky`` along directions: the very model that will be rendered."""
+    """Radiance (R, 3) of Mitsuba's ``sunsky`` along directions, the model that is rendered."""
     from mitsuba_plugins.variant import select_variant
 
     select_variant()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where a camera may be: regions of the environment, or what its own cameras can see, less what is solid."""
+"""Free camera positions: regions of the environment, or the view of its own cameras, less solids."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _MAX_OPEN_SHARE = 0.75
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Free space of an environment with its things. ``rays`` is the whole scene."""
+    """Free space of an environment with its objects. ``rays`` is the whole scene."""
 
     environment: EnvironmentAsset
     rays: RayScene
     height_m: tuple[float, float]
 
     def check(self) -> None:
-        """Raise :class:`InputError` if the environment says nothing of where cameras may be."""
+        """Raise :class:`InputError` if the environment has neither camera regions nor cameras."""
         where = f"environment {self.environment.id}"
         if not self.environment.camera_regions and not self.environment.cameras:
             raise input_error(
@@ -65,7 +65,7 @@ class FreeSpace:
         return found
 
     def draw(self, draws: Draws) -> Floats | None:
-        """A position (3,) that may be free; None where the draw fell into nothing."""
+        """A candidate position (3,); None where the draw has no solution."""
         if self._regions:
             low, high, _ = draws.weighted(self._regions, [w for _, _, w in self._regions])
             return low + draws.units(3) * (high - low)
@@ -98,7 +98,7 @@ class FreeSpace:
         return bool(self.rays.sees_back(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
 
     def fault(self, position: Floats, clearance_m: float) -> str:
-        """Why a position is not free ('' if it is): ``too_close``, ``inside_solid`` or ``outside``."""
+        """The fault of a position: ``too_close``, ``inside_solid`` or ``outside``; '' if it is free."""
         directions = fibonacci_sphere(NUM_FEELERS)
         hits = self.rays.cast(position, directions)
         backs = int(self.rays.sees_back(hits, directions).sum())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Rooms that are made for a configuration instead of taken from a library (``environments.parametric``).
+"""Rooms generated for a configuration (``environments.parametric``).
 
-Which room a configuration has follows from (recipe seed, index) alone. The room is an environment package in
-memory; a dataset folder keeps it in ``rooms/`` for all that comes after planning.
+The room follows from (recipe seed, index) alone. It is an environment package in memory; the dataset folder
+stores it in ``rooms/`` for the stages after planning.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class GeneratedRoom:
 
     @cached_property
     def bare_slots(self) -> frozenset[tuple[str, str]]:
-        """(asset id, slot) that have only a plain colour to show and must be dressed."""
+        """(asset id, slot) with only a plain colour, which must be dressed."""
         asset = self.package.asset
         assert isinstance(asset, EnvironmentAsset)
         return frozenset(
@@ -43,7 +43,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """The room of a configuration; None where it takes one of the library. Other attempts, other rooms."""
+    """The room of a configuration; None for one of the library. Other attempts give other rooms."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
@@ -54,7 +54,7 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """The generated room that a configuration of the recipe stands in; None where it is the library's."""
+    """The generated room of a configuration; None for one of the library."""
     for attempt in range(num_tries):
         room = generated_room(recipe, configuration.index, attempt)
         if room is None or room.package.id == configuration.environment.asset:
@@ -63,7 +63,7 @@ def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> Gen
 
 
 def example_rooms(recipe: Recipe) -> Iterator[EnvironmentAsset]:
-    """One room of each kind that the recipe may make, when asked for."""
+    """One room of each kind of the recipe, generated on demand."""
     wanted = recipe.environments.parametric
     for kind in _kinds(wanted) if wanted is not None else ():
         asset = _made(kind, "example", False).package.asset

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""How bright the lights are: a probe of the finished room sets the intensity of every group.
+"""Brightness of lights: a probe of the finished room sets the intensity of every group.
 
-The probe says what each group adds to the mean irradiance at the places where cameras may be; the groups'
-shares are drawn log-uniformly, each from its range, and all are scaled so that their sum is the irradiance
-drawn from the recipe.
-A light that adds nothing is dropped and counted: no configuration is dark or burnt by construction.
+The probe gives each group's contribution to the mean irradiance at camera positions; shares are drawn
+log-uniformly, each from its range, and scaled so that their sum is the irradiance drawn from the recipe. A
+light that adds nothing is dropped and counted.
 """
 
 from __future__ import annotations
@@ -69,7 +68,7 @@ def light_room(
     key: tuple[int | str, ...],
     rejections: Counter[str],
 ) -> Lighting:
-    """Choose lights and set their intensities (see the module's head). Raises :class:`InputError`."""
+    """Choose lights and set their intensities. Raises :class:`InputError`."""
     groups = plan_lights(room, recipe, library, key, rejections)
     probe, arriving = _probe(room, groups, library, key)
     useful = arriving > _NEGLIGIBLE * max(float(arriving.max(initial=0.0)), 1e-12)
@@ -119,7 +118,7 @@ def _named(lights: list[Light]) -> tuple[Light, ...]:
 def _emission(
     room: RoomToLight, groups: list[PlannedGroup], gains: list[float]
 ) -> tuple[dict[str, tuple[float, float, float]], ...]:
-    """Radiance of every emissive slot by placed asset; those of no group are switched off."""
+    """Radiance of every emissive slot by placed asset; 0 for those of no group."""
     gain_of = {slot: gain for group, gain in zip(groups, gains, strict=True) for slot in group.slots}
     emission = []
     for item, asset in enumerate(room.assets):
@@ -137,7 +136,7 @@ def _emission(
 def _probe(
     room: RoomToLight, groups: list[PlannedGroup], library: Library, key: tuple[int | str, ...]
 ) -> tuple[LightProbe, Floats]:
-    """The probe of a room and the mean luminous irradiance (G,) of each group at the eyes."""
+    """The probe of a room and the mean luminous irradiance (G,) of each group at camera positions."""
     probe = LightProbe(
         room.scene,
         _albedo_of_faces(room),

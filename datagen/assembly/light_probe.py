@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""How much light reaches where: a small diffuse path tracer, for exposure and for views that are too dark.
+"""A small diffuse path tracer, for exposure and for the rejection of dark views.
 
-Surfaces are diffuse with albedo D (1 - S) + S, the energy that the project's BSDF reflects at normal
-incidence. Lights come in groups, and radiance is returned per group, so that a group's intensity can be set
-after one run. It answers to about ten percent with a few thousand paths, takes a tenth of a second, and is a
-pure function of its arguments. Letters: R rays, G groups.
+Surfaces are diffuse with albedo D (1 - S) + S, the reflectance of the project's BSDF at normal incidence.
+Radiance is returned by light group, so that one run serves all intensities. A few thousand paths take a tenth
+of a second, with an error of about ten percent; the result is a pure function of the arguments. Letters: R
+rays, G groups.
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ class LightProbe:
         return direct + math.pi * indirect.reshape(shape).mean(axis=1)
 
     def radiance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
-        """Reflected radiance (R, G, 3) seen along rays, without lights that are looked at directly.
+        """Reflected radiance (R, G, 3) along rays, without directly visible lights.
 
-        Light from outside that enters through an opening is sampled at the opening; what a ray meets when it
-        leaves the scene elsewhere is added as it escapes, so nothing is counted twice.
+        Light through an opening is sampled at the opening; rays that leave the scene elsewhere add the
+        background, so that nothing is counted twice.
         """
         count = len(origins)
         total = np.zeros((count, len(self.groups), 3))

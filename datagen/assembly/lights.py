@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Which lights are on and where they hang.
+"""Choice and position of lights.
 
-Lights come in groups that are dimmed together: what the assets brought, each area light, each point light,
-daylight through the openings. Here they get places and colours; ``light_levels`` sets how bright they are.
+Lights are dimmed in groups: native ones of the assets, each area light, each point light, daylight through
+the openings. Here they get positions and colours; ``light_levels`` sets their brightness.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def plan_lights(
 def _without_doubles(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """The fresh groups less those whose lamp hangs where another is on already (a slot made from a light)."""
+    """The new groups without lamps where another is already on (a slot made from a light)."""
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
@@ -228,7 +228,7 @@ def is_blocked(light: AreaLight, rays: RayScene) -> bool:
 def plan_panels(
     room: RoomToLight, recipe: LightRecipe, count: int, draws: Draws, rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """Panels under the ceiling above places where cameras may be, for rooms without light slots."""
+    """Panels under the ceiling above camera positions, for rooms without light slots."""
     groups: list[PlannedGroup] = []
     for _ in range(_PANEL_TRIES if len(room.eyes) else 0):
         if len(groups) == count:

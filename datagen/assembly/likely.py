@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Dresses a room as its owner might have: by what each surface is, in one style.
+"""Dresses a room as in real homes: by surface, in one style.
 
-For every slot the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are narrowed to those that the
-room's style allows, that the slot's geometry suits and for which the palette holds a material that can be
-brought into the look's ranges by a variation of its class. A look is drawn by weight, then a material, then
-where in the ranges it lies. What keeps its own material is varied a little, within its look where it has one.
+For every slot, the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are reduced to those that fit
+the room's style and the slot's geometry, and for which a material of the palette can be varied into the
+look's ranges. A look is drawn by weight, then a material, then a point in the ranges. Own materials vary a
+little, within their look if they have one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
 
 @dataclass(frozen=True)
 class Reach:
-    """Where a material can be brought within a look: hue shift, saturation, value and roughness ranges."""
+    """Variations that bring a material into a look: ranges of hue shift, saturation, value and roughness."""
 
     hue_shift: Interval
     saturation_scale: Interval
@@ -66,9 +66,9 @@ class Reach:
 
 
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
-    """How a material can be brought into a look's ranges; None where it cannot.
+    """The variations that bring a material into a look's ranges; None if there are none.
 
-    A material without textures is a tint and takes any colour that its class may have.
+    A material without textures is a tint and takes any colour of its class.
     """
     limits = CLASS_RANGES[material.classes[0]]
     is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS
@@ -132,10 +132,10 @@ class LikelyDresser:
         draws: Draws,
         foreign_slots: frozenset[tuple[str, str]] = frozenset(),
     ) -> dict[str, MaterialAssignment]:
-        """Assignments for the slots of one placed asset; slots that keep their material unchanged are absent.
+        """Assignments for the slots of one placed asset; unchanged slots are absent.
 
-        ``surfaces`` says what each slot is. A slot among ``foreign_slots`` never keeps its own material.
-        Every slot takes the same number of draws, whatever the palette holds.
+        ``surfaces`` is the surface of each slot. A slot among ``foreign_slots`` never keeps its own material.
+        Every slot takes the same number of draws, whatever the palette.
         """
         asset = package.asset
         assert isinstance(asset, ObjectAsset | EnvironmentAsset)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""What surfaces of real rooms look like: the materials and colours that are likely on them.
+"""Likely materials and colours of the surfaces of real rooms.
 
 A :class:`Look` is a class of material with ranges of D (hue, saturation and value of its mean, in linear
-HSV), S and R. A room has one :class:`RoomStyle`, which the looks that name one of its choices follow: one
-tone of wood, one metal for all handles and taps, one accent colour, white or dark or wooden joinery.
+HSV), S and R. A room has one :class:`RoomStyle`, shared by its looks: one tone of wood, one metal for all
+handles and taps, one accent colour, white or dark or wooden joinery.
 
-Sources. Ceilings 0.7 to 0.9, walls 0.5 to 0.8, floors 0.2 to 0.6 and large objects 0.2 to 0.7 are the
-reflectances that EN 12464-1:2021 recommends; the ranges are wider where people choose otherwise (dark floors,
-coloured walls). Hues, saturations and roughness: ``python -m datagen.assembly.surface_statistics`` over
-imported rooms gives the table in docs/assembly.md.
+Sources. EN 12464-1:2021 recommends reflectances of 0.7 to 0.9 for ceilings, 0.5 to 0.8 for walls, 0.2 to 0.6
+for floors and 0.2 to 0.7 for large objects; ranges are wider where practice differs (dark floors, coloured
+walls). Hues, saturations and roughness: ``python -m datagen.assembly.surface_statistics`` over imported
+rooms.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ ACCENT_SPREAD = 0.03  # hues of one accent differ by so much of a turn
 
 @dataclass(frozen=True)
 class RoomStyle:
-    """What a room's owner chose once for all: values of wood (furniture, floor), a hue, a metal, joinery."""
+    """Style of a room: values of wood (furniture, floor), a hue, a metal, joinery."""
 
     wood: Interval
     floor: Interval
@@ -84,7 +84,7 @@ class Look:
     only: Finish | Joinery | None = None
 
     def in_style(self, style: RoomStyle) -> Look | None:
-        """The look with the style's choices put in; None where the style leaves it out."""
+        """The look with the style's choices applied; None where the style excludes it."""
         if self.only is not None and self.only not in (style.finish, style.joinery):
             return None
         value, hue = self.value, self.hue

@@ -162,7 +162,7 @@ def draw_adjustment(
 
 
 def _held(moved: float, start: float, low: float, high: float) -> float:
-    """``moved`` inside [low, high], widened to hold ``start``."""
+    """``moved`` clamped to [low, high], widened to include ``start``."""
     return min(max(moved, min(low, start)), max(high, start))
 
 
@@ -209,13 +209,12 @@ def assign_materials(
     draws: Draws,
     foreign_slots: frozenset[tuple[str, str]] = frozenset(),
 ) -> dict[str, MaterialAssignment]:
-    """Assignments for the slots of one placed asset; slots that keep their material unchanged are absent.
+    """Assignments for the slots of one placed asset; unchanged slots are absent.
 
-    ``palette`` holds the material packages on offer, in a fixed order. A class is drawn first, then one of
-    its materials, so that a class with many materials does not crowd out the others. A slot among
-    ``foreign_slots`` (asset id, slot) never keeps its own material: where nothing suits it, it gets one
-    without textures. Slots that no class suits are never replaced otherwise. Bakes of one material
-    (``baked_from``) get one assignment, which suits all of them.
+    ``palette`` holds the material packages in a fixed order. A class is drawn first, then one of its
+    materials, so that large classes do not dominate. A slot among ``foreign_slots`` (asset id, slot) never
+    keeps its own material: without a fitting one, it gets one without textures. Slots without a fitting class
+    are never replaced otherwise. Bakes of one material (``baked_from``) get one assignment.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)

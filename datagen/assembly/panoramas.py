@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The outside of windows as panoramas of the library: which time of day, which panorama, how bright."""
+"""Panoramas outside of windows: time of day, panorama, brightness."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ DARK: tuple[Daytime, ...] = ("dusk", "night")
 def draw_daytime(
     assets: tuple[EnvironmentAsset | ObjectAsset, ...], recipe: LightRecipe, draws: Draws
 ) -> Daytime | None:
-    """The time of day outside a room (the first of ``assets``); None where the recipe names none, or where
-    the room is closed or has a sky of its own."""
+    """The time of day outside a room (the first of ``assets``); None where the recipe has none, or the room
+    is closed or has a sky of its own."""
     room = assets[0]
     assert isinstance(room, EnvironmentAsset)
     has_sky = any(is_from_outside(light) for asset in assets for light in asset.lights)
@@ -45,13 +45,13 @@ def panoramas_of(library: Library, daytime: Daytime) -> list[PanoramaAsset]:
 
 
 def draw_panorama(daytime: Daytime, library: Library, draws: Draws) -> EnvironmentLight:
-    """Light from one of the panoramas of a time of day, turned at random."""
+    """Light from a random panorama of a time of day, rotated at random."""
     chosen = draws.choice(panoramas_of(library, daytime))
     return turned_image(chosen.id, chosen.image, draws.uniform(-math.pi, math.pi))
 
 
 def turned_image(asset: str, image: str, turn_rad: float) -> EnvironmentLight:
-    """An image of a package as daylight, turned about the vertical."""
+    """An image of a package as daylight, rotated about the vertical."""
     rows = tuple(tuple(round(x, 9) for x in row) for row in rotation_about_up(turn_rad).tolist())
     return EnvironmentLight(
         name="daylight",

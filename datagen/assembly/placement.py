@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Things on surfaces: at rest, clear of each other and of the room, checked on the meshes themselves.
+"""Places objects on surfaces: at rest, clear of each other and of the room, tested on the meshes.
 
-A candidate is a thing, a surface, a scale, a yaw and a place. It is dropped: points of its underside are cast
-down onto the room's real triangles and the thing comes to rest on the highest of them, so it neither hovers
-nor sinks even where the declared rectangle is a little off. It must stand stably (its centre of mass above
-the hull of its contacts), must not cut into the room or another thing (triangle against triangle, FCL) and
-must not sit inside one of them.
+A candidate is an object, a surface, a scale, a yaw and a position. It is dropped: points of its underside are
+cast down onto the room's triangles, and the object rests on the highest hit, even where the declared
+rectangle is a little off. It must be stable (centre of mass above the hull of its contacts), must not
+intersect the room or another object (triangle against triangle, FCL) and must not lie inside one of them.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurf
 
 
 class Placer:
-    """Places things one after the other in one room and counts what it rejects."""
+    """Places objects one after the other in one room and counts rejections."""
 
     def __init__(self, room: Room, recipe: ObjectRecipe, rejections: Counter[str]):
         self.room = room
@@ -154,7 +153,7 @@ class Placer:
         return yaw, corner + frame.u[:2] * (du - along_u.min()) + frame.v[:2] * (dv - along_v.min())
 
     def _drop(self, thing: Thing, scale: float, yaw: float, position: Floats) -> float | str:
-        """How much to raise (lower) the thing so that it rests on what is really below it, or why not."""
+        """The vertical shift that brings the object to rest on the surface below, or the rejection."""
         points = world_points(pose(scale, yaw, position), thing.underside)
         start = points + np.array([0.0, 0.0, SURFACE_TOLERANCE_M])
         down = np.broadcast_to([0.0, 0.0, -1.0], points.shape)
@@ -178,7 +177,7 @@ class Placer:
     def _checked(
         self, thing: Thing, surface: SupportSurface, scale: float, yaw: float, position: Floats
     ) -> PlacedThing | str:
-        """The placed thing, or the reason why it collides."""
+        """The placed object, or the reason of its collision."""
         vertices = world_points(pose(scale, yaw, position), thing.geometry.vertices)
         used = vertices[np.unique(thing.geometry.faces)]
         bounds = np.stack([used.min(axis=0), used.max(axis=0)])
@@ -238,11 +237,10 @@ def place_things(
     rejections: Counter[str],
     weight_of_library: Mapping[str, tuple[str, float]] | None = None,
 ) -> list[PlacedThing]:
-    """Choose things by category weight and place them, large ones first.
+    """Choose objects by category weight and place them, large ones first.
 
-    ``weight_of_library`` gives the library of each object's id and its weight: the library of a thing is
-    drawn first. ``key`` seeds the draws. Raises :class:`InputError` when fewer than ``count[0]`` can be
-    placed.
+    ``weight_of_library`` gives the library of each object's id and its weight: the library is drawn first.
+    ``key`` seeds the draws. Raises :class:`InputError` when fewer than ``count[0]`` can be placed.
     """
     draws = Draws(*key, "objects")
     target = draws.integer(*recipe.count)
@@ -280,7 +278,7 @@ def place_things(
 
 @dataclass(frozen=True)
 class _Shelf:
-    """The things of one library by category; weights of the library and of its categories."""
+    """The objects of one library by category; weights of the library and of its categories."""
 
     weight: float
     by_category: dict[str, list[Thing]]

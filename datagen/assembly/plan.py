@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""From (recipe, index, library) to a configuration: a pure function, whoever calls it and in what order.
+"""From (recipe, index, library) to a configuration, as a pure function.
 
-The steps are choose a room, place things, dress them, light them, look around; each is a module beside this
-one. Splits are by configuration; with ``splits.disjoint`` the library is partitioned too, so that no asset
-of the test or validation split is ever seen in training.
+The steps are room, objects, materials, lights, views; each is a module here. Splits are by configuration;
+with ``splits.disjoint`` the library is partitioned too, so that no asset of the test or validation split
+occurs in training.
 """
 
 from __future__ import annotations
@@ -94,10 +94,10 @@ def configuration_id(recipe: Recipe, index: int) -> str:
 
 
 def check_recipe(recipe: Recipe, library: Library) -> None:
-    """Look for what would make some configuration fail before any is begun.
+    """Find faults that would make some configuration fail, before any is begun.
 
-    Raises :class:`InputError` for filters and weights that name nothing in the library, for splits that get
-    no configuration or no asset of their own, and for a library without rooms.
+    Raises :class:`InputError` for filters and weights without a match in the library, for splits without a
+    configuration or asset of their own, and for a library without rooms.
     """
     problems = recipe_problems(recipe, library)
     if problems:
@@ -107,11 +107,11 @@ def check_recipe(recipe: Recipe, library: Library) -> None:
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
     """The recipe's configuration number ``index``: equal arguments give equal ``canonical_json`` bytes.
 
-    Where the draws come out badly (too few things stand, too few views pass), things, lights and cameras are
-    drawn again in the same room, or in another where rooms are generated, at most :data:`NUM_TRIES` times in
-    all; ``rejections`` counts it as ``configuration.retried``. A generated room is not in ``library``: see
-    :func:`datagen.assembly.generated.room_of`. Raises :class:`InputError` where the library
-    cannot give what the recipe asks.
+    With too few objects or views, objects, lights and cameras are drawn again in the same room, or in another
+    where rooms are generated, at most :data:`NUM_TRIES` times in all; ``rejections`` counts it as
+    ``configuration.retried``. A generated room is not in ``library``: see
+    :func:`datagen.assembly.generated.room_of`. Raises :class:`InputError` where the library cannot meet the
+    recipe.
     """
     if not 0 <= index < recipe.configurations:
         raise IndexError(f"configuration {index} of {recipe.configurations}")
@@ -204,7 +204,7 @@ def _dress(
     library: Library,
     caches: _ProcessCaches,
 ) -> tuple[list[PlacedAsset], list[Package]]:
-    """Room and things as placed assets with materials, room first, and their packages."""
+    """Room and objects as placed assets with materials, room first, and their packages."""
     packages = [environment] + [library.package(t.thing.asset.id) for t in things]
     likely = _likely_dresser(recipe, key, pools, caches)
     placed = []
@@ -248,7 +248,7 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
 def _likely_dresser(
     recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
 ) -> LikelyDresser | None:
-    """The dresser of a configuration that is to look likely; None for a wild one."""
+    """The dresser of a likely configuration; None for a wild one."""
     weights = recipe.materials.variation
     draws = Draws(*key[:2], "style")
     if not draws.chance(weights.likely / (weights.likely + weights.wild)):
@@ -266,7 +266,7 @@ def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldS
 
 
 def world_of(configuration: Configuration, library: Library) -> WorldScene:
-    """Room and things of a configuration as rays meet them."""
+    """Room and objects of a configuration, for rays."""
     placed = [configuration.environment, *configuration.objects]
     geometry = _process_caches().geometry
     return _world([geometry.get(library.package(p.asset)) for p in placed], placed)

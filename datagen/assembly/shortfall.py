@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error of a configuration whose draws came out badly: other draws may do better."""
+"""The error of a configuration with too few objects or views: other draws may do better."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from datagen.foundation.errors import InputError, Problem
 
 
 class Shortfall(InputError):
-    """Too few things stood or too few views passed. :func:`datagen.assembly.plan.assemble` draws again."""
+    """Too few objects or views. :func:`datagen.assembly.plan.assemble` draws again."""
 
 
 def shortfall(where: str, field: str, got: str, expected: str, remedy: str) -> Shortfall:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rooms of a person's own that bring no sky: said before work starts, with what is done about it."""
+"""User rooms without a sky, reported before work starts with the substitute."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from datagen.library import Library
 
 
 def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
-    """Rooms of a person's own that bring no sky: how daylight is added, or why it cannot be, in words.
+    """User rooms without a sky, and how daylight is added, or why it cannot be.
 
-    Nothing is said where the recipe wants no daylight.
+    Empty where the recipe has no daylight.
     """
     lights = recipe.lights
     if not recipe.environments.needs_library or (
