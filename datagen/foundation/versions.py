@@ -6,7 +6,7 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 
 DISTRIBUTION = "scene-materials"
-RESULT_REVISION = 9
+RESULT_REVISION = 10
 """Raised whenever a change of the code changes the bytes of a dataset."""
 _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 

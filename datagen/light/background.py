@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Background radiance: rays that leave the mesh, from the pixels that show no surface.
+"""The radiance of rays that leave the mesh, out of the pixels that show no surface.
 
-Windows are near and the sky is far, so the background is binned by direction and by the place where a ray
-leaves the room's box. A bin holds the median of its pixels. An empty bin takes the nearest filled one, with a
-move by the box's diagonal counted as :data:`PLACE_WEIGHT` radians: within :data:`PHOTOGRAPHED_REACH` as
-photographed, within :data:`REACH` as an estimate, else unknown.
+Near light, as of a window's pane, depends on where a ray leaves the box of the room and on its direction:
+bins of both (:data:`NEAR`). Far light, as of the sky, depends on the direction alone, which then has finer
+bins (:data:`FAR`): half of the views predict the other half's pixels by direction and by place, and the
+better prediction decides. A bin holds the median of its pixels, of far light their mean. One without pixels
+takes the nearest that has some, a move by the diagonal of the box counting as :data:`PLACE_WEIGHT` radians:
+within the layout's ``photographed_reach`` as if it were photographed, within :data:`REACH` as an estimate,
+else unknown.
 """
 
 from __future__ import annotations
@@ -17,134 +20,223 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from datagen.foundation.color import luminance
 from datagen.geometry.views import TracedView
 
-PLACES = 12
-"""Bins along both sides of a face of the box."""
-AZIMUTHS, HEIGHTS = 24, 12
-"""Bins of azimuth, and of the direction's z in equal steps: equal solid angles."""
+REACH = 1.0
 MIN_PIXELS = 3
 """Pixels that a bin needs to count as seen."""
 PLACE_WEIGHT = 2.25
-REACH, PHOTOGRAPHED_REACH = 1.0, 0.45
-_MAX_SAMPLES = 6000  # pixels of a view
-_NUM_DIRECTIONS = AZIMUTHS * HEIGHTS
-_NUM_PLACES = 6 * PLACES * PLACES
+FAR_GAIN = 0.8
+"""Part of the error by place that the error by direction must be below: of two that explain as much, near
+light is the better, as its place is known."""
+JUDGED_PLACES = 24
+"""Squares along a side of the box by which that is judged; directions are :data:`FAR`'s."""
+_MIN_GAIN = 1e-3  # in ln radiance: rounding tells nothing
+_MAX_PIXELS = 6000  # of a view
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Bins by ``faces`` of the box (1: the place does not count), ``places`` along both sides of a face,
+    ``azimuths``, and ``heights`` of the direction's z in equal steps: equal solid angles.
+    ``photographed_reach`` is in radians."""
+
+    faces: int
+    places: int
+    azimuths: int
+    heights: int
+    photographed_reach: float
+
+    @property
+    def directions(self) -> int:
+        """Bins by direction at one place."""
+        return self.azimuths * self.heights
+
+    @property
+    def size(self) -> int:
+        """Bins in all."""
+        return self.faces * self.places**2 * self.directions
+
+    def ways(self) -> NDArray[np.float64]:
+        """Unit directions (D, 3) of the centres of the bins at one place."""
+        row, column = np.divmod(np.arange(self.directions), self.azimuths)
+        z = (row + 0.5) / self.heights * 2 - 1
+        azimuth = (column + 0.5 - 0.5 * self.azimuths) * (2 * np.pi / self.azimuths)
+        radius = np.sqrt(1 - z**2)
+        return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+
+    def bins_of(self, origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
+        """Bins (N,) of rays (N, 3) from inside of the box from ``low`` to ``high`` (3,)."""
+        azimuth = np.arctan2(direction[:, 1], direction[:, 0]) * (self.azimuths / (2 * np.pi))
+        column = np.clip(azimuth + 0.5 * self.azimuths, 0, self.azimuths - 1).astype(np.int64)
+        row = np.clip((direction[:, 2] * 0.5 + 0.5) * self.heights, 0, self.heights - 1).astype(np.int64)
+        way = row * self.azimuths + column
+        if self.faces == 1:
+            return way
+        face, place = box_squares(origin, direction, low, high, self.places)
+        return ((face * self.places + place[:, 0]) * self.places + place[:, 1]) * self.directions + way
+
+
+NEAR = Layout(6, 12, 24, 12, photographed_reach=0.45)
+FAR = Layout(1, 1, 128, 64, photographed_reach=0.15)
 
 
 @dataclass(frozen=True)
 class Background:
-    """``low`` and ``high`` (3,) corners of the box; by bin ``radiance`` (B, 3), ``is_known`` and
-    ``is_photographed`` (B,)."""
+    """``low`` and ``high`` (3,) corners of the box; by bin of the ``layout`` ``radiance`` (B, 3),
+    ``is_known`` and ``is_photographed`` (B,)."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     radiance: NDArray[np.float32]
     is_known: NDArray[np.bool_]
     is_photographed: NDArray[np.bool_]
+    layout: Layout = NEAR
 
     def bin_of(self, origin: Any, direction: Any) -> Any:
-        """Bin of Dr.Jit rays that start inside the box."""
+        """Bin of Dr.Jit rays from inside of the box."""
         import drjit as dr
         import mitsuba as mi
 
+        azimuths, heights = self.layout.azimuths, self.layout.heights
+        azimuth = dr.atan2(direction.y, direction.x) * (azimuths / (2 * np.pi)) + 0.5 * azimuths
+        column = mi.UInt32(dr.clip(azimuth, 0.0, azimuths - 1.0))
+        row = mi.UInt32(dr.clip((direction.z * 0.5 + 0.5) * heights, 0.0, heights - 1.0))
+        way = row * azimuths + column
+        if self.layout.faces == 1:
+            return way
         distance, axis = mi.Float(dr.inf), mi.UInt32(0)
         for k in range(3):
             d = dr.select(dr.abs(direction[k]) < 1e-9, 1e-9, direction[k])
             t = dr.maximum((dr.select(d > 0, float(self.high[k]), float(self.low[k])) - origin[k]) / d, 0.0)
             axis = dr.select(t < distance, k, axis)
             distance = dr.minimum(t, distance)
+        places = self.layout.places
         place = [
             dr.clip(
                 mi.UInt32(
                     dr.clip(
                         (origin[k] + distance * direction[k] - float(self.low[k])) * float(s),
                         0.0,
-                        PLACES - 1.0,
+                        places - 1.0,
                     )
                 ),
                 0,
-                PLACES - 1,
+                places - 1,
             )
-            for k, s in enumerate(PLACES / (self.high - self.low))
+            for k, s in enumerate(places / (self.high - self.low))
         ]
         u = dr.select(axis == 0, place[1], place[0])
         v = dr.select(axis == 2, place[1], place[2])
         leaving = dr.select(axis == 0, direction.x, dr.select(axis == 1, direction.y, direction.z))
         face = 2 * axis + dr.select(leaving > 0, mi.UInt32(1), 0)
-        azimuth = dr.atan2(direction.y, direction.x) * (AZIMUTHS / (2 * np.pi)) + 0.5 * AZIMUTHS
-        column = mi.UInt32(dr.clip(azimuth, 0.0, AZIMUTHS - 1.0))
-        row = mi.UInt32(dr.clip((direction.z * 0.5 + 0.5) * HEIGHTS, 0.0, HEIGHTS - 1.0))
-        return ((face * PLACES + u) * PLACES + v) * _NUM_DIRECTIONS + row * AZIMUTHS + column
+        return ((face * places + u) * places + v) * self.layout.directions + way
 
 
-def bins_of(origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
-    """Bins (N,) of rays (N, 3), in NumPy."""
+def box_squares(
+    origin: NDArray, direction: NDArray, low: NDArray, high: NDArray, across: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Face (N,) of the box through which rays (N, 3) from its inside leave, axis times 2 and 1 for the upper
+    one, and which of ``across`` x ``across`` squares (N, 2) of it."""
     safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
     leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
     axis = leaves.argmin(axis=1)
     rows = np.arange(len(axis))
-    place = origin + leaves[rows, axis][:, None] * direction
-    place = np.clip((place - low) * (PLACES / (high - low)), 0, PLACES - 1).astype(np.int64)
-    u = np.where(axis == 0, place[:, 1], place[:, 0])
-    v = np.where(axis == 2, place[:, 1], place[:, 2])
-    face = 2 * axis + (direction[rows, axis] > 0)
-    azimuth = np.arctan2(direction[:, 1], direction[:, 0]) * (AZIMUTHS / (2 * np.pi)) + 0.5 * AZIMUTHS
-    column = np.clip(azimuth, 0, AZIMUTHS - 1).astype(np.int64)
-    row = np.clip((direction[:, 2] * 0.5 + 0.5) * HEIGHTS, 0, HEIGHTS - 1).astype(np.int64)
-    return ((face * PLACES + u) * PLACES + v) * _NUM_DIRECTIONS + row * AZIMUTHS + column
+    place = (origin + leaves[rows, axis][:, None] * direction - low) * (across / (high - low))
+    first, second = np.where(axis == 0, 1, 0), np.where(axis == 2, 1, 2)
+    square = np.stack([place[rows, first], place[rows, second]], axis=1)
+    return 2 * axis + (direction[rows, axis] > 0), np.clip(square, 0, across - 1).astype(np.int64)
 
 
-def _centres(bins: NDArray, low: NDArray, high: NDArray) -> NDArray[np.float64]:
-    """Bin centres as rays (N, 6): place in units of :data:`PLACE_WEIGHT` diagonals, and direction."""
-    face, direction = np.divmod(bins, PLACES * PLACES * _NUM_DIRECTIONS)
-    u, direction = np.divmod(direction, PLACES * _NUM_DIRECTIONS)
-    v, direction = np.divmod(direction, _NUM_DIRECTIONS)
-    row, column = np.divmod(direction, AZIMUTHS)
+@dataclass(frozen=True)
+class OutsidePixels:
+    """Pixels (N,) that show no surface: ``origin``, ``direction`` and ``color`` (N, 3), ``view`` (N,)."""
+
+    origin: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    color: NDArray[np.float32]
+    view: NDArray[np.int64]
+
+
+def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
+    """A part of the pixels of each view that show no surface."""
+    parts: list[tuple[NDArray, ...]] = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
+    for number, view in enumerate(views):
+        pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())
+        pixel = pixel[:: max(1, len(pixel) // _MAX_PIXELS)]
+        rays = view.camera.ray_directions().reshape(-1, 3)[pixel]
+        origin = np.broadcast_to(view.camera.position_m, rays.shape)
+        parts.append((origin, rays, view.color.reshape(-1, 3)[pixel], np.full(len(pixel), number)))
+    origin, direction, color, index = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return OutsidePixels(origin, direction, color.astype(np.float32), index.astype(np.int64))
+
+
+def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
+    """Whether the direction predicts the pixels of other views better than the place does."""
+    if not len(pixels.view):
+        return False
+    face, square = box_squares(pixels.origin, pixels.direction, low, high, JUDGED_PLACES)
+    by_place = (face * JUDGED_PLACES + square[:, 0]) * JUDGED_PLACES + square[:, 1]
+    by_direction = FAR.bins_of(pixels.origin, pixels.direction, low, high)
+    predicts = pixels.view % 2 == 0
+    bright = luminance(pixels.color.astype(np.float64))
+    encoded = np.log(np.maximum(bright, 0) + 0.01 * float(bright.mean()) + 1e-12)
+    errors = []
+    both = np.ones(int((~predicts).sum()), dtype=bool)
+    for bins in (by_direction, by_place):
+        num = int(bins.max()) + 1
+        count = np.bincount(bins[predicts], minlength=num)
+        mean = np.bincount(bins[predicts], encoded[predicts], num) / np.maximum(count, 1)
+        both &= count[bins[~predicts]] > 0
+        errors.append(np.abs(mean[bins[~predicts]] - encoded[~predicts]))
+    if not both.any():
+        return False
+    of_direction, of_place = (float(error[both].mean()) for error in errors)
+    return of_direction < FAR_GAIN * of_place - _MIN_GAIN
+
+
+def photographed_background(
+    views: Sequence[TracedView], low: NDArray, high: NDArray, layout: Layout | None = None
+) -> Background:
+    """The background that ``views`` show beyond the box from ``low`` to ``high`` (3,), in the ``layout`` that
+    suits them where none is given."""
+    pixels = outside_pixels(views)
+    if layout is None:
+        layout = FAR if is_far(pixels, low, high) else NEAR
+    radiance = np.zeros((layout.size, 3), np.float32)
+    is_known, is_photographed = np.zeros(layout.size, dtype=bool), np.zeros(layout.size, dtype=bool)
+    bins = layout.bins_of(pixels.origin, pixels.direction, low, high)
+    keys, colors = (_means if layout is FAR else _medians)(bins, pixels.color)
+    if not len(keys):
+        return Background(low, high, radiance, is_known, is_photographed, layout)
+    radiance[keys] = colors
+    is_known[keys] = is_photographed[keys] = True
+    rest = np.flatnonzero(~is_known)
+    distance, nearest = cKDTree(_centres(keys, low, high, layout)).query(
+        _centres(rest, low, high, layout), distance_upper_bound=REACH, workers=-1
+    )
+    found = np.isfinite(distance)
+    radiance[rest[found]] = colors[nearest[found]]
+    is_known[rest[found]] = True
+    is_photographed[rest[distance <= layout.photographed_reach]] = True
+    return Background(low, high, radiance, is_known, is_photographed, layout)
+
+
+def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDArray[np.float64]:
+    """Rays (N, 6) of bins, as their place in units of :data:`PLACE_WEIGHT` diagonals and their direction."""
+    places = layout.places
+    face, direction = np.divmod(bins, places * places * layout.directions)
+    u, direction = np.divmod(direction, places * layout.directions)
+    v, direction = np.divmod(direction, layout.directions)
     axis, is_high = face // 2, face % 2
     share = np.zeros((len(bins), 3))
     rows = np.arange(len(bins))
     first, second = np.where(axis == 0, 1, 0), np.where(axis == 2, 1, 2)
-    share[rows, first], share[rows, second] = (u + 0.5) / PLACES, (v + 0.5) / PLACES
+    share[rows, first], share[rows, second] = (u + 0.5) / places, (v + 0.5) / places
     share[rows, axis] = is_high
     size = float(np.linalg.norm(high - low))
-    z = (row + 0.5) / HEIGHTS * 2 - 1
-    azimuth = (column + 0.5 - 0.5 * AZIMUTHS) * (2 * np.pi / AZIMUTHS)
-    radius = np.sqrt(1 - z**2)
-    way = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
-    return np.concatenate([share * (high - low) * (PLACE_WEIGHT / size), way], axis=1)
-
-
-def photographed_background(views: Sequence[TracedView], low: NDArray, high: NDArray) -> Background:
-    """Background of ``views`` beyond the box from ``low`` to ``high`` (3,)."""
-    origins, directions, colors = [], [], []
-    for view in views:
-        pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())
-        pixel = pixel[:: max(1, len(pixel) // _MAX_SAMPLES)]
-        directions.append(view.camera.ray_directions().reshape(-1, 3)[pixel])
-        origins.append(np.broadcast_to(view.camera.position_m, (len(pixel), 3)))
-        colors.append(view.color.reshape(-1, 3)[pixel])
-    origin, direction, color = (np.concatenate(parts) for parts in (origins, directions, colors))
-    num_bins = _NUM_PLACES * _NUM_DIRECTIONS
-    radiance = np.zeros((num_bins, 3), np.float32)
-    is_known, is_photographed = np.zeros(num_bins, dtype=bool), np.zeros(num_bins, dtype=bool)
-    if not len(origin):
-        return Background(low, high, radiance, is_known, is_photographed)
-    keys, medians = _medians(bins_of(origin, direction, low, high), color)
-    if not len(keys):
-        return Background(low, high, radiance, is_known, is_photographed)
-    seen = np.zeros(num_bins, dtype=bool)
-    radiance[keys], seen[keys] = medians, True
-    rest = np.flatnonzero(~seen)
-    distance, nearest = cKDTree(_centres(keys, low, high)).query(
-        _centres(rest, low, high), distance_upper_bound=REACH, workers=-1
-    )
-    found = np.isfinite(distance)
-    radiance[rest[found]] = medians[nearest[found]]
-    is_known[keys] = is_photographed[keys] = True
-    is_known[rest[found]] = True
-    is_photographed[rest[distance <= PHOTOGRAPHED_REACH]] = True
-    return Background(low, high, radiance, is_known, is_photographed)
+    return np.concatenate([share * (high - low) * (PLACE_WEIGHT / size), layout.ways()[direction]], axis=1)
 
 
 def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
@@ -157,3 +249,11 @@ def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[
         medians[:, channel] = 0.5 * (values[first + (num - 1) // 2] + values[first + num // 2])
     enough = num >= MIN_PIXELS
     return keys[enough], medians[enough]
+
+
+def _means(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """The same with means, which keep the light of a sky of trees and clouds."""
+    keys, of_pixel, num = np.unique(bins, return_inverse=True, return_counts=True)
+    sums = [np.bincount(of_pixel, color[:, channel].astype(np.float64)) for channel in range(3)]
+    enough = num >= MIN_PIXELS
+    return keys[enough], (np.stack(sums, axis=1) / num[:, None]).astype(np.float32)[enough]

@@ -20,15 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import luminance
-from datagen.light.background import AZIMUTHS, HEIGHTS, PLACES, Background
+from datagen.light.background import NEAR, Background, Layout
 from datagen.light.bake import Baker, cosine_rays
 from datagen.light.radiance_field import side_of
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 MAX_SURFELS, RAYS = 16_000, 96
 """Surfels that the fit is made on, and rays of each."""
-PLACE_BINS, AZIMUTH_BINS, HEIGHT_BINS = 4, 6, 6
-"""Bins of the background along each of its axes that share a gain."""
+PLACE_BLOCKS, AZIMUTH_BLOCKS, HEIGHT_BLOCKS = 3, 4, 2
+"""Blocks of the background's bins, along each of its axes, that share a gain."""
+FAR_AZIMUTH_BLOCKS, FAR_HEIGHT_BLOCKS = 8, 4
+"""The same where the direction alone counts."""
 ROOM_PARTS = 5
 """Parts of the room along its longest side; surface in one that faces one way shares a gain."""
 MIN_SHARE, MAX_GROUPS = 0.002, 96
@@ -46,9 +48,7 @@ MAX_REFLECTED = 1.1
 _HUBER = 0.25  # in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
 _MIN_REST = 0.02  # of the irradiance: samples of its parts are not those of the whole
-_PLACES = PLACES // PLACE_BINS
-_DIRECTIONS = (AZIMUTHS // AZIMUTH_BINS) * (HEIGHTS // HEIGHT_BINS)
-NUM_OUTSIDE = 6 * _PLACES * _PLACES * _DIRECTIONS
+NUM_OUTSIDE = 6 * PLACE_BLOCKS**2 * AZIMUTH_BLOCKS * HEIGHT_BLOCKS
 NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 
 
@@ -62,14 +62,16 @@ class EstimateGains:
     hidden: NDArray[np.float64]
 
 
-def background_groups() -> NDArray[np.int64]:
+def background_groups(layout: Layout) -> NDArray[np.int64]:
     """Group of each bin of a :class:`~datagen.light.background.Background`, below :data:`NUM_OUTSIDE`."""
-    face, u, v, row, column = np.unravel_index(
-        np.arange(6 * PLACES * PLACES * HEIGHTS * AZIMUTHS), (6, PLACES, PLACES, HEIGHTS, AZIMUTHS)
+    shape = layout.faces, layout.places, layout.places, layout.heights, layout.azimuths
+    blocks = 6, PLACE_BLOCKS, PLACE_BLOCKS, HEIGHT_BLOCKS, AZIMUTH_BLOCKS
+    if layout is not NEAR:
+        blocks = 1, 1, 1, FAR_HEIGHT_BLOCKS, FAR_AZIMUTH_BLOCKS
+    bins = np.unravel_index(np.arange(layout.size), shape)
+    return np.ravel_multi_index(
+        [axis // (num // of) for axis, num, of in zip(bins, shape, blocks, strict=True)], blocks
     )
-    place = (face * _PLACES + u // PLACE_BINS) * _PLACES + v // PLACE_BINS
-    direction = (column // AZIMUTH_BINS) * (HEIGHTS // HEIGHT_BINS) + row // HEIGHT_BINS
-    return place * _DIRECTIONS + direction
 
 
 def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> NDArray[np.int64]:
@@ -90,7 +92,7 @@ def fitted_gains(baker: Baker, surfels: Surfels, region: NDArray) -> EstimateGai
     estimated = baker.field.estimated(cosine_rays(position, normal, RAYS, baker.start_m, seed=3))
     group = np.where(
         estimated.background_bin >= 0,
-        background_groups()[estimated.background_bin],
+        background_groups(baker.field.background.layout)[estimated.background_bin],
         surface_groups(estimated.position_m, estimated.normal, surfels),
     )
     surfel = estimated.ray // RAYS
@@ -171,5 +173,5 @@ def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np
 def with_gains(background: Background, gains: NDArray) -> Background:
     """The background with gains applied to its estimates, not to photographed radiance."""
     is_estimated = background.is_known & ~background.is_photographed
-    factor = np.where(is_estimated, gains[background_groups()], 1.0)[:, None]
+    factor = np.where(is_estimated, gains[background_groups(background.layout)], 1.0)[:, None]
     return replace(background, radiance=(background.radiance * factor).astype(np.float32))

@@ -55,7 +55,7 @@ from model.reconstruction.stages import MapSource
 
 _MEASURES = 4
 """Revision of the figures: those of another are measured anew."""
-_RECONSTRUCTION = 11
+_RECONSTRUCTION = 12
 """Revision of the maps that ``infer`` makes of a capture: those of another are made anew."""
 _TAKEN = 1
 """Revision of what is made of photographs with faults, besides."""

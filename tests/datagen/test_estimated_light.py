@@ -6,9 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from datagen.light.background import AZIMUTHS, HEIGHTS, PLACES, Background, bins_of
+from datagen.light.background import FAR, NEAR, Background, Layout
 from datagen.light.estimated_light import (
     MAX_LOG_GAIN,
     NUM_GROUPS,
@@ -70,29 +71,35 @@ def test_gains_are_bounded() -> None:
     assert solve_gains(bright, rest, parts, region, IS_OUTSIDE).max() <= np.exp(MAX_LOG_GAIN) * (1 + 1e-12)
 
 
-def test_background_groups_are_blocks_of_places_and_directions() -> None:
-    groups = background_groups()
+@pytest.mark.parametrize("layout", [NEAR, FAR])
+def test_background_groups_are_blocks_of_places_and_directions(layout: Layout) -> None:
+    groups = background_groups(layout)
     assert groups.min() == 0
-    assert groups.max() == NUM_OUTSIDE - 1
-    assert NUM_OUTSIDE < NUM_GROUPS
+    assert groups.max() < NUM_OUTSIDE < NUM_GROUPS
+    assert (groups.max() == NUM_OUTSIDE - 1) == (layout is NEAR)
     sizes = np.bincount(groups)
     assert (sizes == sizes[0]).all()
     low, high = np.zeros(3), np.ones(3)
     east = np.array([[1.0, 0.1, 0.02], [1.0, 0.1, 0.15], [-1.0, 0.1, 0.02], [1.0, 0.1, -0.15]])
-    near, up, back, down = groups[bins_of(np.full((4, 3), 0.5), east, low, high)]
+    near, up, back, down = groups[layout.bins_of(np.full((4, 3), 0.5), east, low, high)]
     assert near == up
     assert len({near, back, down}) == 3
+    ahead, aside = groups[
+        layout.bins_of(np.array([[0.5, 0.1, 0.5], [0.5, 0.9, 0.5]]), east[:1].repeat(2, 0), low, high)
+    ]
+    assert (ahead == aside) == (layout is FAR)
 
 
-def test_only_estimates_of_the_background_are_scaled() -> None:
-    num = 6 * PLACES * PLACES * AZIMUTHS * HEIGHTS
-    is_known = np.arange(num) % 3 > 0
-    background = Background(
-        np.zeros(3), np.ones(3), np.ones((num, 3), np.float32), is_known, np.arange(num) % 3 == 2
-    )
+@pytest.mark.parametrize("layout", [NEAR, FAR])
+def test_only_estimates_of_the_background_are_scaled(layout: Layout) -> None:
+    is_known = np.arange(layout.size) % 3 > 0
+    radiance = np.ones((layout.size, 3), np.float32)
+    is_photographed = np.arange(layout.size) % 3 == 2
+    background = Background(np.zeros(3), np.ones(3), radiance, is_known, is_photographed, layout)
     gains = np.linspace(1, 2, NUM_GROUPS)
     scaled = with_gains(background, gains)
     kept = ~is_known | background.is_photographed
     np.testing.assert_array_equal(scaled.radiance[kept], 1)
-    np.testing.assert_allclose(scaled.radiance[~kept, 1], gains[background_groups()][~kept], rtol=1e-6)
+    of_bin = gains[background_groups(layout)]
+    np.testing.assert_allclose(scaled.radiance[~kept, 1], of_bin[~kept], rtol=1e-6)
     assert replace(scaled, radiance=background.radiance) == replace(background)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import mesh_scene
-from datagen.light.background import AZIMUTHS, HEIGHTS, PLACES, Background
+from datagen.light.background import NEAR, Background
 from datagen.light.bake import Baker
 from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
@@ -37,10 +37,9 @@ ABOVE = 0.25
 
 def background(radiance: NDArray) -> Background:
     """One radiance from everywhere."""
-    num = 6 * PLACES * PLACES * AZIMUTHS * HEIGHTS
-    every = np.ones(num, dtype=bool)
+    every = np.ones(NEAR.size, dtype=bool)
     low, high = np.full(3, -5.0), np.full(3, 5.0)
-    return Background(low, high, np.tile(radiance, (num, 1)).astype(np.float32), every, every)
+    return Background(low, high, np.tile(radiance, (NEAR.size, 1)).astype(np.float32), every, every)
 
 
 def dark_surfel() -> Surfels:

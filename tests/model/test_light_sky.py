@@ -19,10 +19,20 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import open_package
+from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import decode_ply
-from datagen.geometry.traced import TracedGeometry, smooth_regions
-from datagen.light.background import Background
+from datagen.geometry.traced import TracedGeometry, ViewGeometry, smooth_regions
+from datagen.geometry.views import TracedView
+from datagen.light.background import (
+    FAR,
+    NEAR,
+    Background,
+    OutsidePixels,
+    box_squares,
+    is_far,
+    photographed_background,
+)
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import Lit, light_surfels
 from model.reconstruction.atlas.atlas import empty_atlas
@@ -33,18 +43,11 @@ from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
 from model.reconstruction.export.slots import Reconstruction
 from model.reconstruction.found_lights import FoundLamp, FoundLights, FoundPatch, Rectangle, lights_text
 from model.reconstruction.light.lamps import found_lamps
-from model.reconstruction.light.openings import LeavingRays, box_squares, found_windows
+from model.reconstruction.light.openings import FINE, LeavingRays, found_windows
 from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.rectangles import cover, cut, largest_rectangle
 from model.reconstruction.light.shining import shining_patches
-from model.reconstruction.light.sky import (
-    HEIGHT,
-    SkyPixels,
-    direction_vectors,
-    directions_of,
-    is_far,
-    sky_image,
-)
+from model.reconstruction.light.sky import HEIGHT, direction_vectors, directions_of, sky_image
 from oracles.textured_room import room_capture
 from tests.conftest import REPOSITORY
 from tests.model.light_room import LAMP, photographed_room, room_geometry
@@ -69,7 +72,7 @@ def bundle(
     through = np.array(corner) + random.uniform(0, 1, (num, 3)) * [0, *size]
     direction = through - origin
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    face, _ = box_squares(origin, direction, LOW, HIGH)
+    face, _ = box_squares(origin, direction, LOW, HIGH, FINE)
     radiance = np.tile(np.array([1, 2, 3], np.float32), (num, 1)) * (1 + through[:, 1:2] - corner[1])
     return LeavingRays(origin, direction, face, radiance.astype(np.float32), np.ones(num, bool))
 
@@ -129,14 +132,14 @@ def test_rectangles_of_a_mask() -> None:
     np.testing.assert_array_equal(painted, corner)
 
 
-def pixels_of(color_of: object, num_views: int = 12) -> SkyPixels:
+def pixels_of(color_of: object, num_views: int = 12) -> OutsidePixels:
     random = np.random.default_rng(4)
     eye = random.uniform(0.2, 0.8, (num_views, 3)) * HIGH
     origin = eye.repeat(500, axis=0)
     through = np.array([4.0, 0.6, 0.6]) + random.uniform(0, 1, origin.shape) * [0, 1.8, 1.3]
     direction = (through - origin) / np.linalg.norm(through - origin, axis=1, keepdims=True)
     color = np.asarray(color_of(through, direction), np.float32)[:, None] * np.ones(3, np.float32)  # type: ignore[operator]
-    return SkyPixels(origin, direction, color, np.arange(num_views).repeat(500))
+    return OutsidePixels(origin, direction, color, np.arange(num_views).repeat(500))
 
 
 def test_far_light_is_told_from_near() -> None:
@@ -146,26 +149,66 @@ def test_far_light_is_told_from_near() -> None:
     def near(through: NDArray, direction: NDArray) -> NDArray:
         return np.asarray(1 + 0.9 * np.sin(4 * through[:, 1]) * np.cos(4 * through[:, 2]))
 
-    assert is_far(pixels_of(far), background())
-    assert not is_far(pixels_of(near), background())
-    assert not is_far(pixels_of(lambda through, direction: np.ones(len(through))), background())
+    assert is_far(pixels_of(far), LOW, HIGH)
+    assert not is_far(pixels_of(near), LOW, HIGH)
+    assert not is_far(pixels_of(lambda through, direction: np.ones(len(through))), LOW, HIGH)
+
+
+def glow(direction: NDArray) -> NDArray[np.float64]:
+    """A sky that is 50 times as bright at the sun as elsewhere."""
+    to_sun = direction @ np.array([0.8, 0.0, 0.6])
+    return np.asarray(1 + 50 * np.exp(20 * (to_sun - 1)))
+
+
+def test_sky_with_a_glow_is_known_by_direction() -> None:
+    """Where photographs look, and elsewhere as an estimate; bins of places, which few pixels each fall into,
+    hardly know it."""
+    random = np.random.default_rng(5)
+    views = []
+    for number in range(12):
+        eye = random.uniform(0.2, 0.8, 3) * HIGH
+        way = np.array([np.cos(0.1 * number), np.sin(0.1 * number), 0.3 + 0.05 * number])
+        pose = look_at(eye, eye + way)
+        camera = Camera(64, 48, 42.0, 42.0, 32.0, 24.0, pose)
+        color = glow(camera.ray_directions())[..., None] * np.ones(3)
+        none = np.zeros((48, 64, 1), np.float32)
+        nothing = ViewGeometry(
+            none, none.repeat(3, 2), none, np.full((48, 64), -1, np.int32), none[..., 0] > 0
+        )
+        views.append(TracedView(camera, color.astype(np.float32), nothing, np.ones((48, 64), bool)))
+    found = photographed_background(views, LOW, HIGH)
+    assert found.layout is FAR
+    origin = random.uniform(0.1, 0.9, (4000, 3)) * HIGH
+    seen = random.normal([0.8, 0.3, 0.4], 0.15, (4000, 3))
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+
+    def error(background: Background) -> float:
+        bins = background.layout.bins_of(origin, seen, LOW, HIGH)
+        known = background.is_photographed[bins]
+        assert known.mean() > 0.9
+        return float(np.abs(np.log(background.radiance[bins, 1] / glow(seen)))[known].mean())
+
+    assert error(found) < 0.1
+    assert error(photographed_background(views, LOW, HIGH, NEAR)) > 0.2
+    away = np.array([[-1.0, 0, 0], [0.8, 0.3, 0.4]])
+    bins = FAR.bins_of(origin[:2], away / np.linalg.norm(away, axis=1, keepdims=True), LOW, HIGH)
+    np.testing.assert_array_equal(found.is_photographed[bins], [False, True])
 
 
 def test_image_of_the_sky_points_where_rays_went() -> None:
+    radiance = np.zeros((FAR.size, 3), np.float32)
+    ways = np.array([[0, 1.0, 0.01], [0, -1.0, 0.2]])
+    bins = FAR.bins_of(np.zeros((2, 3)), ways, LOW, HIGH)
+    radiance[bins] = [[1, 2, 3], [5, 1, 1]]
+    known = np.isin(np.arange(FAR.size), bins)
+    image = sky_image(Background(LOW, HIGH, radiance, known, known, FAR))
+    np.testing.assert_array_equal(image[HEIGHT // 2, HEIGHT], [1, 2, 3])  # the centre looks along +Y
+    np.testing.assert_array_equal(image[HEIGHT // 2, 0], [5, 1, 1])  # -Y: no bin there, the nearest
     ways = direction_vectors(HEIGHT)
     np.testing.assert_array_equal(directions_of(ways, HEIGHT), np.arange(len(ways)))
-    nothing = np.zeros((0, 3))
-    rays = LeavingRays(
-        nothing,
-        np.array([[0, -1.0, 0.2]]),
-        np.zeros(1, int),
-        np.array([[5.0, 1, 1]], np.float32),
-        np.ones(1, bool),
-    )
-    pixels = SkyPixels(nothing, np.array([[0, 1.0, 0]]), np.array([[1, 2, 3]], np.float32), np.zeros(1, int))
-    image = sky_image(pixels, rays)
-    np.testing.assert_array_equal(image[HEIGHT // 2, HEIGHT], [1, 2, 3])  # the centre looks along +Y
-    np.testing.assert_array_equal(image[HEIGHT // 2, 0], [5, 1, 1])  # -Y: what no pixel shows, but a ray
+    dark = np.zeros((FAR.size, 3), np.float32)
+    dark[bins[0]] = 1  # not lost between the centres of the pixels
+    assert sky_image(Background(LOW, HIGH, dark, dark[:, 0] >= 0, known, FAR)).max() > 0.3
 
 
 def test_lamp_that_no_geometry_names_is_found() -> None:

@@ -3,25 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry
-from datagen.geometry.views import TracedView
+from datagen.light.background import FAR
 from datagen.light.lighting import Lit
 from model.reconstruction.found_lights import FoundLights
 from model.reconstruction.light.lamps import found_lamps
 from model.reconstruction.light.openings import found_windows, leaving_rays
 from model.reconstruction.light.shining import shining_patches
-from model.reconstruction.light.sky import is_far, sky_image, sky_pixels
+from model.reconstruction.light.sky import sky_image
 
 
-def found_lights(
-    lit: Lit, views: Sequence[TracedView], traced: TracedGeometry, geometry: CaptureGeometry
-) -> FoundLights:
+def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
     """Lamps, windows and, where light from outside is far, the sky, as photographed. Lamps named by the
     geometry are not searched for."""
     field = lit.baker.field
@@ -29,7 +25,5 @@ def found_lights(
     rays = leaving_rays(field, lit.surfels)
     median = float(np.median(luminance(lit.surfels.radiance.astype(np.float64))))
     windows = found_windows(rays, field.background, median)
-    pixels = sky_pixels(views)
-    is_sky = bool(windows) and is_far(pixels, field.background)
-    sky = sky_image(pixels, rays) if is_sky else None
+    sky = sky_image(field.background) if windows and field.background.layout is FAR else None
     return FoundLights(lamps, shining_patches(lit), windows, sky)

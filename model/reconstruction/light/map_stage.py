@@ -33,7 +33,7 @@ def lit(traced: TracedCapture, maps: list[Maps], run: Run, options: LightOptions
             report,
         )
         with report.step("lights"):
-            lights = found_lights(found.lit, traced.views, traced.geometry, traced.capture.geometry)
+            lights = found_lights(found.lit, traced.geometry, traced.capture.geometry)
     run.report.light = {**asdict(report), "lights": lights.described()}
     run.found.lights = lights
     run.found.confidence_at = SurfelConfidence.of(found.lit.surfels, found.solved.confidence).at

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.light.background import Background
+from datagen.light.background import Background, box_squares
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import Surfels
 from datagen.multiview.visibility import vectors_from_rows
@@ -80,26 +80,12 @@ def leaving_rays(field: RadianceField, surfels: Surfels) -> LeavingRays:
 def _gathered(background: Background, origin: NDArray, direction: NDArray) -> LeavingRays:
     import mitsuba as mi
 
-    face, _ = box_squares(origin, direction, background.low, background.high)
+    face, _ = box_squares(origin, direction, background.low, background.high, FINE)
     if not len(origin):
         return LeavingRays(origin, direction, face, np.zeros((0, 3), np.float32), np.zeros(0, bool))
     at = background.bin_of(mi.Point3f(vectors_from_rows(origin)), vectors_from_rows(direction))
     bins = np.asarray(at.numpy()).astype(np.int64)
     return LeavingRays(origin, direction, face, background.radiance[bins], background.is_known[bins])
-
-
-def box_squares(
-    origin: NDArray, direction: NDArray, low: NDArray, high: NDArray, across: int = FINE
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Face (N,) of the box that rays from its inside cross, and the square (N, 2) of it."""
-    safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
-    leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
-    axis = leaves.argmin(axis=1)
-    rows = np.arange(len(axis))
-    place = (origin + leaves[rows, axis][:, None] * direction - low) / (high - low)
-    first, second = np.where(axis == 0, 1, 0), np.where(axis == 2, 1, 2)
-    part = np.stack([place[rows, first], place[rows, second]], axis=1)
-    return 2 * axis + (direction[rows, axis] > 0), np.clip(part * across, 0, across - 1).astype(np.int64)
 
 
 def found_windows(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
-from datagen.light.background import photographed_background
+from datagen.light.background import NEAR, photographed_background
 from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import Surfels, build_surfels
 from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
@@ -62,7 +62,7 @@ def completed_views(
         return Completed(found, radiometry, np.zeros((0, 3)), np.zeros(0), share)
     grid = surfels.grid
     emitters = photographed_emitters(found, traced.mesh, emits, region_of_face)
-    background = photographed_background(found, grid.low, grid.low + grid.cell_m * grid.shape)
+    background = photographed_background(found, grid.low, grid.low + grid.cell_m * grid.shape, NEAR)
     sources = find_sources(found, surfels, emitters, background, emits, region_of_face, traced.mesh)
     radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
     if len(sources):

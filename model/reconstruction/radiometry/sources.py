@@ -20,14 +20,7 @@ from scipy.spatial import cKDTree
 
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.views import TracedView
-from datagen.light.background import (
-    AZIMUTHS,
-    HEIGHTS,
-    PLACES,
-    Background,
-    bins_of,
-    photographed_background,
-)
+from datagen.light.background import NEAR, Background, photographed_background
 from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
 
@@ -98,7 +91,7 @@ def find_sources(
     marked = [replace(view, color=_mask_of(view).astype(np.float32)) for view in views]
     emitting = photographed_emitters(marked, mesh, emits, region_of_face).radiance
     low, high = background.low, background.high
-    bins = photographed_background(marked, low, high).radiance
+    bins = photographed_background(marked, low, high, NEAR).radiance
     parts = [
         (emitters.radiance, *_labelled_emitters(emitting)),
         (background.radiance, *_labelled_bins(bins, _seen_bins(marked, low, high))),
@@ -138,13 +131,13 @@ def _labelled_emitters(share: NDArray) -> tuple[NDArray[np.int64], NDArray]:
 
 def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDArray[np.int64]:
     """Number of clipped pixels (B,) in each bin of the background."""
-    total = np.zeros(6 * PLACES * PLACES * AZIMUTHS * HEIGHTS, np.int64)
+    total = np.zeros(NEAR.size, np.int64)
     for view in marked:
         clipped = (view.geometry.face < 0) & view.valid_mask & (view.color.max(axis=2) > 0)
         pixel = np.flatnonzero(clipped)
         way = view.camera.ray_directions().reshape(-1, 3)[pixel]
         origin = np.broadcast_to(view.camera.position_m, way.shape)
-        total += np.bincount(bins_of(origin, way, low, high), minlength=len(total))
+        total += np.bincount(NEAR.bins_of(origin, way, low, high), minlength=len(total))
     return total
 
 
@@ -152,15 +145,15 @@ def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], ND
     """Openings: connected squares of a face of the box with ``seen`` (B,) pixels. Squares that only took
     their neighbours' radiance belong to the largest."""
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
-    directions = AZIMUTHS * HEIGHTS
-    num = clipped.reshape(6, PLACES, PLACES, directions).sum(axis=3)
-    label = np.full((6, PLACES, PLACES), -1, np.int64)
+    shape = 6, NEAR.places, NEAR.places, NEAR.directions
+    num = clipped.reshape(shape).sum(axis=3)
+    label = np.full(shape[:3], -1, np.int64)
     count = 0
     for face in range(6):
         parts, found = ndimage.label(num[face] > 0)
         label[face] = np.where(parts > 0, parts - 1 + count, -1)
         count += found
-    of_bin = np.where(clipped.reshape(6, PLACES, PLACES, directions), label[..., None], -1).ravel()
+    of_bin = np.where(clipped.reshape(shape), label[..., None], -1).ravel()
     pixels = np.bincount(of_bin[clipped], seen[clipped], count)
     if count:
         few = pixels < MIN_PIXELS * pixels.sum()
@@ -219,5 +212,5 @@ def source_of_pixels(
     if len(outside):
         way = view.camera.ray_directions().reshape(-1, 3)[outside]
         origin = np.broadcast_to(view.camera.position_m, way.shape)
-        found[outside] = sources.of_bin[bins_of(origin, way, background.low, background.high)]
+        found[outside] = sources.of_bin[NEAR.bins_of(origin, way, background.low, background.high)]
     return found
