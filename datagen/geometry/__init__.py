@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What each view sees of a capture's mesh, and the normals of meshes that come without."""
+"""Visibility of a capture's mesh by view, and normals for meshes without."""

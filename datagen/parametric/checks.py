@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What is wrong with a furnished room, measured on the shapes that will be rendered.
+"""Faults of a furnished room, measured on the shapes that will be rendered.
 
-Nothing floats, nothing intersects, doors open, windows stay free, and a person can walk from every door to
-the front of every cupboard. Boxes are of single shapes (a leg, a board), from their vertices.
+Pieces rest on a support and do not intersect, doors open, windows stay free, and a person can walk from every
+door to the front of every cupboard. Boxes are of single shapes (a leg, a board), from their vertices.
 """
 
 from __future__ import annotations

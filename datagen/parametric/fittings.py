@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What hangs on walls and lies about: radiators, curtains and blinds, rugs, pictures, mirrors, plants."""
+"""Fittings and clutter: radiators, curtains and blinds, rugs, pictures, mirrors, plants."""
 
 from __future__ import annotations
 

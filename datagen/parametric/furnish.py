@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""What rooms of many kinds have: windows dressed, pictures, plants, rugs, chairs around tables, lamps."""
+"""Furnishing common to many kinds of room: dressed windows, pictures, plants, rugs, chairs around tables,
+lamps."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What goes into the rooms of a home, piece by piece: needed pieces first, then what finds place."""
+"""Furniture of the rooms of a home, piece by piece: required pieces first, then those that fit."""
 
 from __future__ import annotations
 

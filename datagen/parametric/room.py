@@ -35,9 +35,9 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A sound room. ``tries`` is how many were drawn; ``rejected`` says why the others were not taken.
+    """A sound room. ``tries``: number of rooms drawn; ``rejected``: reasons against the others.
 
-    Without ``has_scenery`` windows look out onto nothing: a panorama lies there.
+    Without ``has_scenery`` the outside of windows is empty, for a panorama.
     """
 
     kind: str

@@ -246,7 +246,7 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
 
 
 def _duvet(width: float, length: float, z: float, y: float) -> Shape:
-    """A blanket that lies on a mattress's top ``z`` from ``y`` backwards and hangs over its sides."""
+    """A blanket on a mattress's top ``z`` from ``y`` backwards, over its sides."""
     s = np.linspace(-1, 1, 41)
     t = np.linspace(0, 1, 26)
     half = width / 2

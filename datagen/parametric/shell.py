@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The shell of a room: walls with openings, floor, ceiling, skirting, windows, doors, and what lies outside.
+"""The shell of a room: walls with openings, floor, ceiling, skirting, windows, doors, and the outside.
 
-The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height]. A *wall frame* looks at
-a wall from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
+The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height]. A *wall frame* is seen
+from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
 """
 
 from __future__ import annotations
@@ -299,7 +299,7 @@ def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
 
 
 def outside(shell: Shell, draws: Draws) -> list[Placed]:
-    """What windows look out onto: ground below, then hedges, trees or the houses across, by draw."""
+    """Scenery outside of windows: ground below, then hedges, trees or houses, by draw."""
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))

@@ -17,7 +17,7 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """``classes``: the first is its own, all may take its place unless it is fixed."""
+    """``classes``: the slot's own first; any may replace it unless it is fixed."""
 
     surface: Surface
     classes: Classes

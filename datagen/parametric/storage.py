@@ -315,7 +315,7 @@ def coat_rail(style: Style, draws: Draws, width: float) -> Item:
 
 
 def _coat(draws: Draws, room: float) -> Shape:
-    """A garment that hangs from a hook: its loop is the origin."""
+    """A garment on a hook: its loop is the origin."""
     length, half = draws.uniform(0.7, 1.0), min(0.23, 0.45 * room + 0.02)
     phase = draws.uniform(0, 6)
     rings = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What goes into rooms for work and guests, piece by piece: needed pieces first, then what finds place."""
+"""Furniture of rooms for work and guests, piece by piece: required pieces first, then those that fit."""
 
 from __future__ import annotations
 
