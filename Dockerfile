@@ -17,7 +17,7 @@ COPY . /source
 WORKDIR /source
 # Plain torch would bring several GB of CUDA.
 RUN pip install --constraint constraints.txt --extra-index-url https://download.pytorch.org/whl/cpu \
-        '.[train,heic,gltf,usd,export,blender]' && \
+        '.[train,heic,raw,gltf,usd,export,blender]' && \
     VENV=/usr/local .ci/ensure_system.sh llvm && \
     VENV=/usr/local .ci/ensure_system.sh blender && \
     rm -rf /source/* /var/lib/apt/lists/*

@@ -31,7 +31,7 @@ $(VENV)/.base: pyproject.toml setup.py constraints.txt | $(BIN)/pip
 
 $(VENV)/.dev: pyproject.toml setup.py constraints.txt $(VENV)/.base
 	@echo "installing what the tests need into $(VENV)"
-	@$(PIP) -e '.[train,heic,gltf,usd,export,blender,dev,docs]'
+	@$(PIP) -e '.[train,heic,raw,gltf,usd,export,blender,dev,docs]'
 	@.ci/ensure_system.sh blender
 	@.ci/ensure_system.sh tests
 	@touch $@

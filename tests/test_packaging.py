@@ -24,7 +24,7 @@ else:  # pytest brings it there
     import tomli as tomllib
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-USER_EXTRAS = ("train", "heic", "gltf", "usd", "export", "blender")
+USER_EXTRAS = ("train", "heic", "raw", "gltf", "usd", "export", "blender")
 PACKAGES = ("datagen", "mitsuba_plugins", "model", "blender_addon")
 MODULES = {
     "opencv-contrib-python-headless": "cv2", "Pillow": "PIL", "PyYAML": "yaml", "python-fcl": "fcl",

@@ -26,6 +26,7 @@ REQUIRED = (
 OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
+    "raw": ("raw photographs", ("rawpy",)),
     "gltf": ("glTF with meshopt or Basis Universal", ("meshopt", "opengl-basisu")),
     "usd": ("assets in USD", ("usd-core",)),
     "export": ("exports to Hypersim's layout", ("h5py",)),

@@ -5,20 +5,27 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import struct
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
+from datagen.foundation.cameras import Camera
+from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.errors import InputError
 from model.reconstruction.captures import photograph_files, read_capture
 from model.reconstruction.captures.photograph_files import photograph_size, read_photograph
 from model.reconstruction.captures.photographs import PhotographSource, exif_orientation, relative_exposure
 from model.reconstruction.captures.posed import ImageFinder
+from model.reconstruction.photos.pipeline import photographs_in
 from tests.model.test_reconstruction_captures import make_cameras, write_colmap, write_mesh
 
 SIZE = (64, 40)
+HAS_RAW = importlib.util.find_spec("rawpy") is not None
 HAS_HEIC = importlib.util.find_spec("pillow_heif") is not None
 
 
@@ -108,11 +115,124 @@ def test_heic_without_its_reader_names_what_to_install(tmp_path: Path, without_h
         read_photograph(folder / "images" / "img0.HEIC")
 
 
+@pytest.fixture
+def without_raw(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = photograph_files.find_spec
+    monkeypatch.setattr(photograph_files, "find_spec", lambda name: None if name == "rawpy" else found(name))
+
+
+NEUTRAL = (0.5, 1.0, 0.8)
+BLACK, WHITE = 512, 15000
+XYZ_TO_SRGB = (
+    (3.2406, -1.5372, -0.4986),
+    (-0.9689, 1.8758, 0.0415),
+    (0.0557, -0.2040, 1.0570),
+)
+
+
+def write_dng(path: Path, linear: NDArray[np.float64], orientation: int = 1) -> Path:
+    """A mosaic R G / G B of a sensor whose colours are linear Rec.709 ``linear`` (H, W, 3), white being
+    ``NEUTRAL`` to it; 1/100 s, f/2, ISO 100."""
+    height, width = linear.shape[:2]
+    colors = np.tile([[0, 1], [1, 2]], (height // 2, width // 2))
+    rows, columns = np.mgrid[:height, :width]
+    share = np.clip(linear[rows, columns, colors] * np.array(NEUTRAL)[colors], 0, 1)
+    sensor = np.round(BLACK + (WHITE - BLACK) * share).astype("<u2").tobytes()
+
+    def ratios(values: object, denominator: int = 10000) -> list[int]:
+        return [n for v in np.ravel(values) for n in (round(float(v) * denominator), denominator)]
+
+    def directory(tags: dict[int, tuple[int, int, bytes]], at: int) -> bytes:
+        """An IFD at ``at`` with what does not fit into its entries behind it."""
+        entries, more = b"", b""
+        behind = at + 2 + 12 * len(tags) + 4
+        for tag, (kind, count, value) in sorted(tags.items()):
+            if len(value) > 4:
+                place, more = struct.pack("<I", behind + len(more)), more + value + bytes(len(value) % 2)
+            else:
+                place = value.ljust(4, b"\0")
+            entries += struct.pack("<HHI", tag, kind, count) + place
+        return struct.pack("<H", len(tags)) + entries + bytes(4) + more
+
+    def shorts(*values: int) -> tuple[int, int, bytes]:
+        return 3, len(values), struct.pack(f"<{len(values)}H", *values)
+
+    def long(value: int) -> tuple[int, int, bytes]:
+        return 4, 1, struct.pack("<I", value)
+
+    def rationals(values: object, kind: int = 5) -> tuple[int, int, bytes]:
+        numbers = ratios(values)
+        return kind, len(numbers) // 2, struct.pack(f"<{len(numbers)}{'i' if kind == 10 else 'I'}", *numbers)
+
+    exif_at = 8 + len(sensor)
+    exif = directory({33434: rationals(0.01), 33437: rationals(2.0), 34855: shorts(100)}, exif_at)
+    tags = {
+        254: long(0), 256: long(width), 257: long(height), 258: shorts(16), 259: shorts(1),
+        262: shorts(32803), 271: (2, 6, b"maker\0"), 272: (2, 6, b"model\0"), 273: long(8),
+        274: shorts(orientation), 277: shorts(1), 278: long(height), 279: long(len(sensor)),
+        33421: shorts(2, 2),
+        33422: (1, 4, bytes([0, 1, 1, 2])), 34665: long(exif_at), 50706: (1, 4, bytes([1, 4, 0, 0])),
+        50708: (2, 6, b"model\0"), 50714: long(BLACK), 50717: long(WHITE), 50721: rationals(XYZ_TO_SRGB, 10),
+        50728: rationals(NEUTRAL), 50778: shorts(21),
+    }  # fmt: skip
+    first = exif_at + len(exif)
+    path.write_bytes(b"II*\0" + struct.pack("<I", first) + sensor + exif + directory(tags, first))
+    return path
+
+
+@pytest.mark.skipif(not HAS_RAW, reason="needs rawpy")
+def test_raw_photographs_are_linear_and_know_their_limit(tmp_path: Path) -> None:
+    """Black level, white balance as shot, exposure; clipped where a sensor value is, in all channels."""
+    height, width = 80, 120
+    linear = np.empty((height, width, 3))
+    linear[:] = np.linspace(0.02, 0.45, width)[None, :, None] * [1.0, 0.8, 0.6]
+    linear[:20, :30] = [0.3, 1.2, 0.2]  # green is clipped
+    path = write_dng(tmp_path / "a.dng", linear)
+    assert photograph_size(path) == (width, height) and exif_orientation(path) == 1
+    assert relative_exposure(path) == pytest.approx(0.01 * 100 / 4, rel=1e-3)
+    camera = Camera(width, height, 100.0, 100.0, width / 2, height / 2, np.eye(4))
+    image = PhotographSource(path, camera, None, "srgb").read(camera)  # sRGB is for developed ones
+    inner = (slice(30, -8), slice(8, -8))
+    np.testing.assert_allclose(image.color[inner], linear[inner], rtol=0.02, atol=2e-3)
+    assert image.clipped_mask is not None and image.clipped_mask[4:16, 4:26].all()
+    assert not image.clipped_mask[30:].any() and not image.clipped_mask[:, 40:].any()
+    turned = write_dng(tmp_path / "b.dng", linear, orientation=6)
+    assert photograph_size(turned) == (height, width) == read_photograph(turned).shape[1::-1]
+    upright = np.rot90(read_photograph(path), -1)
+    np.testing.assert_array_equal(read_photograph(turned)[8:-8, 8:-8], upright[8:-8, 8:-8])
+    damaged = tmp_path / "c.dng"
+    damaged.write_bytes(path.read_bytes()[:400])
+    with pytest.raises(InputError, match=r"c\.dng"):
+        read_photograph(damaged)
+
+
+def test_raw_photographs_need_cameras(tmp_path: Path) -> None:
+    """COLMAP does not read them, but captures may bring their cameras."""
+    (tmp_path / "a.dng").write_bytes(b"anything")
+    with pytest.raises(InputError, match=r"a\.dng = a raw photograph; .*COLMAP reads.*capture with cameras"):
+        photographs_in(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_16_bits_are_kept(tmp_path: Path, suffix: str) -> None:
+    """sRGB like 8 bits, in steps that these do not have."""
+    stored = np.arange(64 * 40 * 3, dtype=np.uint16).reshape(40, 64, 3) * 8
+    cv2.imwrite(str(tmp_path / f"a{suffix}"), stored[..., ::-1])
+    np.testing.assert_array_equal(read_photograph(tmp_path / f"a{suffix}"), stored)
+    camera = make_cameras(1)[0]
+    color = PhotographSource(tmp_path / f"a{suffix}", camera, None, "auto").read(camera).color
+    np.testing.assert_allclose(color, linear_from_srgb(stored / 65535.0), atol=1e-6)
+
+
 @pytest.mark.parametrize(
-    ("suffix", "expected"), [(".CR2", "CR2, a raw photograph.*develop"), (".bmp", "BMP.*convert them to PNG")]
+    ("suffix", "expected"),
+    [
+        (".CR2", r"CR2, a raw photograph.*scene-materials\[raw\].*develop"),
+        (".bmp", "BMP.*convert them to PNG"),
+    ],
 )
 def test_photographs_of_other_forms_are_there_but_not_read(
-    tmp_path: Path, suffix: str, expected: str
+    tmp_path: Path, suffix: str, expected: str, without_raw: None
 ) -> None:
     folder = colmap_of(tmp_path / "room", suffix)
     for k in range(2):

@@ -2,13 +2,14 @@
 """Photographs as files: which forms are read, with what, and what to say of the others.
 
 PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size was checked, EXR by OpenEXR, HEIC by libheif
-(``pillow-heif``, the extra ``heic``). libheif turns a photograph as its properties say; EXIF, which repeats
-them, is not applied again.
+(``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
+turn a photograph as its properties say; EXIF, which repeats them, is not applied again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,13 +21,15 @@ from datagen.foundation.exr import check_claim
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX, image_size, read_image, read_ldr
 
 HEIC_SUFFIXES = (".heic", ".heif", ".hif")
-PHOTOGRAPH_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
-_RAW_SUFFIXES = (
+RAW_SUFFIXES = (
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf",
     ".raw", ".rw2", ".sr2", ".srw", ".x3f",
 )  # fmt: skip
+PHOTOGRAPH_SUFFIXES = (
+    ".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES, *RAW_SUFFIXES,
+)  # fmt: skip
 KNOWN_SUFFIXES = (
-    *PHOTOGRAPH_SUFFIXES, *_RAW_SUFFIXES, ".avif", ".bmp", ".gif", ".jp2", ".jpe", ".jfif", ".jxl", ".ppm",
+    *PHOTOGRAPH_SUFFIXES, ".avif", ".bmp", ".gif", ".jp2", ".jpe", ".jfif", ".jxl", ".ppm",
     ".psd", ".tga",
 )  # fmt: skip
 """Of files that are taken for photographs, whether they can be read or not."""
@@ -36,11 +39,16 @@ _OPENCV_FORMATS = {".tif": ("TIFF",), ".tiff": ("TIFF",), ".webp": ("WEBP",)}
 
 
 def can_read(path: Path) -> bool:
-    """Whether photographs of that suffix are read here; of HEIC, whether its reader is installed."""
+    """Whether photographs of that suffix are read here; of HEIC and raw ones, whether the reader is there."""
     suffix = path.suffix.lower()
-    return suffix in PHOTOGRAPH_SUFFIXES and (
-        suffix not in HEIC_SUFFIXES or find_spec("pillow_heif") is not None
-    )
+    if suffix in HEIC_SUFFIXES:
+        return find_spec("pillow_heif") is not None
+    return suffix in PHOTOGRAPH_SUFFIXES and (suffix not in RAW_SUFFIXES or find_spec("rawpy") is not None)
+
+
+def is_raw(path: Path) -> bool:
+    """Whether it is a sensor's values."""
+    return path.suffix.lower() in RAW_SUFFIXES
 
 
 def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
@@ -53,27 +61,55 @@ def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
         if suffix in HEIC_SUFFIXES:
             expected = "the package pillow-heif, which reads HEIC"
             remedy = "pip install 'scene-materials[heic]', or convert them to PNG or JPEG"
-        elif suffix in _RAW_SUFFIXES:
-            kind, expected = f"{kind}, a raw photograph", _READ
-            remedy = "develop all of them alike, without curves, to TIFF or PNG"
+        elif suffix in RAW_SUFFIXES:
+            kind, expected = f"{kind}, a raw photograph", "the package rawpy, which reads it"
+            remedy = "pip install 'scene-materials[raw]', or develop all without curves to TIFF or PNG"
         else:
             expected, remedy = _READ, "convert them to PNG"
         problems.append(Problem(where, field, kind, expected, remedy))
     return problems
 
 
+@dataclass(frozen=True)
+class Stored:
+    """``pixels`` (H, W, C); ``is_linear`` whatever encoding others have, and ``clipped`` (H, W) by the
+    sensor's limit, None where only the values tell."""
+
+    pixels: NDArray
+    is_linear: bool = False
+    clipped: NDArray[np.bool_] | None = None
+
+
+def read_stored(path: Path) -> Stored:
+    """A photograph with what its form tells about it. Raises :class:`InputError`."""
+    _check(path)
+    if not is_raw(path):
+        return Stored(read_photograph(path))
+    from model.reconstruction.captures.raw_photographs import read_raw
+
+    pixels, clipped = read_raw(path)
+    return Stored(pixels, True, clipped)
+
+
 def read_photograph(path: Path) -> NDArray:
-    """Pixels (H, W, C) as stored, in the file's orientation except for HEIC. Raises :class:`InputError`."""
+    """Pixels (H, W, C) as stored, in the file's orientation except for HEIC and raw ones, which are linear.
+    Raises :class:`InputError`."""
     _check(path)
     suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        return read_stored(path).pixels
     if suffix in HEIC_SUFFIXES:
         return _read_heic(path)
     return read_ldr(path, _OPENCV_FORMATS[suffix]) if suffix in _OPENCV_FORMATS else read_image(path)
 
 
 def photograph_size(path: Path) -> tuple[int, int]:
-    """(width, height) as stored, HEIC upright. Raises :class:`InputError`."""
+    """(width, height) as stored, HEIC and raw ones upright. Raises :class:`InputError`."""
     _check(path)
+    if is_raw(path):
+        from model.reconstruction.captures.raw_photographs import raw_size
+
+        return raw_size(path)
     return image_size(path, pillow_formats(path))
 
 

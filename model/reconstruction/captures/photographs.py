@@ -19,7 +19,7 @@ from datagen.foundation.color import linear_from_srgb
 from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import normalized
-from model.reconstruction.captures.photograph_files import pillow_formats, read_photograph
+from model.reconstruction.captures.photograph_files import is_raw, pillow_formats, read_stored
 
 PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
@@ -43,12 +43,15 @@ class PhotographSource:
 
     def read(self, camera: Camera) -> ColorImage:
         """The photograph as ``camera`` sees it: the same pose, any size and intrinsics, no distortion."""
-        pixels = fit_orientation(read_photograph(self.path), self.path, self.calibrated)
-        linear = linearized(pixels, self.encoding)
+        stored = read_stored(self.path)
+        pixels = fit_orientation(stored.pixels, self.path, self.calibrated)
+        linear = linearized(pixels, "linear" if stored.is_linear else self.encoding)
         if not np.isfinite(linear).all():
             raise input_error(self.path, "pixels", "NaN or Inf", "finite values", "export the image again")
         has_limit = pixels.dtype.kind == "u"  # floats have none that is known
         clipped = linear >= CLIPPED_LEVEL if has_limit else None
+        if clipped is not None and stored.clipped is not None:
+            clipped = clipped | stored.clipped[..., None]
         linear *= np.float32(self.exposure_scale)
         found = undistorted(linear, self.calibrated, self.distortion, camera, clipped)
         return replace(found, limit=self.exposure_scale) if has_limit else found
@@ -60,7 +63,7 @@ class PhotographSource:
 
 def exif_orientation(path: Path) -> int:
     """EXIF orientation 1 ... 8; 1 where the file has none."""
-    if path.suffix.lower() == ".exr":
+    if path.suffix.lower() == ".exr" or is_raw(path):
         return 1
     from PIL import Image
 
@@ -74,6 +77,10 @@ def exif_orientation(path: Path) -> int:
 
 def relative_exposure(path: Path) -> float | None:
     """Light gathered, up to one factor for all: t ISO / N^2 from EXIF; None where a figure is missing."""
+    if is_raw(path):
+        from model.reconstruction.captures.raw_photographs import raw_exposure
+
+        return raw_exposure(path)
     from PIL import Image
 
     try:

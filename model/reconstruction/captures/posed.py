@@ -27,6 +27,7 @@ from model.reconstruction.captures.photograph_files import (
     KNOWN_SUFFIXES,
     PHOTOGRAPH_SUFFIXES,
     can_read,
+    is_raw,
     unread_problems,
 )
 
@@ -82,6 +83,7 @@ class ImageFinder:
             if image is not None and can_read(image):
                 return image
         found = [image for image in self._named(name) if can_read(image)]
+        found = [image for image in found if not is_raw(image)] or found  # cameras write both
         return found[0] if len(found) == 1 else None
 
     def require(self, name: str) -> Path:

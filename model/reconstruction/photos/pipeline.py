@@ -18,7 +18,7 @@ from typing import Any
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.foundation.errors import InputError, Problem, input_error
 from model.reconstruction.captures import CaptureOptions, read_capture
-from model.reconstruction.captures.photograph_files import KNOWN_SUFFIXES, can_read, unread_problems
+from model.reconstruction.captures.photograph_files import KNOWN_SUFFIXES, can_read, is_raw, unread_problems
 from model.reconstruction.captures.read import has_cameras
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
@@ -57,6 +57,10 @@ def photographs_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise input_error(folder, "", "no such folder", "a folder of photographs", "check the path")
     found = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in KNOWN_SUFFIXES]
+    raw = [file for file in found if is_raw(file)]
+    if raw:
+        remedy = "develop all alike to JPEG in another folder, or give a capture with cameras"
+        raise input_error(folder, raw[0].name, "a raw photograph", "photographs that COLMAP reads", remedy)
     unread = [file for file in found if not can_read(file)]
     if unread:
         raise InputError(*unread_problems(folder, unread))

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""Raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 under the camera's white balance.
+
+Black level and white level are the file's; nothing is brightened, no curve is applied. Channels are scaled so
+that the weakest in white light reaches 1 at the sensor's limit. A sensor value at the limit makes its pixel
+and the neighbours that are interpolated from it clipped in all channels, as the colour matrix mixes them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.foundation.errors import input_error
+from datagen.foundation.exr import check_claim
+from datagen.foundation.images import MAX_IMAGE_SIDE_PX
+
+LIMIT_SHARE = 0.99
+"""Of the range from black to white level: sensors saturate a little below the level that files state."""
+_REACH_PX = 5
+"""Side of the square of sensor values that a pixel is interpolated from."""
+_TURNS = {3: 2, 5: 1, 6: -1}  # libraw's flip: quarter turns counter-clockwise
+
+
+def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """Linear pixels (H, W, 3), upright, and where they are clipped (H, W). Raises :class:`InputError`."""
+    import cv2
+    import rawpy
+
+    width, height = raw_size(path)
+    if max(width, height) > MAX_IMAGE_SIDE_PX:
+        expected = f"at most {MAX_IMAGE_SIDE_PX} a side"
+        raise input_error(path, "size", f"{width}x{height}", expected, "shrink it")
+    check_claim((width, height), 8, path.stat().st_size, path)
+    try:
+        with rawpy.imread(str(path)) as raw:
+            if raw.raw_type != rawpy.RawType.Flat:
+                got, expected = "no mosaic of sensor values", "a raw photograph with one value a pixel"
+                raise input_error(path, "", got, expected, "develop it to 16-bit TIFF without curves")
+            stored = np.asarray(raw.raw_image_visible, np.float32)
+            pattern = np.asarray(raw.raw_colors_visible)
+            black = np.asarray(raw.black_level_per_channel, np.float32)
+            level = np.float32(raw.white_level)
+            at_limit = stored >= black[pattern] + LIMIT_SHARE * (level - black[pattern])
+            turns = _TURNS.get(raw.sizes.flip, 0)
+            pixels = raw.postprocess(
+                gamma=(1, 1),
+                no_auto_bright=True,
+                use_camera_wb=True,
+                adjust_maximum_thr=0.0,
+                output_bps=16,
+                output_color=rawpy.ColorSpace.sRGB,
+                user_flip=0,
+            )
+    except rawpy.LibRawError as error:
+        raise _unreadable(path, error) from None
+    clipped = cv2.dilate(at_limit.astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8)) > 0
+    if clipped.shape != pixels.shape[:2]:
+        got = f"{pixels.shape[1]}x{pixels.shape[0]} of {clipped.shape[1]}x{clipped.shape[0]} sensor values"
+        raise input_error(path, "size", got, "a pixel for each", "develop it to 16-bit TIFF without curves")
+    return np.ascontiguousarray(np.rot90(pixels, turns)), np.ascontiguousarray(np.rot90(clipped, turns))
+
+
+def raw_size(path: Path) -> tuple[int, int]:
+    """(width, height), upright. Raises :class:`InputError`."""
+    import rawpy
+
+    if not path.is_file():
+        raise input_error(path, "", "no such file", "an image", "correct its name")
+    try:
+        with rawpy.imread(str(path)) as raw:
+            width, height = raw.sizes.width, raw.sizes.height
+            return (height, width) if _TURNS.get(raw.sizes.flip, 0) % 2 else (width, height)
+    except rawpy.LibRawError as error:
+        raise _unreadable(path, error) from None
+
+
+def raw_exposure(path: Path) -> float | None:
+    """Light gathered, t ISO / N^2; None where a figure is missing."""
+    import rawpy
+
+    try:
+        with rawpy.imread(str(path)) as raw:
+            other = raw.other
+            gathered = other.shutter_speed * other.iso_speed / other.aperture**2
+    except (rawpy.LibRawError, ZeroDivisionError):  # reading its pixels tells what is wrong with a file
+        return None
+    return float(gathered) if np.isfinite(gathered) and gathered > 0 else None
+
+
+def _unreadable(path: Path, error: Exception) -> Exception:
+    got = f"corrupt data or a camera unknown to libraw ({str(error)[:200]})"
+    return input_error(path, "", got, "a readable raw photograph", "develop it to 16-bit TIFF without curves")
