@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from datagen.formats.asset import AssetCamera, EnvironmentAsset, Part, Provenance, SlotMaterial, Texture
-from datagen.formats.package import write_package
+from datagen.formats.base import matrix4
+from datagen.formats.package import open_package, write_package
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
@@ -340,6 +341,39 @@ def test_camera_turns_and_moves(page: Page) -> None:
     assert radius[0] == pytest.approx(radius[1])
     page.keys("]", to="#picture")
     assert "+0.5 EV" in page.run("return document.getElementById('exposure').getAttribute('aria-valuetext')")
+
+
+def test_page_starts_with_the_whole_room(browser: Page, quad: Quad, tmp_path: Path) -> None:
+    """From the camera at the edge towards the middle of all; then outside, and the cameras in turn."""
+    places = [(-0.9, -0.9, 1.0), (0.5, 0.2, 1.0), (0.6, 0.4, 1.2), (0.4, 0.5, 1.0)]
+    with open_package(quad.asset / "asset") as package:
+        asset = package.asset
+        assert isinstance(asset, EnvironmentAsset)
+        (camera,) = asset.cameras
+        moved = []
+        for number, place in enumerate(places):
+            pose = np.array(camera.asset_from_camera)
+            pose[:3, 3] = place
+            changes = {"name": f"camera-{number}", "asset_from_camera": matrix4(pose)}
+            moved.append(camera.model_copy(update=changes))
+        names = [path.name for path in (quad.asset / "asset").iterdir() if path.name != "asset.json"]
+        content = {name: package.read_bytes(name) for name in names}
+    changed = asset.model_copy(update={"cameras": tuple(moved)})
+    write_package(tmp_path / "asset", changed, content).close()
+    write_view(tmp_path / "asset", tmp_path / "page")
+    browser.driver.get("about:blank")
+    browser.open(tmp_path / "page" / "index.html")
+    state = browser.run("return VIEW.state()")
+    np.testing.assert_allclose(state["camera"], places[0], atol=1e-6)
+    ahead = np.subtract(state["target"], state["camera"])
+    middle = np.mean(places, axis=0) - places[0]
+    np.testing.assert_allclose(ahead / np.linalg.norm(ahead), middle / np.linalg.norm(middle), atol=1e-4)
+    assert state["fov"] == 75
+    chosen = []
+    for _ in range(6):
+        browser.keys("c", to="#picture")
+        chosen.append(browser.run("return document.getElementById('camera').selectedOptions[0].textContent"))
+    assert chosen == ["outside", "camera-0", "camera-1", "camera-2", "camera-3", "the room"]
 
 
 def test_every_control_has_a_name(page: Page) -> None:

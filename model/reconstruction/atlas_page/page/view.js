@@ -150,10 +150,22 @@
     $("spoken").textContent = mode === "fly" ? "camera turns where it stands" : "camera turns around the asset";
   }
 
-  let current = -1;
+  // The room from its edge: where the camera stands that is farthest from the others, towards their middle.
+  const OUTSIDE = -1, ROOM = -2;
+  function wholeRoom() {
+    const at = data.cameras.map((c) => new T.Vector3(...c.position));
+    const apart = at.map((from) => at.reduce((sum, to) => sum + from.distanceTo(to), 0));
+    const first = apart.indexOf(Math.max(...apart));
+    if (first < 0 || apart[first] < 0.5 * at.length) return null; // from one place, the room has no edge
+    const middle = at.reduce((sum, to) => sum.add(to), new T.Vector3()).divideScalar(at.length);
+    return { name: "room", fov: 75, position: at[first].toArray(), target: middle.toArray() };
+  }
+  const room = wholeRoom();
+
+  let current = OUTSIDE;
   function lookFrom(number) {
     current = number;
-    const from = data.cameras[number];
+    const from = number === ROOM ? room : data.cameras[number];
     if (from) {
       controls.look(from.position, from.target, from.fov);
       setMode("fly");
@@ -162,7 +174,7 @@
       setMode("orbit"); // before the camera moves: it keeps the point to turn around
       controls.look(at.toArray(), controls.center.toArray(), 50);
     }
-    ui.camera.value = from ? number : -1;
+    ui.camera.value = from ? number : OUTSIDE;
     $("spoken").textContent = `camera ${from ? from.name : "outside"}`;
   }
 
@@ -172,7 +184,7 @@
     const isMissing = { 4: !data.materials.some((m) => m.hasMask), 6: !data.materials.some((m) => m.hasConfidence) };
     ui.shown = element("select", { id: "shown", onchange: () => choose(Number(ui.shown.value)) }, ...SHOWN.map((text, number) =>
       element("option", { value: number, text, disabled: isMissing[number] ? "" : null })));
-    ui.camera = element("select", { id: "camera", onchange: () => lookFrom(Number(ui.camera.value)) }, element("option", { value: -1, text: "outside" }), ...data.cameras.map((c, k) => element("option", { value: k, text: c.name })));
+    ui.camera = element("select", { id: "camera", onchange: () => lookFrom(Number(ui.camera.value)) }, ...(room ? [element("option", { value: ROOM, text: "the room" })] : []), element("option", { value: OUTSIDE, text: "outside" }), ...data.cameras.map((c, k) => element("option", { value: k, text: c.name })));
     ui.mode = element("select", { id: "mode", onchange: () => setMode(ui.mode.value) }, element("option", { value: "orbit", text: "turn around the asset" }), element("option", { value: "fly", text: "look around" }));
     const sizes = data.materials.flatMap((m) => m.images.map(([, , width, height]) => Math.max(width, height)));
     document.querySelector("aside").append(
@@ -192,7 +204,7 @@
     for (const name of ["exposure", "power", "fill"]) ui[name].apply(ui[name].get());
     ui.power.apply(0);
     controls.moveLight(home);
-    lookFrom(data.cameras.length ? 0 : -1);
+    lookFrom(room ? ROOM : data.cameras.length ? 0 : OUTSIDE);
     choose(0);
   }
 
@@ -205,7 +217,7 @@
       ArrowLeft: () => controls.turn(angle, 0), ArrowRight: () => controls.turn(-angle, 0), ArrowUp: () => controls.turn(0, angle), ArrowDown: () => controls.turn(0, -angle),
       j: pushed(-1, 0, 0), l: pushed(1, 0, 0), k: pushed(0, -1, 0), i: pushed(0, 1, 0), u: pushed(0, 0, -1), o: pushed(0, 0, 1),
       "[": () => ui.exposure.apply(settings.stops - 0.5), "]": () => ui.exposure.apply(settings.stops + 0.5),
-      c: () => lookFrom(current + 1 < data.cameras.length ? current + 1 : -1), f: () => setMode(controls.mode() === "fly" ? "orbit" : "fly"),
+      c: () => lookFrom(current + 1 < data.cameras.length ? current + 1 : room ? ROOM : OUTSIDE), f: () => setMode(controls.mode() === "fly" ? "orbit" : "fly"),
     }[event.key.length === 1 ? event.key.toLowerCase() : event.key] || (/^[1-7]$/.test(event.key) ? () => choose(Number(event.key) - 1) : null);
     if (!act) return;
     event.preventDefault();
