@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""The radiance of rays that leave the mesh, out of the pixels that show no surface.
+"""Background radiance: rays that leave the mesh, from the pixels that show no surface.
 
-Near light, as of a window's pane, depends on where a ray leaves the box of the room and on its direction:
-bins of both (:data:`NEAR`). Far light, as of the sky, depends on the direction alone, which then has finer
-bins (:data:`FAR`): half of the views predict the other half's pixels by direction and by place, and the
-better prediction decides. A bin holds the median of its pixels, of far light their mean. One without pixels
-takes the nearest that has some, a move by the diagonal of the box counting as :data:`PLACE_WEIGHT` radians:
-within the layout's ``photographed_reach`` as if it were photographed, within :data:`REACH` as an estimate,
-else unknown.
+Near light, as through a window pane, is binned by direction and by the place where a ray leaves the room's
+box (:data:`NEAR`). Far light, as of the sky, depends on direction alone and has finer bins (:data:`FAR`).
+Half of the views predict the background pixels of the other half by direction and by place; the better
+prediction decides. A bin holds the median of its pixels, their mean in :data:`FAR`. An empty bin takes the
+nearest filled one, with a move by the box's diagonal counted as :data:`PLACE_WEIGHT` radians: within the
+layout's ``photographed_reach`` as photographed, within :data:`REACH` as an estimate, else unknown.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ MIN_PIXELS = 3
 """Pixels that a bin needs to count as seen."""
 PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
-"""Part of the error by place that the error by direction must be below: of two that explain as much, near
-light is the better, as its place is known."""
+"""Light is far where the error by direction is below this share of the error by place: of two equal
+predictions, near light is preferred, as its place is known."""
 JUDGED_PLACES = 24
-"""Squares along a side of the box by which that is judged; directions are :data:`FAR`'s."""
-_MIN_GAIN = 1e-3  # in ln radiance: rounding tells nothing
+"""Squares along both sides of a face of the box in that test; its directions are :data:`FAR`'s."""
+_MIN_GAIN = 1e-3  # in ln radiance, above rounding
 _MAX_PIXELS = 6000  # of a view
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Bins by ``faces`` of the box (1: the place does not count), ``places`` along both sides of a face,
-    ``azimuths``, and ``heights`` of the direction's z in equal steps: equal solid angles.
-    ``photographed_reach`` is in radians."""
+    """Bins: ``faces`` of the box (1: direction alone), ``places`` along both sides of a face, ``azimuths``,
+    and ``heights`` in equal steps of the direction's z, for equal solid angles. ``photographed_reach`` is in
+    radians."""
 
     faces: int
     places: int
@@ -67,7 +66,7 @@ class Layout:
         return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
     def bins_of(self, origin: NDArray, direction: NDArray, low: NDArray, high: NDArray) -> NDArray[np.int64]:
-        """Bins (N,) of rays (N, 3) from inside of the box from ``low`` to ``high`` (3,)."""
+        """Bins (N,) of rays (N, 3) that start inside the box from ``low`` to ``high`` (3,)."""
         azimuth = np.arctan2(direction[:, 1], direction[:, 0]) * (self.azimuths / (2 * np.pi))
         column = np.clip(azimuth + 0.5 * self.azimuths, 0, self.azimuths - 1).astype(np.int64)
         row = np.clip((direction[:, 2] * 0.5 + 0.5) * self.heights, 0, self.heights - 1).astype(np.int64)
@@ -95,7 +94,7 @@ class Background:
     layout: Layout = NEAR
 
     def bin_of(self, origin: Any, direction: Any) -> Any:
-        """Bin of Dr.Jit rays from inside of the box."""
+        """Bin of Dr.Jit rays that start inside the box."""
         import drjit as dr
         import mitsuba as mi
 
@@ -137,8 +136,8 @@ class Background:
 def box_squares(
     origin: NDArray, direction: NDArray, low: NDArray, high: NDArray, across: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Face (N,) of the box through which rays (N, 3) from its inside leave, axis times 2 and 1 for the upper
-    one, and which of ``across`` x ``across`` squares (N, 2) of it."""
+    """Face (N,) of the box through which rays (N, 3) leave it (twice the axis, plus 1 for the upper one), and
+    row and column (N, 2) among ``across`` x ``across`` squares of it."""
     safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
     leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
     axis = leaves.argmin(axis=1)
@@ -151,7 +150,7 @@ def box_squares(
 
 @dataclass(frozen=True)
 class OutsidePixels:
-    """Pixels (N,) that show no surface: ``origin``, ``direction`` and ``color`` (N, 3), ``view`` (N,)."""
+    """Background pixels (N,): ``origin``, ``direction`` and ``color`` (N, 3), ``view`` (N,)."""
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -160,7 +159,7 @@ class OutsidePixels:
 
 
 def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
-    """A part of the pixels of each view that show no surface."""
+    """A subset of the background pixels of each view."""
     parts: list[tuple[NDArray, ...]] = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
     for number, view in enumerate(views):
         pixel = np.flatnonzero(((view.geometry.face < 0) & view.valid_mask).ravel())
@@ -173,7 +172,7 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Whether the direction predicts the pixels of other views better than the place does."""
+    """Whether direction predicts the pixels of other views better than place."""
     if not len(pixels.view):
         return False
     face, square = box_squares(pixels.origin, pixels.direction, low, high, JUDGED_PLACES)
@@ -199,8 +198,8 @@ def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
 def photographed_background(
     views: Sequence[TracedView], low: NDArray, high: NDArray, layout: Layout | None = None
 ) -> Background:
-    """The background that ``views`` show beyond the box from ``low`` to ``high`` (3,), in the ``layout`` that
-    suits them where none is given."""
+    """The background of ``views`` beyond the box from ``low`` to ``high`` (3,); ``layout`` None chooses by
+    :func:`is_far`."""
     pixels = outside_pixels(views)
     if layout is None:
         layout = FAR if is_far(pixels, low, high) else NEAR
@@ -252,7 +251,7 @@ def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[
 
 
 def _means(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The same with means, which keep the light of a sky of trees and clouds."""
+    """The same with means, which preserve the irradiance of skies with trees and clouds."""
     keys, of_pixel, num = np.unique(bins, return_inverse=True, return_counts=True)
     sums = [np.bincount(of_pixel, color[:, channel].astype(np.float64)) for channel in range(3)]
     enough = num >= MIN_PIXELS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Light from outside as an image of the sky, where it is far."""
+"""Far light from outside as a sky image."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 from datagen.light.background import Background
 
 HEIGHT, WIDTH = 64, 128
-"""Pixels of the image of the sky."""
+"""Pixels of the sky image."""
 
 
 def sky_image(background: Background) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) by direction of a far ``background``: the mean of the bins in a pixel, else that of
-    the nearest pixel with known bins."""
+    """Radiance (H, W, 3) by direction of a far ``background``: the mean of a pixel's known bins, else that of
+    the nearest pixel."""
     pixel = directions_of(background.layout.ways(), HEIGHT)[background.is_known]
     radiance = background.radiance[background.is_known].astype(np.float64)
     count = np.bincount(pixel, minlength=HEIGHT * WIDTH)
@@ -30,8 +30,8 @@ def sky_image(background: Background) -> NDArray[np.float32]:
 
 
 def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
-    """Pixel (N,) of an image of ``height`` rows and twice as many columns: its top row looks along +Z, its
-    centre column along +Y, and +X is to the right of it."""
+    """Pixel (N,) of an image of ``height`` rows and twice as many columns: the top row looks along +Z, the
+    centre column along +Y, +X is to its right."""
     row = np.clip(np.arccos(np.clip(direction[:, 2], -1, 1)) / np.pi * height, 0, height - 1).astype(np.int64)
     turn = 0.5 + np.arctan2(direction[:, 0], direction[:, 1]) / (2 * np.pi)
     column = np.clip(turn * 2 * height, 0, 2 * height - 1).astype(np.int64)
