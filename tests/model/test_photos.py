@@ -76,7 +76,8 @@ def test_from_photographs_to_a_turntable_in_one_command(tmp_path: Path) -> None:
     words += ["--checkpoint", str(checkpoint), "--frames", "2", "--samples", "4", "--no-check", "--quiet"]
     (truth / "fail-mapper").touch()
     failed = CliRunner().invoke(app, words)
-    assert failed.exit_code != 0 and "no luck with mapper" in str(failed.exception) + failed.output
+    said = str(failed.exception) + failed.output
+    assert failed.exit_code != 0 and "no luck with mapper" in said and "photographs that overlap" in said
     (truth / "fail-mapper").unlink()
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output

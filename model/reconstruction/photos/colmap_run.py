@@ -23,6 +23,7 @@ from datagen.foundation.errors import input_error
 
 MAX_IMAGE_PX = 2400
 """Longer sides are shrunk before features are sought."""
+_OVERLAP = "take more photographs that overlap, sharp and large, from different places; see the log"
 _TAIL = 400  # characters of the log that an error shows
 
 
@@ -115,9 +116,8 @@ class ColmapRun:
             self._do(step)
         models = [folder for folder in (self.work / "found").iterdir() if _size(folder)]
         if not models:
-            remedy = "take more photographs that overlap, from different places; see the log"
             raise input_error(
-                self.work / "cameras.log", "cameras", "no model", "overlapping photographs", remedy
+                self.work / "cameras.log", "cameras", "no model", "overlapping photographs", _OVERLAP
             )
         if not self.model.is_dir():
             partial = self.work / "sparse" / "partial"
@@ -162,7 +162,8 @@ class ColmapRun:
                 if ended.returncode:
                     tail = log.read_text(errors="replace")[-_TAIL:].strip() or "nothing"
                     got = f"{Path(command[0]).name} {command[1]} ended with {ended.returncode}: {tail}"
-                    raise input_error(log, step.name, got, "a step that ends well", "see the log; then again")
+                    remedy = _OVERLAP if command[1] == "mapper" else "see the log; then again"
+                    raise input_error(log, step.name, got, "a step that ends well", remedy)
         write_bytes_atomically(done, b"")
 
 
