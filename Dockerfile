@@ -15,8 +15,9 @@ ENV PIP_NO_CACHE_DIR=1 \
 # From a copy that is left behind: what runs is the installed packages, with the bundled library inside.
 COPY . /source
 WORKDIR /source
-# Plain torch would bring several GB of CUDA.
-RUN pip install --constraint constraints.txt --extra-index-url https://download.pytorch.org/whl/cpu \
+# Plain torch would bring several GB of CUDA: its build for processors, or none.
+RUN sed --in-place 's/^torch==.*/&+cpu/' constraints.txt && \
+    pip install --constraint constraints.txt --extra-index-url https://download.pytorch.org/whl/cpu \
         '.[train,heic,raw,gltf,usd,export,blender]' && \
     VENV=/usr/local .ci/ensure_system.sh llvm && \
     VENV=/usr/local .ci/ensure_system.sh blender && \
