@@ -33,6 +33,8 @@ def write_recipes(folder: Path) -> None:
         recipe: dict[str, Any] = yaml.safe_load(path.read_text())
         recipe.update(configurations=2, views=3, resolution=list(SIZE_PX), objects={"count": [2, 3]})
         recipe.setdefault("library", [LIBRARY])
+        for key in ("environments", "lights"):  # generated rooms and panoramas: the small library has neither
+            recipe.pop(key, None)
         recipe["cameras"] = {"min_content": 2}
         recipe["render"] = {"path_samples": 2, "auxiliary_samples": 4}
         if "splits" in recipe:
