@@ -291,3 +291,20 @@ def test_rays_along_an_edge_of_the_box_leave_through_its_last_cells() -> None:
     last = CELLS - 1
     assert face.tolist() == [1, 0, 3, 2]
     assert rest.tolist() == [last * CELLS + last, 0, last * CELLS + last, 0]
+
+
+def test_lanes_without_a_vertex_stay_inside_the_table() -> None:
+    """Missed rays bring NaN and infinity; their cells are gathered all the same."""
+    import mitsuba as mi
+
+    from datagen.rendering.transport.sky_guide import CELLS, exit_cell
+
+    corners = mi.Point3f(-1.0, 0.0, 2.0), mi.Point3f(3.0, 1.0, 4.0)
+    values = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 0.0], np.float32)
+    points, directions = (g.ravel() for g in np.meshgrid(values, values))
+    cell = exit_cell(
+        *corners,
+        mi.Point3f(points, np.zeros_like(points), points),
+        mi.Vector3f(directions, directions, np.ones_like(directions)),
+    )[0]
+    assert int(np.array(cell).max()) < 6 * CELLS**2

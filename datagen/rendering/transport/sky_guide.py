@@ -116,7 +116,10 @@ def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
-    """Where rays from inside leave the box: cell, distance, and the direction's part across the face."""
+    """Where rays from inside leave the box: cell, distance, and the direction's part across the face.
+
+    The cell is one of the box's for any input, NaN of lanes without a vertex included.
+    """
     far = [
         dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, upper, lower) - p) / d)
         for p, d, lower, upper in zip(point, direction, low, high, strict=True)
@@ -129,7 +132,8 @@ def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[
     column, row = dr.select(is_x, share.y, share.x), dr.select(is_x | is_y, share.z, share.y)
     cell = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
     for place in (column, row):
-        cell = cell * CELLS + mi.UInt32(dr.clip(place * CELLS, 0.0, CELLS - 1.0))
+        # Clamped as an integer: dr.clip keeps NaN, whose integer depends on the processor (2^31 with AVX2).
+        cell = cell * CELLS + dr.minimum(mi.UInt32(dr.maximum(place * CELLS, 0.0)), CELLS - 1)
     return cell, t, along
 
 
