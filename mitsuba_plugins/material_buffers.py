@@ -27,6 +27,7 @@ import numpy as np
 
 from datagen.foundation.buffers import BUFFERS, GROUND_TRUTH_BUFFERS, MATERIAL_MAPS
 from datagen.foundation.errors import input_error
+from mitsuba_plugins.cells import cell_of
 from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 
 Array = Any
@@ -80,7 +81,7 @@ class PixelFilter:
     def _look_up(self, table: Array, position: Array) -> Array:
         """Linear interpolation at a position in [0, TABLE_SIZE], clamped to it."""
         position = dr.clip(position, 0.0, float(self.TABLE_SIZE))
-        cell = dr.minimum(mi.UInt32(position), self.TABLE_SIZE - 1)
+        cell = cell_of(position, self.TABLE_SIZE)
         low, high = dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
         return dr.lerp(low, high, position - mi.Float(cell))
 

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
 from datagen.geometry.views import TracedView
+from mitsuba_plugins.cells import cell_of
 
 REACH = 1.0
 MIN_PIXELS = 3
@@ -39,13 +40,20 @@ _MAX_PIXELS = 6000  # of a view
 class Layout:
     """Bins: ``faces`` of the box (1: direction alone), ``places`` along both sides of a face, ``azimuths``,
     and ``heights`` in equal steps of the direction's z, for equal solid angles. ``photographed_reach`` is in
-    radians."""
+    radians. ``gain_blocks``: blocks along places, heights and azimuths whose bins share the gain of an
+    estimate."""
 
     faces: int
     places: int
     azimuths: int
     heights: int
     photographed_reach: float
+    gain_blocks: tuple[int, int, int]
+
+    @property
+    def is_far(self) -> bool:
+        """Whether bins depend on direction alone."""
+        return self.faces == 1
 
     @property
     def directions(self) -> int:
@@ -56,6 +64,12 @@ class Layout:
     def size(self) -> int:
         """Bins in all."""
         return self.faces * self.places**2 * self.directions
+
+    @property
+    def num_gains(self) -> int:
+        """Blocks in all."""
+        places, heights, azimuths = self.gain_blocks
+        return self.faces * places**2 * heights * azimuths
 
     def ways(self) -> NDArray[np.float64]:
         """Unit directions (D, 3) of the centres of the bins at one place."""
@@ -71,14 +85,14 @@ class Layout:
         column = np.clip(azimuth + 0.5 * self.azimuths, 0, self.azimuths - 1).astype(np.int64)
         row = np.clip((direction[:, 2] * 0.5 + 0.5) * self.heights, 0, self.heights - 1).astype(np.int64)
         way = row * self.azimuths + column
-        if self.faces == 1:
+        if self.is_far:
             return way
         face, place = box_squares(origin, direction, low, high, self.places)
         return ((face * self.places + place[:, 0]) * self.places + place[:, 1]) * self.directions + way
 
 
-NEAR = Layout(6, 12, 24, 12, photographed_reach=0.45)
-FAR = Layout(1, 1, 128, 64, photographed_reach=0.15)
+NEAR = Layout(6, 12, 24, 12, photographed_reach=0.45, gain_blocks=(3, 2, 4))
+FAR = Layout(1, 1, 128, 64, photographed_reach=0.15, gain_blocks=(1, 4, 8))
 
 
 @dataclass(frozen=True)
@@ -100,10 +114,8 @@ class Background:
 
         azimuths, heights = self.layout.azimuths, self.layout.heights
         azimuth = dr.atan2(direction.y, direction.x) * (azimuths / (2 * np.pi)) + 0.5 * azimuths
-        column = mi.UInt32(dr.clip(azimuth, 0.0, azimuths - 1.0))
-        row = mi.UInt32(dr.clip((direction.z * 0.5 + 0.5) * heights, 0.0, heights - 1.0))
-        way = row * azimuths + column
-        if self.layout.faces == 1:
+        way = cell_of((direction.z * 0.5 + 0.5) * heights, heights) * azimuths + cell_of(azimuth, azimuths)
+        if self.layout.is_far:
             return way
         distance, axis = mi.Float(dr.inf), mi.UInt32(0)
         for k in range(3):
@@ -113,17 +125,7 @@ class Background:
             distance = dr.minimum(t, distance)
         places = self.layout.places
         place = [
-            dr.clip(
-                mi.UInt32(
-                    dr.clip(
-                        (origin[k] + distance * direction[k] - float(self.low[k])) * float(s),
-                        0.0,
-                        places - 1.0,
-                    )
-                ),
-                0,
-                places - 1,
-            )
+            cell_of((origin[k] + distance * direction[k] - float(self.low[k])) * float(s), places)
             for k, s in enumerate(places / (self.high - self.low))
         ]
         u = dr.select(axis == 0, place[1], place[0])
@@ -206,7 +208,7 @@ def photographed_background(
     radiance = np.zeros((layout.size, 3), np.float32)
     is_known, is_photographed = np.zeros(layout.size, dtype=bool), np.zeros(layout.size, dtype=bool)
     bins = layout.bins_of(pixels.origin, pixels.direction, low, high)
-    keys, colors = (_means if layout is FAR else _medians)(bins, pixels.color)
+    keys, colors = (_means if layout.is_far else _medians)(bins, pixels.color)
     if not len(keys):
         return Background(low, high, radiance, is_known, is_photographed, layout)
     radiance[keys] = colors

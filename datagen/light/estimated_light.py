@@ -20,17 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import luminance
-from datagen.light.background import NEAR, Background, Layout
+from datagen.light.background import FAR, NEAR, Background, Layout
 from datagen.light.bake import Baker, cosine_rays
 from datagen.light.radiance_field import side_of
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 MAX_SURFELS, RAYS = 16_000, 96
 """Surfels that the fit is made on, and rays of each."""
-PLACE_BLOCKS, AZIMUTH_BLOCKS, HEIGHT_BLOCKS = 3, 4, 2
-"""Blocks of the background's bins, along each of its axes, that share a gain."""
-FAR_AZIMUTH_BLOCKS, FAR_HEIGHT_BLOCKS = 8, 4
-"""The same where the direction alone counts."""
 ROOM_PARTS = 5
 """Parts of the room along its longest side; surface in one that faces one way shares a gain."""
 MIN_SHARE, MAX_GROUPS = 0.002, 96
@@ -48,7 +44,7 @@ MAX_REFLECTED = 1.1
 _HUBER = 0.25  # in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
 _MIN_REST = 0.02  # of the irradiance: samples of its parts are not those of the whole
-NUM_OUTSIDE = 6 * PLACE_BLOCKS**2 * AZIMUTH_BLOCKS * HEIGHT_BLOCKS
+NUM_OUTSIDE = max(layout.num_gains for layout in (NEAR, FAR))
 NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 
 
@@ -65,9 +61,8 @@ class EstimateGains:
 def background_groups(layout: Layout) -> NDArray[np.int64]:
     """Group of each bin of a :class:`~datagen.light.background.Background`, below :data:`NUM_OUTSIDE`."""
     shape = layout.faces, layout.places, layout.places, layout.heights, layout.azimuths
-    blocks = 6, PLACE_BLOCKS, PLACE_BLOCKS, HEIGHT_BLOCKS, AZIMUTH_BLOCKS
-    if layout is not NEAR:
-        blocks = 1, 1, 1, FAR_HEIGHT_BLOCKS, FAR_AZIMUTH_BLOCKS
+    places, heights, azimuths = layout.gain_blocks
+    blocks = layout.faces, places, places, heights, azimuths
     bins = np.unravel_index(np.arange(layout.size), shape)
     return np.ravel_multi_index(
         [axis // (num // of) for axis, num, of in zip(bins, shape, blocks, strict=True)], blocks

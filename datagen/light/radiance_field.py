@@ -83,12 +83,14 @@ class Estimated(NamedTuple):
 
 
 class _End(NamedTuple):
-    """End of a ray: the result, the surfel's row or -1, position, and normal towards the ray."""
+    """End of a ray: the result, the surfel's row or -1, position, normal towards the ray, and whether the ray
+    leaves the mesh."""
 
     met: Met
     row: Any
     position: Any
     normal: Any
+    leaves: Any
 
 
 class RadianceField:
@@ -216,7 +218,7 @@ class RadianceField:
             si.t,
             cosine,
         )
-        return _End(met, row, si.p, normal)
+        return _End(met, row, si.p, normal, missed)
 
     def unknown_hits(self, ray: Any) -> tuple[NDArray, NDArray]:
         """Hits of rays on surface of unknown radiance: positions and normals (K, 3) towards the rays."""
@@ -242,8 +244,7 @@ class RadianceField:
         import mitsuba as mi
 
         end = self._end_of(ray, mi.Bool(True))
-        leaves = ~self.scene.ray_test(ray)
-        where = dr.select(leaves, mi.Int32(self.background.bin_of(ray.o, ray.d)), -1)
+        where = dr.select(end.leaves, mi.Int32(self.background.bin_of(ray.o, ray.d)), -1)
         is_estimated = end.met.is_known & ~end.met.is_photographed
         dr.eval(is_estimated, where, end)
         chosen = np.flatnonzero(is_estimated.numpy())

@@ -23,6 +23,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from mitsuba_plugins.cells import cell_of
+
 if TYPE_CHECKING:
     from datagen.rendering.transport.sky_guide import SkyGuide
 
@@ -89,7 +91,7 @@ class LightSampler:
     def choose(self, record: Array, sample: Array) -> tuple[Any, Any]:
         """A technique by a number in [0, 1), and the number's remainder: again in [0, 1)."""
         scaled = sample * self.num_slots
-        slot = dr.minimum(mi.UInt32(scaled), self.num_slots - 1)
+        slot = cell_of(scaled, self.num_slots)
         packed: Any = dr.gather(mi.UInt32, self.table, self._row(record) * self.num_slots + slot)
         start, count = mi.Float((packed >> 10) & 0x3FF), mi.Float(packed >> 20)
         return packed & 0x3FF, dr.clip((scaled - start) / count, 0.0, BELOW_ONE)

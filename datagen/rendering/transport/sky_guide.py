@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.rendering.transport.sky_observation import SkyObservations
+from mitsuba_plugins.cells import cell_of
 
 Array = Any
 
@@ -95,7 +96,7 @@ class SkyGuide:
 
     def sample(self, point: Array, choice: Array, sample: Array) -> Array:
         """A direction from ``point``, which must be inside the box, by numbers in [0, 1)."""
-        entry = dr.minimum(mi.UInt32(choice * TABLE), TABLE - 1)
+        entry = cell_of(choice * TABLE, TABLE)
         cell = dr.gather(mi.UInt32, self.table, entry)
         face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
         column = (mi.Float(rest // CELLS) + sample.x) / CELLS
@@ -132,8 +133,7 @@ def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[
     column, row = dr.select(is_x, share.y, share.x), dr.select(is_x | is_y, share.z, share.y)
     cell = 2 * axis + dr.select(along > 0.0, mi.UInt32(1), mi.UInt32(0))
     for place in (column, row):
-        # Clamped as an integer: dr.clip keeps NaN, whose integer depends on the processor (2^31 with AVX2).
-        cell = cell * CELLS + dr.minimum(mi.UInt32(dr.maximum(place * CELLS, 0.0)), CELLS - 1)
+        cell = cell * CELLS + cell_of(place * CELLS, CELLS)
     return cell, t, along
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from datagen.formats.capture import CaptureGeometry
 from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry
-from datagen.light.background import FAR
 from datagen.light.lighting import Lit
 from model.reconstruction.found_lights import FoundLights
 from model.reconstruction.light.lamps import found_lamps
@@ -25,5 +24,5 @@ def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) ->
     rays = leaving_rays(field, lit.surfels)
     median = float(np.median(luminance(lit.surfels.radiance.astype(np.float64))))
     windows = found_windows(rays, field.background, median)
-    sky = sky_image(field.background) if windows and field.background.layout is FAR else None
+    sky = sky_image(field.background) if windows and field.background.layout.is_far else None
     return FoundLights(lamps, shining_patches(lit), windows, sky)

@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: MIT
+"""Cells of tables that kernels gather from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def cell_of(position: Any, count: int) -> Any:
+    """The cell (UInt32) in [0, ``count``) of a Dr.Jit position in cells; the first or the last one outside.
+
+    For NaN it is one of the cells too. dr.clip keeps NaN, and NaN as an unsigned integer depends on the
+    processor: 2^31 with AVX2, where gathering from there ends the process, and 2^32 - 1 with AVX-512.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    return dr.minimum(mi.UInt32(dr.maximum(position, 0.0)), count - 1)
