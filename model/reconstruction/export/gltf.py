@@ -18,7 +18,6 @@ from model.reconstruction.export.metallic_textures import (
     DIELECTRIC_F0,
     MAX_DIELECTRIC_F0,
     ConversionError,
-    metallic_textures,
 )
 from model.reconstruction.export.slots import Reconstruction, export_slots, patch_meshes
 
@@ -31,7 +30,7 @@ def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool 
     Lamps, panels and windows that were found are emissive surfaces; ``has_punctual`` adds point lights where
     lamps are small. glTF has no sky.
     """
-    made = metallic_textures(reconstruction.atlas)
+    made = reconstruction.metallic
     writer = _Glb()
     textures = [writer.image(png) for png in (made.base_color, made.orm, made.specular_color)]
     materials: list[dict[str, Any]] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from datagen.foundation.exr import encode_view
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.crease_normals import with_normals
 from model.reconstruction.atlas.atlas import Atlas
+from model.reconstruction.export.metallic_textures import MetallicTextures, metallic_textures
 from model.reconstruction.found_lights import Color, FoundLights, FoundPatch
 
 SURFACE = "surface"
@@ -31,6 +33,11 @@ class Reconstruction:
     atlas: Atlas
     images: Path
     lights: FoundLights | None = None
+
+    @cached_property
+    def metallic(self) -> MetallicTextures:
+        """The atlas as textures of metallic-roughness, which GLB and USDZ share."""
+        return metallic_textures(self.atlas)
 
     @property
     def shining_lights(self) -> FoundLights | None:

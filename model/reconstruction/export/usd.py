@@ -28,7 +28,7 @@ from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas
 from model.reconstruction.export.atlas_images import averaged, map_bytes, texture_shrink
-from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0, metallic_textures
+from model.reconstruction.export.metallic_textures import DIELECTRIC_F0, MAX_DIELECTRIC_F0
 from model.reconstruction.export.slots import Reconstruction, environment_exr, export_slots
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color
 
@@ -72,7 +72,7 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
 
     with tempfile.TemporaryDirectory(prefix=".usd-", dir=path.parent) as name:
         folder = Path(name)
-        _write_textures(folder, reconstruction.atlas)
+        _write_textures(folder, reconstruction)
         stage_file, packed = folder / "room.usdc", folder / path.name
         writer = _Stage(stage_file, mean_index(reconstruction.atlas))
         for slot_name, slot in export_slots(reconstruction).items():
@@ -110,8 +110,8 @@ def mean_index(atlas: Atlas) -> float:
     return float((1 + root) / (1 - root))
 
 
-def _write_textures(folder: Path, atlas: Atlas) -> None:
-    made = metallic_textures(atlas)
+def _write_textures(folder: Path, reconstruction: Reconstruction) -> None:
+    atlas, made = reconstruction.atlas, reconstruction.metallic
     (folder / "base_color.png").write_bytes(made.base_color)
     (folder / "orm.png").write_bytes(made.orm)
     shrink = texture_shrink(atlas)
