@@ -80,3 +80,9 @@ def input_error(
 ) -> InputError:
     """Shorthand for an :class:`InputError` with a single problem."""
     return InputError(Problem(where, field, str(got), expected, remedy))
+
+
+def raise_problems(problems: list[Problem]) -> None:
+    """Raise an :class:`InputError` with all problems, each once."""
+    if problems:
+        raise InputError(*problems)

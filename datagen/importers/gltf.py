@@ -28,7 +28,7 @@ from datagen.formats.category_sizes import size_fault
 from datagen.formats.lights import DirectionalLight, Light, PointLight, SpotLight
 from datagen.foundation.axes import asset_from_source
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.gltf import TRIANGLE_MODES, GltfFile, PlacedNode, triangles_of
 from datagen.foundation.meshes.mesh import (
@@ -45,7 +45,6 @@ from datagen.importers.channels import ImageCache, TextureFiles
 from datagen.importers.classes import guess_category, guess_supports
 from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, provenance
 from datagen.importers.gltf_materials import GltfMaterial, GltfMaterialConverter
-from datagen.importers.mitsuba_materials import raise_problems
 from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish
 

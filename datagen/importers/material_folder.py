@@ -14,7 +14,7 @@ import numpy as np
 
 from datagen.formats.asset import Material, MaterialAsset, MaterialClass, Texture
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import Problem, input_error
+from datagen.foundation.errors import Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
 from datagen.foundation.naming import slug
@@ -22,7 +22,6 @@ from datagen.foundation.paths import fault_of
 from datagen.importers.channels import ColorValue, ImageCache, ImageSource, ScalarValue, TextureFiles
 from datagen.importers.classes import guess_class
 from datagen.importers.common import ImportedAsset, ImportOptions, provenance
-from datagen.importers.mitsuba_materials import raise_problems
 from datagen.importers.packaging import finish
 from datagen.importers.pbr import green_points_up, metallic_roughness
 

@@ -32,7 +32,7 @@ from datagen.foundation.naming import unique
 from datagen.foundation.paths import fault_of
 from datagen.importers.channels import TextureFiles
 from datagen.importers.common import ImportOptions
-from datagen.importers.mitsuba_materials import COPY_IT, INSIDE_SCENE
+from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE
 
 MITSUBA_FROM_ENVIRONMENT = np.array(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

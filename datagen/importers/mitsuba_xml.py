@@ -30,7 +30,7 @@ from datagen.formats.mitsuba.sensors import camera_of, guess_up
 from datagen.formats.package import FileSource
 from datagen.foundation.axes import asset_from_source
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.errors import InputError, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, without_degenerate
@@ -42,14 +42,7 @@ from datagen.importers.channels import ImageCache, ImageSource, TextureFiles
 from datagen.importers.classes import REPLACEABLE, guess_class
 from datagen.importers.common import ImportedAsset, ImportOptions, mended_note, provenance
 from datagen.importers.mitsuba_lights import LightConverter, emitter_shape_light
-from datagen.importers.mitsuba_materials import (
-    COPY_IT,
-    INSIDE_SCENE,
-    Draft,
-    MaterialConverter,
-    normal_from_height,
-    raise_problems,
-)
+from datagen.importers.mitsuba_materials import Draft, MaterialConverter
 from datagen.importers.mitsuba_shapes import (
     FILE_SHAPES,
     SUPPORTED_SHAPES,
@@ -57,6 +50,7 @@ from datagen.importers.mitsuba_shapes import (
     shape_mesh,
     transformed_uv,
 )
+from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE, normal_from_height
 from datagen.importers.packaging import finish
 
 _PANE_RATIO = 0.05  # a see-through part thinner than this share of its second extent is a pane

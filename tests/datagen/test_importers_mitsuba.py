@@ -25,8 +25,9 @@ from datagen.importers.annotate import find_places
 from datagen.importers.channels import BakedSource, ImageCache, ImageSource
 from datagen.importers.common import ImportedAsset, ImportOptions, detect_origin
 from datagen.importers.mitsuba_lights import emitter_shape_light
-from datagen.importers.mitsuba_materials import Draft, MaterialConverter, checkerboard, normal_from_height
+from datagen.importers.mitsuba_materials import Draft, MaterialConverter
 from datagen.importers.mitsuba_shapes import shape_mesh, transformed_uv
+from datagen.importers.mitsuba_values import checkerboard, normal_from_height
 from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.importers.reference import agreement, native_configuration
 from datagen.importers.room_grid import largest_rectangle

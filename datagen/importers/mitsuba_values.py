@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+"""Parameters and textures of Mitsuba's BSDF nodes as values of channels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.mitsuba.scene import SceneNode
+from datagen.foundation.errors import Problem
+from datagen.foundation.findings import Findings
+from datagen.foundation.paths import fault_of
+from datagen.importers import fresnel
+from datagen.importers.channels import (
+    BakedSource,
+    Color,
+    ColorValue,
+    ImageCache,
+    ImageSource,
+    ScalarValue,
+    Value,
+    combine,
+)
+from datagen.importers.common import ImportOptions
+
+CHECKER_TILE_PX = 128  # a checker edge then blurs over 1/128 of a tile under bilinear filtering
+MISSING_GREY = 0.5
+INSIDE_SCENE = "a file inside the scene's folder"
+COPY_IT = "copy it there, or name its folder with --allow"
+_DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
+
+
+@dataclass
+class _Textures:
+    """Texture look-ups of one BSDF, with the UV transforms that they ask for."""
+
+    matrices: list[NDArray[np.float64]] = field(default_factory=list)
+    has_plain: bool = False
+
+
+class NodeValues:
+    """Values of the BSDF nodes of one scene; faults are collected in ``problems``."""
+
+    def __init__(self, scene_file: Path, options: ImportOptions, findings: Findings, cache: ImageCache):
+        self.scene_file = scene_file
+        self.options = options
+        self.findings = findings
+        self.cache = cache
+        self.problems: list[Problem] = []
+        self.start_material()
+
+    def start_material(self) -> None:
+        """Forget UV transforms and notes of the material before."""
+        self._textures = _Textures()
+        self.notes: list[str] = []
+
+    def problem(self, field_: str, got: str, expected: str, remedy: str) -> None:
+        self.problems.append(Problem(self.scene_file, field_, got, expected, remedy))
+
+    def ior(self, node: SceneNode) -> float:
+        """Relative index of refraction, inside over outside."""
+        sides = []
+        for key, default in (("int_ior", _DEFAULT_INT_IOR), ("ext_ior", _DEFAULT_EXT_IOR)):
+            value = node.get(key, default)
+            number = fresnel.named_ior(value) if isinstance(value, str) else float(value)
+            if number is None or not (math.isfinite(number) and number > 0):
+                self.problem(
+                    f"{node.where}: {key}",
+                    repr(value),
+                    "a number or a name that Mitsuba knows",
+                    "use a number",
+                )
+                number = 1.5
+            sides.append(number)
+        return sides[0] / sides[1]
+
+    def roughness(self, node: SceneNode, name: str) -> ScalarValue:
+        """Perceptual roughness of the equivalent Beckmann lobe."""
+        distribution = str(node.get("distribution", "beckmann"))
+        if node.get("alpha_u") is not None or node.child("alpha_u") is not None:
+            pair = self.scalar(node, "alpha_u", 0.1), self.scalar(node, "alpha_v", 0.1)
+            self.notes.append(f"{name}: anisotropic roughness as the geometric mean of its two widths")
+        else:
+            pair = (self.scalar(node, "alpha", 0.1),) * 2
+        value = combine(
+            lambda u, v: fresnel.perceptual_roughness(np.sqrt(u * v), distribution),
+            self.cache,
+            f"{name}_roughness",
+            (pair[0], True),
+            (pair[1], True),
+            is_scalar=True,
+        )
+        if distribution == "ggx":
+            factor = fresnel.ALPHA_BECKMANN_PER_GGX
+            self.notes.append(f"{name}: GGX lobe as the Beckmann lobe nearest to it (alpha x {factor})")
+        return cast(ScalarValue, value)
+
+    def color(self, node: SceneNode, key: str, default: float) -> ColorValue:
+        """A colour parameter or its texture."""
+        texture = node.child(key)
+        if texture is not None:
+            return cast(ColorValue, self.texture(texture))
+        return self.constant_color(node, key, default)
+
+    def constant_color(self, node: SceneNode, key: str, default: float) -> Color:
+        """A colour parameter without a texture."""
+        value = node.get(key, default)
+        if isinstance(value, tuple | list):
+            red, green, blue = (float(x) for x in value)
+            return red, green, blue
+        return (float(value),) * 3
+
+    def scalar(self, node: SceneNode, key: str, default: float) -> ScalarValue:
+        """A scalar parameter or its texture; colours count by their luminance."""
+        texture = node.child(key)
+        if texture is None:
+            value = node.get(key, default)
+            return (
+                float(np.dot(value, [0.212671, 0.715160, 0.072169]))
+                if isinstance(value, tuple)
+                else float(value)
+            )
+        found = self.texture(texture)
+        if isinstance(found, tuple):
+            return float(np.dot(found, [0.212671, 0.715160, 0.072169]))
+        if isinstance(found, BakedSource):
+            return BakedSource(self.cache.values(found, True).mean(axis=-1), found.label, "linear")
+        return found
+
+    def texture(self, node: SceneNode) -> Value:
+        """A texture node as a value; what it asks for is noted for the material."""
+        if node.type == "bitmap":
+            return self._bitmap(node)
+        if node.type == "checkerboard":
+            self._note_matrix(node)
+            first, second = (
+                self.constant_color(node, "color0", 0.4),
+                self.constant_color(node, "color1", 0.2),
+            )
+            if node.child("color0") or node.child("color1"):
+                self.problem(
+                    node.where, "a checkerboard of textures", "of two colours", "bake it to an image"
+                )
+            return checkerboard(first, second)
+        self.problem(node.where, f"type {node.type!r}", "a bitmap or a checkerboard", "bake it to an image")
+        return (MISSING_GREY,) * 3
+
+    def _bitmap(self, node: SceneNode) -> Value:
+        name = str(node.get("filename", ""))
+        path, fault = fault_of(self.scene_file.parent, name, self.options.allowed)
+        self._note_matrix(node)
+        if path is None:
+            self.problem(f"{node.where}: filename", f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
+            return (MISSING_GREY,) * 3
+        if not path.is_file():
+            if self.options.missing == "refuse":
+                self.problem(
+                    f"{node.where}: filename",
+                    f"{name!r} (no such file)",
+                    "the texture",
+                    "restore it, or import with --missing replace",
+                )
+            else:
+                self.findings.approximate(f"{name}: missing texture replaced by grey {MISSING_GREY}")
+            return (MISSING_GREY,) * 3
+        if str(node.get("wrap_mode", "repeat")) != "repeat":
+            self.findings.approximate(f"{name}: wrap mode {node.get('wrap_mode')} as repeat")
+        is_raw = bool(node.get("raw", False)) or path.suffix.lower() in (".exr", ".hdr", ".pfm")
+        return ImageSource(path, "linear" if is_raw else "srgb")
+
+    def _note_matrix(self, node: SceneNode) -> None:
+        matrix = node.get("to_uv")
+        if matrix is None:
+            self._textures.has_plain = True
+        else:
+            flat = np.eye(3)
+            flat[:2, :2], flat[:2, 2] = matrix[:2, :2], matrix[:2, 3]
+            self._textures.matrices.append(flat)
+
+    def common_matrix(self, node: SceneNode) -> NDArray[np.float64] | None:
+        """The UV transform (3, 3) of all textures of the material; None where no texture has one."""
+        matrices = self._textures.matrices
+        if not matrices:
+            return None
+        same = all(np.allclose(m, matrices[0]) for m in matrices)
+        if not same or (self._textures.has_plain and not np.allclose(matrices[0], np.eye(3))):
+            self.problem(
+                node.where,
+                "textures with different to_uv",
+                "one UV transform a material",
+                "bake them to one layout",
+            )
+        return matrices[0]
+
+
+def checkerboard(color0: Color, color1: Color) -> BakedSource:
+    """One tile of Mitsuba's checkerboard: color0 where u and v are both in the same half, rows downwards."""
+    side = CHECKER_TILE_PX
+    half = np.arange(side) >= side // 2
+    is_first = half[:, None] == half[None, :]
+    values = np.where(is_first[..., None], np.asarray(color0), np.asarray(color1)).astype(np.float32)
+    return BakedSource(values, "checkerboard", "srgb")
+
+
+def normal_from_height(height: NDArray[np.float32], uv_per_m: float) -> NDArray[np.float32]:
+    """Tangent-space normals (H, W, 3) of a tiling height map in metres, +Y up, for a given UV density.
+
+    The slope along u is dh/du * uv_per_m; rows run downwards, so that +v is minus the row direction.
+    """
+    rows, columns = height.shape
+    slope_u = (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) * (0.5 * columns) * uv_per_m
+    slope_v = (np.roll(height, 1, axis=0) - np.roll(height, -1, axis=0)) * (0.5 * rows) * uv_per_m
+    normal = np.stack([-slope_u, -slope_v, np.ones_like(height)], axis=-1)
+    return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
