@@ -205,7 +205,7 @@ def _print_left(out: Path, options: RunOptions) -> None:
 
 def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
     """Run one unit in this process, which then ends with the unit's code."""
-    from datagen.farm.local import run_unit_here
+    from datagen.farm.worker import run_unit_here
 
     def report(stage: str, done: int, total: int) -> None:
         print(f"{stage} {done}/{total}")
@@ -287,7 +287,7 @@ def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
 
 def _end(out: Path, summary: RunSummary) -> None:
     """Say what stopped a run or failed in it, and end the command; nothing where all is done."""
-    from datagen.farm.local import EXIT_INTERRUPTED
+    from datagen.farm.worker import EXIT_INTERRUPTED
 
     if summary.interrupted:
         typer.echo("interrupted; what is finished is kept, the same command goes on from here", err=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
 from datagen.farm.job_options import SlurmOptions, check_folder, option_name, seconds_of
-from datagen.farm.local import EXIT_INTERRUPTED
+from datagen.farm.worker import EXIT_INTERRUPTED
 from datagen.foundation.errors import InputError, Problem
 
 _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "collect_options")

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
 from datagen.farm.job_options import SlurmOptions, can_be_directive, check_folder, split_option
-from datagen.farm.local import EXIT_INTERRUPTED
 from datagen.farm.status import array_spec
+from datagen.farm.worker import EXIT_INTERRUPTED
 from datagen.foundation.errors import input_error
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from datagen.farm.engine import Engine
 from datagen.farm.folder import DatasetFolder
 from datagen.farm.job_options import SlurmOptions
-from datagen.farm.local import check_writable
 from datagen.farm.pbs import PbsEngine
 from datagen.farm.slurm import ShellEngine, SlurmEngine
 from datagen.farm.space import check_space
+from datagen.farm.worker import check_writable
 from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.errors import input_error
 

@@ -17,8 +17,9 @@ import pytest
 
 from datagen.farm.collect import collect
 from datagen.farm.folder import DatasetFolder
-from datagen.farm.local import EXIT_INTERRUPTED, LocalOptions, run_local
+from datagen.farm.local import LocalOptions, run_local
 from datagen.farm.status import array_spec, forget_failures, read_status
+from datagen.farm.worker import EXIT_INTERRUPTED
 from datagen.formats.shard import Dataset
 from datagen.foundation.errors import InputError
 from tests.datagen.small_plan import plan_small

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: MIT
+"""A worker process: runs units that its parent hands out over a pipe, or one unit in this process.
+
+A signal to stop ends a unit at its next view; its views so far are kept.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import psutil
+
+from datagen.farm.folder import DatasetFolder, Plan, PlannedUnit
+from datagen.foundation.errors import DISK_FULL, InputError, Problem, input_error
+from mitsuba_plugins.variant import check_variant, select_variant
+
+EXIT_INTERRUPTED = 75
+"""Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""
+STOP_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1") if hasattr(signal, name)
+)  # Windows has no SIGUSR1
+
+
+def available_cpus() -> int:
+    """Processors that this process may use; a queue may grant fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_writable(root: Path) -> None:
+    """Raise :class:`InputError` where nothing can be written below ``root``."""
+    probe = root / f".writable.{os.getpid()}"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        remedy = "make it writable, free space, or choose another folder"
+        got = (error.strerror or str(error)).lower()
+        raise input_error(root, "", got, "a folder to write in", remedy) from None
+
+
+def planned_unit(plan: Plan, root: Path, index: int) -> PlannedUnit:
+    """The unit of an index; raises :class:`InputError` where the plan has none."""
+    if not 0 <= index < len(plan.units):
+        raise input_error(root, "unit", index, f"0 to {len(plan.units) - 1}", "correct the index")
+    return plan.units[index]
+
+
+def worker_main(connection: Connection, root: str, threads: int, stages: tuple[str, ...]) -> None:
+    """Loop of a worker process: receive an index, run the unit, send what happened."""
+    stop = {"asked": False}
+    parent = os.getppid()
+
+    def ask_to_stop(signum: int, frame: object) -> None:
+        stop["asked"] = True
+
+    for number in STOP_SIGNALS:  # Ctrl-C and queues signal the whole group; the parent decides
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, ask_to_stop)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, str(threads))
+    folder = DatasetFolder(Path(root))
+    context = _WorkerContext(folder, threads)
+    while True:
+        try:
+            message = connection.recv()
+        except (EOFError, OSError):
+            return  # the parent is gone
+        if message is None:
+            return
+        index, log = message
+        try:
+            with _redirected_output(Path(log)):
+                outcome = _run_one(
+                    context, index, stages, connection, lambda: stop["asked"] or _orphan(parent)
+                )
+        except OSError as error:  # no room for a log
+            outcome = "failed", f"{type(error).__name__}: {error}"
+            if error.errno in DISK_FULL:
+                outcome = "full", _full(error, folder.root)
+        memory = psutil.Process().memory_info().rss / 2**20
+        try:
+            connection.send(("outcome", *outcome, memory))
+        except (BrokenPipeError, OSError):
+            return
+
+
+def _full(error: OSError, root: Path) -> str:
+    """One sentence about a full disk: further attempts would only fill the time."""
+    return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
+
+
+def _orphan(parent: int) -> bool:
+    return os.getppid() != parent
+
+
+class _redirected_output:
+    """Sends the process's stdout and stderr, also those of native code, to the end of a log file."""
+
+    def __init__(self, log: Path):
+        self.log = log
+
+    def __enter__(self) -> None:
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self.saved = os.dup(1), os.dup(2)
+        file = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        os.dup2(file, 1)
+        os.dup2(file, 2)
+        os.close(file)
+
+    def __exit__(self, *exception: object) -> None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for number, saved in zip((1, 2), self.saved, strict=True):
+            os.dup2(saved, number)
+            os.close(saved)
+
+
+class _WorkerContext:
+    """What a process needs to run units, loaded once. ``threads`` None leaves Dr.Jit's choice."""
+
+    def __init__(self, folder: DatasetFolder, threads: int | None):
+        from datagen.library import Library
+
+        self.folder = folder
+        self.plan = folder.read_plan()
+        self.recipe = folder.read_recipe()
+        self.library = Library(folder.library_paths())
+        self.threads = threads
+        self.is_ready = False
+
+    def prepare(self) -> None:
+        """Select the variant and the number of threads before the first unit."""
+        if self.is_ready:
+            return
+        select_variant(self.plan.variant)
+        if self.threads is not None:
+            import drjit as dr
+
+            dr.set_thread_count(self.threads)
+        self.is_ready = True
+
+
+def _run_one(
+    context: _WorkerContext,
+    index: int,
+    stages: tuple[str, ...],
+    connection: Connection | None,
+    should_stop: Callable[[], bool],
+) -> tuple[str, str]:
+    from datagen.farm.work_unit import Interrupted, UnitRun, run_unit
+
+    def report(stage: str, done: int, total: int) -> None:
+        if connection is not None:
+            connection.send(("progress", stage, done, total))
+
+    try:
+        context.prepare()
+        run = UnitRun(
+            folder=context.folder,
+            unit=context.plan.units[index],
+            recipe=context.recipe,
+            library=context.library,
+            versions=context.plan.versions,
+            variant=context.plan.variant,
+            report=report,
+            should_stop=should_stop,
+        )
+        return ("done" if run_unit(run, stages) else "already"), ""
+    except Interrupted:
+        return "interrupted", ""
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return "failed", str(error)
+    except OSError as error:
+        if error.errno not in DISK_FULL:
+            traceback.print_exc()
+            return "failed", f"{type(error).__name__}: {error}"
+        reason = _full(error, context.folder.root)
+        print(reason, file=sys.stderr)
+        return "full", reason
+    except Exception as error:  # a worker must outlive whatever a unit raises; the trace is in its log
+        traceback.print_exc()
+        return "failed", f"{type(error).__name__}: {error}"
+
+
+def run_unit_here(
+    root: Path,
+    index: int,
+    stages: tuple[str, ...] = ("render", "stats", "pack"),
+    report: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> int:
+    """Run one unit in this process; the command that job scripts and reproductions call.
+
+    Returns an exit code: 0 done, 75 interrupted by SIGTERM, SIGINT or SIGUSR1 (run again), 1 failed.
+    """
+    stop = {"asked": False}
+
+    def ask_to_stop(signum: int, frame: object) -> None:
+        stop["asked"] = True
+
+    for number in STOP_SIGNALS:
+        signal.signal(number, ask_to_stop)
+    context = _WorkerContext(DatasetFolder(root), available_cpus())
+    unit = planned_unit(context.plan, root, index)
+    if not context.folder.is_done(unit):
+        check_writable(root)
+        check_variant(context.plan.variant)
+
+    class _Reporter:
+        def send(self, message: tuple) -> None:
+            report(*message[1:])
+
+    outcome, _ = _run_one(context, index, stages, _Reporter(), lambda: stop["asked"])  # type: ignore[arg-type]
+    return {"done": 0, "already": 0, "interrupted": EXIT_INTERRUPTED}.get(outcome, 1)
