@@ -15,12 +15,14 @@ import pytest
 
 from datagen.formats.asset import AssetCamera, EnvironmentAsset, Part, Provenance, SlotMaterial, Texture
 from datagen.formats.base import matrix4
+from datagen.formats.lights import AreaLight, EnvironmentLight, PointLight, SphereLight
 from datagen.formats.package import open_package, write_package
 from datagen.foundation.color import linear_from_srgb, srgb_from_linear
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import encode_png
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
+from model.reconstruction.atlas_page.sources import MAX_SOURCES, page_sources
 from model.reconstruction.atlas_page.writing import PAGE_FILES, write_view
 from oracles import brdf
 from tests.browser.driver import SOFTWARE_GL, WAIT_S, Page, find_browser, open_browser
@@ -434,6 +436,205 @@ def test_atlas_of_4096_texels_opens_soon(tmp_path: Path) -> None:
         )
         assert read(page).std() > 5 and page.console() == []
     assert first < MAX_OPEN_S
+
+
+# ---------------------------------------------------------------------- shadows and the asset's own lights
+
+SHELF = 0.25 * CORNERS + [0, 0, 0.4]
+
+
+def make_room(root: Path, lights: tuple[AreaLight, ...] = (), *, has_lamp: bool = True) -> Path:
+    """A white floor of 2 m, a shelf 0.5 m wide 0.4 m above its middle, and a lamp of 0.2 m that shines down
+    from 1.9 m."""
+    up, uv = np.tile([0.0, 0, 1], (4, 1)).astype("f4"), np.zeros((4, 2), np.float32)
+    shapes = {"surface": CORNERS, "shelf": SHELF, "lamp": 0.1 * CORNERS + [0, 0, 1.9]}
+    down = np.ascontiguousarray(FACES[:, ::-1]).astype(np.int32)
+    meshes = {
+        name: Mesh(at.astype("f4"), down if name == "lamp" else FACES.astype(np.int32), up, uv)
+        for name, at in shapes.items()
+        if name != "lamp" or has_lamp
+    }
+    white = SlotMaterial(diffuse_albedo=(0.8, 0.8, 0.8), specular_albedo=(0.0, 0.0, 0.0), roughness=1.0)
+    asset = EnvironmentAsset(
+        id="room",
+        title="A floor under a shelf",
+        provenance=Provenance(license="CC0-1.0", source="made by a test"),
+        materials={
+            name: SlotMaterial(emission=(30.0, 20.0, 10.0)) if name == "lamp" else white for name in meshes
+        },
+        parts=tuple(Part(name=name, mesh=f"{name}.ply", material=name) for name in meshes),
+        lights=lights,
+    )
+    content = {f"{name}.ply": encode_ply(mesh) for name, mesh in meshes.items()}
+    write_package(root / "asset", asset, content).close()
+    write_view(root / "asset", root / "page")
+    return root / "page" / "index.html"
+
+
+def open_page(browser: Page, page: Path) -> None:
+    browser.console()
+    browser.driver.get("about:blank")
+    browser.open(page)
+
+
+def is_behind_shelf(points: np.ndarray, light: np.ndarray, slack: float) -> np.ndarray:
+    """Whether the way from floor points (..., 3) to the light crosses the shelf, wider by ``slack`` m."""
+    crossing = points + (light - points) * (SHELF[0, 2] / light[2])
+    return np.abs(crossing[..., :2]).max(axis=-1) < 0.25 + slack
+
+
+def floor_seen(shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (H, W, 3) of the floor, and where nothing is before it (neither shelf nor lamp, by a margin)."""
+    points, is_seen = points_seen(*shown.shape[:2])
+    for height, half in ((0.4, 0.25), (1.9, 0.1)):
+        at = points + (CAMERA - points) * (height / CAMERA[2])
+        is_seen &= (np.abs(at[..., :2]).max(axis=-1) > half + 0.02) | (height > CAMERA[2])
+    return points, is_seen & (np.abs(points[..., :2]).max(axis=-1) < 0.97)
+
+
+@pytest.mark.parametrize("light", [(0.3, 0.5, 1.1), (-0.9, -0.2, 0.9), (0.02, 0.01, 3.0)])
+def test_movable_light_casts_shadows(
+    browser: Page, tmp_path: Path, light: tuple[float, float, float]
+) -> None:
+    """By geometry: black behind the shelf, everywhere else as without shadows, so without acne."""
+    open_page(browser, make_room(tmp_path, has_lamp=False))
+    pose(browser, light, exposure=-1, power=1, shadows=False)
+    bare = read(browser).astype(int)
+    pose(browser, light, exposure=-1, power=1, shadows=True)
+    shown = read(browser).astype(int)
+    points, is_floor = floor_seen(shown)
+    is_dark = is_floor & is_behind_shelf(points, np.array(light), -0.02)
+    is_lit = is_floor & ~is_behind_shelf(points, np.array(light), 0.02)
+    assert is_dark.sum() > 500 and is_lit.sum() > 5000
+    assert bare[is_dark].min() > 20
+    assert shown[is_dark].max() == 0
+    np.testing.assert_array_equal(shown[is_lit], bare[is_lit])
+    lit_shelf = points_seen(*shown.shape[:2])[1] & ~is_floor
+    assert (shown[lit_shelf] == bare[lit_shelf]).all(axis=-1).mean() > 0.9  # nor does the shelf shadow itself
+    moved = (-light[0], -light[1], light[2] + 0.2)
+    pose(browser, moved, exposure=-1, power=1)  # the shadow goes with the light
+    after = read(browser)
+    is_dark = is_floor & is_behind_shelf(points, np.array(moved), -0.02)
+    assert after[is_dark].max() == 0
+    assert browser.console() == []
+
+
+def test_grazing_light_leaves_no_acne(browser: Page, tmp_path: Path) -> None:
+    """5 cm above the floor: each texel of its map covers up to 20 times its width."""
+    open_page(browser, make_room(tmp_path, has_lamp=False))
+    light = (0.0, 0.0, 0.05)
+    pose(browser, light, power=2, shadows=False)
+    bare = read(browser).astype(int)
+    pose(browser, light, power=2, shadows=True)
+    shown = read(browser).astype(int)
+    _, is_floor = floor_seen(shown)
+    assert bare[is_floor].max() > 100
+    np.testing.assert_array_equal(shown[is_floor], bare[is_floor])
+
+
+def test_own_lights_are_switched(browser: Page, tmp_path: Path) -> None:
+    """A lamp of a mesh as a disk of its area: irradiance by hand, none behind the shelf, none when off."""
+    open_page(browser, make_room(tmp_path))
+    assert "1 light," in browser.run("return document.getElementById('sources-note').textContent")
+    assert browser.run("return VIEW.state().sources") is False
+    pose(browser, power=-60)
+    off = read(browser).astype(int)
+    assert off.max() == 0
+    browser.run("document.getElementById('sources').click()")
+    assert browser.run("return VIEW.state().sources") is True
+    shown = read(browser).astype(int)
+    points, is_floor = floor_seen(shown)
+    lamp = np.array([0, 0, 1.9])
+    is_dark = is_floor & is_behind_shelf(points, lamp, -0.03)
+    is_lit = is_floor & ~is_behind_shelf(points, lamp, 0.03)
+    assert is_dark.sum() > 200 and shown[is_dark].max() == 0
+    away = lamp - points[is_lit]
+    distance2 = (away**2).sum(axis=1)
+    cosine2 = lamp[2] ** 2 / distance2
+    irradiance = 0.04 * cosine2 / (distance2 + 0.04 / np.pi)
+    expected = 255 * srgb_from_linear(np.clip(0.8 / np.pi * irradiance[:, None] * [30.0, 20.0, 10.0], 0, 1))
+    assert expected.max() > 60
+    np.testing.assert_allclose(shown[is_lit], expected, atol=1.5)
+    browser.run("document.getElementById('sources').click()")
+    np.testing.assert_array_equal(read(browser), off)
+    assert browser.console() == []
+
+
+def test_lamps_do_not_shadow_themselves(browser: Page, tmp_path: Path) -> None:
+    """Two plates back to back, 10 cm apart: their middle is between them."""
+    index = make_room(tmp_path, has_lamp=False)
+    with open_package(tmp_path / "asset") as package:
+        asset = package.asset
+        assert isinstance(asset, EnvironmentAsset)
+        content = {f"{name}.ply": package.read_bytes(f"{name}.ply") for name in ("surface", "shelf")}
+    corners = np.concatenate([0.1 * CORNERS + [0, 0, 1.95], 0.1 * CORNERS + [0, 0, 1.85]]).astype("f4")
+    faces = np.concatenate([FACES, FACES[:, ::-1] + 4]).astype(np.int32)
+    plates = Mesh(corners, faces, np.tile([0.0, 0, 1], (8, 1)).astype("f4"), np.zeros((8, 2), np.float32))
+    changes = {
+        "materials": {**asset.materials, "lamp": SlotMaterial(emission=(30.0, 30.0, 30.0))},
+        "parts": (*asset.parts, Part(name="lamp", mesh="lamp.ply", material="lamp")),
+    }
+    content["lamp.ply"] = encode_ply(plates)
+    write_package(tmp_path / "lit" / "asset", asset.model_copy(update=changes), content).close()
+    write_view(tmp_path / "lit" / "asset", index.parent)
+    open_page(browser, index)
+    pose(browser, power=-60, sources=True)
+    shown = read(browser)
+    points, is_floor = floor_seen(shown)
+    is_lit = is_floor & ~is_behind_shelf(points, np.array([0, 0, 1.9]), 0.03)
+    assert is_lit.sum() > 5000 and shown[is_lit].min() > 10
+
+
+def test_assets_without_lights_say_so(browser: Page, tmp_path: Path) -> None:
+    open_page(browser, make_room(tmp_path, has_lamp=False))
+    assert browser.run("return document.getElementById('sources').disabled") is True
+    assert "There are none" in browser.run("return document.getElementById('sources-note').textContent")
+    pose(browser, sources=True)  # nor by a script
+    assert browser.run("return VIEW.state().sources") is False
+
+
+def test_many_lights_are_merged_with_their_power(tmp_path: Path) -> None:
+    """Ten windows in a row, the last two apart by 1 cm and 2 cm of one another."""
+    places = [0.0, 1, 2, 3, 4, 5, 6, 7, 7.01, 7.03]
+    lights = tuple(
+        AreaLight(name=f"w-{k}", origin_m=(x, 0, 1), edge_u_m=(0.5, 0, 0), edge_v_m=(0, 0, 1),
+                  radiance=(1.0 + k, 2.0, 3.0))
+        for k, x in enumerate(places)
+    )  # fmt: skip
+    make_room(tmp_path, lights, has_lamp=False)
+    text = (tmp_path / "page" / "data" / "scene.js").read_text()
+    scene = json.loads(text[len("VIEW.scene = ") : -2])
+    sources = scene["sources"]
+    assert (len(sources), scene["numLights"]) == (MAX_SOURCES, 10)
+    flux = sum(np.linalg.norm(s["vector"]) * np.array(s["radiance"]) for s in sources)
+    np.testing.assert_allclose(flux, 0.5 * np.sum([light.radiance for light in lights], axis=0))
+    assert [s["position"][0] for s in sources[:7]] == pytest.approx([x + 0.25 for x in places[:7]])
+    np.testing.assert_allclose(sources[0]["vector"], (0, -0.5, 0))  # edge_u x edge_v
+    assert 7.25 < sources[7]["position"][0] < 7.28
+    limit = (REPOSITORY / "model/reconstruction/atlas_page/page/shadows.js").read_text()
+    assert f"VIEW.MAX_SOURCES = {MAX_SOURCES};" in limit
+
+
+def test_lights_of_every_kind_as_sources(tmp_path: Path) -> None:
+    """Intensity towards a direction w, L (max(V.w, 0) + rest), of points, spheres and disks."""
+    make_room(tmp_path, has_lamp=False)
+    with open_package(tmp_path / "asset") as package:
+        asset = package.asset
+        assert isinstance(asset, EnvironmentAsset)
+        lights = (
+            PointLight(name="bulb", position_m=(0, 0, 1), intensity=(5, 6, 7)),
+            SphereLight(name="globe", position_m=(1, 0, 1), radius_m=0.1, radiance=(2, 2, 2)),
+            AreaLight(name="disk", origin_m=(-1, -1, 2), edge_u_m=(0, 2, 0), edge_v_m=(2, 0, 0),
+                      radiance=(1, 1, 1), shape="disk"),
+            EnvironmentLight(name="sky"),
+        )  # fmt: skip
+        sources, number, notes = page_sources(asset.model_copy(update={"lights": lights}), {})
+    assert number == 3 and notes == ["sky: this light (environment) is not shown"]
+    intensity = [s.radiance * (max(-s.vector_m2[2], 0) + s.rest_m2) for s in sources]  # downwards
+    np.testing.assert_allclose(intensity[0], (5, 6, 7))
+    np.testing.assert_allclose(intensity[1], 2 * np.pi * 0.01)
+    np.testing.assert_allclose(intensity[2], np.pi)
+    np.testing.assert_allclose(sources[2].position_m, (0, 0, 2))
 
 
 # ---------------------------------------------------------------------- without a browser

@@ -27,12 +27,13 @@ from datagen.foundation.color_maps import cividis
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh, joined, vertex_normals
 from datagen.foundation.meshes.ply import read_ply
+from model.reconstruction.atlas_page.sources import page_sources
 from model.reconstruction.atlas_page.textures import AtlasState, material_images, read_state
 
 MAX_SIDE = 4096
 """Longest side of an image: more is beyond many GPUs, and 4096 takes 256 MB of theirs already."""
 PREVIEW_SIDE = 1024
-PAGE_FILES = ("index.html", "view.css", "three.js", "shader.js", "controls.js", "view.js")
+PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "controls.js", "view.js")
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,11 @@ def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
                 if material.normal is not None or material.opacity is not None:
                     notes.append(f"{slot}: its normal map and opacity are not shown")
             materials.append({**described, **_encode_mesh(mesh)})
+        sources, num_lights, unshown = page_sources(asset, slots)
+        notes += unshown
         scene = {
+            "sources": [source.described() for source in sources],
+            "numLights": num_lights,
             "title": asset.title or asset.id,
             "materials": materials,
             "cameras": _cameras(asset),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// The project's BSDF (docs/bsdf.md, model/shading.py) for one point light: (1-S) D/pi + F D_b G1 G1 / (4 cos cos)
+// The project's BSDF (docs/bsdf.md, model/shading.py) for the movable light and the asset's own sources: (1-S) D/pi + F D_b G1 G1 / (4 cos cos)
 // with Beckmann's distribution, the exact Smith term and Schlick's Fresnel term; alpha = R^2 in [1e-3, 1].
 // Letters: n normal, o to the viewer, i to the light, h half vector. World space, metres, Z up.
 "use strict";
@@ -21,9 +21,17 @@ VIEW.shader = {
 
   fragment: `
     precision highp float;
+    precision highp sampler2DArray;
     uniform sampler2D diffuseMap, specularMap, roughMap, colorMap;
+    uniform sampler2DArray lightShadow, sourceShadow;
     uniform vec3 cameraPosition, lightPosition, lightIntensity, emission;
     uniform float exposure, fill; // fill: radiance from all around, an approximation
+    uniform float range; // of the stored distances
+    uniform bool hasShadows;
+    // the asset's own lights (sources.py); numSources is 0 while they are off
+    uniform int numSources;
+    uniform vec3 sourcePosition[${VIEW.MAX_SOURCES}], sourceVector[${VIEW.MAX_SOURCES}], sourceRadiance[${VIEW.MAX_SOURCES}];
+    uniform float sourceRest[${VIEW.MAX_SOURCES}];
     uniform int shown; // 0 lit, 1 D, 2 S, 3 R, 4 seen, 5 normal, 6 confidence
     uniform bool isLamp;
     in vec3 point, shadingNormal;
@@ -58,6 +66,29 @@ VIEW.shader = {
       return (1.0 - S) * D * (cosI / PI) + F * (lobe * 0.25 * cosI);
     }
 
+    ${VIEW.shadowShader.visibility}
+
+    vec3 fromLight(vec3 D, vec3 S, float R, vec3 n, vec3 o, vec3 plane) {
+      vec3 toLight = lightPosition - point;
+      float distance2 = max(dot(toLight, toLight), 1e-8); // a light on the surface would divide by 0
+      vec3 radiance = brdfCos(D, S, R, n, o, toLight * inversesqrt(distance2)) * lightIntensity / distance2;
+      return hasShadows ? radiance * visibility(lightShadow, 0, lightPosition, point, plane, range) : radiance;
+    }
+
+    // a source as a point of intensity L (max(V w, 0) + rest); the area over pi bounds what it lights at contact, and
+    // is exact on a disk's axis
+    vec3 fromSources(vec3 D, vec3 S, float R, vec3 n, vec3 o, vec3 plane) {
+      vec3 radiance = vec3(0.0);
+      for (int k = 0; k < numSources; k++) {
+        vec3 toLight = sourcePosition[k] - point, i = normalize(toLight);
+        float area = length(sourceVector[k]) + sourceRest[k];
+        float projected = max(-dot(sourceVector[k], i), 0.0) + sourceRest[k];
+        vec3 reflected = brdfCos(D, S, R, n, o, i) * sourceRadiance[k] * projected / (dot(toLight, toLight) + area / PI);
+        if (reflected != vec3(0.0)) radiance += reflected * visibility(sourceShadow, k, sourcePosition[k], point, plane, range);
+      }
+      return radiance;
+    }
+
     vec3 screen(vec3 linear) {
       linear = clamp(linear, 0.0, 1.0);
       return mix(1.055 * pow(linear, vec3(1.0 / 2.4)) - 0.055, 12.92 * linear, lessThanEqual(linear, vec3(0.0031308)));
@@ -66,15 +97,15 @@ VIEW.shader = {
     vec3 scale(float value) { return texture(colorMap, vec2(value * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb; }
 
     void main() {
-      if (isLamp) { color = vec4(shown == 0 ? screen(emission * exposure) : vec3(0.2), 1.0); return; }
+      if (isLamp && shown > 0) { color = vec4(vec3(0.2), 1.0); return; }
+      if (isLamp && numSources > 0) { color = vec4(screen(emission * exposure), 1.0); return; } // switched off, it is grey
+      vec3 plane = normalize(cross(dFdx(point), dFdy(point)));
       vec3 D = texture(diffuseMap, at).rgb, S = texture(specularMap, at).rgb;
       vec3 rough = texture(roughMap, at).rgb;
       vec3 o = normalize(cameraPosition - point), n = normalize(shadingNormal);
       if (dot(n, o) < 0.0) n = -n; // seen from behind, a surface is its own mirror image
       if (shown == 0) {
-        vec3 toLight = lightPosition - point;
-        float distance2 = max(dot(toLight, toLight), 1e-8); // a light on the surface would divide by 0
-        vec3 radiance = brdfCos(D, S, rough.r, n, o, toLight * inversesqrt(distance2)) * lightIntensity / distance2;
+        vec3 radiance = fromLight(D, S, rough.r, n, o, plane) + fromSources(D, S, rough.r, n, o, plane);
         radiance += fill * ((1.0 - S) * D + S);
         color = vec4(screen(radiance * exposure), 1.0);
       } else if (shown == 1) color = vec4(screen(D), 1.0);

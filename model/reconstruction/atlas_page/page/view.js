@@ -56,7 +56,15 @@
   camera.near = controls.size * 2e-3;
   camera.far = 4 * (controls.size + whole[0].distanceTo(whole[1]));
 
+  const range = camera.far, near = controls.size * 1e-3;
+  const shadows = VIEW.makeShadows(renderer, world, 1, 512, near, range);
+  let sourceShadows = null; // made when the sources are first switched on
+
+  const fixed = (pick) => ({ value: Array.from({ length: VIEW.MAX_SOURCES }, (_, k) => pick(data.sources[k] || { position: [0, 0, 0], vector: [0, 0, 0], radiance: [0, 0, 0], rest: 0 })) });
+  const vectors = (name) => fixed((source) => new T.Vector3(...source[name]));
   const shared = {
+    lightShadow: { value: shadows.texture }, sourceShadow: { value: shadows.texture }, range: { value: range }, hasShadows: { value: true },
+    numSources: { value: 0 }, sourcePosition: vectors("position"), sourceVector: vectors("vector"), sourceRadiance: vectors("radiance"), sourceRest: fixed((source) => source.rest),
     lightPosition: { value: controls.light }, lightIntensity: { value: new T.Vector3() }, exposure: { value: 1 }, fill: { value: 0 }, shown: { value: 0 },
     colorMap: { value: texture(new Uint8Array(data.colorMap.flatMap((rgb) => [...rgb, 255])), 256, 1, false) },
   };
@@ -74,6 +82,7 @@
     return made;
   }
 
+  const lamps = [];
   const holders = new Map(); // image name -> uniform that takes it
   for (const material of data.materials) {
     const geometry = new T.BufferGeometry();
@@ -86,11 +95,29 @@
     for (const [name, kind] of material.images) holders.set(name, { uniform: uniforms[`${kind}Map`], isColor: kind !== "rough" });
     const mesh = new T.Mesh(geometry, new T.RawShaderMaterial({ glslVersion: T.GLSL3, vertexShader: VIEW.shader.vertex, fragmentShader: VIEW.shader.fragment, uniforms, side: T.DoubleSide }));
     mesh.frustumCulled = false;
+    if (material.emission) lamps.push(mesh);
     world.add(mesh);
     for (const key of ["positions", "normals", "uv", "faces"]) delete material[key];
   }
   const bulb = new T.Mesh(new T.SphereGeometry(1, 16, 12), new T.MeshBasicMaterial({ color: 0xffe08a }));
   world.add(bulb);
+
+  // The light's map is drawn again where it has moved; its ball throws no shadow, and lamps do not shadow themselves.
+  let shadowsFrom = null;
+  function drawShadows() {
+    bulb.visible = false;
+    if (shared.hasShadows.value && !shadowsFrom?.equals(controls.light)) {
+      shadows.render(0, controls.light);
+      shadowsFrom = controls.light.clone();
+    }
+    if (shared.numSources.value && !sourceShadows) {
+      sourceShadows = VIEW.makeShadows(renderer, world, data.sources.length, 256, near, range);
+      for (const lamp of lamps) lamp.visible = false;
+      data.sources.forEach((source, k) => sourceShadows.render(k, shared.sourcePosition.value[k]));
+      for (const lamp of lamps) lamp.visible = true;
+      shared.sourceShadow.value = sourceShadows.texture;
+    }
+  }
 
   function draw() {
     const [width, height] = [canvas.clientWidth, canvas.clientHeight], ratio = Math.min(window.devicePixelRatio || 1, 2);
@@ -102,6 +129,7 @@
       camera.aspect = width / height;
       camera.updateProjectionMatrix();
     }
+    if (shared.shown.value === 0) drawShadows();
     bulb.position.copy(controls.light);
     bulb.scale.setScalar(0.012 * camera.position.distanceTo(controls.light));
     bulb.visible = shared.shown.value === 0 && settings.showsLight;
@@ -128,6 +156,17 @@
     }
     ui[name] = { apply, get: () => Number(box.value) };
     return element("label", {}, label, box, output);
+  }
+  function checkbox(name, label, value, isDisabled, set) {
+    const box = element("input", { id: name, type: "checkbox", disabled: isDisabled ? "" : null, onchange: () => apply(box.checked) });
+    function apply(given) {
+      box.checked = given && !isDisabled;
+      set(box.checked);
+      changed();
+    }
+    ui[name] = { apply, get: () => box.checked };
+    box.checked = value;
+    return element("label", { class: "check" }, box, label);
   }
   const metres = (value) => `${value.toFixed(2)} m`, stops = (value) => `${value >= 0 ? "+" : ""}${value.toFixed(1)} EV`;
 
@@ -195,13 +234,17 @@
       slider("power", "power", -6, 6, 0.1, 0, stops, (value) => { settings.power = value; shared.lightIntensity.value.setScalar(unit * 2 ** value); }),
       slider("fill", "fill", 0, 1, 0.01, 0.06, (value) => value.toFixed(2), (value) => { settings.fill = value; shared.fill.value = value; }),
       axis(0, "x"), axis(1, "y"), axis(2, "z"),
-      element("p", { class: "note", text: "Drag the yellow ball, or use the keys. One point light, without shadows; fill is light from all around, roughly." }),
+      checkbox("shadows", "shadows", true, false, (value) => { shared.hasShadows.value = value; }),
+      element("p", { class: "note", text: "Drag the yellow ball, or use the keys. It is one point light; fill is light from all around, roughly." }),
+      element("h2", { text: "Lights of the room" }),
+      checkbox("sources", "switched on", false, !data.sources.length, (value) => { shared.numSources.value = value ? data.sources.length : 0; }),
+      element("p", { class: "note", id: "sources-note", text: data.sources.length ? `${data.numLights === 1 ? "1 light" : `${data.numLights} lights`}, as ${data.sources.length === 1 ? "1 point" : `${data.sources.length} points`} at the middle of what shines; without reflected light.` : "There are none: none was found, or none that this page can show." }),
       element("h2", { text: "Keys" }),
       element("ul", {}, ...["W A S D, Q E: move", "arrows: turn", "I J K L, U O: move the light", "1 to 7: what is shown", "[ ]: exposure", "C: next camera; F: look or turn around", "with Shift: farther"].map((text) => element("li", { text }))),
       element("p", { class: "note", id: "sizes", text: `${data.materials.length} materials, textures up to ${Math.max(1, ...sizes)} texels a side` }),
       ...data.notes.map((text) => element("p", { class: "note", text })));
     controls.whenLightMoves(() => { for (const k of [0, 1, 2]) ui[`light-${"xyz"[k]}`].apply(controls.light.getComponent(k)); });
-    for (const name of ["exposure", "power", "fill"]) ui[name].apply(ui[name].get());
+    for (const name of ["exposure", "power", "fill", "shadows", "sources"]) ui[name].apply(ui[name].get());
     ui.power.apply(0);
     controls.moveLight(home);
     lookFrom(room ? ROOM : data.cameras.length ? 0 : OUTSIDE);
@@ -269,12 +312,12 @@
   new ResizeObserver(changed).observe(canvas);
   // for tests, and for whoever scripts the page
   Object.assign(VIEW, {
-    state: () => ({ ...settings, shown: shared.shown.value, light: controls.light.toArray(), camera: camera.position.toArray(), target: controls.target().toArray(), fov: camera.fov, intensity: shared.lightIntensity.value.x }),
+    state: () => ({ ...settings, shown: shared.shown.value, light: controls.light.toArray(), camera: camera.position.toArray(), target: controls.target().toArray(), fov: camera.fov, intensity: shared.lightIntensity.value.x, shadows: ui.shadows.get(), sources: ui.sources.get() }),
     set(wanted) {
       if (wanted.camera) controls.look(wanted.camera, wanted.target, wanted.fov);
       if (wanted.light) controls.moveLight(new T.Vector3(...wanted.light));
       if (wanted.showsLight !== undefined) settings.showsLight = wanted.showsLight;
-      for (const name of ["exposure", "power", "fill"]) if (wanted[name] !== undefined) ui[name].apply(wanted[name]);
+      for (const name of ["exposure", "power", "fill", "shadows", "sources"]) if (wanted[name] !== undefined) ui[name].apply(wanted[name]);
       draw();
     },
     // colours (RGBA, rows from the top) of pixels as the screen shows them
