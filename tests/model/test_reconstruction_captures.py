@@ -356,7 +356,9 @@ def test_exif_exposures_are_evened_out(tmp_path: Path) -> None:
         exif = Image.Exif()
         exif.get_ifd(0x8769).update({0x829A: time_s, 0x829D: 4.0, 0x8827: 200})
         Image.new("RGB", SIZE, (100, 100, 100)).save(tmp_path / f"{index}.jpg", exif=exif)
-        frames.append({"file_path": f"{index}.jpg", "transform_matrix": np.eye(4).tolist(), "fl_x": 50.0})
+        pose = np.eye(4)
+        pose[0, 3] = 0.01 * index  # places of their own: no bracket
+        frames.append({"file_path": f"{index}.jpg", "transform_matrix": pose.tolist(), "fl_x": 50.0})
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
 
     def levels(exposure: Exposure) -> list[float]:

@@ -50,6 +50,7 @@ from model.reconstruction.captures import (
     realitycapture,
     transforms_json,
 )
+from model.reconstruction.captures.brackets import with_brackets
 from model.reconstruction.captures.exposures import exposure_scales
 from model.reconstruction.captures.frames import (
     judged_unit,
@@ -278,8 +279,9 @@ def open_capture(
     raw = load_mesh(file, budget) if mesh_in_its_frame is None else mesh_in_its_frame
     mesh, notes = sound_mesh(raw, np.asarray(record.mesh.world_from_mesh), file)
     geometry = CaptureGeometry(mesh, (GeometryPart("mesh", 0, len(mesh.faces)),))
+    merged, said = with_brackets(views)
     capture = Capture(
-        record.name, tuple(views), geometry, record.lights, notes, up_of(record.mesh.world_from_mesh)
+        record.name, merged, geometry, record.lights, notes + said, up_of(record.mesh.world_from_mesh)
     )
     return _shrunk(capture, max_width_px)
 

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: MIT
+"""Exposure brackets: photographs of one camera and pose whose exposures differ, as one image.
+
+A pixel is the mean of the photographs in which it is not clipped, weighted by exposure: with photon noise
+this estimator has the least variance (Hanji, Zhong and Mantiuk, "Noise-aware merging of high dynamic range
+image stacks without camera calibration", ECCV workshops 2020). It is clipped where all of them are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.formats.capture import CaptureView, ColorImage
+from datagen.foundation.cameras import Camera
+from model.reconstruction.captures.photographs import PhotographSource
+
+MAX_APART_M = 1e-3
+"""Distance of the centres of cameras on one tripod, as calibrations estimate it."""
+MAX_TURN_RAD = 1e-3
+"""Angle between them: 0.6 pixels of 640 over 60 degrees."""
+MAX_INTRINSICS_SHARE = 1e-3
+"""Difference of intrinsics, of the width."""
+MIN_EXPOSURE_RATIO = 1.1
+"""Of a bracket's longest and shortest exposure."""
+
+
+@dataclass(frozen=True)
+class BracketSource:
+    """Photographs of one camera and pose, in any order."""
+
+    photographs: tuple[PhotographSource, ...]
+
+    def read(self, camera: Camera) -> ColorImage:
+        """The photographs merged, as ``camera`` sees them; ``limit`` is that of the shortest exposure."""
+        ordered = sorted(self.photographs, key=lambda p: (p.exposure_scale, str(p.path)))
+        return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
+
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+        """Photographs hold no ground truth."""
+        return {}
+
+
+def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
+    """One image of ``images`` (H, W, 3) that ``scales``, inverse exposures, have brought to one exposure.
+
+    Where all are clipped it has the shortest exposure's values: the highest lower bound.
+    """
+    shape = images[0].color.shape
+    total, weights = np.zeros(shape), np.zeros(shape)
+    clipped = np.ones(shape, dtype=bool)
+    for image, scale in zip(images, scales, strict=True):
+        of_image = np.zeros(shape, bool) if image.clipped_mask is None else image.clipped_mask
+        weight = ~of_image / scale
+        total += weight * image.color
+        weights += weight
+        clipped &= of_image
+    shortest = images[int(np.argmax(scales))]
+    color = np.where(clipped, shortest.color, total / np.where(clipped, 1.0, weights)).astype(np.float32)
+    valid = np.logical_and.reduce([image.valid_mask for image in images])
+    has_limit = shortest.clipped_mask is not None
+    return ColorImage(color, valid, clipped if has_limit else None, shortest.limit)
+
+
+def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
+    """``views`` of photographs with every bracket as one view, named after its first, and notes on them.
+
+    Photographs of one pose without different exposures stay apart: theirs may not have been recorded.
+    """
+    groups: list[list[CaptureView]] = []
+    for view in views:
+        group = next((g for g in groups if _are_one_camera(g[0], view)), None)
+        if group is None:
+            groups.append([view])
+        else:
+            group.append(view)
+    found: list[CaptureView] = []
+    unknown: list[str] = []
+    num_merged = num_brackets = 0
+    for group in groups:
+        sources = [view.source for view in group if isinstance(view.source, PhotographSource)]
+        scales = [source.exposure_scale for source in sources]
+        if len(group) == 1:
+            found += group
+        elif max(scales) < MIN_EXPOSURE_RATIO * min(scales):
+            found += group
+            unknown.append(group[0].name)
+        else:
+            found.append(CaptureView(group[0].name, group[0].camera, BracketSource(tuple(sources))))
+            num_merged, num_brackets = num_merged + len(group), num_brackets + 1
+    notes = []
+    if num_brackets:
+        notes.append(f"{num_merged} photographs are merged as {num_brackets} exposure brackets")
+    if unknown:
+        where = ", ".join(unknown[:8])
+        notes.append(
+            f"several photographs share the pose of {where} and are not merged: no different exposures are "
+            "known of them; keep EXIF, or state exposure_scale in capture.json"
+        )
+    return tuple(found), tuple(notes)
+
+
+def _are_one_camera(one: CaptureView, other: CaptureView) -> bool:
+    if not (isinstance(one.source, PhotographSource) and isinstance(other.source, PhotographSource)):
+        return False
+    a, b = one.camera, other.camera
+    if (a.width_px, a.height_px) != (b.width_px, b.height_px):
+        return False
+    if np.linalg.norm(a.position_m - b.position_m) > MAX_APART_M:
+        return False
+    # of a small rotation between them, |R_a - R_b| = sqrt(2) times its angle
+    turn = np.linalg.norm(a.world_from_camera[:3, :3] - b.world_from_camera[:3, :3]) / np.sqrt(2)
+    apart = np.subtract((a.fx_px, a.fy_px, a.cx_px, a.cy_px), (b.fx_px, b.fy_px, b.cx_px, b.cy_px))
+    return bool(turn <= MAX_TURN_RAD and np.abs(apart).max() <= MAX_INTRINSICS_SHARE * a.width_px)
