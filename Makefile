@@ -5,6 +5,9 @@ VENV ?= .venv
 OUT ?= demo-output
 WORKERS ?= 2
 ONLY ?= tests
+# Processes of pytest. Each renders with threads of its own and takes up to 5 GB.
+JOBS ?= 2
+PYTEST = $(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile
 FAST := $(addprefix tests/,test_architecture.py mitsuba_plugins/test_variant.py \
   datagen/test_formats.py datagen/test_package.py datagen/test_library.py datagen/test_importers_gltf.py \
   datagen/test_importers_material_folder.py datagen/test_assembly_random.py datagen/test_assembly_materials.py \
@@ -49,13 +52,13 @@ demo: setup ## Generate a small dataset from the bundled library, and the page t
 	@printf 'Next:               docs/tutorials/first-dataset.md\n'
 
 test: setup-dev ## Run the tests; ONLY=path runs those of a file or folder
-	@$(BIN)/python -m pytest -q $(ONLY)
+	@$(PYTEST) $(ONLY)
 
 test-fast: setup-dev ## Run what needs no rendering, training or Blender: formats, importers, assembly, architecture
 	@$(BIN)/python -m pytest -q $(FAST)
 
 test-slow: setup-dev ## Run the long tests too
-	@$(BIN)/python -m pytest -q -m "slow or not slow"
+	@$(PYTEST) -m "slow or not slow"
 
 lint: setup-dev ## Check style, format and types
 	@$(BIN)/ruff check .
