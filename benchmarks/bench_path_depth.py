@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
-from benchmarks.bench_error_estimate import bundled
-from datagen.formats.recipe import RenderRecipe
+from datagen.assembly.plan import assemble
+from datagen.formats.recipe import AssetFilter, Recipe, RenderRecipe
+from datagen.library import Library, resolve_library_paths
 from datagen.rendering.path_depth import depth_for, reflectance_met, truncation
 from datagen.rendering.renderer import SceneRenderer
 
@@ -24,7 +26,16 @@ def missing_light(room: str, size: tuple[int, int] = (48, 30)) -> dict[str, Any]
     """Reflectance that light meets, the depth it asks for, and the shares that depths leave behind."""
     from datagen.rendering.transport.integrator import PathTracer
 
-    _, configuration, library = bundled(room, 2, size)
+    library = Library(resolve_library_paths(("bundled",), Path()))
+    recipe = Recipe(
+        name=f"error-{room}",
+        seed=72,
+        configurations=1,
+        views=5,
+        resolution=size,
+        environments=AssetFilter(include=(room,)),
+    )
+    configuration = assemble(recipe, 0, library)
     renderer = SceneRenderer(configuration, library, RenderRecipe(path_samples=1))
     reflectance = reflectance_met(list(renderer.scene.coarse_maps()))
     sensor = renderer.sensor(configuration.cameras[0].camera())

@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_view import RESULTS, configuration_of, converted
-from benchmarks.error_plot import save_error_plot
 from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import AssetFilter, Recipe, RenderRecipe
@@ -150,8 +149,14 @@ def plot(points: list[Point], path: Path) -> None:
         bars = [low, [p.true_error for p in own]]
         axes.errorbar(true, recorded, xerr=bars, fmt="o", ms=4, lw=0.7, color=color, label=room)
     ends = np.array([2e-4, 0.1])
-    labels = "true relMSE, against plain paths", "recorded relMSE"
-    save_error_plot(figure, axes, ends, *labels, path)
+    axes.plot(ends, ends, color="grey", lw=1)
+    axes.fill_between(ends, ends / 2, ends * 2, color="grey", alpha=0.12, lw=0)
+    axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
+    axes.set(xlabel="true relMSE, against plain paths", ylabel="recorded relMSE")
+    axes.set_aspect("equal")
+    axes.legend(fontsize=8, loc="upper left")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The whole way without ground truth: Cycles takes photographs, COLMAP finds the cameras, `materials infer`.
 
-    python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/end-to-end.md: 20 minutes
+    python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/measurements.md: 20 minutes
     python -m benchmarks.colmap_end_to_end --out DIR --cameras true    cameras as they were, without COLMAP
 
 1. The study of the bundled library, which the bundled checkpoint has not seen, with objects, ceiling light

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Photographs without ground truth: rendered, with noise, as JPEGs; true cameras, or those that COLMAP finds.
 
-The whole way with Cycles and its figures: `python -m benchmarks.colmap_end_to_end` (docs/end-to-end.md).
+The whole way with Cycles and its figures: `python -m benchmarks.colmap_end_to_end` (docs/measurements.md).
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ from PIL import Image
 
 from tests.browser.driver import SOFTWARE_GL, Page, open_browser
 
-SIZE, PHONE = (1400, 860), (390, 844)
-SECTIONS = ("findings", "distributions", "coverage", "views")
+SIZE = (1400, 860)
+SECTIONS = ("findings", "distributions", "views")
 ASSET_KEYS = {"lit": "1", "roughness": "4", "seen": "5"}
 QUALITY, SETTLE_S, SLOW_S = 88, 1.0, 600
 
@@ -41,10 +41,10 @@ class Camera:
         picture.save(self.out / f"{name}.jpg", quality=QUALITY, optimize=True)
         print(self.out / f"{name}.jpg", picture.size, flush=True)
 
-    def emulate(self, size: tuple[int, int], scheme: str = "light", is_phone: bool = False) -> None:
-        screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": is_phone}
+    def emulate(self, size: tuple[int, int]) -> None:
+        screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
         self.page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
-        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        features = [{"name": "prefers-color-scheme", "value": "light"}]
         self.page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
 
 
@@ -62,7 +62,7 @@ def _view(camera: Camera, folder: Path, key: str, method: str = "", wipes: bool 
 
 
 def report(camera: Camera, folder: Path, view: str) -> None:
-    """The report's sections, both sides of it on a phone, and the viewer."""
+    """The report's sections and the viewer."""
     page = camera.page
     camera.emulate(SIZE)
     page.open(folder / "index.html")
@@ -71,17 +71,6 @@ def report(camera: Camera, folder: Path, view: str) -> None:
     for section in SECTIONS:
         _scroll(page, section)
         camera.take("gallery" if section == "views" else section)
-    phones = []
-    for scheme in ("light", "dark"):
-        camera.emulate(PHONE, scheme, is_phone=True)
-        for section in ("overview", "views"):
-            _scroll(page, section)
-            phones.append(camera.shot())
-    joined = Image.new("RGB", (len(phones) * (PHONE[0] + 12) - 12, PHONE[1]), "gray")
-    for number, phone in enumerate(phones):
-        joined.paste(phone, (number * (PHONE[0] + 12), 0))
-    camera.save("phone", joined)
-    camera.emulate(SIZE)
     _view(camera, folder, key)
     frame = page.run("return REPORT.viewer.frame()")
     page.hover("beauty", int(frame["width"]) // 2, int(frame["height"]) * 2 // 3, click=True)
@@ -92,7 +81,7 @@ def report(camera: Camera, folder: Path, view: str) -> None:
 
 
 def predictions(camera: Camera, folder: Path) -> None:
-    """Errors of predictions: the table, the worst view, and a wipe from its truth."""
+    """Errors of predictions: the table and the worst view."""
     page = camera.page
     camera.emulate(SIZE)
     page.open(folder / "index.html")
@@ -102,8 +91,6 @@ def predictions(camera: Camera, folder: Path) -> None:
     key = page.run("return document.querySelector('#worst-views tbody tr').dataset.view")
     _view(camera, folder, key, method)
     camera.take("errors")
-    _view(camera, folder, key, method, wipes=True)
-    camera.take("prediction_wipe")
 
 
 def asset(camera: Camera, folder: Path) -> None:
