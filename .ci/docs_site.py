@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What MkDocs builds besides the written pages: the API reference and the index of decisions.
+"""Generated parts of the site: the API reference and the index of decisions.
 
 MkDocs calls the ``on_...`` functions (``hooks`` in mkdocs.yml), mkdocstrings the extension. Both lists are
 made from what is there, so that no module and no decision is left out.

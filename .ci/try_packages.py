@@ -79,7 +79,7 @@ def build() -> tuple[Path, Path]:
 
 
 def try_dataset(environment: Environment) -> None:
-    """What needs no torch: a dataset from the bundled library by a bundled recipe."""
+    """Commands that run without torch: a dataset from the bundled library by a bundled recipe."""
     environment.run("python", "-c", IS_ISOLATED, REPOSITORY)
     assert environment.run("datagen", "--version").startswith("scene-materials ")
     assert "bundled library" in environment.run("datagen", "doctor")

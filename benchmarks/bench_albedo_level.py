@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the level of diffuse albedo brings: mean squared errors of the views' maps before and after it.
+"""Effect of the albedo scale: mean squared errors of the views' maps before and after it.
 
     python -m benchmarks.bench_albedo_level SUITE --cache DIR [--views 12 25] [--clip 0.02] [--always]
 

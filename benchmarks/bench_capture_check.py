@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How often ``materials check`` notices what is wrong, and how often it warns of what is right.
+"""Detection rate and false warnings of ``materials check``.
 
     python -m benchmarks.bench_capture_check SHARD ... --trials 4
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What planning, status and collection cost as plans grow, and what the file system sees.
+"""Cost of planning, status and collection as plans grow, in time and file operations.
 
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
     python -m benchmarks.bench_farm_scale --simulate      # 1,000,000 units on 10,000 slots, with failures

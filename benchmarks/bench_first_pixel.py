@@ -34,7 +34,7 @@ TARGET_S = 10.0
 
 
 def first_pixels(folder: Path, profile: Path | None) -> None:
-    """What the measured process does; prints the stages as JSON: (name, epoch, processor seconds) at ends."""
+    """The measured process; prints the stages as JSON: (name, epoch, processor seconds) at ends."""
     marks: list[tuple[str, float, float]] = [("interpreter", time.time(), time.process_time())]
 
     def mark(name: str) -> None:

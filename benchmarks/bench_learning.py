@@ -84,7 +84,7 @@ def compare(
 def metal_errors(
     path: Path, datasets: list[Path], judge: Path | None = None, num_views: int = 30
 ) -> dict[str, float]:
-    """How a checkpoint's specular albedo does on metal (any channel above 0.2) and elsewhere.
+    """Errors of a checkpoint's specular albedo on metal (any channel above 0.2) and elsewhere.
 
     Over ``num_views`` validation views, evenly spread: the share of metal among pixels with a surface and in
     the sum of squared errors, mean squared error and mean prediction on metal and elsewhere.

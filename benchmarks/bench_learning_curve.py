@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What more data would bring: validation error over the number of training configurations.
+"""Learning curve: validation error over the number of training configurations.
 
     python -m benchmarks.bench_learning_curve DATASET [OTHER ...] --out DIR [--counts 5 10 20 40]
         [--steps 400] [--preset small] [--set KEY=VALUE ...] [--threads 2] [--judge DATASET]

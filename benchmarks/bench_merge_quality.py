@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What choices of the merge cost in map error, on rendered captures whose truth is known.
+"""Map errors by options of the merge, on rendered captures of known truth.
 
     python -m benchmarks.bench_merge_quality weights SHARD ...
     python -m benchmarks.bench_merge_quality sizes SHARD ... --sizes 0.5x,1x,2x,16384

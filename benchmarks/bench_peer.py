@@ -194,7 +194,7 @@ class Comparison:
 
     @staticmethod
     def agreement(pairs: dict[str, Any]) -> dict[str, Any]:
-        """How much the two references differ: ratio of means (peer : ours), correlation of blurred images."""
+        """Difference of the two references: ratio of means (peer : ours), correlation of blurred images."""
         import cv2
 
         ratios, correlations = [], []
@@ -389,7 +389,7 @@ def machine() -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """What is published."""
+    """Markdown table of the result."""
     ours, peer, views = result["ours"], result["peer"], result["views"]
     width, height = result["recipe"]["resolution"]
     machine_text = f"{result['machine']['cores']} cores of {result['machine']['processor']}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What generated rooms cost: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
+"""Cost of generated rooms: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
 
 For N seeds of every kind: processor seconds of a room with its package, tries, bytes, pieces.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What it brings to model only what a scene requires: each measured against doing without, in one process.
+"""Savings from modelling only what a scene requires, each measured in one process.
 
     python -m benchmarks.bench_scene_needs                 two rooms of the bundled library; a minute
 
@@ -97,7 +97,7 @@ def row(name: str, unit: str, done: list[float], left: list[float]) -> dict[str,
 
 
 def loading(configurations: tuple[Configuration, Configuration], library: Library, repeats: int) -> list[Any]:
-    """What a process loads."""
+    """Time and memory of loading a configuration."""
     first, second = configurations
     alone, after_first, by_itself, everything = [], [], [], []
     build_scene(first, library, AssetCaches())  # imports, and files that the system has not read yet
@@ -119,7 +119,7 @@ def loading(configurations: tuple[Configuration, Configuration], library: Librar
 
 
 def rendering(configuration: Configuration, library: Library, repeats: int) -> list[Any]:
-    """What a scene is made of, and how often it is made."""
+    """Time and memory of building a scene, and the number of builds."""
     recipe = RenderRecipe(path_samples=16, auxiliary_samples=64, denoise=False, irradiance_cache=True)
     rows: list[Any] = []
     built: dict[str, list[float]] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a view costs and how far it is from convergence: the converted ``staircase``, everything counted.
+"""Time of a view and its distance from convergence: the converted ``staircase``, everything counted.
 
     python benchmarks/bench_view.py                             640x384, 40 views, as `make` would render them
     python benchmarks/bench_view.py --samples 2 4 8 --views 8   a sweep

@@ -75,7 +75,7 @@ def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
 
 
 def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArray[np.uint8]:
-    """What a camera without tone mapping makes of (H, W, 3) radiance: noise, clipping, the sRGB curve."""
+    """A photograph of (H, W, 3) radiance without tone mapping: noise, clipping, the sRGB curve."""
     rng = np.random.default_rng(seed)
     electrons = np.clip(linear * exposure, 0, None) * FULL_WELL
     electrons = rng.poisson(np.minimum(electrons, 1e7)) + rng.normal(0, READ_NOISE, linear.shape)
@@ -236,7 +236,7 @@ class EndToEnd:
         run("model.cli", "infer", str(self.capture), *options, log=log)
 
     def pose_errors(self) -> dict[str, float]:
-        """How far the cameras are off: centres in mm, directions and focal length."""
+        """Errors of the cameras: centres in mm, directions and focal length."""
         from model.reconstruction.captures import CaptureOptions, read_capture
 
         capture = read_capture(self.capture, CaptureOptions(mesh=self.out / "retopology.ply"))

@@ -48,7 +48,7 @@ def scaled_views(views: Sequence[StatisticsView], factor: float) -> list[Statist
 
 
 def scale_of_scene(factor: float, size: tuple[int, int] = (60, 40)) -> dict[str, float]:
-    """How statistics and projections change when the whole scene is ``factor`` times as large."""
+    """Changes of statistics and projections when the whole scene is ``factor`` times as large."""
     views = make_views((size,), is_noise=False)
     larger = scaled_views(views, factor)
     changed, difference = [], 0.0
@@ -92,7 +92,7 @@ def scale_of_radiance(factor: float, size: tuple[int, int] = (33, 22)) -> float:
 
 
 def stored_as_half(value: float) -> float:
-    """What becomes of a radiance that goes through a view's file."""
+    """Errors of radiances after a round trip through a view's file."""
     image = np.full((2, 2, 3), value, np.float32)
     stored = to_storage(BUFFERS["beauty"], image)
     return float(decode_view(encode_view({"beauty": stored}))["beauty"][0, 0, 0])

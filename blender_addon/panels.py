@@ -37,7 +37,7 @@ class _Panel:
 
 
 class SCENE_MATERIALS_PT_tags(_Panel, bpy.types.Panel):
-    """What the active object, its material and the collection are."""
+    """Tags of the active object, its material and the collection."""
 
     bl_label = "Tags"
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an export could not do, or did only approximately: one entry each, with object, node and remedy."""
+"""Refusals and approximations of an export: one entry each, with object, node and remedy."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Problem:
 
     @property
     def place(self) -> str:
-        """Where: ``object 'Cup', material 'Glaze', node 'Glass BSDF'``."""
+        """Location in words: ``object 'Cup', material 'Glaze', node 'Glass BSDF'``."""
         parts = [("object", self.object), ("material", self.material), ("node", self.node)]
         return ", ".join(f"{label} {name!r}" for label, name in parts if name)
 

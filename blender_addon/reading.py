@@ -221,7 +221,7 @@ class Reader:
             contents.lights.append(entry)
 
     def approximations(self, material: str) -> tuple[str, ...]:
-        """What of a material is exported otherwise than Blender shows it."""
+        """Differences between a material as exported and as Blender shows it."""
         return tuple(
             (f"{problem.node}: " if problem.node else "") + problem.message
             for problem in self.problems

@@ -10,7 +10,7 @@ KINDS = ("auto", "environment", "object", "material")
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """What to export and how finely.
+    """Scope and accuracy of an export.
 
     ``kind``: ``auto`` follows the ``sm_role`` tags, and takes the scene as one environment where there are
     none. ``tolerance``: mean absolute change of a channel that a texture may still make when it doubles;

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What of a file becomes which asset package, from its tags."""
+"""Assets of a file by its tags."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which Blender the extension works in: earlier ones register it, and are refused by name."""
+"""Supported versions of Blender: earlier ones register the extension, and are refused by name."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ _REEXPORT = "re-export the asset"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What :func:`check_package` found, as printable problems."""
+    """Findings of :func:`check_package` as printable problems."""
 
     errors: tuple[Problem, ...]
     warnings: tuple[Problem, ...]

@@ -54,7 +54,7 @@ class RecipeChanges:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What is run, and how. ``only`` and ``unit`` None mean all; 0 ``attempts`` run it in this process."""
+    """Options of a run. ``only`` and ``unit`` None mean all; 0 ``attempts`` run it in this process."""
 
     only: Annotated[
         Literal["render", "stats", "pack", "index"] | None,

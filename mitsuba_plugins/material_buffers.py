@@ -35,7 +35,7 @@ Array = Any
 MAX_LAYERS = 32
 """Transparent surfaces that a ray crosses before it gives up; 32 of opacity 0.2 leave 0.08 % unseen."""
 MIN_THROUGHPUT = 1e-3
-"""What is left of a ray behind surfaces this opaque is not worth tracing."""
+"""Rays end behind surfaces of this opacity: the remainder is negligible."""
 SOLID_OPACITY = 0.5
 """A surface at least this opaque owns the pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
@@ -136,7 +136,8 @@ def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
 
 @dataclass(frozen=True)
 class _RayResult:
-    """What a ray sees. Channels are weighted by coverage; depth and ids come from the solid point."""
+    """First surface along a ray. Channels are weighted by coverage; depth and ids come from the solid
+    point."""
 
     diffuse_albedo: Array
     specular_albedo: Array
@@ -188,7 +189,7 @@ def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _Ray
 
 
 def _trace(view: _View, ray: Any) -> _RayResult:
-    """What a camera ray sees; surfaces that are transparent in part are crossed, front to back."""
+    """First surface along a camera ray; partly transparent surfaces are crossed, front to back."""
     if not view.is_layered:
         return _trace_surface(view, ray, mi.Bool(True))[2]
 

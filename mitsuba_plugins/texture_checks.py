@@ -61,7 +61,7 @@ def _file_of(texture: Any) -> str:
 
 
 def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
-    """What is wrong with a parameter that must lie in [0, 1]; empty where nothing is."""
+    """Faults of a parameter that must lie in [0, 1]; empty if there are none."""
     problems: list[Problem] = []
     file = _file_of(texture)
     objects, values = exposed(texture)

@@ -65,7 +65,7 @@ class SolverConfig(StrictModel):
 
 @dataclass(frozen=True)
 class BilateralGrid:
-    """Which cell each pixel falls in, and how cells touch.
+    """Grid cells of the pixels, and their neighbours.
 
     ``vertex_of_pixel`` (P,) int64; ``splat_matrix`` (V, P), sparse CSR; ``coupling`` (V, V), sparse CSR with
     n_i n_j for each pair of neighbours, and ``coupling_sum`` (V, 1) its row sums, float64; ``image_starts``
@@ -195,7 +195,7 @@ def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class SolveReport:
-    """How a solve ended: iterations run, and the greatest residual over images and channels, relative to
+    """Convergence of a solve: iterations run, and the greatest residual over images and channels, relative to
     b."""
 
     iterations: int

@@ -41,7 +41,7 @@ class DataRecord(StrictModel):
 
 
 class CheckpointCard(StrictModel):
-    """What a checkpoint is and where it comes from.
+    """Content and provenance of a checkpoint.
 
     ``loss`` names the terms and the perceptual distance that trained it; ``phase`` and ``step`` where it was
     taken; ``metrics`` its validation figures by name; ``training`` the resolved training configuration.

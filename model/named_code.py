@@ -9,7 +9,7 @@ from typing import Any
 
 
 def load_named(name: str) -> Any:
-    """What ``MODULE:NAME`` stands for. Raises ImportError, AttributeError or ValueError where it is not
+    """Object named by ``MODULE:NAME``. Raises ImportError, AttributeError or ValueError where it is not
     there."""
     module, colon, attribute = name.partition(":")
     if not (colon and module and attribute):

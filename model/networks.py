@@ -51,7 +51,7 @@ MAX_REFLECTANCE = 2.0
 
 
 class NetworkConfig(StrictModel):
-    """What the two tracks look like. The defaults are the paper's (method 4)."""
+    """Architecture of the two tracks. The defaults are the paper's (method 4)."""
 
     base_channels: int = Field(default=64, ge=1, le=512)
     """Channels of the first encoder layer; deeper ones have 2, 4 and 8 times as many."""
@@ -71,7 +71,7 @@ class NetworkConfig(StrictModel):
     factory: str | None = Field(default=None, exclude_if=lambda value: value is None)
     """``package.module:Class`` of a network of one's own, in place of the two tracks (model.own_network)."""
     arguments: dict[str, Any] = Field(default={}, exclude_if=lambda value: not value)
-    """What ``factory`` is called with."""
+    """Keyword arguments of ``factory``."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> NetworkConfig:
@@ -273,7 +273,7 @@ class _Up(_Layer):
         return self.dropout(y), g
 
     def _convolved(self, x: Tensor, first: int, last: int, valid: tuple[int, int]) -> Tensor:
-        """What both convolutions make of x's rows [first, last): twice as many rows, twice as wide.
+        """Result of both convolutions for x's rows [first, last): twice as many rows, twice as wide.
 
         A row of the result takes rows from 2 above to 4 below it; beyond the image they are 0, also those
         that the first convolution would make there.

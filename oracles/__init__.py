@@ -1,3 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What is right, computed slowly in float64, and small scenes that are known analytically: for tests and
-benchmarks alike."""
+"""Slow float64 references and small scenes of known solution, for tests and benchmarks."""

@@ -67,7 +67,7 @@ def down_camera(
 
 @dataclass
 class SmallScene:
-    """What :func:`renderer` needs: meshes and materials by name, and their assignment.
+    """Input of :func:`renderer`: meshes and materials by name, and their assignment.
 
     ``parts``: part -> (mesh, slot) of the environment; ``objects``: asset -> (mesh, material), one slot
     ``skin``; ``materials``: package -> (material, files).

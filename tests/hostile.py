@@ -76,7 +76,7 @@ PRELOADED = ("tests.datagen.hostile_cases", "tests.model.hostile_cases")
 
 @dataclass(frozen=True)
 class Outcome:
-    """How an attack went: inputs that were read, that were refused, and the child's peak memory."""
+    """Outcome of an attack: inputs that were read, that were refused, and the child's peak memory."""
 
     name: str
     accepted: int
@@ -168,7 +168,7 @@ def write_document(path: Path, document: Any, rng: random.Random) -> Path:
 
 
 def set_traps(folder: Path) -> None:
-    """What names in a document may point at: links that lead out, a pipe that never ends."""
+    """Targets of hostile names in documents: links that lead out, a pipe that never ends."""
     outside = folder.parent / "outside"
     outside.mkdir(exist_ok=True)
     for suffix in ("png", "ply", "json"):

@@ -37,7 +37,7 @@ _SHAPE = '<shape type="rectangle">{}</shape>'
 
 @dataclass(frozen=True)
 class Reading:
-    """How a command ended: its exit code, what it wrote, processor seconds and peak memory."""
+    """End of a command: its exit code, what it wrote, processor seconds and peak memory."""
 
     code: int
     text: str
@@ -241,7 +241,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]] = {
     "transforms_frames": (_frames, CHECK),
     "transforms_empty_frames": (_empty_frames, CHECK),
 }
-"""What is written, and the command that reads it."""
+"""Writers of hostile files, each with the command that reads its file."""
 
 
 def run(

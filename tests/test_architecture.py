@@ -120,7 +120,7 @@ GROUND_MAY = {
     "numpy", "OpenEXR", "pydantic", "yaml", "PIL", "cv2", "matplotlib", "rich", "typer", "psutil",
     "meshopt", "opengl_basisu",  # decoders of glTF, imported where a file needs them
 }  # fmt: skip
-"""What ``datagen.foundation`` and ``datagen.formats`` may import besides Python's own."""
+"""Third-party modules that ``datagen.foundation`` and ``datagen.formats`` may import."""
 
 
 def _sources() -> list[Path]:

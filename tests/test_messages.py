@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a message says: of empty files that they are, of two recipes where they differ, of ids all letters."""
+"""Texts of messages: empty files are called empty, differing recipes name the field, ids keep all letters."""
 
 from __future__ import annotations
 

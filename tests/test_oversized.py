@@ -27,7 +27,7 @@ EXPECTED = {
     "transforms_frames": "values",
     "transforms_empty_frames": "frames",
 }
-"""What the refusal names: a limit, or the fault of a file that is wrong however small."""
+"""Refusals name a limit, or the fault of a file that is wrong however small."""
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -48,7 +48,7 @@ def test_it_ends_soon_and_says_which_limit_to_raise(name: str, tmp_path: Path) -
 
 
 def test_a_limit_is_raised_by_the_environment(tmp_path: Path) -> None:
-    """What the message says to do lets the same file through."""
+    """Following the message's advice lets the same file through."""
 
     def write(folder: Path) -> Path:
         chain = [{"children": [k + 1]} for k in range(150)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is installed: the dependencies are those that the packages import, and nothing they read is left out.
+"""Installed packages: the dependencies are those that the packages import, and all data files are included.
 
 ``.ci/try_packages.py`` tries the built packages themselves; here is what can be told without building.
 """
@@ -35,7 +35,7 @@ MODULES = {
 BROUGHT_ALONG = {"drjit": "mitsuba", "mathutils": "bpy", "bpy_extras": "bpy"}
 """Modules that come with another distribution, whose version fixes theirs."""
 PROVIDED = {"tensorboard": "torch.utils.tensorboard"}
-"""What is needed by way of another module."""
+"""Packages needed by way of another module."""
 
 
 def _names(requirements: list[str]) -> set[str]:
@@ -65,7 +65,7 @@ def _module_of(distribution: str) -> str:
 
 
 def test_the_packages_import_every_dependency() -> None:
-    """What only tests, benchmarks or the documentation import is in their extras."""
+    """Packages that only tests, benchmarks or the documentation import are in their extras."""
     imported = _imported()
     user_extras = [PROJECT["optional-dependencies"][extra] for extra in USER_EXTRAS]
     for distribution in _names([*PROJECT["dependencies"], *(r for extra in user_extras for r in extra)]):

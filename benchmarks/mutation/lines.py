@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which lines of some files a process runs."""
+"""Record of the lines of some files that a process runs."""
 
 from __future__ import annotations
 

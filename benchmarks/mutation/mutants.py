@@ -298,7 +298,7 @@ def find_mutants(name: str, source: str) -> list[Mutant]:
 
 
 def _end_of_header(statement: ast.stmt) -> tuple[int, int]:
-    """Where a statement ends or, of a compound one, what stands before its body."""
+    """End of a statement or, of a compound one, of its header."""
     body = getattr(statement, "body", None)
     if not isinstance(body, list) or not body:
         return statement.end_lineno or 0, statement.end_col_offset or 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is mutated, and by which tests each part is covered: the smallest files that do."""
+"""Files to mutate and the tests that cover each: the smallest files that do."""
 
 from __future__ import annotations
 

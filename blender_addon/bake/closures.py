@@ -37,7 +37,7 @@ from .expression import (
 from .graph import Graph, Stack, input_of, source_of, value_of
 
 TRANSMISSION_POLICIES = ("refuse", "opaque", "mask")
-"""What ``sm_transmission`` of a material may ask for where light passes through."""
+"""Values of ``sm_transmission``: the treatment of materials that transmit light."""
 _SMALL_TRANSMISSION = 0.1
 
 
@@ -55,7 +55,7 @@ class Lobe:
 
 @dataclass
 class Closures:
-    """What a surface graph amounts to. ``transparency`` is the weight that lets light straight through;
+    """Closures of a surface graph, combined. ``transparency`` is the weight that lets light straight through;
     ``emission`` is radiance per unit strength; ``normals`` are linked Normal inputs (stack, socket)."""
 
     lobes: list[Lobe] = field(default_factory=list)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a value of a shader graph depends on: nothing, a UV map, the mesh, the place of the instance."""
+"""Dependencies of a shader graph's values: none, a UV map, the mesh, the transform of the instance."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 
 @dataclass
 class Dependencies:
-    """What values depend on.
+    """Dependencies of values.
 
     ``uv_layers`` read ("" is the layer that renders; ``named`` lists the names by which nodes call it);
     ``frames`` in which image textures read them, None for
@@ -128,7 +128,7 @@ class DependencyWalk:
         return self._result
 
     def of_inputs(self, inputs: list[tuple[Stack, bpy.types.NodeSocket]]) -> Dependencies:
-        """What linked Normal inputs depend on, if the result is to be a tangent-space texture."""
+        """Dependencies of linked Normal inputs, for a tangent-space texture as result."""
         self._seen, self._result, self._is_normal = set(), Dependencies(), True
         for stack, socket in inputs:
             source = source_of(stack, socket)

@@ -28,7 +28,7 @@ _VECTOR_MATH = {
 _SCALAR_MATH = {**_VECTOR_MATH, "sqrt": "SQRT"}
 Array = NDArray[np.float32]
 _NOT_BAKED = -1.0
-"""What texels hold that the bake leaves alone; an EMIT or NORMAL bake never gives it. (A bake that clears its
+"""Value of texels that the bake leaves alone; an EMIT or NORMAL bake never gives it. (A bake that clears its
 image sets alpha to 1 everywhere, so that alpha does not tell which texels were hit.)"""
 
 

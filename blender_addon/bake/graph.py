@@ -38,8 +38,8 @@ class Graph:
 
 @dataclass(frozen=True)
 class Source:
-    """Where an input's value comes from: an output ``socket`` of ``node``, or an unlinked input ``socket``
-    (``node`` is None), or nothing at all (both None: a muted node without a passage)."""
+    """Source of an input's value: an output ``socket`` of ``node``, or an unlinked input ``socket`` (``node``
+    is None), or neither (both None: a muted node without a passage)."""
 
     stack: Stack
     node: bpy.types.Node | None
@@ -67,7 +67,7 @@ def _by_identifier(sockets: bpy.types.bpy_prop_collection, identifier: str) -> b
 
 
 def source_of(stack: Stack, socket: bpy.types.NodeSocket) -> Source:
-    """What feeds an input socket."""
+    """Source of an input socket."""
     for _ in range(_MAX_HOPS):
         link = _incoming(socket)
         if link is None:

@@ -40,7 +40,7 @@ class PlainImage:
 
 @dataclass
 class MaterialPlan:
-    """How one material is exported.
+    """Export plan of one material.
 
     ``constants`` need no bake beyond a value; ``images`` pass through, a normal map among them if normals are
     wanted and ``bakes_normal`` is not needed for them; ``varying`` are baked on a plane, or on the mesh if

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many texels a channel needs: box-filtered levels of a fine bake, and the error of each. No bpy.
+"""Resolution of a baked channel: box-filtered levels of a fine bake, and the error of each. No bpy.
 
 Images are (H, W, C) float32, row 0 at the bottom (v = 0); H and W are powers of two. A mask (H, W) says which
 texels the surface covers; the others are filled from their neighbours and do not count.

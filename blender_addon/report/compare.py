@@ -175,7 +175,7 @@ def _second(folder: Path, package: str, index: int) -> np.ndarray | None:
 
 
 def _textures(folder: Path, material: str) -> str:
-    """What became of a material's channels, in words."""
+    """Export of a material's channels, in words."""
     import json
 
     entries = json.loads((folder / "packages" / "report_materials" / "asset.json").read_text())["materials"]

@@ -60,7 +60,8 @@ class Shell:
 
 
 def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
-    """Which points (P, 3) of surfaces lie inside the camera's image with nothing in front of them."""
+    """Mask of the points (P, 3) of surfaces that lie inside the camera's image with nothing in front of
+    them."""
     pixels, depth = camera.project(points)
     limits = [camera.width_px, camera.height_px]
     with np.errstate(invalid="ignore"):

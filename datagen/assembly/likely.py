@@ -36,7 +36,7 @@ _DYED_HUE_TURNS = 0.2  # classes whose hue a dye decides may take any
 _MAX_FACTOR = 4.0  # of saturation and value, the most that a configuration holds
 _GREY = 0.02  # saturation below which a colour has no hue
 _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
-"""How far what keeps its own material is varied: nobody repaints a thing that is kept."""
+"""Small variation of materials that are kept, rather than replaced."""
 
 
 @dataclass(frozen=True)

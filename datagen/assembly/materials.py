@@ -39,7 +39,7 @@ _MEAN_STRIDE_PX = 512  # a mean colour needs no more texels than this a side
 
 @dataclass(frozen=True)
 class ClassRange:
-    """How far materials of a class are varied, and where their means must stay.
+    """Limits of a class's variation, and ranges for the means of its materials.
 
     ``hue_turns`` is the largest shift, ``saturation`` and ``value`` the largest factor (its inverse the
     least), ``roughness_step`` the largest offset; ``value_limits`` bound the mean of the brightest channel

@@ -46,7 +46,7 @@ __all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "spli
 
 @dataclass
 class _ProcessCaches:
-    """What configurations of one process share: a function of package contents alone."""
+    """Data shared by all configurations of a process: a function of package contents alone."""
 
     geometry: GeometryCache
     rooms: dict[str, Room]

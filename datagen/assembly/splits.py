@@ -48,7 +48,7 @@ def _shares(recipe: Recipe) -> dict[Split, Fraction]:
 
 
 def _before(share: Fraction, count: int) -> int:
-    """How many of the first ``count`` are dealt to a share: the nearest integer."""
+    """Number of the first ``count`` that are dealt to a share: the nearest integer."""
     return (2 * share.numerator * count + share.denominator) // (2 * share.denominator)
 
 
@@ -66,7 +66,7 @@ def split_of(recipe: Recipe, index: int) -> Split:
 
 
 def split_counts(recipe: Recipe) -> dict[Split, int]:
-    """How many configurations each split gets."""
+    """Number of configurations in each split."""
     shares = _shares(recipe)
     tests = _before(shares["test"], recipe.configurations)
     rest = recipe.configurations - tests
@@ -85,7 +85,7 @@ _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDicti
 
 
 def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
-    """What a split may use. Raises :class:`InputError` as :func:`recipe_problems` lists."""
+    """Assets that a split may use. Raises :class:`InputError` as :func:`recipe_problems` lists."""
     per_recipe = _POOLS.setdefault(library, {})
     key = sha256_hex(canonical_json(recipe))
     if key not in per_recipe:

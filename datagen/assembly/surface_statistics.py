@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What surfaces look like in rooms: the measurement behind :data:`datagen.assembly.looks.LOOKS`.
+"""Statistics of surfaces in rooms: the measurement behind :data:`datagen.assembly.looks.LOOKS`.
 
     python -m datagen.assembly.surface_statistics LIBRARY [LIBRARY ...]
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""What a slot is in a room: a wall, a worktop, a curtain. By its own word, its names, its shape, its class.
+"""Classification of slots by their surface in a room: a wall, a worktop, a curtain. By its own word, its
+names, its shape, its class.
 
 A slot that says nothing (``surface``) is told by the words in its name, in the name of the material that it
 holds a bake of and in the names of its parts; in a room then by where its triangles lie (low and level is a
@@ -78,7 +79,7 @@ def _of_names(names: Iterable[str]) -> Surface | None:
 
 
 def surfaces_of(geometry: AssetGeometry) -> dict[str, Surface]:
-    """What every slot of an asset is."""
+    """Surface of every slot of an asset."""
     asset = geometry.asset
     parts: dict[str, list[str]] = {slot: [] for slot in asset.materials}
     for part in asset.parts:

@@ -70,7 +70,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Subject:
-    """What cameras aim at: centres of placed things, and points on the furniture of the room."""
+    """Targets of cameras: centres of placed things, and points on the furniture of the room."""
 
     scene: WorldScene
     thing_centers: Floats
@@ -403,7 +403,8 @@ def choose_overlapping(
 
 
 def _difference_matrix(pool: list[Candidate]) -> Floats:
-    """How different two views are, (C, C): metres over the pool's extent plus the angle over half a turn."""
+    """Pairwise distances of views, (C, C): metres over the pool's extent plus the angle over half a
+    revolution."""
     positions = np.array([c.camera.position_m for c in pool])
     forwards = np.array([c.camera.forward for c in pool])
     extent = max(float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0))), 1e-6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What every export reads: rooms of a dataset with their views, and how it writes: files of one folder.
+"""Common parts of the exports: reading a dataset's rooms and views, and writing the files of one folder.
 
 A room is a configuration with its shard. Buffers are read view by view, where they are needed.
 """

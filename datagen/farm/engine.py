@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a queue has to offer for ``datagen farm``: scripts, a way to send them, a way to find and stop jobs.
+"""Interface of a queue for ``datagen farm``: make scripts, send them, find and stop jobs.
 
 An engine is a module with a class that fulfils :class:`Engine`, and a line in ``submission.ENGINES``.
 Whatever a queue does (run twice, requeue, forget), the output protocol of ``work_unit`` gives exactly once.
@@ -63,7 +63,7 @@ def with_setup(options: SlurmOptions, root: Path) -> str:
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """What every collecting job runs; it ends with the code of the last step that found something wrong."""
+    """Commands of every collecting job; it exits with the code of the last step that failed."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What job scripts ask a queue for, checked before a script is written.
+"""Resource requests of job scripts, checked before a script is written.
 
 A script is read twice: by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. Whatever comes
 from outside is therefore either of a known form, or free of what ends a line, a quotation or a comment.
@@ -48,7 +48,8 @@ _OURS = {
 
 @dataclass(frozen=True)
 class SlurmOptions:
-    """What the job scripts ask for. ``time_limit`` and ``memory`` as Slurm has them; ``throttle`` 0 = none.
+    """Resource requests of the job scripts. ``time_limit`` and ``memory`` as Slurm has them; ``throttle`` 0:
+    none.
 
     ``notice_s`` before the time limit the unit is told to finish its view and is requeued.
     ``setup`` is shell code that makes ``datagen`` callable on a node (``source .venv/bin/activate``).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What attempts that were killed left in a dataset folder: nothing rests on it, and it takes room.
+"""Remains of killed attempts in a dataset folder: nothing refers to them, and they take space.
 
 A crash between a shard's rename and its marker leaves a tar that no marker names, one before it a part of
 a tar. A second process on the same unit may go on writing views after the first has committed it.

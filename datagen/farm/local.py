@@ -30,7 +30,7 @@ GRACE_S = 20.0
 
 @dataclass(frozen=True)
 class LocalOptions:
-    """How to run. ``max_growth_mb`` is memory above that after a worker's first unit."""
+    """Options of a local run. ``max_growth_mb`` is memory above that after a worker's first unit."""
 
     workers: int = 1
     attempts: int = 3
@@ -43,7 +43,7 @@ class LocalOptions:
 
 @dataclass
 class RunSummary:
-    """What a run did: ids of units by outcome, and the records of those that were set aside."""
+    """Outcome of a run: ids of units by outcome, and the records of those that were set aside."""
 
     done: list[str] = field(default_factory=list)
     already_done: int = 0

@@ -109,7 +109,7 @@ def create_plan(
 
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """What a person would want to know before a plan is made, though nothing is wrong with it."""
+    """Remarks on a plan before it is made: nothing is wrong, but the user should know."""
     return [
         *map(str, unplaceable(recipe, library)),
         *implausible_sizes(recipe, library),

@@ -37,7 +37,7 @@ def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> 
 
 
 def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | None]:
-    """What both kinds of job ask for."""
+    """Directives of both kinds of job."""
     return {
         "job-name": job_name(root),
         "account": options.account,

@@ -13,7 +13,8 @@ from datagen.foundation.errors import input_error
 VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2
 """Upper bound a pixel: uncompressed and complete view side by side."""
 _PACKED_SHARE = 0.37
-"""What packing leaves of all buffers' bytes: measured with the bundled library (`datagen run smoke.yaml`)."""
+"""Size of a packed view as a share of all buffers' bytes: measured with the bundled library (`datagen run
+smoke.yaml`)."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class SpaceNeed:
 
 
 def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
-    """What is left to do needs so much: from the shards that are there, or from the size of the views."""
+    """Space that the remaining units need: from the shards that exist, or from the size of the views."""
     plan, recipe = folder.read_plan(), folder.read_recipe()
     pixels = recipe.resolution[0] * recipe.resolution[1]
     manifests = [folder.read_manifest(unit) for unit in plan.units if folder.is_done(unit)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a plan's units are doing, read from the folder alone: manifests are the truth, logs are a courtesy."""
+"""State of a plan's units, read from the folder alone: manifests are authoritative, logs are not."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ ENGINES: dict[str, Engine] = {"slurm": SlurmEngine(), "pbs": PbsEngine(), "shell
 
 @dataclass(frozen=True)
 class Submission:
-    """What :func:`submit` did: the scripts, and the job ids (empty for a dry run)."""
+    """Result of :func:`submit`: the scripts, and the job ids (empty for a dry run)."""
 
     scripts: tuple[Path, ...]
     job_ids: tuple[str, ...]

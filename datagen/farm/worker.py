@@ -124,7 +124,8 @@ class _redirected_output:
 
 
 class _WorkerContext:
-    """What a process needs to run units, loaded once. ``threads`` None leaves Dr.Jit's choice."""
+    """Recipe, library and options that a process needs to run units, loaded once. ``threads`` None leaves
+    Dr.Jit's choice."""
 
     def __init__(self, folder: DatasetFolder, threads: int | None):
         from datagen.library import Library

@@ -44,7 +44,7 @@ Surface = Literal[
     "legs", "upholstery", "curtain", "towel", "shade", "appliance", "sanitary", "fitting", "frame", "cover",
     "vessel", "utensil", "gadget", "small",
 ]  # fmt: skip
-"""What a surface is in a room: which materials are likely on it (``datagen.assembly.looks``)."""
+"""Role of a surface in a room, which decides the likely materials (``datagen.assembly.looks``)."""
 SURFACES: tuple[str, ...] = get_args(Surface)
 Daytime = Literal["day", "overcast", "dusk", "night"]
 DAYTIMES: tuple[Daytime, ...] = get_args(Daytime)
@@ -192,7 +192,7 @@ class AssetCamera(StrictModel):
 
 
 class Provenance(StrictModel):
-    """Where the asset comes from. ``license`` is an SPDX identifier."""
+    """Origin of an asset. ``license`` is an SPDX identifier."""
 
     license: str
     author: str = ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What all JSON and YAML files of the project share: strict models, readable errors, canonical bytes."""
+"""Base of all JSON and YAML files of the project: strict models, readable errors, canonical bytes."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _field_path(location: tuple[int | str, ...]) -> str:
 
 
 def problems_of(where: str | Path | Callable[[Location], str], error: ValidationError) -> list[Problem]:
-    """What a model says against ``where``, in words: a file, or what tells where each field stands."""
+    """A model's errors in words; ``where`` is a file, or tells the position of each field."""
     problems = []
     for entry in error.errors(include_url=False):
         place = where(entry["loc"]) if callable(where) else where
@@ -190,7 +190,7 @@ def read_yaml(model: type[ModelT], path: Path) -> ModelT:
 
 
 def differences(old: Any, new: Any, field: str = "") -> list[tuple[str, str, str]]:
-    """Where two trees of plain data differ: each leaf's field, what stood there and what does, in short."""
+    """Differences of two trees of plain data: each leaf's field with its old and new value, shortened."""
     if isinstance(old, dict) and isinstance(new, dict):
         found = []
         for key in dict.fromkeys((*old, *new)):

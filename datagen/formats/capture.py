@@ -101,7 +101,7 @@ class ColorImage:
 
 
 class ImageSource(Protocol):
-    """Where a view's pixels come from."""
+    """Source of a view's pixels."""
 
     def read(self, camera: Camera) -> ColorImage:
         """The image as the undistorted ``camera`` has it. Raises :class:`InputError` where it cannot be

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How long things of a category are, to find a wrong unit."""
+"""Usual lengths of the things of a category, to find a wrong unit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CATEGORY_SIZES_M: dict[str, tuple[float, float]] = {
 
 
 def size_fault(asset: ObjectAsset) -> str:
-    """What is unlikely about an object's longest side; "" for nothing, or a category that is not known."""
+    """Remark on an object's unlikely longest side; "" if it is likely, or the category is unknown."""
     limits = CATEGORY_SIZES_M.get(asset.category)
     if limits is None:
         return ""

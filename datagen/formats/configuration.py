@@ -108,7 +108,7 @@ METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3
 
 
 class ViewCoverage(StrictModel):
-    """What the views show, from rays at low resolution.
+    """Summary of the views' content, from rays at low resolution.
 
     ``median_observations``: how many views see the median surface pixel, its own included; ``thin_share`` of
     the surface pixels are seen by two or fewer. ``room_share`` of the views show two walls or a wall and the

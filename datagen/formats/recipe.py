@@ -28,7 +28,7 @@ CountRange = Annotated[
 
 
 class AssetFilter(StrictModel):
-    """Which assets may be used: all of the library, only those in ``include``, never those in ``exclude``."""
+    """Selection of assets: all of the library, only those in ``include``, never those in ``exclude``."""
 
     include: tuple[Slug, ...] | None = None
     exclude: tuple[Slug, ...] = ()
@@ -95,7 +95,7 @@ class Variation(StrictModel):
 
 
 class MaterialRecipe(AssetFilter):
-    """How slots are dressed: with which probability an asset's own material is replaced or varied.
+    """Materials of slots: the probabilities that an asset's own material is replaced or varied.
 
     ``variation``: likely or wild; a recipe that does not say so is wild, as all were before there was a
     choice. ``any_class_probability`` and ``class_weights`` are for wild configurations.
@@ -112,7 +112,7 @@ class MaterialRecipe(AssetFilter):
 
 
 class PanoramaWeights(StrictModel):
-    """How often it is which time of day outside. A panorama of the library of that time is drawn, and a turn.
+    """Weights of the times of day outside. A panorama of that time and its rotation are drawn.
 
     At dusk and at night the room's lamps are on, or others where it has none.
     """
@@ -134,7 +134,7 @@ class PanoramaWeights(StrictModel):
 
 
 class LightRecipe(StrictModel):
-    """Which light there is. Probabilities are per kind; at least one light is always on.
+    """Lights of configurations. Probabilities are per kind; at least one light is always on.
 
     With ``panoramas`` every room that has openings and no sky of its own has the radiance of a panorama
     outside, whatever ``daylight_probability`` says; generated rooms then have no modelled outside.
@@ -156,7 +156,7 @@ class LightRecipe(StrictModel):
 
 
 class CameraRecipe(StrictModel):
-    """Where cameras may be and what they must see.
+    """Positions of cameras and the conditions on their views.
 
     Heights are above the floor of the camera region. ``fov_x_deg`` is the horizontal field of view.
     ``min_distance_m``: no surface may be nearer in more than 2 % of the image; ``max_near_share``: largest
@@ -203,7 +203,7 @@ QUALITIES: dict[Quality, dict[str, float | int | None]] = {
         "irradiance_cache": False,
     },
 }
-"""What the named qualities stand for; measured, see docs/decisions/0070."""
+"""Values of the named qualities; measured, see docs/decisions/0070."""
 DEFAULT_PATH_SAMPLES = 8
 DEFAULT_MAX_PATH_SAMPLES = 1024
 DEFAULT_MAX_DEPTH = 8
@@ -213,7 +213,7 @@ PathSamples = Annotated[int, Field(ge=1, le=1 << 20)]
 
 
 def _budget_contradictions(given: dict[str, Any]) -> list[str]:
-    """What ``given`` (fields that are not None) says twice about how long to render."""
+    """Fields of ``given`` (those that are not None) that contradict each other about the sampling budget."""
     found = []
     quality = given.get("quality")
     if quality is not None:
@@ -236,7 +236,7 @@ def _budget_contradictions(given: dict[str, Any]) -> list[str]:
 
 
 class RenderRecipe(StrictModel):
-    """What a view costs: a fixed number of light paths, or an error to reach.
+    """Sampling budget of a view: a fixed number of light paths, or an error to reach.
 
     Give one of
 
@@ -320,7 +320,7 @@ class SplitRecipe(StrictModel):
 
 
 class OutputRecipe(StrictModel):
-    """How views are stored. Lossless; ``zip`` is the smallest that every reader knows."""
+    """Storage of views. Lossless; ``zip`` is the smallest that every reader knows."""
 
     compression: Literal["none", "rle", "zips", "zip", "piz"] = "zip"
 

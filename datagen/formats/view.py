@@ -53,7 +53,7 @@ _IfAny = Annotated[_T | None, Field(exclude_if=lambda value: value is None)]
 
 
 class RenderRecord(StrictModel):
-    """How a view was rendered. ``clipped_pixels`` exceeded the range of half floats.
+    """Record of a view's rendering. ``clipped_pixels`` exceeded the range of half floats.
 
     ``path_samples`` light paths a pixel were traced, as a mean over the image. Where they followed from a
     target, ``most_path_samples`` is the largest number of a pixel, ``estimated_rel_mse`` the error that was
@@ -83,7 +83,7 @@ class RenderRecord(StrictModel):
 
 
 class StatisticsRecord(StrictModel):
-    """How the statistics of a view were gathered; ``light``: with the light that the views record."""
+    """Record of a view's statistics; ``light``: with the light that the views record."""
 
     num_views: int
     best_views: int

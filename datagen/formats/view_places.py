@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where the views of a shard lie in its tar: any view is read without those before it."""
+"""Index of the views in a shard's tar: any view is read without those before it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _REMEDY = "make the shard again"
 
 @dataclass(frozen=True)
 class ViewPlace:
-    """Where a view's two members lie in a tar: offsets and sizes in bytes."""
+    """Offsets and sizes in bytes of a view's two members in a tar."""
 
     shard: Path
     name: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where in a YAML file a field stands: line and column, as editors open them."""
+"""Positions of fields in a YAML file: line and column, as editors open them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
 
 
 def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
-    """Where an entry begins (a key, an item), and its value."""
+    """Position at which an entry begins (a key, an item), and its value."""
     if isinstance(node, SequenceNode):
         if isinstance(part, int) and 0 <= part < len(node.value):
             return node.value[part].start_mark, node.value[part]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a file from elsewhere may make of itself: one budget an import, on which every reader draws.
+"""Limits of untrusted files: one budget per import, charged by every reader.
 
 A small file can stand for a great deal: references that fan out, a mesh that is placed a million times, zeros
 that were compressed. Each limit is on what comes out; what a file really holds raises it, so that large files
@@ -29,8 +29,8 @@ _MAX_DEPTH = 2000  # a level takes up to four calls, and the interpreter's own s
 _CALLS_PER_LEVEL = 4
 _USUAL_CALLS = 1000
 _PER_BYTE: dict[LimitName, float] = {"triangles": 1 / 8, "pairs": 20.0, "pixels": 8.0, "bytes": 20.0}
-"""What each byte of the files themselves adds to a limit: no format holds more triangles in as many bytes,
-and hardly a picture more pixels or an archive more bytes."""
+"""Allowance per byte of the input files that is added to a limit: no format holds more triangles in as many
+bytes, and hardly a picture more pixels or an archive more bytes."""
 _NOUNS: dict[LimitName, str] = {
     "nodes": "elements or nodes, each counted as often as it is referred to",
     "depth": "levels of elements, nodes or references inside each other",
@@ -87,7 +87,7 @@ class Limits:
 
 
 class Budget:
-    """How much of its limits an import has used. ``where`` is the file that is imported.
+    """Consumption of an import's limits. ``where`` is the file that is imported.
 
     Readers tell what a file holds (:meth:`hold`) and, before they make anything of it, what that comes to
     (:meth:`spend`), which raises :class:`InputError` beyond the limit.

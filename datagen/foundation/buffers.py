@@ -198,7 +198,7 @@ GROUND_TRUTH_BUFFERS = _names("ground_truth")
 RENDERED_BUFFERS = _names("radiance", "ground_truth")
 STATISTICS_BUFFERS = _names("statistics")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
-"""What a complete view holds; ``beauty_noisy`` and :data:`LIGHT_BUFFERS` are optional."""
+"""Buffers of a complete view; ``beauty_noisy`` and :data:`LIGHT_BUFFERS` are optional."""
 LIGHT_BUFFERS = ("reflectance", "known_share", "mirror_sharp", "mirror_broad")
 """Light that the views of a configuration record, where the recipe asks for it (``statistics.light``)."""
 MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}

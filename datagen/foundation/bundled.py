@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What comes with the project: library, recipes and a small suite, in a checkout and where it was installed.
+"""Bundled data: library, recipes and a small suite, in a checkout or an installation.
 
 They are ``scenes/`` of the repository, which installs as ``datagen/scenes`` (setup.py).
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the project's commands share: options declared as dataclasses, verbs of before, and how a run ends.
+"""Common parts of the commands: options declared as dataclasses, removed verbs, and exit codes.
 
 An option is stated once, as an annotated field of a dataclass: its type, default and help. A verb takes the
 dataclass as a parameter, and :func:`with_options` shows the command line its fields instead.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where tables are printed: as wide as a terminal on one, and as wide as they need elsewhere."""
+"""Console for tables: as wide as the terminal, and as wide as the tables need elsewhere."""
 
 from __future__ import annotations
 

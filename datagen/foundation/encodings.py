@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How the values of a photograph stand for light."""
+"""Transfer functions between stored values of photographs and radiance."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
-"""What the system says where there is no room, or no more for this user."""
+"""Error numbers of a full disk or an exhausted quota."""
 _MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can hold a million faults of any length
 
 
@@ -45,7 +45,7 @@ class Problem:
 
 
 def _said_of_empty(problem: Problem) -> Problem:
-    """What a parser misses in an empty file says nothing; that it is empty does."""
+    """Parsers report an empty file as a syntax error; this message says that it is empty."""
     if isinstance(problem, str):  # torch passes an error of a loader's process on as its text
         return problem
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a reader of other people's files notices on the way."""
+"""Remarks collected while other people's files are read."""
 
 from __future__ import annotations
 

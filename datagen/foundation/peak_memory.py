@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What this process has taken since a moment: the most memory, and time of processors."""
+"""Resources used by this process since a moment: peak memory and processor time."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""What each view sees of a capture's mesh: depth, normals and faces through the pixels' centres, by ray
-tracing.
+"""Visible geometry of a capture's mesh in each view: depth, normals and faces through the pixels' centres, by
+ray tracing.
 
 The same for rendered and photographed rooms: nothing is taken from stored buffers, so the geometry may be
 coarser than the room, as a retopologised mesh is.

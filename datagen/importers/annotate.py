@@ -54,7 +54,8 @@ def read_annotations(path: Path | None) -> Annotations:
 
 @dataclass(frozen=True)
 class RoomPlaces:
-    """What was found; ``floor_m`` is the height of the main floor, None if there is no enclosed space."""
+    """Annotations of a room; ``floor_m`` is the height of the main floor, None if there is no enclosed
+    space."""
 
     floor_m: float | None
     support_surfaces: tuple[SupportSurface, ...] = ()

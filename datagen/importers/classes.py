@@ -148,7 +148,7 @@ def guess_category(*names: str) -> str:
 
 
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
-    """Where an object may stand: furniture and large things on the floor, small ones on furniture.
+    """Supports of an object: furniture and large things stand on the floor, small ones on furniture.
 
     What is larger than 40 cm stands on a table only if its category does so at that size (a vase, a lamp);
     a thing of unknown kind may be a stool.

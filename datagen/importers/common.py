@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What every importer shares: options, the record of an import, licences, names and axes."""
+"""Common parts of the importers: options, the record of an import, licences, names and axes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", r
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """How to import.
+    """Options of an import.
 
     ``dielectric``: see-through materials are refused, or replaced: flat panes and thin dielectrics are left
     out, bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent files are
@@ -179,5 +179,5 @@ def provenance(
 
 
 def mended_note(num_normals: int, num_meshes: int) -> str:
-    """What an import says of normals that no renderer could use."""
+    """Remark of an import on unusable normals."""
     return f"{num_normals} normals of {num_meshes} meshes were missing or lay in their surface, mended"

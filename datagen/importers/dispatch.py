@@ -34,7 +34,8 @@ class Source:
 
 
 def find_sources(path: Path) -> list[Source]:
-    """What a path holds: a scene, a glTF file, a furniture library, a texture folder, or a folder of these.
+    """Kind of a source path: a scene, a glTF file, a furniture library, a texture folder, or a folder of
+    these.
 
     Raises :class:`InputError` where there is nothing that an importer knows.
     """

@@ -47,7 +47,7 @@ DEFAULT_TILE_M = 1.0
 
 
 def role_of(name: str) -> str:
-    """What the image of that file name holds; '' if its name does not say."""
+    """Kind of map that an image's file name states; '' if it states none."""
     stem = _RESOLUTION.sub("", Path(name).stem).lower().replace("-", "_")
     words = stem.split("_")
     for length in (2, 1):

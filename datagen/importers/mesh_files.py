@@ -42,7 +42,7 @@ _MAX_EXPONENT = 1000.0
 
 @dataclass(frozen=True)
 class MeshSource:
-    """What a file holds: surfaces with the name of each one's material, and the materials."""
+    """Content of a mesh file: surfaces with the name of each one's material, and the materials."""
 
     surfaces: list[tuple[str, Mesh]]
     materials: dict[str, GlbMaterial]

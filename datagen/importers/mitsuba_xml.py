@@ -411,7 +411,7 @@ class _SceneImporter:
 
 
 def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
-    """What decides the mesh of a shape: two shapes with equal ones have equal meshes."""
+    """Key of a shape's mesh: two shapes with equal keys have equal meshes."""
     return (
         str(file) if file else node.type,
         None if file else tuple(sorted((k, str(v)) for k, v in node.values.items() if k != "to_world")),

@@ -160,7 +160,7 @@ def render_converted(
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well an image agrees with its reference.
+    """Agreement of an image with its reference.
 
     ``correlation``: Pearson's, of blurred luminance. ``median_ratio``: median over pixels of blurred
     luminance over the reference's. ``mean_ratio``: ratio of the means. ``rel_l1``: sum of absolute

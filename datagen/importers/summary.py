@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What an import says to the person who started it: a line for the asset, and alike sentences as one."""
+"""Summary of an import for the user: a line per asset, with similar sentences merged."""
 
 from __future__ import annotations
 

@@ -339,7 +339,7 @@ class _SweetHomeImporter:
         return Z_UP_FROM_Y_UP @ matrix
 
     def _supports(self, piece: Piece, category: str, findings: Findings) -> tuple[SupportKind, ...]:
-        """Where it stands; nowhere for what hangs above the floor or is part of a wall."""
+        """Supports of a piece; none if it hangs above the floor or is part of a wall."""
         width, depth, height = piece.size_m
         if piece.is_light:
             findings.approximate(f"{piece.name}: light of the catalogue left out of the object")

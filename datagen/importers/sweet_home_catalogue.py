@@ -62,7 +62,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the whole catalogue comes from: its id, provider, SPDX licence ('' if unknown), rights holder."""
+    """Provenance of the whole catalogue: its id, provider, SPDX licence ('' if unknown), rights holder."""
 
     id: str = ""
     provider: str = ""

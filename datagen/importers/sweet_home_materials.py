@@ -212,7 +212,8 @@ class PhongConverter:
         return None if float(values.min()) >= _OPAQUE else mask
 
     def _stand_in(self, slot: str, phong: PhongMaterial) -> StandIn:
-        """What becomes of a surface of uniform transparency: refused by name, or as the options say."""
+        """Treatment of a surface of uniform transparency: refused by name, or converted as the options
+        say."""
         if phong.opacity >= _OPAQUE:
             return "opaque"
         if phong.opacity < _INVISIBLE:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a user sees while hundreds of pieces are imported: a bar, and a table at the end."""
+"""Progress and summary of an import of hundreds of pieces: a bar, and a table at the end."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What can be wrong with a view, as pure functions on its buffers (name to (H, W, C) array).
+"""Faults of a view, as pure functions on its buffers (name to (H, W, C) array).
 
 Each function returns the faults that it finds and never raises on bad pixels. The limits are meant to pass
 every sound dataset and to catch what would poison training.

@@ -51,7 +51,7 @@ _NEEDS_SURFACE = (*MATERIAL_MAPS, "normal_world")
 
 @dataclass(frozen=True)
 class Scales:
-    """What the sheet's numbers are brought to the screen with; ``exposure`` is the default of its views."""
+    """Exposure and colour scales of a sheet; ``exposure`` is the default of its views."""
 
     exposure: float
     farthest_m: float
@@ -192,7 +192,7 @@ def _cell(picture: NDArray[np.uint8]) -> Image.Image:
 def _draw_foot(
     sheet: Image.Image, draw: ImageDraw.ImageDraw, place: tuple[int, int, int], name: str, scales: Scales
 ) -> None:
-    """What a column's colours mean: a scale from 0 to its largest value, or a line of text."""
+    """Legend of a column: a scale from 0 to its largest value, or a line of text."""
     from PIL import Image
 
     x, y, width = place

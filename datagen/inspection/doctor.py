@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is installed and what will be used: a table for people, an exit code for scripts."""
+"""Check of the installation: a table for people, an exit code for scripts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REQUIRED = (
     "mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "pyoidn", "embreex", "python-fcl", "pydantic", "typer",
     "rich", "PyYAML", "Pillow", "opencv-contrib-python-headless", "matplotlib", "xatlas", "numba", "psutil",
 )  # fmt: skip
-"""What the project cannot do without: Dr.Jit, which comes with Mitsuba, and the dependencies of all."""
+"""Required packages: Dr.Jit, which comes with Mitsuba, and the dependencies of all."""
 OPTIONAL = {
     "train": ("training and inference", ("torch", "safetensors", "tensorboard")),
     "heic": ("photographs in HEIC", ("pillow-heif",)),
@@ -127,7 +127,7 @@ def examine(folder: Path | None = None) -> list[Finding]:
 
 
 def _found(error: InputError) -> tuple[str, bool, bool, str]:
-    """What stands there and what was expected, not fine, required, the remedy."""
+    """A failed check: the value found and the expected one, not fine, required, the remedy."""
     (problem,) = error.problems
     return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the verification can find, one fault at a time, and the report that collects it."""
+"""Kinds of faults that verification finds, and the report that collects them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Fault:
 
 @dataclass
 class Report:
-    """What was looked at and what was found. ``notes`` say what could not be checked, and why."""
+    """Scope and findings of a verification. ``notes`` say what could not be checked, and why."""
 
     path: str
     num_shards: int = 0

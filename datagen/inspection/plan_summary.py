@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a plan's views will show, in a few words, before anything is rendered."""
+"""Summary of a plan's views in a few words, before anything is rendered."""
 
 from __future__ import annotations
 

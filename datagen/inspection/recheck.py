@@ -61,7 +61,7 @@ class Rechecked:
 
     @property
     def where(self) -> str:
-        """How reports name the view."""
+        """Name of the view in reports."""
         return f"{self.configuration}/{self.view}"
 
     def faults(self) -> Iterable[Fault]:

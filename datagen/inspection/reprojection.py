@@ -31,7 +31,7 @@ _RESIDUAL_FLOOR, _RESIDUAL_PIXELS = 5e-4, 0.75  # normals from maps tilt the pla
 
 @dataclass(frozen=True)
 class Geometry:
-    """What a view gives to the comparison: depth and ``is_surface`` (H, W), world ``normal`` (H, W, 3)."""
+    """A view's input to the comparison: depth and ``is_surface`` (H, W), world ``normal`` (H, W, 3)."""
 
     name: str
     camera: Camera
@@ -51,7 +51,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How a view sees another's points; the share and the residual are NaN if too few compare."""
+    """Agreement of a view with another's points; the share and the residual are NaN if too few compare."""
 
     num_points: int
     seen_through: float

@@ -127,7 +127,7 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
 
 
 def _leftovers(folder: Path) -> set[Path]:
-    """What killed attempts left; a folder without its plan (a copy of the shards, say) holds none."""
+    """Remains of killed attempts; a folder without its plan (a copy of the shards, say) has none."""
     from datagen.farm.leftovers import find_leftovers
 
     try:

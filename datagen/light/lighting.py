@@ -28,8 +28,8 @@ MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
 MAX_RATIO_SURFELS = 8000
 """Surfels whose reflectance gives the mean of the room."""
 ESTIMATE_ROUNDS = 5
-"""What no photograph shows is lit by what no photograph shows: each round adds a bounce. The first
-takes unknown light to be as bright as known light; from the fifth on, the mean changes by less than 2 %."""
+"""Surfaces in no photograph light each other: each round adds a bounce. The first takes unknown light to be
+as bright as known light; from the fifth on, the mean changes by less than 2 %."""
 _MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
 
 

@@ -91,9 +91,9 @@ class StatisticsView:
 
 @dataclass(frozen=True)
 class StatisticsOptions:
-    """What is computed. ``best_views`` in [4, 24] is k; ``include_self`` makes a view's own pixel a
-    candidate; ``color_fetch`` reads a colour at a projection from the nearest pixel or from those of the
-    four around it that show the same depth.
+    """Options of the statistics. ``best_views`` in [4, 24] is k; ``include_self`` makes a view's own pixel a
+    candidate; ``color_fetch`` reads a colour at a projection from the nearest pixel or from those of the four
+    around it that show the same depth.
     """
 
     best_views: int = 12

@@ -31,7 +31,7 @@ class Selection(NamedTuple):
     """The chosen views of each point (*traced*)."""
 
     num_chosen: mi.UInt32
-    """How many of the lists' entries are set: min(k, number of views that see the point)."""
+    """Number of the lists' entries that are set: min(k, number of views that see the point)."""
     costs: dr.Local
     """(k,) floats, rising; Inf past the end."""
     views: dr.Local

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which views see which points: packed views and the projection and visibility kernels on them.
+"""Visibility of points in views: packed views and the projection and visibility kernels on them.
 
 Letters: p a world point with unit normal n, i a view, o_i its centre, omega_i the unit direction from p to
 o_i, d_ip = |o_i - p|, (x, y, z) the point in view i's camera space, (u, v) its projection in pixels.
@@ -44,7 +44,7 @@ _MIN_TRACE_COSINE = 0.05  # keeps the shadow ray from being cut far short of a p
 
 @dataclass(frozen=True)
 class VisibilityOptions:
-    """How occlusion is decided; the formulas are in the module's docstring.
+    """Kinds of occlusion tests; the formulas are in the module's docstring.
 
     ``depth_tolerance`` and ``slope_limit`` are relative to depth, ``slope_tolerance_px`` is in pixels,
     ``trace_tolerance`` is relative to the distance between camera and point.
@@ -90,7 +90,7 @@ class Projection(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What one view has of each point (*traced*); the rest means nothing where ``is_visible`` is False."""
+    """Samples of one view at each point (*traced*); undefined where ``is_visible`` is False."""
 
     is_visible: mi.Bool
     cosine: mi.Float

@@ -88,7 +88,7 @@ def _floating(room: Furnished, bounds: list[Floats]) -> list[Fault]:
 def _gap(
     shell: Shell, item: Placed, b: Floats, by_name: dict[str, tuple[Placed, Floats]]
 ) -> tuple[float, str]:
-    """How far an item is from what should bear it, and what that is."""
+    """Distance of an item from its support, and the support."""
     if item.item.hold == "ceiling":
         return abs(shell.height - float(b[1, 2])), "the ceiling"
     if item.item.hold == "wall":

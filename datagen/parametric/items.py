@@ -70,7 +70,7 @@ class Lamp:
 
 @dataclass(frozen=True)
 class LampPlace:
-    """Where a configuration may put a lamp of its own: a point, or a rectangle about it that shines down."""
+    """Position for a lamp of the configuration: a point, or a rectangle about it that shines down."""
 
     at: Point
     size: tuple[float, float] | None = None

@@ -220,7 +220,7 @@ def _light_slots(room: MadeRoom) -> list[LightSlot]:
 
 
 def _regions(room: MadeRoom, rectangles: list[Rectangle]) -> list[Box]:
-    """Where a person with a camera stands: the largest free rectangles of the floor."""
+    """Camera regions: the largest free rectangles of the floor."""
     top = min(_REGION_TOP_M, room.furnished.shell.height - 0.15)
     return [
         Box(minimum_m=_vector(np.array([*low, 0.0])), maximum_m=_vector(np.array([*high, top])))

@@ -74,7 +74,7 @@ class PinholePixels(mi.Sensor):
 
     @property
     def view(self) -> tuple[Any, ...]:
-        """What :func:`rays_through` needs, all of it data of a kernel."""
+        """Input of :func:`rays_through`, all of it data of a kernel."""
         return (self.m_position, self.m_right, self.m_down, self.m_forward, self.m_centre, self.m_clip)
 
     def sample_ray_differential(
@@ -102,7 +102,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
 
 
 def outside_distance(scene: Any) -> float:
-    """How far from any point of a scene lies outside of it; 1 without extent."""
+    """Distance that leads out of a scene from any of its points; 1 without extent."""
     box = scene.bbox()
     extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
     reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0

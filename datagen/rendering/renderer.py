@@ -67,7 +67,7 @@ class SceneRenderer:
 
     @property
     def recipe(self) -> RenderRecipe:
-        """How views are rendered."""
+        """Options of rendering views."""
         return self.scene.recipe
 
     @property

@@ -60,8 +60,9 @@ IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
 
 @dataclass(frozen=True)
 class Finishing:
-    """How views end: ``denoiser`` of the image, ``estimator`` that denoises the halves whose difference
-    estimates the error, ``budget`` of samples (None: the recipe's fixed number), and ``is_enough``."""
+    """Post-processing of views: ``denoiser`` of the image, ``estimator`` that denoises the halves whose
+    difference estimates the error, ``budget`` of samples (None: the recipe's fixed number), and
+    ``is_enough``."""
 
     denoiser: Denoiser | None
     estimator: Denoiser | None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What settings are judged against: converged views of a configuration, made once and kept.
+"""References of settings: converged views of a configuration, made once and kept.
 
 A reference holds, for each view, two independent images (their own noise then adds nothing to the errors,
 see ``datagen.rendering.error``), maps of many samples, and statistics over all views: of the denoised mean of

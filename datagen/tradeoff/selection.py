@@ -23,7 +23,7 @@ RENDER_FIELDS = (
     "firefly_clamp",
     "irradiance_cache",
 )
-"""What a recommendation may change: the other fields change what a view is, not how well it is rendered."""
+"""Fields that a recommendation may change: the others change the content of a view, not its accuracy."""
 
 
 @dataclass(frozen=True)

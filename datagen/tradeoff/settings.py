@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What can be traded for time: one setting, the sweeps around a base point, and the factorial.
+"""Settings that trade accuracy for time: one setting, the sweeps around a base point, and the factorial.
 
 Every field of :class:`Setting` costs or saves time. The base point is the recipe's defaults with a fixed
 number of samples; a sweep changes one field, the factorial crosses the four that interact: clean auxiliary

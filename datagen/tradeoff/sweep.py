@@ -39,7 +39,7 @@ MIN_SIDE_PX, MAX_SIDE_PX = 8, 16384
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """What is swept, on what, and against what."""
+    """Options of a sweep: settings, configurations and references."""
 
     configurations: Annotated[
         tuple[int, ...], typer.Option("--configuration", help="Index of a configuration, repeatable.")
@@ -76,7 +76,7 @@ class Subject:
     reference_samples: int
 
     def trial_path(self, out: Path, setting: Setting) -> Path:
-        """Where a trial is kept. What a quality stands for, and the code's version, are part of the name."""
+        """Path of a trial's record; its name includes the quality's values and the code's version."""
         meaning = QUALITIES[setting.quality] if setting.quality else None  # type: ignore[index]
         key = sha256_hex(canonical_json([asdict(setting), meaning, pixel_versions()]))[:16]
         return out / "trials" / f"{self.reference.folder.name}-{key}.json"
@@ -135,7 +135,7 @@ class Sweep:
         return [read_trial(path) for path in paths if path.is_file()]
 
     def description(self) -> dict[str, str]:
-        """What was measured, on what, with what."""
+        """Conditions of a sweep for its report: configurations, views, references, software."""
         options = self.options
         return {
             "configurations": ", ".join(s.configuration.id for s in self.subjects),

@@ -69,7 +69,7 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Trial:
-    """What one setting gave on one configuration (see the module's head)."""
+    """Result of one setting on one configuration (see the module's docstring)."""
 
     configuration: str
     setting: dict[str, Any]

@@ -44,7 +44,7 @@ _COLORS = {"fast": "#e69f00", "balanced": "#56b4e9", "high": "#0072b2", "none": 
 
 @dataclass(frozen=True)
 class Results:
-    """What a sweep gave, and what the user asked of it."""
+    """Results of a sweep, and the user's constraints."""
 
     trials: Sequence[Trial]
     base: Setting
@@ -194,7 +194,7 @@ def _add_legend(axes: Axes) -> None:
 
 
 def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
-    """What each field does by itself: errors, time and bytes over those of the base. None without a sweep."""
+    """Effect of each field alone: errors, time and bytes over those of the base. None without a sweep."""
     from matplotlib.figure import Figure
 
     base_point = next((p for p in points if p.setting == base), None)

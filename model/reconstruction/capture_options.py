@@ -52,8 +52,8 @@ class FrameOptions:
 
 @dataclass(frozen=True)
 class CaptureOptions(FrameOptions):
-    """How to read a capture. ``library``, for rendered captures only: packages of their assets, by default
-    those of their dataset folder, else the bundled ones.
+    """Options of reading a capture. ``library``, for rendered captures only: packages of their assets, by
+    default those of their dataset folder, else the bundled ones.
 
     ``mesh_up`` is the mesh's up axis where it differs. ``exposure`` "exif" applies recorded exposures, "auto"
     where all photographs have one. ``limits`` default to those of the environment.

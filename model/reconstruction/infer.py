@@ -132,7 +132,7 @@ def infer(
 
 
 def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
-    """What happens to maps between prediction and merge, in order."""
+    """Stages between prediction and merge, in order."""
     if not source.is_predicted:
         return []
     stages: list[MapStage] = [leveled] if options.is_leveled else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run of ``materials infer`` is told, and what it tells."""
+"""Options and report of ``materials infer``."""
 
 from __future__ import annotations
 
@@ -88,13 +88,12 @@ class InferOptions(AssetOptions):
 
 @dataclass
 class InferReport:
-    """What was done. ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up to
-    the end of each; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the lights
-    that were found, empty where none were sought; ``warnings`` name views where they concern one;
+    """Report of a run. ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up
+    to the end of each; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the
+    lights that were found, empty where none were sought; ``warnings`` name views where they concern one;
     ``radiometry`` is what :mod:`~model.reconstruction.radiometry` found, ``poses`` how far they were mended,
     empty where that was not asked for; ``albedo_level`` is a
-    :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was
-    sought."""
+    :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was sought."""
 
     name: str = ""
     num_views: int = 0

@@ -26,7 +26,7 @@ SG_SHARPNESS_RANGE = (2.0, 200.0)
 
 @dataclass(frozen=True)
 class Geometry:
-    """What shading needs of a crop: ``position`` and unit ``normal`` (B, 3, H, W), ``mask`` (B, 1, H, W)
+    """Geometry of a crop for shading: ``position`` and unit ``normal`` (B, 3, H, W), ``mask`` (B, 1, H, W)
     bool.
 
     Where ``mask`` is False there is no surface; normals are zero there and nothing is shaded.

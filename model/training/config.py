@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a training run is: the resolved configuration, its presets, and how flags override files.
+"""Configuration of a training run: its presets, and how flags override files.
 
 Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved beside the
 output before work starts.
@@ -49,7 +49,7 @@ class PhaseConfig(StrictModel):
 
 
 class PerceptualConfig(StrictModel):
-    """Which perceptual distance: ``elpips`` needs VGG16's weights, ``gradient_ssim`` needs none."""
+    """Perceptual distance: ``elpips`` needs VGG16's weights, ``gradient_ssim`` needs none."""
 
     kind: Literal["elpips", "gradient_ssim"] = "elpips"
     vgg: Path | None = None
@@ -61,7 +61,7 @@ class PerceptualConfig(StrictModel):
 
 
 class DataConfig(StrictModel):
-    """How shards become batches."""
+    """Options of the batches that are drawn from shards."""
 
     crop_px: int = Field(default=256, ge=16)
     crops_per_view: int = Field(default=7, ge=1)
@@ -80,7 +80,7 @@ class DataConfig(StrictModel):
 
 
 class ValidationConfig(StrictModel):
-    """What is measured after each epoch, on whole views."""
+    """Options of validation, which judges whole views after each epoch."""
 
     num_views: int = Field(default=40, ge=0)
     """At most so many views of the validation split, evenly spread; 0 turns validation off."""

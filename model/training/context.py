@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What all phases of a training share: the ranks, the models, the loss and the data."""
+"""Training context: the ranks, the models, the loss and the data of all phases."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Models(nn.Module):
 
 @dataclass(frozen=True)
 class TrainingContext:
-    """What all phases of a run share."""
+    """Objects shared by all phases of a run."""
 
     config: TrainingConfig
     data: TrainingData

@@ -313,7 +313,7 @@ def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) 
 
 
 def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, Tensor]:
-    """What stands in for a bad view: an empty mask, so that it adds nothing to any loss."""
+    """Replacement of a bad view: an empty mask, so that it adds nothing to any loss."""
     renamed = [n for n in names if n not in ("normal_world", "surface_mask")] + ["normal_camera", "position"]
     channels = {"roughness": 1, "depth_z_m": 1}
     sample = {n: torch.zeros(channels.get(n, input_channels(n)), size, size) for n in renamed}

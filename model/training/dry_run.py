@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run would be: its resolved configuration, sizes, memory and time, measured on one made-up step a
-phase."""
+"""Dry run: resolved configuration, sizes, memory and time, measured on one synthetic step per phase."""
 
 from __future__ import annotations
 

@@ -47,8 +47,8 @@ class LossConfig(StrictModel):
     perceptual_weight: float = Field(default=1.0, ge=0)
     """Of every perceptual term; 0 leaves them out."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)
-    """How many of the re-renderings, the first of a random order, also enter the perceptual term; None is
-    all. Its expectation is the same, at less cost."""
+    """Number of re-renderings, the first of a random order, that also enter the perceptual term; None is all.
+    Its expectation is the same, at less cost."""
     log_maps: bool = False
     """Compare ln(0.1 + M) instead of M for D and S (an option that the paper's source has commented out)."""
 
@@ -98,7 +98,7 @@ class MaterialLoss(nn.Module):
 
     @property
     def name(self) -> str:
-        """What a checkpoint records: terms and the perceptual distance used."""
+        """Loss as a checkpoint records it: terms and the perceptual distance used."""
         distance = "none" if self.perceptual is None else str(self.perceptual.name)
         return f"l1+{'l2+' if self.config.map_l2_weight > 0 else ''}{distance}"
 

@@ -205,7 +205,7 @@ class LpipsVgg:
         self._network, self._heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """What VGG sees in images (B, 3, H, W) in [-1, 1], layer by layer."""
+        """VGG's features of images (B, 3, H, W) in [-1, 1], layer by layer."""
         return self._network(image)
 
     def distance(self, image: list[Tensor], reference: list[Tensor]) -> Tensor:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run leaves to look at: a CSV, TensorBoard scalars and image panels."""
+"""Logs of a run: a CSV, TensorBoard scalars and image panels."""
 
 from __future__ import annotations
 

@@ -62,8 +62,7 @@ def check_same_run(path: Path, record: RunRecord) -> None:
 
 
 class RunProgress(StrictModel):
-    """Where a run stands: ``phase`` is an index, ``step`` counts within it, ``total_step`` over all
-    phases."""
+    """Progress of a run: ``phase`` is an index, ``step`` counts within it, ``total_step`` over all phases."""
 
     phase: int = Field(default=0, ge=0)
     step: int = Field(default=0, ge=0)

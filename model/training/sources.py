@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which views a run trains and validates on: dataset folders with their index, checked before work starts."""
+"""Views for training and validation: dataset folders with their index, checked before work starts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TrainingData:
 
 
 def validation_note(data: TrainingData, num_views: int) -> str:
-    """What to tell who asked for ``num_views`` views of validation and has no such data; "" otherwise."""
+    """Warning for a user who asked for ``num_views`` views of validation without such data; "" otherwise."""
     if data.validation or not num_views:
         return ""
     return (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where the time of a training step goes."""
+"""Time of a training step by part."""
 
 from __future__ import annotations
 

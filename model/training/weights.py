@@ -59,7 +59,7 @@ class Convolution:
 
 
 def weights_folder() -> Path:
-    """Where fetched weights are kept: ``SCENE_MATERIALS_WEIGHTS``, else the user's cache folder."""
+    """Folder of fetched weights: ``SCENE_MATERIALS_WEIGHTS``, else the user's cache folder."""
     override = os.environ.get("SCENE_MATERIALS_WEIGHTS")
     if override:
         return Path(override)

@@ -29,7 +29,7 @@ def new_file() -> None:
 
 @dataclass(frozen=True)
 class Slot:
-    """What a material slot shows by itself and what may take its place.
+    """Default material of a slot and the classes that may replace it.
 
     ``source`` names a library material; without it the slot is constant: ``color`` (linear Rec.709),
     ``roughness``, ``metallic``, ``ior``; or ``graph`` builds it over a unique UV layout.

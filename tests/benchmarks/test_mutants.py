@@ -102,7 +102,7 @@ def test_a_mutant_is_known_again_where_other_code_has_changed() -> None:
     ],
 )
 def test_tests_that_do_not_end_are_ended(code: str, timeout_s: float, ended: int) -> None:
-    """What computes by its processor time, what sleeps by the clock."""
+    """Time limits: processor time for computing tests, wall time for sleeping ones."""
     process = subprocess.Popen([sys.executable, "-S", "-c", code], start_new_session=True)
     assert warm.outcome_of(process.pid, timeout_s) == ended
     process.returncode = ended  # it was waited for

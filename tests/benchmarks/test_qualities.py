@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How the qualities' excess over fixed sample counts is judged."""
+"""Excess of the qualities over fixed sample counts."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def _blocks(images: np.ndarray) -> np.ndarray:
 
 
 def figures(cycles: np.ndarray, mitsuba: np.ndarray) -> dict[str, float]:
-    """How far two pairs of images (2, H, W, 3), linear, agree."""
+    """Agreement of two pairs of images (2, H, W, 3), linear."""
     theirs, ours = cycles.astype(np.float64), mitsuba.astype(np.float64)
     reference = theirs.mean(axis=0)
     squared = (ours[0] - theirs[0]) * (ours[1] - theirs[1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What must be refused by name, what bakes to a normal texture, and the fidelity report; prints JSON.
+"""Refusals by name, bakes to normal textures, and the fidelity report; prints JSON.
 
 ``python -m tests.blender_addon.policies OUT``.
 """

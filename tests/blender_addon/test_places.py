@@ -26,7 +26,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory, run_module: Callable[...,
 
 
 def _differences(wanted: Any, got: Any, where: str = "") -> list[str]:
-    """Where two JSON values differ; numbers by more than float32 allows."""
+    """Differences of two JSON values; numbers by more than float32 allows."""
     if isinstance(wanted, dict) and isinstance(got, dict):
         keys = sorted(set(wanted) | set(got))
         return [d for k in keys for d in _differences(wanted.get(k), got.get(k), f"{where}.{k}")]

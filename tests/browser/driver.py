@@ -134,7 +134,7 @@ class Page:
         (actions.click() if click else actions).perform()
 
     def values(self, buffer: str) -> list[float]:
-        """What the page says the pixel under the cursor holds."""
+        """Value of the pixel under the cursor as the page shows it."""
         texts = self.run(
             "return [...document.querySelectorAll(`#values tr[data-buffer='${arguments[0]}'] .value`)]"
             ".map((n) => n.textContent)",

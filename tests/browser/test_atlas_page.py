@@ -152,8 +152,8 @@ def read(page: Page) -> np.ndarray:
 def points_seen(
     height: int, width: int, shift: tuple[float, float] = (0, 0)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels' rays meet z = 0, (H, W, 3), and the mask of those that meet the square. ``shift`` in
-    pixels."""
+    """Intersections of the pixels' rays with z = 0, (H, W, 3), and the mask of those inside the square.
+    ``shift`` in pixels."""
     forward = (TARGET - CAMERA) / np.linalg.norm(TARGET - CAMERA)
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
@@ -219,8 +219,8 @@ def test_shader_is_the_projects_bsdf(page: Page, quad: Quad, light: tuple[float,
     assert state["light"] == pytest.approx(light)
 
     def beyond(alpha_factor: float) -> float:
-        """How far the screen is outside what the oracle says, in bytes. Rasterisers round corners to 1/16 of
-        a pixel, so that a pixel shows what lies up to as far from its centre."""
+        """Deviation of the screen from the oracle's bounds, in bytes. Rasterisers round corners to 1/16 of a
+        pixel, so that a pixel shows what lies up to as far from its centre."""
         shifts = [(0.0, 0.0), *((x / 16, y / 16) for x in (-1, 1) for y in (-1, 1))]
         possible = []
         for shift in shifts:

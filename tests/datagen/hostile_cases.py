@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What strangers may hand to `datagen`: documents, packages, shards, images and whole dataset folders."""
+"""Hostile input of `datagen`: documents, packages, shards, images and whole dataset folders."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def size(rng: random.Random, top: int) -> int:
 
 
 class Scale:
-    """Which limits one input is read under, and how large its parts may be."""
+    """Limits under which one input is read, and the largest sizes of its parts."""
 
     def __init__(self) -> None:
         self.limits, self.factor = SMALL, 1

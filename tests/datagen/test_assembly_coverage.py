@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What views show is measured right, and views of rooms show rooms, often enough."""
+"""Coverage of views is measured right, and views of rooms show enough of the rooms."""
 
 from __future__ import annotations
 

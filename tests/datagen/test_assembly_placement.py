@@ -171,7 +171,7 @@ def test_category_weights_decide(library: Library, room: Room) -> None:
 def placed_on(
     tmp_path: Path, shapes: dict[str, trimesh.Trimesh], room: Room, **fields: object
 ) -> Counter[str]:
-    """What was rejected when a single thing of these shapes had to be placed."""
+    """Counts of rejections when a single thing of these shapes had to be placed."""
     write_object(tmp_path, "thing", "thing", shapes, **fields)
     thing = things_of(Library([tmp_path]))[0]
     rejections: Counter[str] = Counter()

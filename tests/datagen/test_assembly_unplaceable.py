@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is never placed is said, with the reason; libraries weigh against each other."""
+"""Things that are never placed are reported with the reason; libraries have weights."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def environment(name: str) -> EnvironmentAsset:
 
 
 def triangles_cut_box(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which triangles (M, 3, 3) meet the open box, by separating axes (Akenine-Moller)."""
+    """Mask of the triangles (M, 3, 3) that meet the open box, by separating axes (Akenine-Moller)."""
     near = ((corners.min(axis=1) < high) & (corners.max(axis=1) > low)).all(axis=1)
     found = np.zeros(len(corners), dtype=bool)
     center, half = (low + high) / 2, (high - low) / 2
@@ -249,7 +249,7 @@ def test_support_surfaces_are_level_and_free(name: str) -> None:
 
 
 def support_fault(rays: RayScene, surface: SupportSurface) -> str:
-    """What is wrong with a support, or ''. Seats are soft: they may swell by 3 cm."""
+    """Fault of a support, or ''. Seats are soft: they may swell by 3 cm."""
     origin, u, v = (np.array(e) for e in (surface.origin_m, surface.edge_u_m, surface.edge_v_m))
     if abs(u[2]) > 1e-6 or abs(v[2]) > 1e-6 or np.cross(u, v)[2] <= 0:
         return "not level"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a power cut would leave: content is on the disk before its name, a name before what rests on it.
+"""State after a power cut: content is on the disk before its name, a name before files that refer to it.
 
 A recorder stands in for the calls that the system is asked for; it notes which file or folder each is about.
 """

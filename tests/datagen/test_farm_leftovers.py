@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""What killed and doubled attempts leave, and full disks: found, told, removed, and nothing else touched."""
+"""Remains of killed and doubled attempts, and of full disks: found, reported, removed, and nothing else
+touched."""
 
 from __future__ import annotations
 

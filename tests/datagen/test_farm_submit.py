@@ -63,7 +63,7 @@ class Desk:
     here: Path
 
     def commands(self) -> list[list[str]]:
-        """What the note-takers were called with, in order; trace and notes are emptied."""
+        """Arguments of the stub commands, in order; trace and notes are emptied."""
         words = self.notes.read_text().split("\0")[:-1] if self.notes.exists() else []
         self.notes.write_text("")
         found = []

@@ -55,7 +55,7 @@ def library_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _run(folder: DatasetFolder, fault: str, **options: Any) -> tuple[dict, list[tuple[str, int]]]:
-    """What a run gave, and (unit, process) of every attempt in order."""
+    """Result of a run, and (unit, process) of every attempt in order."""
     script = folder.root.parent / "run.py"
     script.write_text(SCRIPT)
     result = subprocess.run(

@@ -92,7 +92,7 @@ def test_bytes_depend_on_kind_and_seed_alone() -> None:
 
 
 def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
-    """Where a slot is drawn in metal, nothing else may take its place; the share is that of the table."""
+    """Slots drawn in metal cannot be replaced by anything else; the share is that of the table."""
     found: dict[str, list[bool]] = {}
     for kind in sorted(KINDS):
         for seed in SEEDS:

@@ -18,7 +18,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """What was said, without the time of day."""
+    """Messages without the time of day."""
     return [line.split(" ", 1)[1] for line in capsys.readouterr().err.splitlines()]
 
 

@@ -221,7 +221,7 @@ def test_a_near_target_asks_for_little() -> None:
 
 
 def test_pixels_of_different_counts_have_the_same_expectation(budgeted: SceneRenderer) -> None:
-    """Where few and many samples meet, means agree, and the noise falls with the counts."""
+    """Between few and many samples means agree, and the noise falls with the counts."""
     sensor = budgeted.sensor(CAMERAS[1])
     width, height = (int(v) for v in sensor.film().crop_size())
     counts = np.full((height, width), 8, np.int64)
@@ -275,7 +275,7 @@ def test_ceiling_is_kept_and_recorded(tmp_path: Path) -> None:
 
 
 def test_budgeted_views_do_not_depend_on_order_or_company(budgeted: SceneRenderer) -> None:
-    """What an interrupted run leaves is made alone later: the same bytes, and the same record."""
+    """Remaining views of an interrupted run are rendered later: the same bytes, and the same record."""
     together = list(budgeted.render_views([2, 0, 1]))
     assert [view.index for view in together] == [2, 0, 1]
     alone = budgeted.render_view(0)

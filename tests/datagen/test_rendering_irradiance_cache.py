@@ -270,7 +270,7 @@ def test_nothing_to_see_or_no_light_means_no_cache(tmp_path: Path) -> None:
 
 
 def test_white_walls_do_not_run_away(tmp_path: Path) -> None:
-    """Where everything reflects all light, rounds add light without end, but only so much each."""
+    """In a scene that reflects all light, rounds add light without end, but a bounded amount each."""
     white = SlotMaterial(diffuse_albedo=(1, 1, 1), specular_albedo=(1, 1, 1), roughness=0.3)
     room = closed_room(None)
     room.slots = {"wall": white}

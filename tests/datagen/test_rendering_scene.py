@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the scene builder makes of a configuration, seen through the ground-truth buffers."""
+"""Scenes made by the scene builder, seen through the ground-truth buffers."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _STANDARD = {"venv", "pip", "http.server", "pytest", "ensurepip", "zipfile"}
 
 
 def check_command(words: list[str], is_whole: bool) -> str:
-    """What is wrong with a command, "" if nothing is or it is none of ours.
+    """Fault of a command, "" if there is none or the command is none of ours.
 
     ``is_whole`` demands its required arguments too; a mention in a sentence may leave them out.
     """

@@ -195,7 +195,7 @@ class StandIns:
         self.root = root
 
     def begin(self, folder: Path) -> None:
-        """What every page finds: the recipes with their library, and the bundled library."""
+        """Stand-ins of every page: the recipes with their library, and the bundled library."""
         write_recipes(folder / "scenes" / "recipes")
         (folder / "scenes" / "library").symlink_to(REPOSITORY / "scenes" / "library")
         self._copy(LIBRARY, folder / LIBRARY, _library)

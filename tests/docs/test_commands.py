@@ -117,7 +117,7 @@ SLOW = [p for p, page in READ.items() if any(b.action == "run slow" for b in pag
 
 @pytest.mark.parametrize("path", FAST, ids=_names(FAST))
 def test_the_commands_of_a_page_work(path: Path, tmp_path: Path, stand_ins: StandIns) -> None:
-    """What the long blocks leave is not there: a block that is run here does not build on one of them."""
+    """Files of the long blocks do not exist: a block that is run here does not build on one of them."""
     _run_page(READ[path], ("run", "file", "patch"), tmp_path, stand_ins)
 
 

@@ -333,7 +333,7 @@ def test_flags_say_which_sides_reflect(two_sided: bool) -> None:
 
 
 def test_all_lanes_are_active_unless_told_otherwise() -> None:
-    """What is called without a mask is as with one that is true, and nothing where it is false."""
+    """Calls without a mask equal calls with one that is true; where it is false, results are zero."""
     wi, wo = (unit_float32(oracle.direction(np.array([a]), np.array([b]))) for a, b in ((0.5, 0.0), (0.3, 2)))
     bsdf, si = material(0.5, 0.3, 0.4), interaction(wi)
     lanes = [mi.Float(0.9), mi.Point2f(0.3, 0.4)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What strangers may hand to `materials`: captures of every form, meshes, photographs, shards, weights."""
+"""Hostile input of `materials`: captures of every form, meshes, photographs, shards, weights."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def photographed_room(samples: int = 64) -> tuple[TracedView, ...]:
 
 @dataclass(frozen=True)
 class Photograph:
-    """What a view of the room shows."""
+    """Pixels of a view of the room."""
 
     color: NDArray[np.float32]
 

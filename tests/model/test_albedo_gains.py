@@ -92,7 +92,7 @@ def test_dark_points_and_such_without_light_say_nothing(num_dark: int) -> None:
 
 
 def test_points_that_nothing_arrives_at_are_not_used() -> None:
-    """What leaves them came by ways that no photograph shows: they would reflect without end."""
+    """Their light came by ways that no photograph shows: the reflectance would be unbounded."""
     arriving = ARRIVING.copy()
     arriving[:60] = 0.0
     level = albedo_level.fit_level(points_of(leaving()), arriving, np.ones(NUM), 4, 0.0)

@@ -236,7 +236,7 @@ def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) 
 
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_what_shows_no_gloss_is_matte(noise: float) -> None:
-    """Where S explains no more than it fits of the noise; where it explains a fifth more, S it is."""
+    """Matte where S explains no more than a share of the noise; glossy where it explains a fifth more."""
     matte, glossy = decided(costs_of_levels(noise, 0.0)), decided(costs_of_levels(noise, 0.2 * noise))
     assert matte.specular_albedo.max() < 0.03 and matte.roughness[0] > 0.75
     np.testing.assert_allclose(glossy.specular_albedo, 0.06, atol=0.005)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How much the light is trusted, and what takes its place where it is not."""
+"""Confidence in the light, and the network's maps where it is low."""
 
 from __future__ import annotations
 
@@ -71,7 +71,8 @@ def test_few_bright_surfels_of_a_room_take_no_trust_away() -> None:
 
 
 def test_light_of_a_dark_room_is_trusted_nowhere() -> None:
-    """Where four tenths reflect more than arrives, no photograph shows the lamps: no block is sure."""
+    """If four tenths of the surface reflect more than arrives, no photograph shows the lamps: no block is
+    sure."""
     num = 10 * BLOCK_CELLS
     for blocks, trusted in ((2, 1.0), (3, 0.5), (4, 0.0)):
         radiance = np.full((num, 3), 0.5)

@@ -29,7 +29,7 @@ WALLS = ("west", "south", "north", "ceiling", "east-low")
 def predicted(
     views: tuple[TracedView, ...], diffuse: float = 0.35, specular: float = 0.03, roughness: float = 0.7
 ) -> list[dict[str, NDArray]]:
-    """What a network might say that has not understood the room: one grey, faintly glossy material."""
+    """Prediction of a network that has not understood the room: one grey, faintly glossy material."""
     height, width = views[0].color.shape[:2]
     maps = {
         "diffuse_albedo": np.full((height, width, 3), diffuse, np.float16),
@@ -157,7 +157,7 @@ def test_energy_is_conserved(name: str) -> None:
 
 
 SEEN_FROM_M = 1.3
-"""What lies west of it, a third of all surface, is in no photograph of :func:`cropped_room`."""
+"""Surface west of it, a third of the whole, is in no photograph of :func:`cropped_room`."""
 
 
 def without(axis: int, low_m: float, high_m: float) -> tuple[TracedView, ...]:

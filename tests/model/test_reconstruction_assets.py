@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What `materials infer` writes, in other programs: Blender's Cycles through the add-on, a GLB through
+"""Results of `materials infer` in other programs: Blender's Cycles through the add-on, a GLB through
 Blender's own importer, Khronos' validator."""
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ def write_mesh(folder: Path) -> None:
 
 
 def pixels_of(view: CaptureView, world: np.ndarray) -> np.ndarray:
-    """Where the capture says that the photograph shows world points, distortion included."""
+    """Pixels at which the capture's photograph shows world points, distortion included."""
     source = view.source
     assert isinstance(source, PhotographSource)
     lens = source.calibrated
@@ -346,7 +346,7 @@ def test_bundler(tmp_path: Path) -> None:
 
 
 def test_environment_package_with_photographs(tmp_path: Path) -> None:
-    """What the Blender add-on exports: cameras and meshes from the package, photographs by name."""
+    """Exports of the Blender add-on: cameras and meshes from the package, photographs by name."""
     mesh = with_uv(box([-1, -1, 0], [1, 1, 1]))
     cameras, oracles = [], {}
     for k, (rotation, center) in enumerate(poses()):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What of a mesh can be seen at all."""
+"""Visible faces of a mesh."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_smoke_preset_runs_every_phase(dataset, whole):
 
 @pytest.mark.parametrize("limit", [1e-3, None])
 def test_gradients_are_scaled_down_to_the_limit(dataset, tmp_path, monkeypatch, limit):
-    """What the optimiser sees; the log keeps the norm from before."""
+    """Gradients as the optimiser sees them; the log keeps the norm from before."""
     seen = []
     take = torch.optim.Adam.step
 

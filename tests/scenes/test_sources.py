@@ -67,7 +67,7 @@ def test_every_source_is_bundled_and_the_other_way_round() -> None:
 
 
 def seam(pixels: np.ndarray) -> float:
-    """How much the step over the texture's border exceeds the largest step inside, per axis the worse one.
+    """Excess of the step over the texture's border over the largest step inside, of the worse axis.
 
     Steps are means of absolute differences over a whole row or column of texels.
     """

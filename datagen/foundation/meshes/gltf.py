@@ -233,7 +233,7 @@ class GltfFile:
         return data[start : start + int(entry["byteLength"])]
 
     def count(self, index: object, user: str) -> int:
-        """How many entries an accessor has, without reading it."""
+        """Number of an accessor's entries, without reading it."""
         count = self.item("accessors", index, user).get("count")
         if not isinstance(count, int) or not 0 <= count <= 3 * self.budget.allowed("triangles"):
             expected = f"0 to {3 * self.budget.allowed('triangles')}"
@@ -362,7 +362,7 @@ class GltfFile:
                 rest.extend((child, matrix, depth + 1) for child in reversed(children))
 
     def placed_primitives(self, nodes: Sequence[PlacedNode]) -> int:
-        """How many primitives the meshes of some nodes have, each counted as often as it is placed. What they
+        """Number of primitives in the meshes of some nodes, each counted as often as it is placed. What they
         come to is spent, before any of them is read."""
         for index, buffer in enumerate(self.items("buffers")):
             content = self.resource(str(buffer.get("uri", "data:,")), f"buffers[{index}].uri")

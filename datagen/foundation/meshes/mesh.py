@@ -71,7 +71,7 @@ class Mesh:
 
 @dataclass(frozen=True)
 class MeshFaults:
-    """What :func:`inspect_mesh` found: counts of triangles, edges or vertices."""
+    """Result of :func:`inspect_mesh`: counts of triangles, edges or vertices."""
 
     is_empty: bool = False
     non_finite: int = 0

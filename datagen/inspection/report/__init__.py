@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a dataset holds, as a page that opens from disk: ``datagen report``.
+"""Report of a dataset's content as a page that opens from disk: ``datagen report``.
 
 ``figures`` counts what the pixels hold, ``gather`` walks the shards, ``tiles`` writes pixels for the viewer,
 ``sources`` finds the views behind a pixel's statistics, ``summary`` draws the figures together, ``writing``

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""What is counted: histograms over fixed bins, so that the counts of shards add up to those of the dataset.
+"""Figures of a dataset: histograms over fixed bins, so that the counts of shards add up to those of the
+dataset.
 
 Values beyond a histogram's ends are counted in its outermost bins. Only pixels with a surface are counted:
 those that a ray hit and that reflecting surface covers at least half. Luminance is Rec.709 of linear colour.
@@ -46,7 +47,7 @@ class Axis:
         return cls(title, unit, tuple(np.geomspace(low, high, num + 1).tolist()), "log")
 
     def count(self, values: NDArray | Sequence[float]) -> NDArray[np.int64]:
-        """How many of ``values`` fall into each bin; NaN are left out."""
+        """Number of ``values`` in each bin; NaN are left out."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         flat = flat[~np.isnan(flat)]
         return np.histogram(np.clip(flat, self.edges[0], self.edges[-1]), self.edges)[0]
@@ -109,7 +110,7 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
 
 
 def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
-    """How many surface pixels a view has, and how many of them are metal and gloss."""
+    """Numbers of a view's surface pixels, and of metal and gloss among them."""
     mask = surface_pixels(view)
     return {
         "surface_pixels": int(mask.sum()),

@@ -40,7 +40,7 @@ SHOWN_BUFFERS = (
     "color_max",
     "observation_count",
 )
-"""What the viewer offers, in its order."""
+"""Buffers that the viewer offers, in its order."""
 _LOOKED_UP = ("surface_mask", "instance_id", "material_id")
 _THUMBNAIL_WIDTH_PX = 320
 _INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
@@ -68,7 +68,7 @@ class GatherJob:
 
 
 def kept_result(job: GatherJob) -> dict[str, Any] | None:
-    """What an earlier report gathered from the same shard, or None."""
+    """Figures that an earlier report gathered from the same shard, or None."""
     try:
         kept = json.loads(job.kept_path.read_bytes())
     except (OSError, ValueError):
@@ -229,7 +229,7 @@ def _write_sources(folder: Path, records: list[ViewRecord], geometry: list[Any])
 
 
 def _write_configuration(path: Path, configuration: Configuration, records: list[ViewRecord]) -> None:
-    """What the viewer needs of a configuration: cameras, exposures, names of ids, how it was rendered."""
+    """A configuration's data for the viewer: cameras, exposures, names of ids, how it was rendered."""
     tables: list[dict[str, dict[str, str]]] = []
     views = []
     for record in records:

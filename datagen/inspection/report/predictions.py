@@ -220,9 +220,9 @@ def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool
 def prediction_table(
     methods: Sequence[Method], compared: Iterable[dict[str, Any]], gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """What the page shows: whole-set errors (over all counted pixels) and, in the order of the page's views,
-    each view's errors by method: a number a map (None = unknown) and, as bits, which maps can be shown; or
-    None where nothing was predicted."""
+    """Errors of predictions for the page: over all counted pixels and, in the order of the page's views, each
+    view's errors by method: a number per map (None = unknown) and, as bits, the maps that can be shown; None
+    for views without predictions."""
     by_place: dict[tuple[str, str, str], dict[str, Any]] = {}
     for result in compared:
         for view in result["views"]:

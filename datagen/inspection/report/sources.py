@@ -18,7 +18,7 @@ NO_VIEW = 65535
 
 
 def options_of(record: StatisticsRecord) -> StatisticsOptions:
-    """What the statistics were gathered with, but for visibility: a page has no geometry to trace."""
+    """Options of the statistics without the visibility test: a page has no geometry to trace."""
     return StatisticsOptions(
         best_views=record.best_views,
         include_self=record.include_self,

@@ -249,7 +249,7 @@ def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) ->
 def findings(
     report: Report | None, index: DatasetIndex, gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """What the verification found, views with the most errors first, and views that stand out otherwise."""
+    """Findings of the verification, views with the most errors first, and outliers among the views."""
     stand_out = _stand_out(gathered)
     if report is None:
         return {"is_checked": False, "checks": [], "views": [], "notes": [], "stand_out": stand_out}

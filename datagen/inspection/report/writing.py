@@ -76,7 +76,7 @@ _LABELS = {
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What is written. ``max_pixel_views``: of how many views pixels are written for the viewer, by whole
+    """Options of a report. ``max_pixel_views``: of how many views pixels are written for the viewer, by whole
     configurations (None = of all); ``with_sources``: the source views of every pixel too; ``price_per_hour``
     of a unit's resources, 0 = unknown; ``predictions`` are shown against the ground truth."""
 
@@ -90,8 +90,8 @@ class ReportOptions:
 
 @dataclass(frozen=True)
 class ReportResult:
-    """What was written: the page, how many views have pixels, how many bytes these take, and for each method
-    how many views it predicts and how many of these predictions have a problem."""
+    """Result of writing a report: the page, the number of views with pixels, the bytes of these, and for each
+    method the numbers of predicted views and of predictions with a problem."""
 
     page: Path
     num_views: int
@@ -198,7 +198,7 @@ def predicted_configurations(index: DatasetIndex, methods: Iterable[Method]) -> 
 
 
 def _remove_other_methods(out: Path, methods: Iterable[Method]) -> None:
-    """What an earlier report holds of methods that this one does not show."""
+    """Remove the files of methods that an earlier report shows and this one does not."""
     wanted = {method.slug for method in methods}
     for home in (out / "tiles" / TILES, out / "gathered" / "predictions"):
         for folder in home.iterdir() if home.is_dir() else ():

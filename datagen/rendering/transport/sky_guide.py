@@ -117,7 +117,7 @@ def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
-    """Where rays from inside leave the box: cell, distance, and the direction's part across the face.
+    """Exits of rays from the box: cell, distance, and the direction's part across the face.
 
     The cell is one of the box's for any input, NaN of lanes without a vertex included.
     """

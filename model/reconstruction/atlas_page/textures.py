@@ -53,8 +53,8 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class AtlasState:
-    """What is known of an atlas beside its maps, each (N, N) and None where it is not: ``mask`` of what was
-    seen, and ``confidence``."""
+    """Further images of an atlas, each (N, N) or None: ``mask`` of texels that were seen, and
+    ``confidence``."""
 
     mask: NDArray[np.uint8] | None = None
     confidence: NDArray[np.uint8] | None = None
@@ -108,7 +108,7 @@ def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], 
 
 
 def read_state(folder: Path) -> AtlasState:
-    """What `materials infer` writes beside the maps of an atlas; raises :class:`InputError`."""
+    """Images that `materials infer` writes beside the maps of an atlas; raises :class:`InputError`."""
     mask, confidence = (_bytes_of(folder / name) for name in ("mask.png", "confidence.png"))
     return AtlasState(
         None if mask is None else mask[..., 0], None if confidence is None else confidence.min(axis=2)

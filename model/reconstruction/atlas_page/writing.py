@@ -38,7 +38,8 @@ PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "
 
 @dataclass(frozen=True)
 class ViewResult:
-    """What was written: the page, how many triangles and materials, and notes on what is not as stored."""
+    """Result of writing a page: its path, the numbers of triangles and materials, and notes on changed
+    data."""
 
     page: Path
     num_triangles: int

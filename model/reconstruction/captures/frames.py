@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which way is up, and how long is a unit: stated, or judged by two rules that are told to the user.
+"""Up axis and unit of a capture: stated, or guessed by two rules that are reported to the user.
 
 Up: photographers hold cameras upright, so the axis within 30 degrees of the cameras' mean up direction is up.
 Unit: a room is 1 m to 100 m across (the diagonal of its bounding box); larger ones are in millimetres or

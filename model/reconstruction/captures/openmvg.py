@@ -89,7 +89,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _payload(entry: dict[str, Any]) -> dict[str, Any]:
-    """What cereal wraps."""
+    """Value inside cereal's pointer wrapper."""
     payload = entry["value"]["ptr_wrapper"]["data"]
     if not isinstance(payload, dict):
         raise TypeError(f"{payload!r}")

@@ -52,7 +52,7 @@ def is_raw(path: Path) -> bool:
 
 
 def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
-    """What to say of photographs that cannot be read: a problem for each form, however many they are."""
+    """Problems of photographs that cannot be read: one per file format, whatever their number."""
     problems = []
     for suffix in sorted({file.suffix.lower() for file in files}):
         names = [file.name for file in files if file.suffix.lower() == suffix]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a reader of calibrations gives: images with cameras and distortion. And what several readers need.
+"""Result of a reader of calibrations: images with cameras and distortion. And what several readers need.
 
 Every reader brings its software's convention to the project's: world_from_camera with x right, y down, z
 forward; pixel centres at +0.5; OpenCV's order of the coefficients.
@@ -94,8 +94,7 @@ class ImageFinder:
         return image
 
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
-        """What to say of images that were not found: those that are there in a form that is not read, once a
-        form; the others, each."""
+        """Problems of images that were not found: one per unsupported format, one for each of the others."""
         others = self.unread(names)
         expected = f"this image, once, in {self.folder}"
         return unread_problems(where, list(others.values())) + [

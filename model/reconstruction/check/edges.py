@@ -51,7 +51,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """How long a shift is, less the peak's blur in its direction."""
+        """Length of a shift, less the peak's blur in its direction."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
@@ -104,7 +104,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """How far ``other`` lies from the plane through a pixel, as a share of its depth."""
+    """Distance of ``other`` from the plane through a pixel, as a share of its depth."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across
@@ -224,7 +224,7 @@ def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[fl
 
 
 def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
-    """Where between the shifts a parabola through the peak and its neighbours is highest, (2,)."""
+    """Offset (2,) of the peak of a parabola through the best score and its neighbours."""
     found = np.zeros(2)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]

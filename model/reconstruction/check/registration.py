@@ -51,7 +51,7 @@ class Registration:
 
 
 def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
-    """What explains the shifts of all views best; None where there is nothing to speak of.
+    """Common cause that explains the shifts of all views best; None if they are negligible.
 
     Robust least squares: a view that is off by itself must not move the mesh. Scale is looked for in
     captures of eight views on.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the check looks at and what it finds: views as read and traced, findings by view and for a capture."""
+"""Data of the check: views as read and traced, findings by view and for a capture."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ SURE = 5.0  # standard deviations: a peak of this height is no accident
 
 @dataclass
 class ViewCheck:
-    """What was found about a view. Shares are of its pixels; ``off_deg`` is the shift as an angle of the
-    camera, None where the edges say nothing; ``depth_m`` and ``zoom_depth_m``: how far away edges are, as
-    shifts and magnifications tell."""
+    """Findings of a view. Shares are of its pixels; ``off_deg`` is the shift as an angle of the camera, None
+    where the edges say nothing; ``depth_m`` and ``zoom_depth_m``: how far away edges are, as shifts and
+    magnifications tell."""
 
     name: str
     coverage: float
@@ -81,7 +81,7 @@ class CheckReport:
 
 
 def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
-    """What makes a view of little use by itself, each with a remedy."""
+    """Faults that make a view of little use by itself, each with a remedy."""
     found = []
     coverage = float((geometry.face >= 0).mean())
     if coverage == 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is exported, by slots: the surface with the atlas's materials, and every lamp apart."""
+"""Slots of an export: the surface with the atlas's materials, and each lamp in a slot of its own."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ SURFACE = "surface"
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """What is exported: the unwrapped mesh in the capture's face order, its atlas, filled, and the folder in
-    which ``write_atlas_images`` has put the maps as ``NAME.png``; ``lights`` that were found, None where they
-    were not sought."""
+    """Input of the exports: the unwrapped mesh in the capture's face order, its atlas, filled, and the folder
+    in which ``write_atlas_images`` has put the maps as ``NAME.png``; ``lights`` that were found, None if none
+    were sought."""
 
     capture: Capture
     mesh: Mesh

@@ -171,6 +171,6 @@ def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
 
 
 def _runs(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where runs of equal sorted keys start, and their keys."""
+    """Start indices of the runs of equal sorted keys, and their keys."""
     starts = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
     return starts, keys[starts]

@@ -82,7 +82,8 @@ def sparse_step(program: str, work: Path) -> Step:
 
 
 def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
-    """What to install and run where COLMAP lacks; ``rest`` is the command that goes on from there."""
+    """Instructions to install and run COLMAP where it is missing; ``rest`` is the command to continue
+    with."""
     largest = work / "sparse" / "0"
     lines = [
         "apt-get install colmap    # or https://colmap.github.io/install.html",

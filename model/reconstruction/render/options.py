@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How a film of an asset goes: what the command and :class:`TurntableOptions` take."""
+"""Options of an asset's animation, for the command and :class:`TurntableOptions`."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What kitchens are fitted with: back at y = 0, front towards -y, on z = 0."""
+"""Kitchen furniture: back at y = 0, front towards -y, on z = 0."""
 
 from __future__ import annotations
 

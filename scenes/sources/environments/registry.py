@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an environment source is."""
+"""Registry of environment sources."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where each material of the library is usually found; one that is not listed goes wherever its class suits."""
+"""Usual surfaces of each material of the library; one that is not listed goes wherever its class fits."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an object source is, and slots that many objects share."""
+"""Registry of object sources, and slots that many objects share."""
 
 from __future__ import annotations
 
