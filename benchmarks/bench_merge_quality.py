@@ -48,7 +48,7 @@ from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
 Maps = list[dict[str, NDArray]]
-MOST = 4096
+MAX_SIDE = 4096
 """Side of the largest atlas that ``auto`` may choose here: some rooms stand in a landscape."""
 
 
@@ -141,7 +141,7 @@ def open_room(shard: Path, library: Sequence[Path]) -> Room:
     footprint_m = pixel_footprint_m((view.camera, view.geometry) for view in traced.views)
     size = atlas_size(footprint_m, unwrap.metres_per_side)
     sides = seen_sides([view.geometry for view in traced.views], len(mesh.faces))
-    return Room(capture, traced, mesh, sides, uvs, TRUTH.read(traced), min(size, MOST))
+    return Room(capture, traced, mesh, sides, uvs, TRUTH.read(traced), min(size, MAX_SIDE))
 
 
 def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:

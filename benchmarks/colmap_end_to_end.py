@@ -140,7 +140,7 @@ class EndToEnd:
 
     def photograph(self) -> None:
         """Export, render with Cycles, develop; and the coarse mesh."""
-        from benchmarks.peer_scene import export
+        from benchmarks.cycles_scene import export
         from datagen.foundation.bundled import bundled_library
         from datagen.library import Library
 
@@ -149,7 +149,7 @@ class EndToEnd:
         if not blend.is_file():
             shutil.rmtree(self.out / "export", ignore_errors=True)
             export(configuration, Library([bundled_library()]), self.out / "export")
-            run("benchmarks.peer_cycles", "build", str(self.out / "export"), str(blend), log=log)
+            run("benchmarks.cycles_baseline", "build", str(self.out / "export"), str(blend), log=log)
         mesh = self.out / "retopology.ply"
         if not mesh.is_file():
             options = ("--triangles", str(self.triangles))

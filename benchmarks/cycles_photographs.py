@@ -4,7 +4,7 @@
     python -m benchmarks.cycles_photographs render BLEND OUT --samples 32 --f-stop 4 --focus 2.5
     python -m benchmarks.cycles_photographs retopology BLEND OUT.ply --triangles 20000
 
-``render`` writes a linear EXR (half) a camera of the .blend that ``peer_cycles build`` made, with the depth
+``render`` writes a linear EXR (half) a camera of the .blend of ``cycles_baseline build``, with the depth
 of field of a full-frame camera; those that are there are kept. ``retopology`` joins what is in the room,
 welds it and collapses edges; it has no UVs.
 """
@@ -16,7 +16,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.peer_cycles import look_through, set_up
+from benchmarks.cycles_baseline import look_through, set_up
 
 OUTSIDE = "room/outside"  # lawn and hedge: nobody models them
 _WELD_M = 2e-4

@@ -30,7 +30,7 @@ from .expression import (
     widen,
 )
 
-_LEAST_DIFFUSE_SHARE: Expression = constant(1e-3)  # a mix that is all specular leaves 0 / 0 for D
+_MIN_DIFFUSE_SHARE: Expression = constant(1e-3)  # a mix that is all specular leaves 0 / 0 for D
 _NO_SPECULAR: Expression = constant(
     1e-6
 )  # without any specular part the mean slope width is 0 / 0; so it becomes 1
@@ -118,7 +118,7 @@ def _unclamped(expression: Expression) -> Expression:
 def _mixed(lobes: list[Lobe]) -> tuple[Expression, Expression, Expression]:
     specular = clamp(add(*(multiply(lobe.weight, lobe.specular) for lobe in lobes)))
     reflected = add(*(multiply(lobe.weight, lobe.diffuse) for lobe in lobes))
-    diffuse_share = operate("maximum", complement(specular), _LEAST_DIFFUSE_SHARE)
+    diffuse_share = operate("maximum", complement(specular), _MIN_DIFFUSE_SHARE)
     diffuse = clamp(divide(reflected, diffuse_share))
     glossy = [lobe for lobe in lobes if lobe.roughness is not None and not is_constant(lobe.specular, 0)]
     values = {lobe.roughness for lobe in glossy}

@@ -132,7 +132,7 @@ def page(
             "Materials",
             materials,
             "The original graph in Cycles and the exported channels in Mitsuba, on a sphere"
-            " and a plane under a sun and an even sky. Noise alone makes about 3 %.",
+            " and a plane under a sun and a uniform sky. Noise alone makes about 3 %.",
         )
     }
 {_table("Lights", lights, "A grey square under each light alone; a grey sphere in the world.")}

@@ -79,7 +79,7 @@ def _camera(session: BakeSession, eye: np.ndarray, target: np.ndarray, lens: flo
 def material_stage(
     session: BakeSession, materials: Sequence[bpy.types.Material], layers: Sequence[Sequence[str]]
 ) -> list[bpy.types.Object]:
-    """Build the scene of all materials under a sun and an even sky; returns a camera for each, in order.
+    """Build the scene of all materials under a sun and a uniform sky; returns a camera for each, in order.
 
     ``layers``: for each material the UV maps that its nodes name; all are the shape's own map.
     """

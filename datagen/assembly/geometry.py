@@ -133,7 +133,7 @@ class AssetGeometry:
 
     @cached_property
     def center_of_mass_m(self) -> Floats:
-        """Centroid of the surface, as if made of sheet of even weight; single sheets have no volume."""
+        """Centroid of the surface, as if made of sheet of uniform weight; single sheets have no volume."""
         corners = self.vertices[self.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(cross, axis=1)

@@ -41,7 +41,7 @@ _LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, as renderers use it
 _BALANCE_K, _WHITE_K = 4000.0, 6500.0  # a camera set to mixed light shows a lamp of 4000 K as white
 _ON = 0.8  # share of lamps that are switched on
 _REGION_TOP_M = 2.2
-_MOST_REGIONS, _MOST_FLOORS = 6, 3
+_MAX_REGIONS, _MAX_FLOORS = 6, 3
 _AUTHOR = "the scene-materials authors"
 
 
@@ -181,7 +181,7 @@ def _supports(room: MadeRoom, rectangles: list[Rectangle]) -> list[SupportSurfac
                     clearance_m=quantized(clear, 4),
                 )
             )
-    for k, (low, high) in enumerate(rectangles[:_MOST_FLOORS]):
+    for k, (low, high) in enumerate(rectangles[:_MAX_FLOORS]):
         size = high - low
         found.append(
             SupportSurface(
@@ -236,7 +236,7 @@ def _free_rectangles(room: MadeRoom) -> list[Rectangle]:
     free = free.copy()
     origin = np.array([-shell.width / 2, -shell.depth / 2])
     found = []
-    for _ in range(_MOST_REGIONS):
+    for _ in range(_MAX_REGIONS):
         r0, r1, c0, c1 = _largest_rectangle(free)
         if min(r1 - r0, c1 - c0) * CELL_M < 2 * CELL_M:
             break

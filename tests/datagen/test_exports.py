@@ -106,14 +106,14 @@ def test_pycocotools_reads_boxes_and_masks(dataset: Path, views: list[View], tmp
 
 @pytest.mark.parametrize("seed", range(3))
 def test_run_lengths_are_those_of_pycocotools(seed: int) -> None:
-    from pycocotools import mask as peer
+    from pycocotools import mask as reference
 
     from datagen.exports.coco import run_lengths
 
     rng = np.random.default_rng(seed)
     mask = cv2.blur(rng.random((173, 211)), (1 + 20 * seed, 9)) > 0.5  # long runs, and hundreds of short ones
     for given in (mask, np.zeros_like(mask), np.ones_like(mask)):
-        expected = peer.encode(np.asfortranarray(given.astype(np.uint8)))
+        expected = reference.encode(np.asfortranarray(given.astype(np.uint8)))
         assert run_lengths(given)["counts"] == expected["counts"].decode()
 
 

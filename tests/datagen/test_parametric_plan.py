@@ -113,7 +113,7 @@ def test_a_lost_room_is_made_again(planned: DatasetFolder, library: Library, tmp
 
 
 def test_bare_slots_are_dressed(planned: DatasetFolder, library: Library) -> None:
-    """Every slot of a plain colour for which the library has something wears something of it."""
+    """Every slot of a plain colour for which the library has something is assigned one of its materials."""
     recipe = _recipe()
     for unit in planned.read_plan().units:
         configuration = planned.read_configuration(unit)
@@ -121,8 +121,8 @@ def test_bare_slots_are_dressed(planned: DatasetFolder, library: Library) -> Non
         assert room is not None and isinstance(room.package.asset, EnvironmentAsset)
         dressed = configuration.environment.materials
         assert {slot for _, slot in room.bare_slots} >= {"floor", "ceiling"}
-        worn = [dressed[slot].asset for _, slot in room.bare_slots if slot in dressed]
-        assert worn and all(asset is not None for asset in worn)
+        assigned = [dressed[slot].asset for _, slot in room.bare_slots if slot in dressed]
+        assert assigned and all(asset is not None for asset in assigned)
         fixed = {slot for slot, m in room.package.asset.materials.items() if not m.replaceable_by}
         assert all(dressed[slot].asset is None for slot in fixed & dressed.keys())
 

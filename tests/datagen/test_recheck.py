@@ -37,7 +37,7 @@ def record(dataset: Path) -> ViewRecord:
 
 
 def against(record: ViewRecord, image: NDArray, noise: float = 0.1) -> Rechecked:
-    """An image against an even one of 1, of which there are four with relative noise."""
+    """An image against a uniform one of 1, of which there are four with relative noise."""
     return compared(View(record, {"beauty": image}), noisy_parts(np.random.default_rng(4), noise))
 
 

@@ -115,9 +115,9 @@ def test_less_noise_and_the_same_light_behind_a_wall(tmp_path: Path) -> None:
     # Of one sample each: more are divided among lights too evenly to tell
     learned = spread(room, 1, 64, 1, limit=1e-20)
     with_uniform_choice(room)
-    even = spread(room, 1, 64, 1, limit=1e-20)
-    assert learned.mean() == pytest.approx(even.mean(), rel=0.01)
-    variances = [images.var(axis=0, ddof=1).mean() for images in (learned, even)]
+    uniform = spread(room, 1, 64, 1, limit=1e-20)
+    assert learned.mean() == pytest.approx(uniform.mean(), rel=0.01)
+    variances = [images.var(axis=0, ddof=1).mean() for images in (learned, uniform)]
     assert variances[0] < 0.25 * variances[1]
 
 
@@ -179,13 +179,13 @@ def test_a_guide_has_its_share_of_an_even_choice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lights", [(LAMP, DAYLIGHT), (DAYLIGHT,)], ids=["lamp and daylight", "daylight"])
 def test_a_choice_biases_nothing(tmp_path: Path, lights: Any) -> None:
-    """Against an even choice with the same cache: area light, sun, sky, and the guide to the window."""
+    """Against a uniform choice with the same cache: area light, sun, sky, and the guide to the window."""
     room = renderer(tmp_path, walled_room(), CAMERAS, RECIPE, lights=lights)
     assert room.tracer.sky_guide is not None or len(lights) == 2
     learned = spread(room, 0, 16, 128)
     with_uniform_choice(room)
-    even = spread(room, 0, 16, 128)
-    means = [sample.mean(axis=(1, 2, 3)) for sample in (learned, even)]
+    uniform = spread(room, 0, 16, 128)
+    means = [sample.mean(axis=(1, 2, 3)) for sample in (learned, uniform)]
     error = np.sqrt(sum(mean.var(ddof=1) / len(mean) for mean in means))
     assert abs(means[0].mean() - means[1].mean()) < 4 * error
     assert error < 0.01 * means[1].mean()  # the comparison tells something

@@ -142,7 +142,7 @@ def test_specular_shading(roughness: float, has_sky: bool) -> None:
 
 @pytest.mark.parametrize(("albedo", "roughness"), [(0.8, 0.25), (0.3, 0.7)])
 def test_rays_go_on_at_metals(albedo: float, roughness: float) -> None:
-    """A point above a metal floor under an even sky gets what the lobe reflects of it, within 1 %, and not
+    """A point above a metal floor under a uniform sky gets what the lobe reflects of it, within 1 %, and not
     the floor's radiance in the cameras' directions."""
     corners = np.array([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], np.float32)
     floor = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Exposures that the cameras recorded, evened out."""
+"""Normalisation of the exposures that the cameras recorded."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look
 
 _LOST = 0.6  # of SURE: a view that fits worse, among views that fit, is of another place
 _SURE_GAIN = 1.2  # standard deviations: on right views roll and zoom gain less
-_LEAST_ROLL_RAD, _LEAST_ZOOM = np.radians(0.5), 0.015
-_LEAST_VIEWS, _ALIKE = 4, 0.3  # so many views, so near to each other, are magnified by one cause
+_MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
+_MIN_VIEWS, _ALIKE = 4, 0.3  # so many views, so near to each other, are magnified by one cause
 
 
 def judge(report: CheckReport, looks: Sequence[Look]) -> None:
@@ -70,11 +70,11 @@ def _common_zoom(report: CheckReport) -> float | None:
     """The magnification that most views agree on, None where there is none."""
     warps = [view.warp for view in report.views if view.warp is not None and view.warp.at_peak >= SURE]
     zooms = np.array([warp.zoom - 1 for warp in warps if warp.zoom_gain >= _SURE_GAIN])
-    if len(zooms) < max(_LEAST_VIEWS, 0.5 * len(warps)):
+    if len(zooms) < max(_MIN_VIEWS, 0.5 * len(warps)):
         return None
     middle = float(np.median(zooms))
     is_common = float(np.median(np.abs(zooms - middle))) < _ALIKE * abs(middle)
-    return 1 + middle if abs(middle) >= _LEAST_ZOOM and is_common else None
+    return 1 + middle if abs(middle) >= _MIN_ZOOM and is_common else None
 
 
 def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registration | None) -> None:
@@ -87,9 +87,9 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
         moved = 0.0
         if mistake is not None:
             moved = float(mistake.moved_m(look.camera.position_m) @ look.camera.forward) / view.zoom_depth_m
-        is_rolled = warp.roll_gain >= _SURE_GAIN and abs(warp.roll_rad) >= _LEAST_ROLL_RAD
+        is_rolled = warp.roll_gain >= _SURE_GAIN and abs(warp.roll_rad) >= _MIN_ROLL_RAD
         excess = abs(warp.zoom - 1 - moved)
-        is_zoomed = warp.zoom_gain >= _SURE_GAIN and excess >= max(_LEAST_ZOOM, 0.5 * abs(warp.zoom - 1))
+        is_zoomed = warp.zoom_gain >= _SURE_GAIN and excess >= max(_MIN_ZOOM, 0.5 * abs(warp.zoom - 1))
         if is_rolled and (warp.roll_gain >= warp.zoom_gain or not is_zoomed):
             way = "clockwise" if warp.roll_rad > 0 else "anticlockwise"
             view.warnings.append(

@@ -65,7 +65,7 @@ def notes_of(found: Completed) -> list[str]:
     stops = np.log2(found.radiometry.gain).mean(axis=1)
     if found.radiometry.changes:
         low, high = float(stops.min()), float(stops.max())
-        text = f"exposures that differ by {low:+.2f} to {high:+.2f} stops were evened out"
+        text = f"exposures that differ by {low:+.2f} to {high:+.2f} stops were equalised"
         if found.radiometry.vignetting:
             text += f", corners brightened by {found.radiometry.vignetting / np.log(2):.2f} stops"
         if found.radiometry.curve:

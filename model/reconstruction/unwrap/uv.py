@@ -33,7 +33,7 @@ PIECE_TIMEOUT_S = 900.0
 XATLAS_PROCESS = "model.reconstruction.unwrap.xatlas_process"
 BLENDER_PROCESS = "model.reconstruction.unwrap.blender_process"
 MIN_PADDING_TEXELS = 1
-_MOST_PADDING, _MAX_CHART_FACES = 8, 1_000_000
+_MAX_PADDING, _MAX_CHART_FACES = 8, 1_000_000
 _CHECK_SIZE = 1024
 _CHECK_OFFSET = (
     0.5123,
@@ -113,7 +113,7 @@ def _uv_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def padding_texels(mesh: Mesh) -> int | None:
-    """Texels between the two nearest charts on an atlas of 1024 texels a side, at most ``_MOST_PADDING``;
+    """Texels between the two nearest charts on an atlas of 1024 texels a side, at most ``_MAX_PADDING``;
     None for large meshes."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -123,11 +123,11 @@ def padding_texels(mesh: Mesh) -> int | None:
     face = TexelSurface(bare, face_normals(bare), _CHECK_SIZE).faces(0, 0, _CHECK_SIZE, _CHECK_SIZE)
     chart = np.where(face >= 0, chart_of_faces(bare)[np.maximum(face, 0)], -1)
     highest, lowest = chart, np.where(chart >= 0, chart, np.iinfo(np.int32).max)
-    for distance in range(1, _MOST_PADDING + 1):
+    for distance in range(1, _MAX_PADDING + 1):
         highest, lowest = maximum_filter(highest, 3), minimum_filter(lowest, 3)
         if ((chart >= 0) & (highest != lowest)).any():
             return distance - 1
-    return _MOST_PADDING
+    return _MAX_PADDING
 
 
 def _report(

@@ -13,8 +13,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from benchmarks.bench_peer import agrees, extrapolated, interpolated, rank
-from benchmarks.peer_scene import sky_image
+from benchmarks.bench_cycles import agrees, extrapolated, interpolated, rank
+from benchmarks.cycles_scene import sky_image
 from datagen.formats.lights import SkyLight
 from datagen.library import Library
 from tests.conftest import REPOSITORY
@@ -46,13 +46,13 @@ def test_two_that_show_different_rooms_are_not_compared() -> None:
     assert not agrees({**same, "correlation": [0.99, 0.6]})
 
 
-def test_the_peer_is_the_fastest_that_gets_there_or_the_nearest() -> None:
+def test_the_baseline_is_the_fastest_that_reaches_the_error_or_the_nearest() -> None:
     fast, slow = ({"reached": True, "total_cpu_s": seconds, "rel_mse": 0.01} for seconds in (10.0, 20.0))
     near, far = ({"reached": False, "total_cpu_s": 1.0 / error, "rel_mse": error} for error in (0.02, 0.1))
     assert sorted([far, slow, near, fast], key=rank) == [fast, slow, near, far]
 
 
-def test_the_peer_gets_the_sky_that_is_rendered(tmp_path: Path, mitsuba_variant: str) -> None:
+def test_cycles_gets_the_sky_that_is_rendered(tmp_path: Path, mitsuba_variant: str) -> None:
     light = SkyLight(name="sky", sun_direction=(0.5, -0.7, 0.5), turbidity=5.0, sky_scale=3.0, sun_scale=1.0)
     image = sky_image(light, Library([]))
     with OpenEXR.File({}, {"RGB": image}) as file:
@@ -68,19 +68,19 @@ def test_the_peer_gets_the_sky_that_is_rendered(tmp_path: Path, mitsuba_variant:
 @pytest.mark.bpy
 @pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="needs bpy: pip install '.[blender]'")
 def test_both_renderers_on_a_tiny_configuration(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "benchmarks.bench_peer", "--out", str(tmp_path), "--size", "96", "64"]
+    command = [sys.executable, "-m", "benchmarks.bench_cycles", "--out", str(tmp_path), "--size", "96", "64"]
     command += ["--views", "4", "--quality", "draft", "--error-views", "2", "--reference-samples", "64"]
-    command += ["--peer-views", "3", "--max-peer-samples", "16"]
+    command += ["--cycles-views", "3", "--max-cycles-samples", "16"]
     subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
-    result = json.loads((tmp_path / "bench_peer.json").read_text())
+    result = json.loads((tmp_path / "bench_cycles.json").read_text())
     # the same room, the same light: what is left are the materials' models and Blender's clamp
     assert all(0.8 < ratio < 1.2 for ratio in result["agreement"]["ratio_of_means"])
     assert min(result["agreement"]["correlation"]) > 0.9
-    curve = [result["peer"]["curve"][key] for key in sorted(result["peer"]["curve"], key=int)]
+    curve = [result["cycles"]["curve"][key] for key in sorted(result["cycles"]["curve"], key=int)]
     assert curve[-1] < 0.8 * curve[0]  # but not at every doubling: a firefly in two tiny views is worth more
     assert 0 < result["ours"]["rel_mse"] < 0.1
-    assert result["peer"]["total_wall_s"] > result["peer"]["a_view_wall_s"] * 4
-    text = (tmp_path / "bench_peer.md").read_text()
+    assert result["cycles"]["total_wall_s"] > result["cycles"]["a_view_wall_s"] * 4
+    text = (tmp_path / "bench_cycles.md").read_text()
     assert text.count("| ours") == 2 and "| Cycles" in text and "4 views of 96x64" in text
 
     steps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json") if path.parent != tmp_path}

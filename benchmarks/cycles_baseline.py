@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The peer of bench_peer.py: Blender's Cycles from pip's bpy, set up as BlenderProc does. Never with mitsuba.
+"""Baseline of bench_cycles.py: Cycles from pip's bpy, set up as BlenderProc does. Never with mitsuba.
 
-    python -m benchmarks.peer_cycles build EXPORT OUT.blend
-    python -m benchmarks.peer_cycles render BLEND OUT VIEW... --samples 32 --max-depth 8 [--noisy] [--seed 1]
+    python -m benchmarks.cycles_baseline build EXPORT OUT.blend
+    python -m benchmarks.cycles_baseline render BLEND OUT VIEW... --samples 32 --max-depth 8 [--noisy]
 
-``build`` turns an export of peer_scene.py into a .blend; ``render`` writes a multi-layer EXR a view (half,
+``build`` turns an export of cycles_scene.py into a .blend; ``render`` writes a multi-layer EXR a view (half,
 zip: beauty, depth, normal, diffuse and glossy colour, object and material index) and ``times.json`` with the
 moment at which the scene was loaded and those at which each view was finished, as seconds since the epoch.
 Path tracing, persistent data, OIDN with prefiltered albedo and normal; ``--noisy`` leaves the denoiser out

@@ -1,32 +1,33 @@
 # SPDX-License-Identifier: MIT
 """Equal error against Blender's Cycles: one configuration of the bundled library, everything counted.
 
-    python -m benchmarks.bench_peer                        40 views of 640x384 at `standard`; quiet hours
-    python -m benchmarks.bench_peer --size 160 96 --peer-views 3 --error-views 2                    18 minutes
-    python -m benchmarks.bench_peer --seed 2023            another room
-    python -m benchmarks.bench_peer --peer-views 40        the peer renders every view instead of a sample
-    python -m benchmarks.bench_peer --views 4 --size 96 64 --quality draft --out /tmp/peer      a quick look
+    python -m benchmarks.bench_cycles                      40 views of 640x384 at `standard`; quiet hours
+    python -m benchmarks.bench_cycles --size 160 96 --cycles-views 3 --error-views 2              18 minutes
+    python -m benchmarks.bench_cycles --seed 2023          another room
+    python -m benchmarks.bench_cycles --cycles-views 40    Cycles renders every view instead of a sample
+    python -m benchmarks.bench_cycles --views 4 --size 96 64 --quality draft --out /tmp/cycles   a quick look
 
 Ours: ``datagen run --unit`` on a planned folder, from the start of the process to the committed shard:
 loading, compilation, paths, buffers, denoiser, statistics of all views, compression. Twice: with an empty
 kernel cache, and as the second configuration of a dataset finds it.
 
-The peer: bpy as BlenderProc drives it (peer_cycles.py): one process, persistent data, path tracing with the
-same number of segments, OIDN with prefiltered albedo and normal, an EXR a view with depth, normal, diffuse
-and glossy colour, object and material index. Its scene is a .blend made beforehand from the same exported
-configuration; making it is not counted. It has no roughness, no multi-view statistics and no error control.
+The baseline: bpy as BlenderProc drives it (cycles_baseline.py): one process, persistent data, path tracing
+with the same number of segments, OIDN with prefiltered albedo and normal, an EXR a view with depth, normal,
+diffuse and glossy colour, object and material index. Its scene is a .blend made beforehand from the same
+exported configuration; making it is not counted. It has no roughness, no multi-view statistics and no error
+control.
 
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images of its own, because the materials differ by more than the
 error asked for (agreement of the two is measured and reported; where it is poor the command ends with 1).
-Neither reference is clamped, nor does
-Blender's *filter glossy* make surfaces rougher in it, so that what these take away is an error. The peer's
-sample count is found by doubling until the error is at most ours and by interpolation in logarithms, three
-times: with Blender's defaults and as many samples for every pixel, with Cycles' adaptive sampling, and with
-neither clamp nor filter; the fastest is the peer, and where none gets there, the one that comes nearest.
+Neither reference is clamped, nor does Blender's *filter glossy* make surfaces rougher in it, so that what
+these take away is an error. Cycles' sample count is found by doubling until the error is at most ours and by
+interpolation in logarithms, three times: with Blender's defaults and as many samples for every pixel, with
+Cycles' adaptive sampling, and with neither clamp nor filter; the fastest is the baseline, or, if none reaches
+the error, the one that comes nearest.
 
-Every step is kept in --out and skipped when it is there: the same command continues. ``--peer-views N``
-renders N views with the peer and states 40 views as the fixed part + 40 x the median of a view.
+Every step is kept in --out and skipped when it is there: the same command continues. ``--cycles-views N``
+renders N views with Cycles and states 40 views as the fixed part + 40 x the median of a view.
 """
 
 from __future__ import annotations
@@ -63,14 +64,14 @@ FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
 """Neither a clamp nor rougher surfaces after a diffuse bounce, as our references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
-"""Ways to run the peer, with their options."""
+"""Ways to run Cycles, with their options."""
 MIN_TIMED = 3  # views; the first pays for the scene, the median of the others is a view's cost
 
 
 def recipe_of(arguments: argparse.Namespace) -> Recipe:
     """The configuration that is rendered."""
     return Recipe(
-        name="peer",
+        name="cycles",
         seed=arguments.seed,
         configurations=1,
         views=arguments.views,
@@ -110,8 +111,8 @@ def timed(*command: str, log: Path, environment: dict[str, str] | None = None) -
     return {"began": began, "wall_s": round(wall, 3), "cpu_s": round(cpu, 3)}
 
 
-def read_peer(path: Path) -> NDArray[np.float32]:
-    """Beauty (H, W, 3) of an EXR of the peer."""
+def read_cycles(path: Path) -> NDArray[np.float32]:
+    """Beauty (H, W, 3) of an EXR of Cycles."""
     import OpenEXR
 
     with OpenEXR.File(str(path)) as file:
@@ -145,17 +146,17 @@ class Comparison:
         if not blend.is_file():
             shutil.rmtree(export, ignore_errors=True)
             log = self.folder / "export.log"
-            timed("benchmarks.peer_scene", "export", str(plan), str(export), log=log)
-            timed("benchmarks.peer_cycles", "build", str(export), str(blend), log=log)
+            timed("benchmarks.cycles_scene", "export", str(plan), str(export), log=log)
+            timed("benchmarks.cycles_baseline", "build", str(export), str(blend), log=log)
 
-    def peer(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Views of the peer in ``folder/name``, with the seconds that they took."""
+    def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
+        """Views of Cycles in ``folder/name``, with the seconds that they took."""
         out = self.folder / name
 
         def make() -> dict[str, Any]:
             command = ["render", str(self.folder / "room.blend"), str(out), *map(str, views)]
             command += ["--samples", str(samples), "--max-depth", self.depth, *options]
-            run = timed("benchmarks.peer_cycles", *command, log=self.folder / f"{name}.log")
+            run = timed("benchmarks.cycles_baseline", *command, log=self.folder / f"{name}.log")
             times = json.loads((out / "times.json").read_text(encoding="utf-8"))
             finished = times["finished"]
             seconds = np.diff([times["loaded"], *finished]).round(4).tolist()
@@ -179,31 +180,31 @@ class Comparison:
         if not all((out / f"view_{int(v):03}.npz").is_file() for v in views):
             plan = str(self.folder / "plan")
             command = ("reference", plan, str(out), *views, "--samples", samples)
-            timed("benchmarks.peer_scene", *command, log=self.folder / "references.log")
-        pairs: dict[str, Any] = {"ours": {}, "peer": {}}
+            timed("benchmarks.cycles_scene", *command, log=self.folder / "references.log")
+        pairs: dict[str, Any] = {"ours": {}, "cycles": {}}
         for view in self.error_views:
             with np.load(out / f"view_{view:03}.npz") as data:
                 pairs["ours"][view] = (data["first"], data["second"])
             halves = []
             for half in (0, 1):
-                name = f"peer_unbiased_reference_{samples}_{view}_{half}"
-                self.peer(name, [view], int(samples), "--noisy", "--seed", str(100 + half), *UNBIASED)
-                halves.append(read_peer(self.folder / name / f"view_{view:03}.exr"))
-            pairs["peer"][view] = tuple(halves)
+                name = f"cycles_unbiased_reference_{samples}_{view}_{half}"
+                self.cycles(name, [view], int(samples), "--noisy", "--seed", str(100 + half), *UNBIASED)
+                halves.append(read_cycles(self.folder / name / f"view_{view:03}.exr"))
+            pairs["cycles"][view] = tuple(halves)
         return pairs
 
     @staticmethod
     def agreement(pairs: dict[str, Any]) -> dict[str, Any]:
-        """Difference of the two references: ratio of means (peer : ours), correlation of blurred images."""
+        """Difference of the two references: ratio of means (cycles : ours), correlation of blurred images."""
         import cv2
 
         ratios, correlations = [], []
         for view, (a, b) in pairs["ours"].items():
-            ours, peer = luminance(0.5 * (a + b)), luminance(0.5 * sum(pairs["peer"][view]))
-            ratios.append(float(peer.mean() / ours.mean()))
+            ours, cycles = luminance(0.5 * (a + b)), luminance(0.5 * sum(pairs["cycles"][view]))
+            ratios.append(float(cycles.mean() / ours.mean()))
             blurred = [
                 cv2.GaussianBlur(np.minimum(i, 4 * np.percentile(i, 95)).astype(np.float32), (0, 0), 2)
-                for i in (ours, peer)
+                for i in (ours, cycles)
             ]
             correlations.append(float(np.corrcoef(blurred[0].ravel(), blurred[1].ravel())[0, 1]))
         return {
@@ -211,46 +212,50 @@ class Comparison:
             "correlation": [round(c, 4) for c in correlations],
         }
 
-    def peer_error(self, name: str, pairs: dict[int, Any]) -> float:
-        """Mean error of the peer's images in ``folder/name`` over those error views that are there."""
+    def cycles_error(self, name: str, pairs: dict[int, Any]) -> float:
+        """Mean error of Cycles' images in ``folder/name`` over those error views that are there."""
         found = {v: self.folder / name / f"view_{v:03}.exr" for v in self.error_views}
         return float(
             np.mean(
-                [relative_mse(read_peer(p), *pairs[v], exposed=True) for v, p in found.items() if p.is_file()]
+                [
+                    relative_mse(read_cycles(p), *pairs[v], exposed=True)
+                    for v, p in found.items()
+                    if p.is_file()
+                ]
             )
         )
 
-    def peer_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
-        """Time and error of the peer where its error is ``target``; ``kind`` is one of ``KINDS``."""
+    def cycles_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
+        """Time and error of Cycles where its error is ``target``; ``kind`` is one of ``KINDS``."""
         arguments, options = self.arguments, KINDS[kind]
-        samples, curve = self.peer_samples(target, pairs, kind, options)
-        count = max(MIN_TIMED, min(arguments.peer_views, arguments.views))
+        samples, curve = self.cycles_samples(target, pairs, kind, options)
+        count = max(MIN_TIMED, min(arguments.cycles_views, arguments.views))
         rest = [v for v in range(arguments.views) if v not in self.error_views]
         chosen = rest[:: max(1, len(rest) // max(1, count - len(self.error_views)))]
         views = sorted([*self.error_views, *chosen[: max(0, count - len(self.error_views))]])
         used = samples or max(curve)
-        name = f"peer_{kind}_timed_{used}_{len(views)}"
-        peer = self.peer(name, views, used, *options)
+        name = f"cycles_{kind}_timed_{used}_{len(views)}"
+        cycles = self.cycles(name, views, used, *options)
         return {
-            **peer,
+            **cycles,
             "sampling": kind,
             "reached": samples is not None,
-            "rel_mse": self.peer_error(name, pairs),
+            "rel_mse": self.cycles_error(name, pairs),
             "curve": {str(k): v for k, v in curve.items()},
-            **extrapolated(peer, arguments.views),
+            **extrapolated(cycles, arguments.views),
         }
 
-    def peer_samples(
+    def cycles_samples(
         self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
     ) -> tuple[int | None, dict[int, float]]:
         """Least sample count whose error is ``target``, None if the ceiling does not reach it; the curve."""
         curve: dict[int, float] = {}
         samples = FIRST_SAMPLES
-        while samples <= self.arguments.max_peer_samples:
-            name = f"peer_{kind}_{samples}"
-            self.peer(name, self.error_views, samples, *options)
-            curve[samples] = self.peer_error(name, pairs)
-            print(f"peer, {kind}, {samples} samples: relMSE {curve[samples]:.5f}", file=sys.stderr)
+        while samples <= self.arguments.max_cycles_samples:
+            name = f"cycles_{kind}_{samples}"
+            self.cycles(name, self.error_views, samples, *options)
+            curve[samples] = self.cycles_error(name, pairs)
+            print(f"cycles, {kind}, {samples} samples: relMSE {curve[samples]:.5f}", file=sys.stderr)
             if curve[samples] <= target:
                 return interpolated(curve, target), curve
             samples *= 2
@@ -306,8 +311,8 @@ class Comparison:
         our_errors = {v: relative_mse(i, *pairs["ours"][v], exposed=True) for v, i in images.items()}
         target = float(np.mean(list(our_errors.values())))
         print(f"ours: relMSE {target:.5f}", file=sys.stderr)
-        peers = [self.peer_at(target, pairs["peer"], kind) for kind in KINDS]
-        peers.sort(key=rank)
+        runs = [self.cycles_at(target, pairs["cycles"], kind) for kind in KINDS]
+        runs.sort(key=rank)
         warm_wall = statistics.median(run["wall_s"] for run in warm) if warm else None
         result: dict[str, Any] = {
             "machine": machine(),
@@ -327,19 +332,19 @@ class Comparison:
                 "clamped_energy": statistics.median(r["clamped_energy"] for r in records),
                 "megabytes": num_bytes / 1e6,
             },
-            "peer": peers[0],
-            "slower_peers": peers[1:],
+            "cycles": runs[0],
+            "slower_cycles": runs[1:],
         }
-        total = result["peer"]["total_wall_s"]
+        total = result["cycles"]["total_wall_s"]
         result["speedup_cold"] = total / cold["wall_s"]
         result["speedup_warm"] = total / warm_wall if warm_wall else None
-        result["speedup_cpu"] = result["peer"]["total_cpu_s"] / cold["cpu_s"]
+        result["speedup_cpu"] = result["cycles"]["total_cpu_s"] / cold["cpu_s"]
         return result
 
 
-def rank(peer: dict[str, Any]) -> tuple[float, ...]:
-    """Sorts the peer's ways: who reaches the error by time; behind them, who comes nearest."""
-    return (0.0, peer["total_cpu_s"]) if peer["reached"] else (1.0, round(math.log(peer["rel_mse"]), 2))
+def rank(cycles: dict[str, Any]) -> tuple[float, ...]:
+    """Sort key of Cycles' runs: those that reach the error by time, then the others by error."""
+    return (0.0, cycles["total_cpu_s"]) if cycles["reached"] else (1.0, round(math.log(cycles["rel_mse"]), 2))
 
 
 def agrees(agreement: dict[str, Any]) -> bool:
@@ -390,61 +395,61 @@ def machine() -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """Markdown table of the result."""
-    ours, peer, views = result["ours"], result["peer"], result["views"]
+    ours, cycles, views = result["ours"], result["cycles"], result["views"]
     width, height = result["recipe"]["resolution"]
     machine_text = f"{result['machine']['cores']} cores of {result['machine']['processor']}"
     rows = [("ours, empty kernel cache", ours["cold"]["wall_s"], ours["cold"]["cpu_s"], ours["rel_mse"])]
     if ours["warm_wall_s"]:
         cpu = statistics.median(run["cpu_s"] for run in ours["warm"])
         rows.append(("ours, kernels cached", ours["warm_wall_s"], cpu, ours["rel_mse"]))
-    label = f"Cycles {peer['blender']}, {peer['samples']} samples, {peer['sampling']}" + (
-        "" if peer["reached"] else " (error not reached)"
+    label = f"Cycles {cycles['blender']}, {cycles['samples']} samples, {cycles['sampling']}" + (
+        "" if cycles["reached"] else " (error not reached)"
     )
-    rows.append((label, peer["total_wall_s"], peer["total_cpu_s"], peer["rel_mse"]))
+    rows.append((label, cycles["total_wall_s"], cycles["total_cpu_s"], cycles["rel_mse"]))
     lines = [
         f"{views} views of {width}x{height}, {machine_text}:",
         "",
-        "| renderer | wall s | processor s | images an hour | relMSE | times as fast as the peer |",
+        "| renderer | wall s | processor s | images an hour | relMSE | times as fast as Cycles |",
         "|---|---|---|---|---|---|",
     ]
     for name, wall, cpu, error in rows:
-        ratio = peer["total_wall_s"] / wall
+        ratio = cycles["total_wall_s"] / wall
         lines.append(
             f"| {name} | {wall:.1f} | {cpu:.1f} | {3600 * views / wall:,.0f} | {error:.4f} | {ratio:.1f} |"
         )
-    if peer["is_extrapolated"]:
+    if cycles["is_extrapolated"]:
         lines += [
             "",
-            f"The peer's figures: {peer['fixed_wall_s']:.1f} s + {views} x {peer['a_view_wall_s']:.2f} s, "
-            f"from {len(peer['views_s'])} views.",
+            f"Cycles' figures: {cycles['fixed_wall_s']:.1f} s + {views} x {cycles['a_view_wall_s']:.2f} s, "
+            f"from {len(cycles['views_s'])} views.",
         ]
     agreement = result["agreement"]
     lines += [
         "",
-        f"Converged images, peer : ours: means {min(agreement['ratio_of_means']):.3f} to "
+        f"Converged images, cycles : ours: means {min(agreement['ratio_of_means']):.3f} to "
         f"{max(agreement['ratio_of_means']):.3f}, correlation from {min(agreement['correlation']):.3f}.",
     ]
     return "\n".join(lines)
 
 
 def main() -> None:
-    """Parse, measure, write ``bench_peer.json`` and ``bench_peer.md``."""
+    """Parse, measure, write ``bench_cycles.json`` and ``bench_cycles.md``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quality", choices=tuple(QUALITIES), default="standard")
     parser.add_argument("--seed", type=int, default=2022, help="of the recipe: which room it is")
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--size", type=int, nargs=2, default=(640, 384))
-    parser.add_argument("--peer-views", type=int, default=8, help="views that the peer renders for its time")
+    parser.add_argument("--cycles-views", type=int, default=8, help="views that Cycles renders for its time")
     parser.add_argument("--error-views", type=int, default=3)
     parser.add_argument("--reference-samples", type=int, default=1024, help="paths a pixel in each of two")
-    parser.add_argument("--max-peer-samples", type=int, default=1024)
+    parser.add_argument("--max-cycles-samples", type=int, default=1024)
     parser.add_argument("--repeats", type=int, default=1, help="runs of ours with kernels cached")
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "peer")
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "cycles")
     arguments = parser.parse_args()
     result = Comparison(arguments).run()
-    (arguments.out / "bench_peer.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (arguments.out / "bench_cycles.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     text = table(result)
-    (arguments.out / "bench_peer.md").write_text(text + "\n", encoding="utf-8")
+    (arguments.out / "bench_cycles.md").write_text(text + "\n", encoding="utf-8")
     print(text)
     if not agrees(result["agreement"]):
         print("the two do not show the same room: their times are not to be compared", file=sys.stderr)
