@@ -12,7 +12,7 @@ see is looked up in the capture's true albedo and shaded from the camera: as man
 as are asked for, without rendering them. Weights are random unless ``--checkpoint`` names some; time does not
 depend on them but for the solver's, whose grid follows the predicted albedo. Writes JSON with ``--json``.
 
-Memory is counted twice: what the process itself holds, and all that is resident, with the pages of the
+Memory is counted twice: memory of the process itself, and all resident memory, with the pages of the
 atlas's files that the system may drop whenever it needs the room.
 """
 

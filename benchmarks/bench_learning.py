@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Does it learn? Trains a preset and its single-view version (*No RP*) and compares them with simple
+"""Training check: trains a preset and its single-view version (*No RP*) and compares them with simple
 predictions.
 
     python -m benchmarks.bench_learning DATASET ... --out DIR [--preset small] [--set KEY=VALUE ...]

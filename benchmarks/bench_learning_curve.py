@@ -8,7 +8,7 @@ Trains the preset on some of a dataset's training configurations, evenly spread 
 optimiser steps a track for each count; a point is the mean squared error of each map over all views of the
 validation split of ``--judge``, the first DATASET if left out. Every OTHER is a curve of its own, judged by
 the same views: the same recipe rendered with fewer samples shows what cheap data costs, another recipe what
-variety brings. Short runs say how curves lie to each other, not how good a long run becomes.
+variety brings. Short runs rank the curves; they do not predict the error of a long run.
 
 Writes ``table.md``, ``results.json`` and ``curve.png`` into DIR. Points that are there are not trained again;
 interrupted ones continue. A point costs about ``2 * steps`` times the seconds of a step that

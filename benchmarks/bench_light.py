@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Errors of the views' maps from the network, with its level, and from light: one row a room and method.
+"""Errors of the views' maps from the network, with its albedo scale, and from light: one row a room and
+method.
 
     python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
         [--worse-mesh] [--ablate]

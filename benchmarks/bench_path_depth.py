@@ -23,7 +23,7 @@ SAMPLES = 64
 
 
 def missing_light(room: str, size: tuple[int, int] = (48, 30)) -> dict[str, Any]:
-    """Reflectance that light meets, the depth it asks for, and the shares that depths leave behind."""
+    """Mean reflectance along paths, the depth that it requires, and the energy truncated at each depth."""
     from datagen.rendering.transport.integrator import PathTracer
 
     library = Library(resolve_library_paths(("bundled",), Path()))

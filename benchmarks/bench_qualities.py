@@ -7,10 +7,10 @@
 Plans configurations of the bundled library and sweeps ``draft`` and ``standard`` (``reference`` too with
 ``--reference``, which takes long) against fixed sample counts, with all light traced and with the irradiance
 cache and the clamp that the two have. A quality's excess is its cost over what the front of all those needs
-for the same error, in processor seconds and in light paths. Qualities know the
-error of each view, fixed counts do not: over rooms that differ, an excess below 1 is to be expected; a
-quality pays for it with a denoiser run or two more a pass. Allowed: --slack in light paths (which no machine
-changes), --time-slack in processor seconds. Trials are kept in --out and not repeated.
+for the same error, in processor seconds and in light paths. Qualities estimate the error of each view, fixed
+counts do not: over rooms that differ, an excess below 1 is to be expected; a quality pays for it with a
+denoiser run or two more a pass. Allowed: --slack in light paths (which no machine changes), --time-slack in
+processor seconds. Trials are kept in --out and not repeated.
 """
 
 from __future__ import annotations

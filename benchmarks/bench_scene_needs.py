@@ -92,7 +92,7 @@ def megabytes(caches: AssetCaches) -> float:
 
 
 def row(name: str, unit: str, done: list[float], left: list[float]) -> dict[str, Any]:
-    """Medians of what it costs with and without."""
+    """Medians of the costs with and without."""
     return {"name": name, "unit": unit, "with": statistics.median(done), "without": statistics.median(left)}
 
 

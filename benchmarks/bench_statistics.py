@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Speed of the multi-view statistics, and what their choices cost in accuracy.
+"""Speed of the multi-view statistics, and the accuracy of their options.
 
     python -m benchmarks.bench_statistics                       speed, against the vectorised NumPy oracle
     python -m benchmarks.bench_statistics --scene S/scene.xml   the same on a Mitsuba scene, and accuracy

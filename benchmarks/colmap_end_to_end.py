@@ -84,7 +84,7 @@ def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArra
 
 
 def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
-    """A JPEG that says its focal length, as cameras do."""
+    """A JPEG with its focal length in EXIF, as cameras write it."""
     from PIL import Image
 
     exif = Image.Exif()

@@ -62,7 +62,7 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
 
 
 def settings_from(arguments: argparse.Namespace) -> ExportSettings:
-    """Settings that the arguments ask for."""
+    """Settings of the arguments."""
     return ExportSettings(
         kind=arguments.kind,
         tolerance=arguments.tolerance,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The one export behind the operator, the panel and the command line.
 
-:func:`export_steps` is a generator: each step says how far it is, closing it cancels, and whatever happens
+:func:`export_steps` is a generator: each step reports its progress, closing it cancels, and whatever happens
 nothing is left in the file and no half-written package on disk.
 """
 

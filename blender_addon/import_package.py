@@ -28,7 +28,8 @@ _OFF_CENTRE_M = 1e-4
 
 @dataclass
 class Imported:
-    """The new collection, and what of the package Blender holds otherwise or not at all, in sentences."""
+    """The new collection, and remarks on parts of the package that Blender represents differently or not at
+    all."""
 
     collection: bpy.types.Collection
     remarks: list[str] = field(default_factory=list)
@@ -111,7 +112,7 @@ def _load(folder: Path, pack: bool) -> Imported:
 
 
 def _tag(block: bpy.types.ID, data: dict[str, Any]) -> None:
-    """Say on a collection or material what the package says of itself."""
+    """Write the package's metadata to the tags of a collection or material."""
     block["sm_role"], block["sm_id"], block["sm_title"] = data["kind"], data["id"], data["title"]
     for key in ("license", "author", "source", "usage"):
         if data["provenance"].get(key):

@@ -33,7 +33,7 @@ def _identify(block: bpy.types.ID, fallback: str) -> tuple[str, str]:
 
 
 def find_targets(scene: bpy.types.Scene, settings: ExportSettings, problems: ProblemList) -> list[Target]:
-    """Every package that the settings ask for, in order of its id."""
+    """Packages selected by the settings, in order of their ids."""
     targets: list[Target] = []
     if settings.kind in ("auto", "material"):
         targets += _material_targets(settings)

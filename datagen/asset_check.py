@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The thorough look at an asset package: meshes, textures, lights and regions, beyond what the schema says.
+"""The thorough look at an asset package: meshes, textures, lights and regions, beyond the schema.
 
-Errors make a package unusable; warnings (non-manifold edges, flipped triangles) are listed and refused only
-by those who ask for strictness, since most scenes from the wild have some.
+Errors make a package unusable; warnings (non-manifold edges, flipped triangles) are listed, and errors only
+in strict mode, since most scenes in use have some.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command ``datagen``: its verbs, and what has become of earlier ones."""
+"""The command ``datagen``: its verbs, and the replacements of removed ones."""
 
 from __future__ import annotations
 

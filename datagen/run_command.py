@@ -30,7 +30,7 @@ DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check everything,
 
 @dataclass(frozen=True)
 class RecipeChanges:
-    """Options that go over what the recipe says; None leaves it."""
+    """Options that override the recipe; None leaves it."""
 
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None

@@ -153,7 +153,8 @@ class CookTorrance(mi.BSDF):
 
 
 class _Lobes:
-    """Both lobes at one interaction: what depends on the surface and on ``wi``, but not on ``wo``."""
+    """Both lobes at one interaction: quantities that depend on the surface and on ``wi``, but not on
+    ``wo``."""
 
     def __init__(self, bsdf: CookTorrance, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array):
         self.has_diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)

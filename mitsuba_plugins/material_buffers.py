@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Ground-truth buffers: what the camera sees, as material channels, geometry and ids, at the first hit.
+"""Ground-truth buffers: material channels, geometry and ids at the first hit.
 
 Two kinds of buffer, made in one kernel with one thread a pixel:
 
 * *blended*: diffuse_albedo, specular_albedo, roughness, normal_world and surface_mask are averaged over
   ``spp`` sub-pixel samples with the film's reconstruction filter, the same as the beauty image's. The average
-  runs over what reflects only; ``surface_mask`` says which share of the pixel that is. Normals are
+  runs over what reflects only; ``surface_mask`` is that share of the pixel. Normals are
   renormalised after averaging.
 * *at the centre*: depth_z_m, position_world, instance_id and material_id belong to one ray through the
   pixel's centre (and the lens' centre): a depth between two surfaces, or an id between two ids, is neither.
@@ -106,7 +106,7 @@ class PixelFilter:
 
 @dataclass(frozen=True)
 class _View:
-    """A sensor with what is known about its film and its materials."""
+    """A sensor with its film and the scene's materials."""
 
     scene: Any
     sensor: Any
@@ -149,7 +149,7 @@ class _RayResult:
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """Fields in order: what a symbolic loop carries."""
+        """Fields in order: the state of a symbolic loop."""
         return tuple(vars(self).values())
 
 

@@ -69,7 +69,7 @@ def find_llvm_libraries() -> list[LlvmLibrary]:
 
 
 def _llvm_major(path: Path) -> int | None:
-    """Major version that the library itself reports, or None where it cannot be loaded or asked."""
+    """Major version that the library itself reports, or None where it cannot be loaded."""
     try:
         library = ctypes.CDLL(str(path))
         get_version = library.LLVMGetVersion  # since LLVM 16

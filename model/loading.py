@@ -43,7 +43,8 @@ class ViewStream(IterableDataset[dict[str, Any]]):
     ``crop_px`` None and views of several sizes, a loader needs ``batch_size`` 1. Crops of eight views are
     shuffled among themselves. ``rank`` and ``num_ranks`` come from ``torch.distributed`` where it runs; all
     ranks yield equally many samples, for which the last few views of an epoch may be left out. Raises
-    :class:`InputError` for what is no dataset, for no views, and, with shard and view, for damaged ones.
+    :class:`InputError` for paths that are no dataset, for no views, and, with shard and view, for damaged
+    ones.
     """
 
     def __init__(

@@ -345,7 +345,7 @@ class MaterialNetwork(nn.Module):
         self.tracks = nn.ModuleDict(tracks)
 
     def parts(self) -> dict[str, nn.Module]:
-        """The tracks by what a person calls them."""
+        """The tracks by name."""
         return {f"{name} track": track for name, track in self.tracks.items()}
 
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:

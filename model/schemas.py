@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""JSON Schemas of what people write for ``materials``: suites, and settings of training, which editors
-complete by. ``python -m model.schemas`` writes them to ``docs/schemas``."""
+"""JSON Schemas of the files that users write for ``materials``: suites, and settings of training, which
+editors complete by. ``python -m model.schemas`` writes them to ``docs/schemas``."""
 
 from __future__ import annotations
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Mutates modules and asks which of their tests notice."""
+"""Mutation testing: changes modules and runs the tests that cover the changed lines."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A plugin of pytest that says which lines of some files each test runs, and how long it takes.
+"""Plugin of pytest that records the lines of some files that each test runs, and the test's duration.
 
 ``MUTATION_FILES`` names the files (separated by ``:``), ``MUTATION_TRACE`` the JSON file that is written:
 ``{test: {"seconds": s, "lines": {file: [line, ...]}}}``. What a fixture runs counts for every test that uses

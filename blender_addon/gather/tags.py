@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The custom properties by which a file says what its things are. docs/blender.md lists them for artists."""
+"""Custom properties that tag the objects, collections and materials of a file. docs/blender.md lists them for
+artists."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def gather_world(
 
 
 def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None:
-    """Radiance of a graph of backgrounds as an expression; None where only a render can tell."""
+    """Radiance of a graph of backgrounds as an expression; None where only a render can determine it."""
     source = source_of(stack, socket)
     node = source.node
     if node is None:

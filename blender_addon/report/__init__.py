@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The fidelity report: how the export differs from what Cycles shows, with pictures."""
+"""The fidelity report: differences between the export and Cycles, with pictures."""

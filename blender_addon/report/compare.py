@@ -139,7 +139,7 @@ def _render_light(
 
 
 def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) -> str:
-    """Run the project's renderer over the packages; returns what the page says about it."""
+    """Run the project's renderer over the packages; returns its entry on the page."""
     executable = python or _own_python()
     if not executable:
         return (

@@ -111,7 +111,7 @@ class RayScene:
 class AssetGeometry:
     """All parts of an asset as one triangle soup in the asset's frame.
 
-    ``part_of_face`` (M,) indexes ``asset.parts``; ``opaque_part`` says per part whether light stops there
+    ``part_of_face`` (M,) indexes ``asset.parts``; ``opaque_part``: whether light stops at a part
     (constant opacity of at least one half, or a textured one).
     """
 

@@ -41,7 +41,7 @@ class SurfaceSample:
 
 
 def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
-    """Samples of all slots of the library's environments, by what they are."""
+    """Samples of all slots of the library's environments, by surface."""
     means = MeanMaterials()
     found: dict[str, list[SurfaceSample]] = defaultdict(list)
     for package in library:

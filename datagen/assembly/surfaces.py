@@ -2,9 +2,9 @@
 """Classification of slots by their surface in a room: a wall, a worktop, a curtain. By its own word, its
 names, its shape, its class.
 
-A slot that says nothing (``surface``) is told by the words in its name, in the name of the material that it
-holds a bake of and in the names of its parts; in a room then by where its triangles lie (low and level is a
-floor); in a thing by its category; at last by its main class.
+A slot without a stated ``surface`` is classified by the words in its name, in the name of the material that
+it holds a bake of and in the names of its parts; in a room then by where its triangles lie (low and level is
+a floor); in a thing by its category; at last by its main class.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _WORDS: tuple[tuple[Surface, str], ...] = (
     ("furniture", "furniture chair chairs stool bench bed board seat shelf shelves bookcase bookshelf"),
     ("furniture", "sideboard dresser drawers unit units cupboard cabinet vanity wardrobe nightstand console"),
 )
-"""Words that tell a surface; of several that a name holds, the first line's wins."""
+"""Words that imply a surface; of several that a name holds, the first line's wins."""
 _SURFACE_OF_WORD: dict[str, Surface] = {word: surface for surface, words in _WORDS for word in words.split()}
 _RANK: dict[Surface, int] = {surface: rank for rank, (surface, _) in reversed(list(enumerate(_WORDS)))}
 _OF_CATEGORY: dict[str, Surface] = {
@@ -63,7 +63,7 @@ _LEVEL = 0.7  # |z| of a normal that counts as level
 
 
 def surface_of_words(text: str) -> Surface | None:
-    """The surface that the words of a name tell, None where none does; of several the first in the table.
+    """The surface that the words of a name imply, None where none does; of several the first in the table.
 
     Words end at anything but letters and where a capital follows a small letter.
     """
@@ -106,7 +106,8 @@ def _of_class(material: SlotMaterial) -> Surface:
 
 
 def _shell(geometry: AssetGeometry) -> dict[str, Surface]:
-    """Floor, ceiling and walls by area and place: what is large and level and low, or high, or upright."""
+    """Floor, ceiling and walls by area and place: large and horizontal at the bottom or the top, or
+    upright."""
     rays = geometry.rays
     total = float(rays.areas.sum())
     if not total > 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things and rooms as placement sees them: footprints, undersides, poses, and what is solid."""
+"""Things and rooms as placement sees them: footprints, undersides, poses, and solidity."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects that no configuration of a recipe can hold: said before work starts, not dropped."""
+"""Objects that no configuration of a recipe can hold: reported before work starts, not dropped silently."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from datagen.library import Library
 
 @dataclass(frozen=True)
 class Unplaceable:
-    """An object that is never placed; ``why`` ends with what to change."""
+    """An object that is never placed; ``why`` ends with the remedy."""
 
     asset: str
     why: str

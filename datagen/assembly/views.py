@@ -55,7 +55,7 @@ _ROOM_SHARE = 0.75  # of the chosen views that show the room itself, where there
 
 @dataclass
 class Candidate:
-    """A camera that passed the single-view checks, and what it sees at low resolution.
+    """A camera that passed the single-view checks, with its view at low resolution.
 
     ``distance_m`` (H, W) along the ray, inf where nothing is hit; ``points`` (P, 3) of seen surface.
     """
@@ -279,7 +279,7 @@ class ViewFinder:
         return self._held(position, fov, azimuth, pitch, draws)
 
     def _held(self, position: Floats, fov: float, azimuth: float, pitch: float, draws: Draws) -> Camera:
-        """The camera of a person's hands, level within a few degrees."""
+        """A hand-held camera, level within a few degrees."""
         width, height = self.resolution
         focal = quantized(0.5 * width / math.tan(0.5 * fov), 9)
         roll = min(max(draws.normal(), -2.5), 2.5) * _ROLL_RAD

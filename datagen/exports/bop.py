@@ -151,7 +151,7 @@ class BopFiles:
         return entry, poses, infos
 
     def finish(self) -> None:
-        """Write the models in millimetres, and what is known of each."""
+        """Write the models in millimetres, and their metadata."""
         infos: dict[str, Any] = {}
         for key, number in self.numbers.items():
             mesh = self.mesh(key).transformed(np.diag([1e3, 1e3, 1e3, 1.0]))

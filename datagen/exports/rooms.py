@@ -80,7 +80,7 @@ class Room:
 
 @dataclass
 class Export:
-    """One run of ``datagen export``: where it reads and writes, and what it was asked for."""
+    """One run of ``datagen export``: its source, its target and its options."""
 
     rooms: Sequence[Room]
     out: Path

@@ -24,7 +24,7 @@ def collect(
 ) -> DatasetIndex:
     """Write ``index.json`` from the units that are done, and return it.
 
-    What killed attempts left behind is removed, and told to ``on_removed``; ``progress(done, total)`` counts
+    Remains of killed attempts are removed, and passed to ``on_removed``; ``progress(done, total)`` counts
     units.
     ``deep`` hashes every shard again and raises :class:`InputError` naming those that differ. Units that are
     not done are listed in ``missing``; the index is complete when there are none.

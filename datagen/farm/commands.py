@@ -78,7 +78,7 @@ def cancel(
     folder: FolderArgument,
     engine: Annotated[str, typer.Option(help="The queue that has them: slurm or pbs.")] = "slurm",
 ) -> None:
-    """Cancel this folder's jobs in the queue; what is finished stays.
+    """Cancel this folder's jobs in the queue; finished units stay.
 
     Example: datagen farm cancel paper
     """

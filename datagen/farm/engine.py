@@ -33,7 +33,7 @@ class Engine(Protocol):
     program: str
 
     def check(self, root: Path, options: SlurmOptions) -> None:
-        """Raise :class:`InputError` for what the queue's scripts cannot say."""
+        """Raise :class:`InputError` for options that the queue's scripts cannot express."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
         """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index (ascending), again after 75."""
@@ -74,7 +74,8 @@ exit "$code"
 
 
 def ask(where: Path, expected: str, *command: str) -> str:
-    """Standard output of a queue's command. Raises :class:`InputError` with what it says when it fails."""
+    """Standard output of a queue's command. Raises :class:`InputError` with its error output when it
+    fails."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         what = " ".join(done.stderr.split()) or f"exit code {done.returncode}"

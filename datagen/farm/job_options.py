@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Resource requests of job scripts, checked before a script is written.
 
-A script is read twice: by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. Whatever comes
-from outside is therefore either of a known form, or free of what ends a line, a quotation or a comment.
+A script is read twice: by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. User input is
+therefore either of a known form, or free of characters that end a line, a quotation or a comment.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ render: {{quality: {quality}}}  # draft, standard or reference
 
 @recipe.callback()
 def _recipe() -> None:
-    """Recipes: what dataset to make."""
+    """Recipes: the description of a dataset."""
 
 
 @recipe.command()

@@ -26,7 +26,7 @@ from mitsuba_plugins.variant import check_variant, resolve_variant
 
 
 def check_start(recipe: Recipe, library: Library) -> None:
-    """Raise :class:`InputError` for what would make every process fail: recipe, library, LLVM."""
+    """Raise :class:`InputError` for faults that would make every process fail: recipe, library, LLVM."""
     check_recipe(recipe, library)
     check_variant(recipe.render.variant)
 

@@ -93,8 +93,8 @@ exit "$code"
 
 
 def collect_script(root: Path, options: SlurmOptions) -> str:
-    """The dependent job's script: status, index, verification, report. It asks for no GPU, and ends with the
-    code of the last step that found something wrong."""
+    """The dependent job's script: status, index, verification, report. It requests no GPU, and exits with the
+    code of the last step that failed."""
     check_folder(root, "slurm")
     directives: dict[str, str | None] = {
         **_shared_directives(root, options),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a disk has room for what is left to do, estimated before work starts."""
+"""Free space on a disk against the need of the remaining units, estimated before work starts."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
 
 
 def check_space(folder: DatasetFolder, workers: int) -> None:
-    """Raise :class:`InputError` where the disk has less room than what is left to do is likely to need."""
+    """Raise :class:`InputError` where the disk has less space than the remaining units are likely to need."""
     need = needed_space(folder, workers)
     free = shutil.disk_usage(folder.root).free
     if need.total_bytes > free:

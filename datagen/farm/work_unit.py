@@ -251,7 +251,7 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
 
 
 def _light_of(run: UnitRun, configuration: Configuration, views: Sequence[StatisticsView]) -> ViewLight:
-    """The light that the views record, from what a reconstruction of the room would have: images, cameras and
+    """The light that the views record, from the inputs of a reconstruction of the room: images, cameras and
     mesh."""
     from datagen.geometry.traced import TracedGeometry
     from datagen.geometry.views import TracedView

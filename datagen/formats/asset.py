@@ -75,7 +75,7 @@ MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
 
 
 class Material(StrictModel):
-    """The three channels of the project's BSDF and what goes with them (method 1).
+    """The three channels of the project's BSDF, opacity, normal map and emission (method 1).
 
     ``classes``: the class first in the list is the main one. ``tile_size_m``: side of the square that one
     UV unit covers on a surface, for materials that may be put on any object; None for unique UV layouts.
@@ -106,7 +106,7 @@ class SlotMaterial(Material):
     ``replaceable_by``: classes of material that suit the geometry and may take its place; empty = fixed.
     ``baked_from``: the material of which this slot holds a bake for one mesh; slots of one origin are one
     material and are varied and replaced together. None where the slot is the whole material.
-    ``surface``: what the slot is in a room; None leaves it to names and shape.
+    ``surface``: the slot's role in a room; None leaves it to names and shape.
     """
 
     replaceable_by: tuple[MaterialClass, ...] = ()

@@ -83,7 +83,7 @@ ClipRange = Annotated[
     AfterValidator(_check_clip),
     Field(exclude_if=lambda limits: limits is None),
 ]
-"""Near and far limit in metres of what a camera sees, along its optical axis; None = everything in front.
+"""Near and far clipping distance of a camera in metres, along its optical axis; None = everything in front.
 
 None is not written, so that files without limits keep the bytes that they had before there were any."""
 Radiometric3 = tuple[NonNegative, NonNegative, NonNegative]

@@ -61,7 +61,7 @@ class PhotographRecord(StrictModel):
 
 
 class MeshRecord(StrictModel):
-    """The mesh file (PLY, OBJ, glTF, GLB) and what takes it to the cameras' world."""
+    """The mesh file (PLY, OBJ, glTF, GLB) and its transform to the cameras' world."""
 
     file: str
     world_from_mesh: Matrix4 = IDENTITY4
@@ -156,8 +156,8 @@ class CaptureGeometry:
 
 @dataclass(frozen=True)
 class Capture:
-    """Cameras, images and geometry. ``lights`` are known for rendered captures only; ``notes`` say in words
-    what was decided while reading; ``mesh_up`` is the axis of the mesh's file that was taken for up."""
+    """Cameras, images and geometry. ``lights`` are known for rendered captures only; ``notes`` are decisions
+    of the reader in words; ``mesh_up`` is the axis of the mesh's file that was taken for up."""
 
     name: str
     views: tuple[CaptureView, ...]

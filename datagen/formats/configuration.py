@@ -129,7 +129,7 @@ class Configuration(StrictModel):
     ``assets`` maps every asset id in use (environment, objects, materials, images of lights) to the SHA-256
     of its package; rendering refuses a library whose packages differ. ``rejections`` counts why candidate
     placements and cameras were thrown away, by stage and reason (``camera.too_close``).
-    ``coverage`` says what the views show; None in configurations from elsewhere.
+    ``coverage`` summarises the content of the views; None in configurations from elsewhere.
     ``seed`` seeds the renderer's sampler.
     """
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Recipes: what dataset to make. YAML in ``scenes/recipes/``; unknown keys are errors; flags override files.
+"""Recipes: the description of a dataset. YAML in ``scenes/recipes/``; unknown keys are errors; flags override
+files.
 
 Ranges are [low, high], both ends included; draws are uniform unless the field says otherwise.
 """
@@ -97,10 +98,10 @@ class Variation(StrictModel):
 class MaterialRecipe(AssetFilter):
     """Materials of slots: the probabilities that an asset's own material is replaced or varied.
 
-    ``variation``: likely or wild; a recipe that does not say so is wild, as all were before there was a
-    choice. ``any_class_probability`` and ``class_weights`` are for wild configurations.
-    ``any_class_probability`` of the replacements take no notice of the classes that suit a slot: a floor of
-    steel, a sofa of marble. ``class_weights`` default to 1 a class; 0 leaves a class out.
+    ``variation``: likely or wild; a recipe without it is wild, as all were before there was a choice.
+    ``any_class_probability`` and ``class_weights`` are for wild configurations. ``any_class_probability`` of
+    the replacements take no notice of the classes that suit a slot: a floor of steel, a sofa of marble.
+    ``class_weights`` default to 1 a class; 0 leaves a class out.
     """
 
     variation: Variation = Variation(wild=1.0)
@@ -250,10 +251,10 @@ class RenderRecipe(StrictModel):
     ``firefly_clamp``: the most that a light path may bring by two or more reflections, in multiples of what
     the image's exposure shows as white; None clamps nothing, direct light is never clamped.
     ``irradiance_cache``: paths may end behind their first broad reflection in irradiance that was gathered
-    for all views beforehand: faster, and slightly wrong (docs/decisions/0075).
-    ``auxiliary_samples`` clean buffers a pixel. ``max_depth`` segments a path at most (the default, 8), or,
-    if ``max_energy_left`` is given instead, as many as the scene's albedo asks for to leave at most that
-    share of the light behind; cached irradiance has had any number of reflections.
+    for all views beforehand: faster, and slightly wrong (docs/decisions/0075). ``auxiliary_samples`` clean
+    buffers a pixel. ``max_depth`` segments a path at most (the default, 8), or, if ``max_energy_left`` is
+    given instead, as many as the scene's albedo requires to truncate at most that share of the light; cached
+    irradiance has had any number of reflections.
     """
 
     variant: Literal["auto", "llvm_ad_rgb", "cuda_ad_rgb"] = "auto"

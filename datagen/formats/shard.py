@@ -59,7 +59,7 @@ class ShardRecord(StrictModel):
 
 
 class DatasetIndex(StrictModel):
-    """``index.json``: what the dataset holds and what made it."""
+    """``index.json``: content and provenance of the dataset."""
 
     format: Literal["scene-materials/dataset"] = "scene-materials/dataset"
     version: Literal[1] = 1

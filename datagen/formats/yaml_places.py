@@ -20,7 +20,7 @@ class YamlPlaces:
         self._root: Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
 
     def __call__(self, location: tuple[int | str, ...]) -> str:
-        """``FILE:LINE:COLUMN`` of a field; of what holds it, where it is not there.
+        """``FILE:LINE:COLUMN`` of a field; that of its parent where it is missing.
 
         A part that names no key is passed over: models put the kind of a choice into their paths.
         """

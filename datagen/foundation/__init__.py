@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The ground floor: what every package may import, and which imports nothing of the project itself."""
+"""The ground floor: modules that every package may import and that import nothing of the project."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Zips from elsewhere: what their members may be, before any is unpacked."""
+"""Zips from elsewhere: limits on their members, checked before any is unpacked."""
 
 from __future__ import annotations
 

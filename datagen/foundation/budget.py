@@ -3,8 +3,8 @@
 
 A small file can stand for a great deal: references that fan out, a mesh that is placed a million times, zeros
 that were compressed. Each limit is on what comes out; what a file really holds raises it, so that large files
-are not refused for being large. The defaults keep what a small file costs below 10 s and 1 GB. Whoever trusts
-a file raises a limit:
+are not refused for being large. The defaults keep what a small file costs below 10 s and 1 GB. Users who
+trust a file raise a limit:
 
     SCENE_MATERIALS_LIMITS=instances=50000,triangles=8000000 datagen import forest.gltf --library my-library
 """
@@ -73,8 +73,8 @@ class Limits:
 
     @classmethod
     def from_environment(cls) -> Limits:
-        """The defaults, with what ``LIMITS_VARIABLE`` says. Raises :class:`InputError` where it says what
-        cannot be."""
+        """The defaults, changed by ``LIMITS_VARIABLE``. Raises :class:`InputError` for unknown names and
+        impossible values."""
         changes: dict[str, int] = {}
         names = [item.name for item in fields(cls)]
         for entry in filter(None, os.environ.get(LIMITS_VARIABLE, "").split(",")):
@@ -89,7 +89,7 @@ class Limits:
 class Budget:
     """Consumption of an import's limits. ``where`` is the file that is imported.
 
-    Readers tell what a file holds (:meth:`hold`) and, before they make anything of it, what that comes to
+    Readers declare a file's size (:meth:`hold`) and charge their output before they allocate it
     (:meth:`spend`), which raises :class:`InputError` beyond the limit.
     """
 

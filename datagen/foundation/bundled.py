@@ -15,7 +15,7 @@ BundledKind = Literal["recipes", "suites"]
 
 
 def bundled_folder() -> Path:
-    """The folder of what is bundled. Raises :class:`InputError` where the installation left it out."""
+    """The folder of the bundled data. Raises :class:`InputError` where the installation left it out."""
     installed, checkout = _places()
     if (installed / "library").is_dir():
         return installed

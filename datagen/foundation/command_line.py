@@ -160,7 +160,7 @@ def _is_repeatable(hint: Any) -> bool:
 
 
 def _shown(name: str, hint: Any, default: Any) -> inspect.Parameter:
-    """The parameter that typer reads: lists for tuples of any length, text for what a parser takes."""
+    """The parameter that typer reads: lists for tuples of any length, text for values with a parser."""
     if get_origin(hint) is Annotated:
         kind, *extras = get_args(hint)
         if any(isinstance(extra, ParameterInfo) and extra.parser is not None for extra in extras):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names of files in files from elsewhere: where they may lead. Every reader asks here.
+"""Names of files in files from elsewhere: where they may lead. All readers use this check.
 
 A name is relative to the folder of the file that names it and stays inside, also when links are followed.
 Absolute names and names that go up are for folders that the user allows by name.

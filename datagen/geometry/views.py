@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A capture's views as read and traced: what every later stage of a reconstruction looks at."""
+"""A capture's views as read and traced: input of all later stages of a reconstruction."""
 
 from __future__ import annotations
 

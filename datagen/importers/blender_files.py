@@ -24,7 +24,8 @@ _MARK = "to_gltf: "
 
 
 def uses_draco(path: Path) -> bool:
-    """Whether a glTF file needs Draco, and Blender's module is there to decode it; damaged files say no."""
+    """Whether a glTF file needs Draco, and Blender's module is there to decode it; False for damaged
+    files."""
     if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
         return False
     with path.open("rb") as file:

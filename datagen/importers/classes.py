@@ -121,7 +121,7 @@ def words_of(name: str) -> list[str]:
 
 
 def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
-    """Material class by the names of material, mesh and file, the first name that tells anything deciding."""
+    """Material class by the names of material, mesh and file, the first name that implies one decides."""
     for name in names:
         words = words_of(name)
         for word in words:

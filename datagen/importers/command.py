@@ -116,7 +116,7 @@ def import_command(
         bool, typer.Option("--split", help="An object for each separate thing of a glTF.")
     ] = False,
 ) -> None:
-    """Turn other people's files into asset packages, and say what is only approximated.
+    """Turn other people's files into asset packages, and list the approximations.
 
     Example: datagen import staircase/scene.xml --library my-library --dielectric replace
     """

@@ -89,9 +89,9 @@ class ImportOptions:
 class ImportedAsset:
     """The record of one import: where the package lies, and all that differs from the source.
 
-    ``approximations`` say what the asset represents only roughly, ``notes`` what the importer decided or
-    noticed. Both are sentences that begin with the name of what they are about. ``contents`` says how large
-    it is and of what it consists.
+    ``approximations`` name content that is represented only roughly, ``notes`` the importer's decisions and
+    remarks. Both are sentences that begin with the name of their subject. ``contents`` states its size and
+    its parts.
     """
 
     asset_id: str
@@ -106,7 +106,7 @@ class ImportedAsset:
 
 @dataclass(frozen=True)
 class Origin:
-    """Licence and authorship as the files beside a source state them; '' where they say nothing."""
+    """Licence and authorship as the files beside a source state them; '' without one."""
 
     license: str = ""
     title: str = ""
@@ -115,7 +115,7 @@ class Origin:
 
 
 def detect_origin(folder: Path) -> Origin:
-    """Read licence files and ``info.json`` beside a source. Nothing is assumed beyond what they say."""
+    """Read licence files and ``info.json`` beside a source. Nothing else is assumed."""
     info = folder / "info.json"
     if info.is_file():
         inside(folder, info)

@@ -37,7 +37,7 @@ def find_sources(path: Path) -> list[Source]:
     """Kind of a source path: a scene, a glTF file, a furniture library, a texture folder, or a folder of
     these.
 
-    Raises :class:`InputError` where there is nothing that an importer knows.
+    Raises :class:`InputError` if no importer reads any of it.
     """
     if path.is_file():
         if path.suffix.lower() == ".xml":
@@ -111,9 +111,8 @@ def import_asset(
     """Import everything that a path holds into a library folder.
 
     ``split`` makes an object of each separate thing in a glTF file; ``on_done`` is called after each asset,
-    ``watch`` is told of each piece of a furniture library instead.
-    An ``asset_id`` goes with a single source only. With several sources, those that can be imported are, and
-    then one :class:`InputError` tells of all that could not.
+    ``watch`` for each piece of a furniture library instead. An ``asset_id`` goes with a single source only.
+    With several sources, the good ones are imported, then one :class:`InputError` lists the others.
     """
     options = options or ImportOptions()
     sources = find_sources(Path(path))

@@ -27,7 +27,7 @@ _NAMED_IOR = {
 
 
 def named_ior(name: str) -> float | None:
-    """Index of refraction of a dielectric that Mitsuba knows by name, or None."""
+    """Index of refraction of one of Mitsuba's named dielectrics, or None."""
     return _NAMED_IOR.get(name.lower())
 
 
@@ -104,9 +104,9 @@ def plastic_diffuse_albedo(reflectance: NDArray, ior: float, nonlinear: bool) ->
 
 
 def conductor_preset_mean(material: str) -> tuple[float, float, float]:
-    """:func:`conductor_mean` of a conductor that Mitsuba knows by name (``Au``, ...); ``none`` is a mirror.
+    """:func:`conductor_mean` of one of Mitsuba's named conductors (``Au``, ...); ``none`` is a mirror.
 
-    Raises ``ValueError`` for names that Mitsuba does not know.
+    Raises ``ValueError`` for other names.
     """
     if material.lower() == "none":
         return (1.0, 1.0, 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""glTF materials to D, S and R; what has no place in them is approximated by name or refused by name."""
+"""glTF materials to D, S and R; other properties are approximated or refused by name."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _OPAL = 0.7  # about what clear glass shows of a bright room behind it
 
 @dataclass
 class GltfMaterial:
-    """A converted material: its slot, the UV set and transform (3, 3) of its textures, and what it emits."""
+    """A converted material: its slot, the UV set and transform (3, 3) of its textures, and its emission."""
 
     slot: str
     material: SlotMaterial
@@ -50,7 +50,7 @@ class GltfMaterial:
 
 @dataclass
 class _Use:
-    """UV sets and transforms that the textures of one material ask for."""
+    """UV sets and transforms of the textures of one material."""
 
     sets: set[int] = field(default_factory=set)
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
@@ -78,7 +78,7 @@ class GltfMaterialConverter:
         self.problems.append(Problem(self.file.path, field_, got, expected, remedy))
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
-        """Material ``index`` (None: glTF's default); ``hints`` are names that may tell its class."""
+        """Material ``index`` (None: glTF's default); ``hints`` are names that may imply its class."""
         key = -1 if index is None else index
         if key not in self._done:
             entry = {} if index is None else self.file.item("materials", index, "primitive.material")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """OBJ (with MTL), PLY and STL files: brought into the form of glTF, then imported like it.
 
-Such files say neither their unit nor which axis points up. Y is up in OBJ, Z in PLY and STL (``--up``); the
+Such files state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL (``--up``); the
 unit is a metre where the size is plausible for that, else the first of centimetre, millimetre and inch that
-makes it so, and the import says which (``--unit-scale``).
+makes it so, and the import reports it (``--unit-scale``).
 """
 
 from __future__ import annotations

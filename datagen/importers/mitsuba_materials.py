@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mitsuba BSDFs to D, S and R. The mapping and its errors are set out in docs/importing.md.
 
-A BSDF first becomes a :class:`Draft`, which says what is to be seen and where each channel comes from; the
+A BSDF first becomes a :class:`Draft`, which names the visible channels and their sources; the
 drafts of see-through BSDFs carry their kind, so that the scene importer can apply the policy that the user
 chose. BSDFs without a mapping are refused by name.
 """

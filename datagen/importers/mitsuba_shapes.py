@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mitsuba shapes as meshes in their own frame, with texture coordinates whose v runs upwards.
 
-Mitsuba looks images up with v downwards. Its OBJ loader flips v unless told not to, its PLY loader does not,
+Mitsuba looks images up with v downwards. Its OBJ loader flips v by default, its PLY loader does not,
 and its analytic shapes have v downwards: all of that is undone here.
 """
 
@@ -31,8 +31,8 @@ def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh
 
     ``file`` is the mesh file of ``obj`` and ``ply`` shapes.
 
-    Normals are always present: those of the file, smooth ones where it has none, flat ones where the shape
-    asks for ``face_normals``. Raises :class:`InputError` for an unreadable file.
+    Normals are always present: those of the file, smooth ones where it has none, flat ones for
+    ``face_normals``. Raises :class:`InputError` for an unreadable file.
     """
     if node.type in FILE_SHAPES:
         if file is None:

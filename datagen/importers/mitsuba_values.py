@@ -37,7 +37,7 @@ _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 @dataclass
 class _Textures:
-    """Texture look-ups of one BSDF, with the UV transforms that they ask for."""
+    """Texture look-ups of one BSDF, with their UV transforms."""
 
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
     has_plain: bool = False
@@ -133,7 +133,7 @@ class NodeValues:
         return found
 
     def texture(self, node: SceneNode) -> Value:
-        """A texture node as a value; what it asks for is noted for the material."""
+        """A texture node as a value; its transform is noted for the material."""
         if node.type == "bitmap":
             return self._bitmap(node)
         if node.type == "checkerboard":

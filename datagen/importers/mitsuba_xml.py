@@ -2,7 +2,7 @@
 """A Mitsuba 3 scene (XML) as an environment package: one part a shape, metres, Z up.
 
 What is converted and how well is set out in docs/importing.md. Nothing is dropped or replaced silently: it is
-refused by name, or replaced because the options say so and then listed in the record of the import.
+refused by name, or replaced by option and listed in the record of the import.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ class _SceneImporter:
         return self.meshes[key]
 
     def apply_dielectric_policy(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Refuse see-through materials, or take out panes and turn bodies into opal glass, as asked."""
+        """Refuse transmissive materials, or remove panes and turn bodies into opal glass, by option."""
         kept: list[_Shape] = []
         refused: dict[str, str] = {}
         removed: dict[str, int] = {}

@@ -54,7 +54,7 @@ _CATEGORIES = {
     "doors and windows": "door",
     "staircases": "stairs",
 }
-"""Catalogue categories that say what a thing is; the others (kitchen, office) only say where it stands."""
+"""Catalogue categories that name the kind of object; the others (kitchen, office) only name its room."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ class _SweetHomeImporter:
             return finish(asset, files, self.folder, self.options, findings)
 
     def _hints(self, piece: Piece, model: ObjModel) -> tuple[str, ...]:
-        """Names of the piece tell a material's class only where it has one or two materials."""
+        """Names of the piece imply a material's class only where it has one or two materials."""
         return (piece.name, *piece.tags) if len({s.material for s in model.surfaces}) <= 2 else ()
 
     def _provenance(self, piece: Piece) -> Provenance:
@@ -369,7 +369,8 @@ class _ImageFinder:
 
 
 def guess_piece_category(piece: Piece) -> str:
-    """Category of a piece: by its catalogue category where that says what it is, else by name, then tags."""
+    """Category of a piece: by its catalogue category where that names a kind of object, else by name, then
+    tags."""
     tags = {t.lower() for t in piece.tags}
     if piece.is_door_or_window or piece.is_stairs:
         return "stairs" if piece.is_stairs else "door"

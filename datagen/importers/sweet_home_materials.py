@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Phong materials (MTL) to D, S and R. Colours are display values, as Sweet Home 3D shows them: sRGB.
 
-D is ``Kd``, or ``map_Kd`` alone where there is one, as the program's own photographs have it. What Phong
-cannot say, F0, comes from convention: see ``phong_channels`` and docs/importing.md.
+D is ``Kd``, or ``map_Kd`` alone where there is one, as the program's own photographs have it. Phong has no
+F0, which comes from convention: see ``phong_channels`` and docs/importing.md.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """``stand_in``: what becomes of a see-through surface; ``pane``: left out if flat, else kept."""
+    """``stand_in``: treatment of a transparent surface; ``pane``: left out if flat, else kept."""
 
     slot: str
     material: SlotMaterial
@@ -97,7 +97,7 @@ def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False
 class PhongConverter:
     """Materials of one model. ``find_file`` gives the path of an image by its lower-case base name, or None.
 
-    ``hints`` are names that may tell a material's class. Problems are collected for the caller to raise.
+    ``hints`` are names that may imply a material's class. Problems are collected for the caller to raise.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class PhongConverter:
         self._notes: list[str] = []
 
     def convert(self, slot: str, phong: PhongMaterial, *, is_mirror: bool, has_uv: bool) -> ConvertedMaterial:
-        """The material of a slot; ``has_uv`` says whether textures can be put on its surface."""
+        """The material of a slot; ``has_uv``: whether its surface can have textures."""
         self._notes = []
         image = self._image(slot, phong.maps.get("map_kd"))
         stem = image.file.stem if image is not None else ""

@@ -14,7 +14,7 @@ from datagen.foundation.command_line import with_options
 
 
 def doctor() -> None:
-    """Say what is installed and what will be used; the exit code tells whether rendering can work.
+    """List installed and used components; the exit code is 0 if rendering can work.
 
     Example: datagen doctor
     """
@@ -128,7 +128,7 @@ def report(
 
 
 def write_sheets(folder: Path) -> None:
-    """Write the contact sheets that are missing, and say where they are."""
+    """Write the missing contact sheets, and print their paths."""
     from datagen.foundation.progress import Bars
     from datagen.inspection.contact_sheet import write_dataset_sheets
 

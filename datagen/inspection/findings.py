@@ -26,7 +26,7 @@ CHECKS = {
     "split": "no asset of the test split appears in training, if asked for",
     "recheck": "recorded errors and brightness hold against plain paths, if asked for",
 }
-"""Every check and what it asserts, in the order of the report."""
+"""Checks with their assertions, in the order of the report."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Fault:
 
 @dataclass
 class Report:
-    """Scope and findings of a verification. ``notes`` say what could not be checked, and why."""
+    """Scope and findings of a verification. ``notes`` name skipped checks with the reasons."""
 
     path: str
     num_shards: int = 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A page that shows a dataset while it is made: ``datagen run --preview`` keeps ``preview.html`` current.
 
-One file that opens from disk: the last views as pictures, the rate, the time left, and what failed. It loads
+One file that opens from disk: the last views as pictures, the rate, the time left, and failures. It loads
 itself again every few seconds until the run has ended.
 """
 

@@ -178,7 +178,7 @@ def figures(found: list[Rechecked]) -> list[dict[str, Any]]:
 
 
 def print_rechecked(found: list[Rechecked], samples: int) -> None:
-    """A table of what was recorded and what plain paths say."""
+    """A table of recorded errors and those against plain paths."""
     from rich.table import Table
 
     from datagen.foundation.console import table_console

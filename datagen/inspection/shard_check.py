@@ -39,7 +39,7 @@ class ShardJob:
 
 
 def verify_shard(job: ShardJob) -> Report:
-    """Everything that can be said of one shard by itself; never raises for what the shard holds."""
+    """All checks of one shard by itself; never raises because of the shard's content."""
     where = job.file
     report = Report(where, num_shards=1)
     if not job.path.is_file():

@@ -46,7 +46,7 @@ def verify_dataset(
 ) -> Report:
     """Verify a dataset folder, or a single shard (``.tar``).
 
-    ``library`` tells which materials have roughness textures; without it that check is skipped, with a note.
+    ``library`` has the materials with roughness textures; without it that check is skipped, with a note.
     ``progress(done, total)`` counts shards. Raises :class:`InputError` only where ``path`` is neither.
     """
     report = Report(str(path))
@@ -251,7 +251,7 @@ def verify_command(
 
 
 def print_report(report: Report) -> None:
-    """The report as a table of checks and a list of what was found."""
+    """The report as a table of checks and a list of findings."""
     from rich.table import Table
 
     from datagen.foundation.console import table_console

@@ -31,7 +31,7 @@ NUM_LEVELS = 3
 """Cells of one, two and four times the surfels' side."""
 OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
 """Side of the cells of surface outside of the surfels' grid, in cells of the surfels, and how far they reach
-beyond it: by the diagonal of what the views show."""
+beyond it: by the diagonal of the photographed box."""
 
 
 class Met(NamedTuple):

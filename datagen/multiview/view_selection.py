@@ -64,7 +64,7 @@ def select_views(
     def insert(
         costs: dr.Local, chosen: dr.Local, cost: mi.Float, view: mi.UInt32
     ) -> tuple[dr.Local, dr.Local]:
-        """Bubble one candidate into the sorted lists; what falls off the end is dropped."""
+        """Bubble one candidate into the sorted lists; entries beyond the end are dropped."""
 
         def body(j: Any, cost: Any, view: Any, costs: Any, chosen: Any) -> tuple[Any, ...]:
             other_cost, other_view = costs[j], chosen[j]

@@ -40,7 +40,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Furnished:
-    """A room to be checked: what is built and what stands in it."""
+    """A room to be checked: the shell and its furniture."""
 
     shell: Shell
     built: tuple[Placed, ...]

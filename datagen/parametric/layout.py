@@ -325,7 +325,7 @@ class Furnisher:
         return self.hang(item, z, [wall], float(middle[:3] @ along), 0.02)
 
     def wall_of(self, host: Placed) -> Wall | None:
-        """The wall that a host's back is at; None for what stands free."""
+        """The wall that a host's back is at; None for free-standing pieces."""
         for wall in WALLS:
             if abs(math.remainder(host.yaw_rad - self.shell.yaw(wall), 2 * math.pi)) < 1e-4:
                 inward = rotation("z", self.shell.yaw(wall))[:2, 1]

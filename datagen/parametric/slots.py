@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The slots of generated rooms: what each surface is, which classes suit it, and a plain colour.
+"""The slots of generated rooms: the surface, fitting classes and a plain colour of each.
 
 Plans dress almost all of them from the library; the plain colours show where nothing suits.
 """

@@ -21,7 +21,7 @@ from datagen.library import Library
 def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Every placed part as one mesh in the world, and notes about what a mesh cannot say."""
+    """Every placed part as one mesh in the world, and notes on properties that a mesh does not represent."""
     found = []
     for placed in (configuration.environment, *configuration.objects):
         package = library.package(placed.asset)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From trials to a choice: means over configurations, the front of what nothing beats, the recommendation."""
+"""From trials to a choice: means over configurations, the Pareto front, the recommendation."""
 
 from __future__ import annotations
 

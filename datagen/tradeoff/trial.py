@@ -2,9 +2,9 @@
 """Measures one setting on one configuration: seconds by stage, errors against the reference, bytes a view.
 
 Stages run one after the other so that each one's seconds are its own; in production they overlap, and a view
-costs about their processor seconds divided by the cores. The first view is rendered twice: what it compiles
-is not counted. Seconds are medians over views, and with them a view's share of what is learned about the
-whole scene beforehand.
+costs about their processor seconds divided by the cores. The first view is rendered twice: compilation is not
+counted. Seconds are medians over views, and with them a view's share of what is learned about the whole scene
+beforehand.
 
 * ``rel_mse``: exposed relMSE of the stored beauty (``datagen.rendering.error``), mean over views;
 * ``maps_error``: mean absolute error of D, S, R and the normal, over pixels that are surface;
@@ -183,7 +183,7 @@ def _gather(
     scene: Any,
     watch: Stopwatch,
 ) -> Iterator[dict[str, NDArray]]:
-    """Statistics of all views; what the first launch compiles is not counted."""
+    """Statistics of all views; compilation in the first launch is not counted."""
     from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
     from datagen.multiview.visibility import VisibilityOptions
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A sweep's results as CSV, JSON, two figures and one HTML page that needs nothing beside it."""
+"""A sweep's results as CSV, JSON, two figures and one self-contained HTML page."""
 
 from __future__ import annotations
 

@@ -187,7 +187,7 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
 
 
 def _check(traced: TracedCapture, run: Run) -> None:
-    """Warn of what is wrong with the capture, and keep what was found beside the result; refuse a mesh in
+    """Warn of faults of the capture, and write the findings beside the result; refuse a mesh in
     the wrong frame."""
     if not run.options.is_checked:
         for view in traced.views:
@@ -247,7 +247,7 @@ def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atl
 
 
 def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, float]:
-    """Share of the surface that was seen, of all and of what can be seen."""
+    """Share of the surface that was seen, of all and of the visible surface."""
     covered = visible = seen = 0
     for top in range(0, atlas.size, 1024):
         face = atlas.face[top : top + 1024]

@@ -52,7 +52,7 @@ class AssetOptions:
 @dataclass(frozen=True)
 class InferOptions(AssetOptions):
     """``weights`` of the medians over views, see :class:`MergeOptions`; confidence takes the checkpoint's.
-    ``is_leveled``: whether predicted diffuse albedo takes its level from the light between the surfaces
+    ``is_leveled``: whether the albedo scale of predictions is corrected by interreflection
     (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
     alone, or both, the network's as the prior (``light``). ``has_punctual``: whether the GLB has small lamps
     as point lights, too. ``is_evened``: whether exposures, vignetting and response are found from photographs
@@ -75,7 +75,9 @@ class InferOptions(AssetOptions):
     jobs: int = 2
     is_leveled: Annotated[
         bool,
-        typer.Option("--level/--no-level", help="Fit the level of predicted diffuse albedo to the light."),
+        typer.Option(
+            "--level/--no-level", help="Correct the albedo scale of predictions by interreflection."
+        ),
     ] = True
     has_punctual: Annotated[
         bool, typer.Option("--punctual", help="Small lamps in the GLB as point lights, too.")

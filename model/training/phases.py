@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One phase of a training, ready to step: what is trained, its optimiser, its data and its loss."""
+"""One phase of a training, ready to step: its networks, optimiser, data and loss."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class TrackModule(nn.Module):
 
 
 class Phase:
-    """One phase ready to run: what is trained, its optimiser, its data and its loss."""
+    """One phase ready to run: its networks, optimiser, data and loss."""
 
     def __init__(self, context: TrainingContext, index: int, num_steps: int | None = None):
         """``num_steps`` replaces the configuration's, for measurements without data."""

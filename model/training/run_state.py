@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The state of an unfinished run, so that it continues bit for bit, and what is kept of a batch that broke
-it.
+"""The state of an unfinished run, so that it continues bit for bit, and the record of a batch that broke it.
 
 ``state.safetensors`` holds the weights and the optimiser's moments; its header says where the run stands. All
 random numbers of a step come from (seed, phase, step, rank), so no generator's state has to be kept.

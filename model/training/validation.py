@@ -58,7 +58,7 @@ class MapErrors:
 
 
 def score_of(metrics: Mapping[str, float]) -> float:
-    """Mean of the maps' mean squared errors: what the best checkpoint minimises."""
+    """Mean of the maps' mean squared errors: the criterion of the best checkpoint."""
     values = [value for name, value in metrics.items() if name.endswith("_mse")]
     return sum(values) / len(values)
 

@@ -58,7 +58,7 @@ def make(name: str) -> str:
 def build(name: str, out: Path, quality: int = 1) -> tuple[Path, list[str]]:
     """Export one asset below ``out``; ``quality`` 2 doubles the side of the textures, and so on.
 
-    Returns the package's folder and what the export had to say.
+    Returns the package's folder and the export's remarks.
     """
     kind = make(name)
     side = MATERIALS[name].max_px if kind == "material" else SLOT_TEXTURE_PX[kind]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One picture a kind with a preview of every asset: what docs/library.md shows."""
+"""One picture a kind with a preview of every asset: the pictures of docs/library.md."""
 
 from __future__ import annotations
 

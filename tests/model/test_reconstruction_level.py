@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The level of diffuse albedo out of light between surfaces, on a room whose albedos are known."""
+"""Albedo scale from interreflection, in a room of known albedos."""
 
 from __future__ import annotations
 

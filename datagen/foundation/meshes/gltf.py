@@ -126,7 +126,7 @@ class GltfFile:
         return self._lists[key]
 
     def item(self, key: str, index: object, user: str) -> dict[str, Any]:
-        """Entry ``index`` of a top-level list; ``user`` says who asks."""
+        """Entry ``index`` of a top-level list; ``user`` names the reader."""
         entries = self.items(key)
         if not isinstance(index, int) or not 0 <= index < len(entries):
             raise self.error(user, index, f"an index below {len(entries)} into {key}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Triangle meshes in memory, and what can be wrong with them.
+"""Triangle meshes in memory, and their faults.
 
 Letters: N vertices, M triangles; v of a texture coordinate runs upwards (see ``datagen.formats.asset``).
 """

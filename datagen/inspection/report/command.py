@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``report``: says what will be written, shows progress, says what came out."""
+"""The verb ``report``: prints its plan, its progress and its result."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def report_command(
     library_paths: Iterable[Path] | None = None,
     is_dry_run: bool = False,
 ) -> int:
-    """Write the report with a progress bar and say where it is; returns the exit code."""
+    """Write the report with a progress bar and print its path; returns the exit code."""
     from datagen.farm.folder import library_of, rooms_of
     from datagen.library import Library
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Walks one shard: counts what its views hold, draws thumbnails, writes the pixels that the viewer shows.
 
-What was counted is kept beside the page, under a key that names the shard's content and what was asked for;
+Figures are kept beside the page, under a key of the shard's content and the options;
 a report that is made again takes it from there, so that one that was interrupted goes on.
 """
 
@@ -27,7 +27,7 @@ from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, cou
 from datagen.inspection.report.tiles import write_tile
 
 REVISION = 4
-"""Part of the key of what is kept: raise it when the form of the gathered figures or tiles changes."""
+"""Part of the key of kept figures: raise it when the form of the gathered figures or tiles changes."""
 SHOWN_BUFFERS = (
     "beauty",
     "diffuse_albedo",
@@ -135,7 +135,7 @@ def _placed(placed: PlacedAsset) -> dict[str, Any]:
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
-    """Type of a light and the luminance of what it emits, in its type's unit."""
+    """Type of a light and the luminance of its emission, in its type's unit."""
     units = {"intensity": "W/sr", "irradiance": "W/m^2", "radiance": "W/(m^2 sr)"}
     if light.type == "sky":
         return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}

@@ -190,8 +190,7 @@ def _compare_view(
 
 
 def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], list[str]]:
-    """Those maps of a file that can be read and have a view's size (H, W), and what is wrong with the
-    rest."""
+    """Those maps of a file that can be read and have a view's size (H, W), and the faults of the rest."""
     maps: dict[str, NDArray] = {}
     problems: dict[str, str] = {}
     for name in MATERIAL_MAPS:

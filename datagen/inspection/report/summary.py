@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draws the figures of all shards together: what the page's sections show, as plain data."""
+"""Draws the figures of all shards together: content of the page's sections, as plain data."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MAX_LISTED_FAULTS = 20
 
 
 def histogram(axis: Axis, counts: Sequence[int], what: str) -> dict[str, Any]:
-    """A figure as the page takes it; ``what`` says what is counted."""
+    """A histogram for the page; ``what`` names the counted items."""
     return {
         "title": axis.title,
         "unit": axis.unit,
@@ -72,7 +72,7 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Counts over R x luminance of D, what is missing, in words, and the shares of metal and gloss."""
+    """Counts over R x luminance of D, missing regions in words, and the shares of metal and gloss."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
     views = [view for shard in gathered for view in shard["views"]]
@@ -110,7 +110,7 @@ def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
 def assets(
     gathered: Sequence[dict[str, Any]], index: DatasetIndex, library: Library | None
 ) -> dict[str, Any]:
-    """Every asset with class, use and licence; pixels by material class; what was never used."""
+    """Every asset with class, use and licence; pixels by material class; assets that were never used."""
     placed: Counter[str] = Counter()
     used_in: Counter[str] = Counter()
     pixels: Counter[str] = Counter()
@@ -211,7 +211,7 @@ def splits(index: DatasetIndex) -> dict[str, Any]:
 
 
 def effort(folder: DatasetFolder, index: DatasetIndex, price_per_hour: float) -> dict[str, Any]:
-    """Time, memory and cost from the units' manifests; what is not known is None, with the reason."""
+    """Time, memory and cost from the units' manifests; unknown figures are None, with the reason."""
     size = {
         "num_bytes": index.num_bytes,
         "bytes_per_view": index.num_bytes / index.num_views if index.num_views else None,

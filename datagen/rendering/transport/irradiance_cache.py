@@ -131,7 +131,7 @@ class IrradianceCache:
 
     def light_weights(self) -> NDArray[np.float64]:
         """Weights of the light sampler's techniques, (records + 1, T), once finished: the root of the second
-        moment of their contribution. T is 0 where nothing was learned of them."""
+        moment of their contribution. T is 0 if no moments were recorded."""
         return np.sqrt(self._squares)
 
     def _upload(self, means: NDArray[np.float64]) -> None:

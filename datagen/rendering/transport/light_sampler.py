@@ -34,7 +34,8 @@ SLOTS = 32
 """Slots of a row of the table, or twice as many as there are techniques; the inverse is the least
 probability, and all are multiples of it."""
 MAX_LEARNED = 16
-"""With more techniques nothing is learned: tables would be large, and few rays tell techniques apart."""
+"""With more techniques nothing is learned: tables would be large, and a few rays do not distinguish the
+techniques."""
 MAX_TECHNIQUES = 512
 """With more the scene's uniform choice is used, without a sky guide: the table's entries have 10 bits."""
 BELOW_ONE = 1.0 - 2.0**-20

@@ -52,7 +52,7 @@ class SkyGuide:
     """A density of directions towards openings, for points inside its box.
 
     ``share`` of the shadow rays follow it there unless the light sampler has learned other probabilities
-    (:mod:`.light_sampler`); :func:`fit_sky_guide` says when there is none.
+    (:mod:`.light_sampler`); see :func:`fit_sky_guide` for the conditions.
     """
 
     def __init__(

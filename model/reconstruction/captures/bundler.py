@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bundler's ``bundle.out`` (v0.3) with its ``list.txt``: what many tools can write.
+"""Bundler's ``bundle.out`` (v0.3) with its ``list.txt``: an export of many tools.
 
 Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up;
 p = -P / P.z, and the pixel is f (1 + k1 |p|^2 + k2 |p|^4) p from the image's centre, upwards. Cameras with

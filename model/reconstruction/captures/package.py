@@ -40,7 +40,7 @@ def read_package(
     """The package's cameras for which there are photographs. Raises :class:`InputError` where none has one.
 
     They lie in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
-    ``exposure``: what is made of the exposures that they recorded.
+    ``exposure``: the use of the exposures that they recorded.
     """
     with open_package(path, budget) as package:
         asset = package.asset

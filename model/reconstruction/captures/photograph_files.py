@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Photographs as files: which forms are read, with what, and what to say of the others.
+"""Photographs as files: supported formats with their readers, and messages for the others.
 
 PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size was checked, EXR by OpenEXR, HEIC by libheif
 (``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
@@ -81,7 +81,7 @@ class Stored:
 
 
 def read_stored(path: Path) -> Stored:
-    """A photograph with what its form tells about it. Raises :class:`InputError`."""
+    """A photograph with the metadata of its file. Raises :class:`InputError`."""
     _check(path)
     if not is_raw(path):
         return Stored(read_photograph(path))

@@ -110,7 +110,7 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
 
 def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
     """Warn of a view whose edges are off by more than can be, or nowhere near; ``left_px``: what is left of
-    its shift, None where its edges do not say where they belong."""
+    its shift, None where its edges are ambiguous."""
     assert view.edges is not None
     is_lost = left_px is None
     if left_px is not None and view.edges.surely_px(left_px) > look.tolerance_px():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact sheets of a check: the mesh's edges over every photograph, its name and what was found."""
+"""Contact sheets of a check: the mesh's edges over every photograph, its name and its findings."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def write_contact_sheets(
     edges: Sequence[NDArray[np.bool_]],
 ) -> list[Path]:
     """``sheet-01.png`` ...: views in their order, edges green where they fit, red where something is wrong,
-    yellow where they say nothing. Linear ``colors`` (H, W, 3)."""
+    yellow where they are too few. Linear ``colors`` (H, W, 3)."""
     tiles = [
         _tile(view, color, lines) for view, color, lines in zip(report.views, colors, edges, strict=True)
     ]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Atlases as image files: PNG for viewers and packages, EXR for numbers, and what 8 bits make of the
-channels.
+"""Atlases as image files: PNG for viewers and packages, EXR for numbers, and the quantisation to 8 bits.
 
 Diffuse and specular albedo are stored sRGB-encoded in 8 bits (at most 1/510 off in encoded values),
 roughness as it is. Row 0 is at v = 1. Integer arrays are made band by band, so that a 16K atlas needs no

@@ -149,7 +149,7 @@ class _Glb:
         return len(self.images) - 1
 
     def tables(self) -> dict[str, Any]:
-        """The JSON tables of what was collected."""
+        """The JSON tables of the collected nodes."""
         return {
             "images": self.images,
             "accessors": self.accessors,

@@ -74,7 +74,7 @@ class MetallicTextures:
 
 
 def metallic_textures(atlas: Atlas) -> MetallicTextures:
-    """The textures of an atlas, and what they cost, bytes included."""
+    """The textures of an atlas, and their errors, quantisation included."""
     shrink = texture_shrink(atlas)
     bands: list[list[NDArray[np.uint8]]] = [[], [], []]
     sums, most, num = np.zeros(2), np.zeros(2), 0

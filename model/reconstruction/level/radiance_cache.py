@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 MAX_PIXELS = 4_000_000
 """Of all views; of more, every second, third ... along both axes serves."""
 CUBES_ACROSS = 150
-"""Along the diagonal of what was seen: 5 cm in a room of 7 m."""
+"""Along the diagonal of the photographed box: 5 cm in a room of 7 m."""
 _MAX_BACKGROUND = 20_000
 _REACH_CUBES = 2.0  # from a place to the nearest cube that has a colour
 _PLACE_WEIGHT = 2.25  # of a move by the diagonal, against 1 rad of direction

@@ -28,7 +28,7 @@ def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
         )
         run.report.albedo_level = asdict(level.report)
         if not level.report.is_applied:
-            run.report.notes.append(f"the level of diffuse albedo is the networks': {level.report.reason}")
+            run.report.notes.append(f"the albedo scale is the network's: {level.report.reason}")
             return maps
         corrected = []
         for view_maps, view in zip(maps, traced.views, strict=True):

@@ -75,4 +75,4 @@ def _truth(view: CaptureView) -> Maps:
 
 
 TRUTH = GivenMaps("truth", lambda traced: [_truth(view) for view in traced.capture.views])
-"""The ground truth of a rendered capture: what the rest of the way loses."""
+"""The ground truth of a rendered capture: remaining errors are those of the later stages."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Material slots that rooms share, with what may take their place."""
+"""Material slots that rooms share, with the classes that may replace them."""
 
 from __future__ import annotations
 
