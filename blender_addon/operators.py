@@ -346,34 +346,35 @@ CLASSES = (
 )
 
 
-def _run_command(arguments: list[str]) -> int:
+def run_command(arguments: list[str]) -> int:
     """``blender -b file.blend --command scene_materials --out DIR``."""
     from .command import build_parser, run
 
     return run(build_parser("blender -b FILE --command scene_materials").parse_args(arguments))
 
 
-_command: Any = None
+cli_command: Any = None
+"""Handle of the registered command."""
 
 
 def register() -> None:
     """Classes, menu entries, options and the command."""
-    global _command
+    global cli_command
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.WindowManager.scene_materials = bpy.props.PointerProperty(type=ExportOptions)
     bpy.types.TOPBAR_MT_file_export.append(_export_entry)
     bpy.types.TOPBAR_MT_file_import.append(_import_entry)
     if hasattr(bpy.utils, "register_cli_command"):
-        _command = bpy.utils.register_cli_command("scene_materials", _run_command)
+        cli_command = bpy.utils.register_cli_command("scene_materials", run_command)
 
 
 def unregister() -> None:
     """The reverse of :func:`register`."""
-    global _command
-    if _command is not None:
-        bpy.utils.unregister_cli_command(_command)
-        _command = None
+    global cli_command
+    if cli_command is not None:
+        bpy.utils.unregister_cli_command(cli_command)
+        cli_command = None
     bpy.types.TOPBAR_MT_file_import.remove(_import_entry)
     bpy.types.TOPBAR_MT_file_export.remove(_export_entry)
     del bpy.types.WindowManager.scene_materials

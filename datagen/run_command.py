@@ -95,7 +95,7 @@ def plan(
     if dry_run:
         _check_and_print(recipe, recipe_path.parent)
         return
-    _plan(recipe, recipe_path.parent, out, workers)
+    plan_recipe(recipe, recipe_path.parent, out, workers)
 
 
 @with_options
@@ -124,7 +124,7 @@ def run(
         if dry_run:
             _check_and_print(recipe, recipe_path.parent)
             return
-        _plan(recipe, recipe_path.parent, out, workers)
+        plan_recipe(recipe, recipe_path.parent, out, workers)
     else:
         _check_planned(source, changes)
         out = source
@@ -176,7 +176,8 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
     return Library(resolve_library_paths(recipe.library, base))
 
 
-def _plan(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
+def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
+    """Plan ``recipe`` into ``out``, with a bar and a summary; ``base``: the folder of its relative paths."""
     from datagen.farm.planning import create_plan, read_configurations
     from datagen.foundation.progress import Bars
     from datagen.inspection.plan_summary import plan_summary

@@ -25,7 +25,7 @@ VARIANTS = (CPU_VARIANT, CUDA_VARIANT)
 _LIBRARY_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)(?:\.\d+)*(?:\.so)?(?:\.\d+)*$")
 _UNVERSIONED_NAMES = ("libLLVM.dylib", "LLVM-C.dll")
 """Of macOS and Windows: such a library is asked for its version."""
-_SEARCH_FOLDERS = (
+SEARCH_FOLDERS = (
     "/usr/lib/x86_64-linux-gnu",
     "/usr/lib/aarch64-linux-gnu",
     "/usr/lib64",
@@ -53,7 +53,7 @@ class LlvmLibrary:
 def find_llvm_libraries() -> list[LlvmLibrary]:
     """Every LLVM shared library in the usual folders, newest first."""
     found: dict[Path, LlvmLibrary] = {}
-    folders = [Path(f) for f in _SEARCH_FOLDERS] + sorted(Path("/usr/lib").glob("llvm-*/lib"))
+    folders = [Path(f) for f in SEARCH_FOLDERS] + sorted(Path("/usr/lib").glob("llvm-*/lib"))
     for folder in folders:
         if not folder.is_dir():
             continue
@@ -61,14 +61,14 @@ def find_llvm_libraries() -> list[LlvmLibrary]:
             match = _LIBRARY_NAME.match(path.name)
             major = int(match[1]) if match else None
             if path.name in _UNVERSIONED_NAMES:
-                major = _llvm_major(path)
+                major = llvm_major(path)
             if major is not None:
                 real = path.resolve()
                 found.setdefault(real, LlvmLibrary(real, major))
     return sorted(found.values(), key=lambda lib: (-lib.major, str(lib.path)))
 
 
-def _llvm_major(path: Path) -> int | None:
+def llvm_major(path: Path) -> int | None:
     """Major version that the library itself reports, or None where it cannot be loaded."""
     try:
         library = ctypes.CDLL(str(path))
@@ -88,7 +88,7 @@ def choose_llvm() -> LlvmLibrary:
     override = os.environ.get("DRJIT_LIBLLVM_PATH")
     if override:
         path = Path(override)
-        major = _llvm_major(path)
+        major = llvm_major(path)
         if major is None or major < MIN_LLVM_MAJOR:
             what = "no loadable LLVM of 16 or later" if major is None else f"LLVM {major}"
             expected = f"LLVM {MIN_LLVM_MAJOR} or later"

@@ -238,7 +238,7 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
     )
     statistics_record = StatisticsRecord(num_views=len(views), **settings.model_dump())
     run.progress("stats", 0, len(names))
-    light = _light_of(run, configuration, views) if settings.light else None
+    light = light_of_views(run, configuration, views) if settings.light else None
     for index, statistics in enumerate(compute_statistics(views, options, scene=scene)):
         record = records[index].model_copy(update={"statistics": statistics_record})
         buffers = {**stored[index], **statistics}
@@ -250,7 +250,7 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
         run.check_stop()
 
 
-def _light_of(run: UnitRun, configuration: Configuration, views: Sequence[StatisticsView]) -> ViewLight:
+def light_of_views(run: UnitRun, configuration: Configuration, views: Sequence[StatisticsView]) -> ViewLight:
     """The light that the views record, from the inputs of a reconstruction of the room: images, cameras and
     mesh."""
     from datagen.geometry.traced import TracedGeometry

@@ -255,7 +255,8 @@ class GradientSsim(nn.Module):
             images = F.conv2d(images, window.reshape(shape).repeat(channels, 1, 1, 1), groups=channels)
         return images
 
-    def _ssim(self, a: Tensor, b: Tensor) -> Tensor:
+    def ssim(self, a: Tensor, b: Tensor) -> Tensor:
+        """Mean SSIM (B,) of images (B, C, H, W) in [0, 1]; Gaussian window of 11 x 11."""
         num = a.shape[1]
         moments = self._blur(torch.cat([a, b, a * a, b * b, a * b], dim=1)).split(num, dim=1)
         mean_a, mean_b, square_a, square_b, product = moments
@@ -276,7 +277,7 @@ class GradientSsim(nn.Module):
             difference = image - reference
             dx = (difference[..., 1:] - difference[..., :-1]).abs().mean(dim=(1, 2, 3))
             dy = (difference[..., 1:, :] - difference[..., :-1, :]).abs().mean(dim=(1, 2, 3))
-            total = total + dx + dy + 0.5 * (1.0 - self._ssim(image, reference))
+            total = total + dx + dy + 0.5 * (1.0 - self.ssim(image, reference))
             num_scales += 1
         return total / max(num_scales, 1)
 

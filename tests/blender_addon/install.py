@@ -64,17 +64,17 @@ def main(folder: Path, packages: Path) -> None:
     outcome["problems"] = [f"{p.severity} {p.place} {p.message}" for p in chosen.problems]
     outcome["export"] = sorted(bpy.ops.scene_materials.export(directory=str(folder / "again")))
     operators = sys.modules[f"{MODULE}.operators"]
-    outcome["is_command_registered"] = operators._command is not None  # what `blender --command` looks up
+    outcome["is_command_registered"] = operators.cli_command is not None  # what `blender --command` looks up
     arguments = ["--kind", "object", "--max-texture", "1024", "--out"]
-    outcome["command"] = operators._run_command([*arguments, str(folder / "by_command")])
-    outcome["refused_command"] = operators._run_command(
+    outcome["command"] = operators.run_command([*arguments, str(folder / "by_command")])
+    outcome["refused_command"] = operators.run_command(
         [*arguments, str(folder / "refused"), "--only", "not there"]
     )
     bpy.context.scene.objects[0].select_set(True)
     bpy.ops.scene_materials.tag(role="camera_region", target="objects")
     outcome["tagged"] = [t.name for t in bpy.context.scene.objects if t.get("sm_role") == "camera_region"]
     addon_utils.disable(MODULE)
-    outcome["is_command_unregistered"] = operators._command is None
+    outcome["is_command_unregistered"] = operators.cli_command is None
     outcome["disabled"] = not hasattr(bpy.types.WindowManager, "scene_materials")
     print("\n" + json.dumps(outcome))
 

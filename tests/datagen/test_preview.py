@@ -107,7 +107,7 @@ def test_the_command_keeps_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         return RunSummary(done=["small-00000"], interrupted=False)
 
     monkeypatch.setattr("datagen.farm.local.run_local", run_local)
-    monkeypatch.setattr("datagen.run_command._plan", lambda *arguments: None)
+    monkeypatch.setattr("datagen.run_command.plan_recipe", lambda *arguments: None)
     monkeypatch.setattr(
         "datagen.farm.collect.collect", lambda *arguments: (_ for _ in ()).throw(SystemExit(0))
     )

@@ -196,7 +196,7 @@ def test_recipes_without_light_are_as_they_were() -> None:
 
 
 def test_views_of_no_extended_surface_are_refused(tmp_path: Path) -> None:
-    from datagen.farm.work_unit import _light_of
+    from datagen.farm.work_unit import light_of_views
     from datagen.multiview.statistics import StatisticsView
 
     folder: DatasetFolder = plan_small(tmp_path / "dataset", tmp_path / "library", num_units=1, num_views=1)
@@ -211,4 +211,4 @@ def test_views_of_no_extended_surface_are_refused(tmp_path: Path) -> None:
     shape = (camera.height_px, camera.width_px)
     view = StatisticsView(away, np.ones((*shape, 3)), *(np.zeros((*shape, k)) for k in (1, 3, 1)))
     with pytest.raises(InputError, match=r"no view sees the mesh.*leave statistics.light out"):
-        _light_of(run, configuration, [view])
+        light_of_views(run, configuration, [view])

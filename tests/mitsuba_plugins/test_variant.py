@@ -27,8 +27,8 @@ def test_a_library_without_a_version_in_its_name_is_asked(
     """As macOS and Windows name it; one that does not load is none."""
     for name in ("libLLVM.dylib", "LLVM-C.dll", "libLLVM.so.19.1"):
         (tmp_path / name).touch()
-    monkeypatch.setattr(variant, "_SEARCH_FOLDERS", (str(tmp_path),))
+    monkeypatch.setattr(variant, "SEARCH_FOLDERS", (str(tmp_path),))
     answers = {"libLLVM.dylib": 21, "LLVM-C.dll": None}
-    monkeypatch.setattr(variant, "_llvm_major", lambda path: answers[path.name])
+    monkeypatch.setattr(variant, "llvm_major", lambda path: answers[path.name])
     found = [(lib.path.name, lib.major) for lib in find_llvm_libraries() if lib.path.parent == tmp_path]
     assert found == [("libLLVM.dylib", 21), ("libLLVM.so.19.1", 19)]

@@ -25,7 +25,7 @@ from model.evaluation.noise import bootstrap_error, difference, seed_spread
 from model.evaluation.rendering import JudgedView
 from model.evaluation.results import MethodResult, SceneResult, SuiteResult
 from model.evaluation.surface_kinds import SurfaceFinder, ViewSurfaces
-from model.training.perceptual import lpips_vgg
+from model.training.perceptual import LpipsVgg, lpips_vgg
 from model.training.weights import Convolution
 
 SHAPE = (4, 6)
@@ -248,15 +248,21 @@ def _random_layers() -> list[Convolution]:
     ]
 
 
-def test_features_of_the_truth_are_computed_once(tmp_path: Path) -> None:
+def test_features_of_the_truth_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     layers = _random_layers()
     random = np.random.default_rng(19)
     truth, *images = random.random((3, 48, 64, 3))
     kept, plain = Lpips(tmp_path, layers), Lpips(None, layers)
     calls: list[int] = []
-    whole = kept._features
-    kept._features = lambda image: calls.append(1) or whole(image)  # type: ignore[method-assign, func-returns-value]
-    distances = [kept(image, truth) for image in images]
+    whole = LpipsVgg.features
+
+    def counted(network: LpipsVgg, image: torch.Tensor) -> list[torch.Tensor]:
+        calls.append(1)
+        return whole(network, image)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LpipsVgg, "features", counted)
+        distances = [kept(image, truth) for image in images]
     assert len(calls) == 3 and len(list(tmp_path.iterdir())) == 1
     assert distances == pytest.approx([plain(image, truth) for image in images], abs=1e-4)
     tensors = [torch.from_numpy(x.transpose(2, 0, 1)).float()[None] * 2 - 1 for x in (images[0], truth)]
