@@ -2,18 +2,15 @@
 """Cost of planning, status and collection as plans grow, in time and file operations.
 
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
-    python -m benchmarks.bench_farm_scale --simulate      # 1,000,000 units on 10,000 slots, with failures
 
-The first part makes folders of finished units (configurations, markers, shards of one record) and times what
-a user waits for: the plan over configurations that are assembled, a rerun, a status, a collection. The second
-simulates attempts, kills and retries of a large plan in memory and counts the operations of the output
-protocol. ``cpu_s`` is processor time, which other work on the machine changes little.
+Makes folders of finished units (configurations, markers, shards of one record) and times what a user
+waits for: the plan over configurations that are assembled, a rerun, a status, a collection. ``cpu_s`` is
+processor time, which other work on the machine changes little.
 """
 
 from __future__ import annotations
 
 import argparse
-import heapq
 import io
 import json
 import statistics
@@ -22,8 +19,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
 
 from datagen.assembly.plan import configuration_id
 from datagen.farm.collect import collect
@@ -157,66 +152,12 @@ def _timed(step: Callable[[], int], expected: int) -> tuple[float, float]:
     return time.perf_counter() - start, time.process_time() - cpu
 
 
-def simulate(num_units: int, slots: int, failure_share: float, seed: int = 0) -> dict:
-    """Attempts, makespan and file operations of a plan whose attempts die with ``failure_share``.
-
-    Each attempt takes a log-normal time (median 80 s for 40 views); a killed one keeps the views it finished.
-    """
-    rng = np.random.default_rng(seed)
-    views = 40
-    free = [0.0] * slots
-    heapq.heapify(free)
-    queue: list[tuple[int, int]] = [(unit, 0) for unit in range(num_units)]
-    queue.reverse()
-    attempts = kills = 0
-    end = 0.0
-    durations = rng.lognormal(np.log(80.0), 0.3, num_units)
-    while queue:
-        unit, done_views = queue.pop()
-        start = heapq.heappop(free)
-        attempts += 1
-        left = durations[unit] * (views - done_views) / views
-        if rng.random() < failure_share:
-            share = rng.random()
-            kills += 1
-            queue.append((unit, done_views + int((views - done_views) * share)))
-            finish = start + left * share
-        else:
-            finish = start + left
-        end = max(end, finish)
-        heapq.heappush(free, finish)
-    files_a_unit = 4 * views + views + 3  # rendered and complete EXR and JSON, timings; shard, manifest, log
-    return {
-        "units": num_units,
-        "slots": slots,
-        "failure_share": failure_share,
-        "attempts": attempts,
-        "kills": kills,
-        "makespan_h": end / 3600,
-        "file_creations_per_s": num_units * files_a_unit / end,
-        "renames_per_s": num_units * (4 * views + 3) / end,
-        "listings_per_status": 4,
-        "marker_opens_per_status": num_units,
-        "plan_megabytes": num_units * 200 / 1e6,
-    }
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[1000, 2000, 5000, 10000])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--simulate", action="store_true")
-    parser.add_argument("--units", type=int, default=1_000_000)
-    parser.add_argument("--slots", type=int, default=10_000)
-    parser.add_argument("--failures", type=float, default=0.03)
     options = parser.parse_args()
-    if options.simulate:
-        start = time.perf_counter()
-        result = simulate(options.units, options.slots, options.failures)
-        result["simulation_s"] = round(time.perf_counter() - start, 1)
-        print(json.dumps(result, indent=2))
-    else:
-        print(json.dumps(time_real_folders(options.sizes, options.repeats), indent=2))
+    print(json.dumps(time_real_folders(options.sizes, options.repeats), indent=2))
 
 
 if __name__ == "__main__":

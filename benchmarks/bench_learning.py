@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Training check: trains a preset and its single-view version (*No RP*) and compares them with simple
-predictions.
+"""Errors of checkpoints and of simple predictions on held-out views.
 
-    python -m benchmarks.bench_learning DATASET ... --out DIR [--preset small] [--set KEY=VALUE ...]
-    python -m benchmarks.bench_learning DATASET ... --out DIR --compare CHECKPOINT ...    trains nothing
+    python -m benchmarks.bench_learning DATASET ... --out DIR --compare CHECKPOINT ... [--judge DATASET]
 
 On the whole views of the validation splits, or of ``--judge DATASET`` alone: mean squared errors of every map
-for a constant (the training mean), the exposed median image as diffuse albedo, the single-view network, the
-network, and the network with the bilateral solver. Writes ``table.md``, ``results.json`` and ``curves.png``
-into DIR; interrupted runs continue.
+for a constant (the training mean), the exposed median image as diffuse albedo, and each checkpoint, with and
+without the bilateral solver. Writes ``table.md`` and ``results.json`` into DIR.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +21,9 @@ from datagen.formats.view_places import ViewPlace
 from datagen.foundation.buffers import MATERIAL_MAPS
 from model.checkpoint import load_checkpoint
 from model.networks import TrackName
-from model.training.config import TrainingConfig, parse_overrides, resolve_config
+from model.training.config import TrainingConfig, resolve_config
 from model.training.dataset import buffer_names
-from model.training.run_log import read_log
 from model.training.sources import TrainingData, open_data, spread
-from model.training.train import Trainer
 from model.training.validation import (
     constant_predictor,
     evaluate,
@@ -130,30 +124,6 @@ def write_table(rows: Rows, run: dict[str, Any], out: Path) -> None:
     (out / "results.json").write_text(json.dumps({**run, "results": rows}, indent=2) + "\n")
 
 
-def plot_curves(folders: dict[str, Path], path: Path) -> None:
-    """Training loss and validation score over steps."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4))
-    for label, folder in folders.items():
-        for axis, kind, name in ((axes[0], "train", "total"), (axes[1], "validation", "score")):
-            rows = read_log(folder, kind, name)
-            axis.plot(
-                [s for s, _ in rows],
-                [v for _, v in rows],
-                label=label,
-                linewidth=1,
-                marker="." if axis is axes[1] else "",
-            )
-            axis.set(xlabel="step", ylabel=f"{kind} {name}", yscale="log")
-    axes[0].legend()
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-
-
 def main() -> None:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
@@ -161,35 +131,17 @@ def main() -> None:
     parser.add_argument("--judge", type=Path, metavar="DATASET", help="the one whose validation views count")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--preset", default="small")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--compare", type=Path, nargs="+", metavar="CHECKPOINT", default=[])
+    parser.add_argument("--compare", type=Path, nargs="+", metavar="CHECKPOINT", required=True)
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
-    config = resolve_config(args.preset, None, parse_overrides(args.set))
     args.out.mkdir(parents=True, exist_ok=True)
-    names = [str(dataset) for dataset in args.datasets]
-    if args.compare:
-        config = config.model_copy(update={"network": load_checkpoint(args.compare[0]).card.network})
-        rows = compare(config, args.datasets, {path.stem: path for path in args.compare}, args.judge)
-        metal = {path.stem: metal_errors(path, args.datasets, args.judge) for path in args.compare}
-        print("specular albedo on metal and elsewhere:", json.dumps(metal, indent=2))
-        write_table(rows, {"datasets": names, "metal": metal}, args.out)
-        return
-    single = config.model_copy(
-        update={"network": config.network.model_copy(update={"uses_statistics": False})}
-    )
-    folders, seconds = {}, {}
-    for label, chosen in (("ours", config), ("No RP", single)):
-        folder = args.out / label.lower().replace(" ", "_")
-        start = time.perf_counter()
-        Trainer(chosen, args.datasets, folder, device=torch.device("cpu"), show_progress=True).run()
-        folders[label], seconds[label] = folder, time.perf_counter() - start
-    trained = {label: folder / "final.safetensors" for label, folder in folders.items()}
-    rows = compare(config, args.datasets, trained, args.judge)
-    run = {"datasets": names, "preset": args.preset, "training_s": seconds}
-    write_table(rows, run, args.out)
-    plot_curves(folders, args.out / "curves.png")
+    network = load_checkpoint(args.compare[0]).card.network
+    config = resolve_config(args.preset).model_copy(update={"network": network})
+    rows = compare(config, args.datasets, {path.stem: path for path in args.compare}, args.judge)
+    metal = {path.stem: metal_errors(path, args.datasets, args.judge) for path in args.compare}
+    print("specular albedo on metal and elsewhere:", json.dumps(metal, indent=2))
+    write_table(rows, {"datasets": [str(dataset) for dataset in args.datasets], "metal": metal}, args.out)
 
 
 if __name__ == "__main__":

@@ -3,14 +3,12 @@
 
     python -m benchmarks.bench_merge_quality weights SHARD ...
     python -m benchmarks.bench_merge_quality sizes SHARD ... --sizes 0.5x,1x,2x,16384
-    python -m benchmarks.bench_merge_quality precision SHARD ...
 
 ``weights``: mean squared error of predicted maps after merging with each choice of weights, and before
-(``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x: twice what
-``auto`` takes): what the atlas loses. ``precision``: of maps predicted in float32 and in bfloat16 against the
-truth, and against each other. An atlas is judged as the views see it: at the surface under each pixel's
-centre, between texels, against the pixel's truth; all surface pixels of all views of all shards count alike.
-``--json`` keeps the figures.
+(``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x: twice the
+side of ``auto``). An atlas is judged as the views see it: at the surface under each pixel's centre, between
+texels, against the pixel's truth; all surface pixels of all views of all shards count alike. ``--json`` keeps
+the figures.
 """
 
 from __future__ import annotations
@@ -155,16 +153,7 @@ def predictions(room: Room, checkpoint: Path, options: InferOptions) -> Maps:
 def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[str, dict[str, float]]:
     """Sums of squared errors by row of the table and by map."""
     rows: dict[str, dict[str, float]] = {}
-    if what == "precision":
-        whole = predictions(room, checkpoint, InferOptions(precision="float32"))
-        half = predictions(room, checkpoint, InferOptions(precision="bfloat16"))
-        rows["float32 against the truth"] = room.view_errors(whole, room.truth)
-        rows["bfloat16 against the truth"] = room.view_errors(half, room.truth)
-        rows["bfloat16 against float32"] = room.view_errors(half, whole)
-        merged = [room.merged(maps, room.auto, None) for maps in (whole, half)]
-        rows["merged, float32 against the truth"] = room.atlas_errors(merged[0])
-        rows["merged, bfloat16 against the truth"] = room.atlas_errors(merged[1])
-    elif what == "weights":
+    if what == "weights":
         maps = predictions(room, checkpoint, InferOptions(weights="all"))
         rows["views"] = room.view_errors(maps, room.truth)
         for weights in WEIGHTS:
@@ -182,7 +171,7 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=("weights", "sizes", "precision"))
+    parser.add_argument("what", choices=("weights", "sizes"))
     parser.add_argument("shards", nargs="+", type=Path)
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: MIT
 """The BSDF at its extremes: the figures of docs/measurements.md.
 
-    python -m benchmarks.bsdf_extremes errors       float32 against the float64 oracle, in eps
     python -m benchmarks.bsdf_extremes density      three ways to compute D in float32, in eps
     python -m benchmarks.bsdf_extremes slopes       Newton steps of the sampler: error and time
-    python -m benchmarks.bsdf_extremes energy       directional albedo, and what multiple bounces make of it
+    python -m benchmarks.bsdf_extremes energy       directional albedo, and energy over multiple bounces
     python -m benchmarks.bsdf_extremes evaluations  10^9 values, densities and samples: NaN, Inf, sign
-    python -m benchmarks.bsdf_extremes gradients    10^8 derivatives by D, S and R: NaN, Inf
 
-Each prints a Markdown table. Inputs of the last two: roughness in [0, 1] and NaN, -0.5, 1.5; albedos 0, 1 and
+Each prints a Markdown table. Inputs of the last one: roughness in [0, 1] and NaN, -0.5, 1.5; albedos 0, 1 and
 between, and NaN, -1, 2 (so that D + S > 1 too); wi and wo at any angle down to 1e-6 rad above the horizon, on
 it, at the pole, and below.
 """
@@ -39,44 +37,7 @@ def _print_table(head: list[str], rows: list[list[Any]]) -> None:
         print("| " + " | ".join(str(cell) for cell in row) + " |")
 
 
-# ---- errors ----
-
-
-def print_errors(num: int = 200_000) -> None:
-    """Median, 99.9 % and largest relative error in eps of value and density, where exp's argument is < 20."""
-    from oracles import bsdf_probe as probe
-
-    rng = np.random.default_rng(0)
-    rows = []
-    for roughness in ROUGHNESS:
-        r = np.full(num, roughness, np.float32)
-        alpha = oracle.alpha_from_roughness(r)[:, None]
-        wi = oracle.direction(rng.choice(probe.ANGLES_RAD, num), rng.uniform(0, 2 * np.pi, num))
-        slope = rng.normal(size=(num, 2)) * alpha * rng.choice([0.1, 0.7, 1.4], num)[:, None]
-        h = np.stack([-slope[:, 0], -slope[:, 1], np.ones(num)], -1)
-        h /= np.linalg.norm(h, axis=1)[:, None]
-        wo = probe.unit_float32(2 * np.sum(wi * h, 1)[:, None] * h - wi)
-        wi = probe.unit_float32(wi)
-        d = rng.choice(np.float32([0.0, 0.04, 0.5, 0.8, 1.0]), (num, 3))
-        s = rng.choice(np.float32([0.0, 0.04, 0.5, 1.0]), (num, 3))
-        bsdf = probe.material(d, s, r, num)
-        value, pdf = (
-            probe.array(v)
-            for v in bsdf.eval_pdf(probe.mi.BSDFContext(), probe.interaction(wi), probe.vector(wo))
-        )
-        exponent = (np.tan(oracle.theta(wi + wo)) / alpha[:, 0]) ** 2
-        checked = (wi[:, 2] > 0) & (wo[:, 2] > 0) & (exponent < 20)
-        expected = oracle.eval_cos(wi, wo, d, s, r)
-        expected_pdf = oracle.pdf(wi, wo, d, s, r)
-        row: list[Any] = [roughness]
-        for got, right in ((value, expected), (pdf[:, None], expected_pdf[:, None])):
-            error = np.abs(got - right) / np.maximum(right, 1e-30) / EPS
-            error = np.where(right > 1e-30, error, 0.0).max(1)[checked]
-            row += [f"{v:.1f}" for v in (*np.quantile(error, [0.5, 0.999]), error.max())]
-            row.append(f"{(error / (1 + exponent[checked])).max():.1f}")
-        rows.append(row)
-    quantities = ["median", "99.9 %", "max", "max / (1 + x)"]
-    _print_table(["R", *(f"value {q}" for q in quantities), *(f"pdf {q}" for q in quantities)], rows)
+# ---- density ----
 
 
 def print_density(num: int = 200_000) -> None:
@@ -343,37 +304,14 @@ def print_evaluations(total: float) -> bool:
     return all(not any(counts[:3]) for counts in bad.values())
 
 
-def print_gradients(total: float) -> bool:
-    """Counts of derivatives of the value that are not finite; true where there are none."""
-    import drjit as dr
-    import mitsuba as mi
-
-    names = ("by D", "by S", "by R")
-    bad = {name: [0, 0.0] for name in names}
-    for batch in _batches(int(np.ceil(total / BATCH))):
-        bsdf, si, wo, _, _ = _random_case(batch, BATCH)
-        channels = (bsdf.diffuse_albedo.value, bsdf.specular_albedo.value, bsdf.roughness.value)
-        for channel in channels:
-            dr.enable_grad(channel)
-        dr.backward(dr.sum(bsdf.eval(mi.BSDFContext(), si, wo)))
-        for name, channel in zip(names, channels, strict=True):
-            gradient = dr.grad(channel)
-            for plane in [gradient] if dr.depth_v(gradient) == 1 else list(gradient):
-                bad[name][0] += _count(~dr.isfinite(plane))
-                bad[name][1] = max(bad[name][1], float(dr.max(dr.abs(plane))[0]))
-    print(f"{int(np.ceil(total / BATCH)) * BATCH:.3g} cases\n")
-    _print_table(["derivative", "not finite", "largest"], [[n, c, f"{m:.4g}"] for n, (c, m) in bad.items()])
-    return all(not counts[0] for counts in bad.values())
-
-
-TABLES = {"errors": print_errors, "density": print_density, "slopes": print_slopes}
+TABLES = {"density": print_density, "slopes": print_slopes}
 
 
 def main() -> int:
     """Command line; exit code 1 where a value that must not occur occurred."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("table", choices=(*TABLES, "energy", "evaluations", "gradients"))
-    parser.add_argument("--total", type=float, help="number of cases (default 1e9, gradients 1e8)")
+    parser.add_argument("table", choices=(*TABLES, "energy", "evaluations"))
+    parser.add_argument("--total", type=float, default=1e9, help="number of cases")
     arguments = parser.parse_args()
     from mitsuba_plugins import register, select_variant
 
@@ -385,9 +323,7 @@ def main() -> int:
     if arguments.table in TABLES:
         TABLES[arguments.table]()
         return 0
-    if arguments.table == "evaluations":
-        return 0 if print_evaluations(arguments.total or 1e9) else 1
-    return 0 if print_gradients(arguments.total or 1e8) else 1
+    return 0 if print_evaluations(arguments.total) else 1
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from __future__ import annotations
 import shlex
 import signal
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -115,44 +115,127 @@ def run_local(
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
-    summary = RunSummary()
     units = (
         plan.units if options.only is None else [planned_unit(plan, root, index) for index in options.only]
     )
     todo = deque(unit for unit in units if not folder.is_done(unit))
-    summary.already_done = len(units) - len(todo)
-    if not todo:
-        return summary
-    check_writable(root)
-    check_variant(plan.variant)
-    attempts: dict[str, int] = {}
-    stop = {"asked": False}
-    previous = {number: signal.signal(number, lambda *_: stop.update(asked=True)) for number in STOP_SIGNALS}
-    num_workers = max(1, min(options.workers, len(todo)))
-    threads = max(1, available_cpus() // num_workers)
-    workers: list[_Worker] = []
-    try:
-        while (todo or any(w.unit for w in workers)) and not stop["asked"] and not summary.disk_full:
-            while len(workers) < num_workers and len(workers) < len(todo) + sum(
-                w.unit is not None for w in workers
-            ):
-                workers.append(_Worker(root, threads, options.stages))
-            for worker in workers:
-                if worker.unit is None and todo:
-                    unit = todo.popleft()
-                    attempts[unit.id] = attempts.get(unit.id, 0) + 1
-                    worker.give(unit, folder.logs_path / f"{unit.id}.{attempts[unit.id]}.log")
-            for worker in _ready(workers):
-                _handle(worker, workers, todo, attempts, folder, options, summary, on_event)
-        summary.interrupted = stop["asked"]
-        if summary.interrupted or summary.disk_full:
-            _stop_all(workers)
-    finally:
-        for worker in workers:
+    run = _LocalRun(folder, options, on_event, todo)
+    run.summary.already_done = len(units) - len(todo)
+    if todo:
+        check_writable(root)
+        check_variant(plan.variant)
+        run.finish()
+    return run.summary
+
+
+@dataclass
+class _LocalRun:
+    """A run's queue, its workers and its outcome so far."""
+
+    folder: DatasetFolder
+    options: LocalOptions
+    on_event: Callable[[Event], None]
+    todo: deque[PlannedUnit]
+    summary: RunSummary = field(default_factory=RunSummary)
+    attempts: Counter[str] = field(default_factory=Counter)
+    workers: list[_Worker] = field(default_factory=list)
+
+    def finish(self) -> None:
+        """Work on the queue until it is empty, a signal arrives or the disk is full."""
+        stop = {"asked": False}
+        previous = {
+            number: signal.signal(number, lambda *_: stop.update(asked=True)) for number in STOP_SIGNALS
+        }
+        num_workers = max(1, min(self.options.workers, len(self.todo)))
+        threads = max(1, available_cpus() // num_workers)
+        try:
+            while not stop["asked"] and not self.summary.disk_full:
+                num_busy = sum(worker.unit is not None for worker in self.workers)
+                if not self.todo and not num_busy:
+                    break
+                self._give_work(min(num_workers, len(self.todo) + num_busy), threads)
+                for worker in _ready(self.workers):
+                    self._handle(worker)
+            self.summary.interrupted = stop["asked"]
+            if self.summary.interrupted or self.summary.disk_full:
+                _stop_all(self.workers)
+        finally:
+            for worker in self.workers:
+                worker.kill()
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+
+    def _give_work(self, num_workers: int, threads: int) -> None:
+        while len(self.workers) < num_workers:
+            self.workers.append(_Worker(self.folder.root, threads, self.options.stages))
+        for worker in self.workers:
+            if worker.unit is None and self.todo:
+                unit = self.todo.popleft()
+                self.attempts[unit.id] += 1
+                worker.give(unit, self.folder.logs_path / f"{unit.id}.{self.attempts[unit.id]}.log")
+
+    def _handle(self, worker: _Worker) -> None:
+        """Take a worker's message, or its death."""
+        unit = worker.unit
+        try:
+            message = worker.connection.recv() if worker.connection.poll() else None
+        except (EOFError, OSError):
+            message = None
+        if message is None:
+            if worker.process.is_alive() and worker.process.exitcode is None:
+                worker.process.join(1.0)
+            if worker.process.exitcode is None:
+                return
+            self.workers.remove(worker)
             worker.kill()
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-    return summary
+            if unit is not None:
+                self._fail(unit, f"the worker process {_end_of(worker.process.exitcode)}", worker.log)
+            return
+        assert unit is not None
+        if message[0] == "progress":
+            self.on_event(("progress", unit.id, *message[1:]))
+            return
+        _, outcome, reason, memory_mb = message
+        worker.unit = None
+        worker.num_units += 1
+        if outcome in ("done", "already"):
+            self.summary.done.append(unit.id)
+            (self.folder.failed_path / f"{unit.id}.json").unlink(missing_ok=True)
+            if worker.log is not None and worker.log.exists() and worker.log.stat().st_size == 0:
+                worker.log.unlink()
+            self.on_event(("done", unit.id, "", 0, 0))
+        elif outcome == "full":
+            self.summary.disk_full = self.summary.disk_full or reason
+        elif outcome == "failed":
+            self._fail(unit, reason, worker.log)
+        else:  # the worker was stopped from outside: the unit is simply tried again
+            self.attempts[unit.id] -= 1
+            self.todo.append(unit)
+        if outcome == "failed" or worker.is_spent(memory_mb, self.options):
+            self.workers.remove(worker)
+            worker.dismiss()
+
+    def _fail(self, unit: PlannedUnit, reason: str, log: Path | None) -> None:
+        """Queue the unit again, or set it aside once its attempts are used up."""
+        root, used = self.folder.root, self.attempts[unit.id]
+        if used < self.options.attempts:
+            self.todo.append(unit)
+            self.on_event(("retry", unit.id, reason, used, self.options.attempts))
+            return
+        record = FailureRecord(
+            id=unit.id,
+            index=unit.index,
+            attempts=used,
+            reason=reason,
+            log=str(log.relative_to(root)) if log else "",
+            command=f"datagen run {shlex.quote(str(root.resolve()))} --unit {unit.index} --attempts 0",
+        )
+        self.summary.failures.append(record)
+        # A full disk fails units and their records alike; the caller has them in the summary.
+        with suppress(OSError):
+            self.folder.failed_path.mkdir(exist_ok=True)
+            write_bytes_atomically(self.folder.failed_path / f"{unit.id}.json", canonical_json(record))
+        self.on_event(("set_aside", unit.id, reason, used, self.options.attempts))
 
 
 def _ready(workers: list[_Worker]) -> list[_Worker]:
@@ -168,57 +251,6 @@ def _ready(workers: list[_Worker]) -> list[_Worker]:
     return found
 
 
-def _handle(
-    worker: _Worker,
-    workers: list[_Worker],
-    todo: deque[PlannedUnit],
-    attempts: dict[str, int],
-    folder: DatasetFolder,
-    options: LocalOptions,
-    summary: RunSummary,
-    on_event: Callable[[Event], None],
-) -> None:
-    unit = worker.unit
-    try:
-        message = worker.connection.recv() if worker.connection.poll() else None
-    except (EOFError, OSError):
-        message = None
-    if message is None:
-        if worker.process.is_alive() and worker.process.exitcode is None:
-            worker.process.join(1.0)
-        if worker.process.exitcode is None:
-            return
-        reason = f"the worker process {_end_of(worker.process.exitcode)}"
-        workers.remove(worker)
-        worker.kill()
-        if unit is not None:
-            _failed(unit, reason, worker.log, todo, attempts, folder, options, summary, on_event)
-        return
-    assert unit is not None
-    if message[0] == "progress":
-        on_event(("progress", unit.id, *message[1:]))
-        return
-    _, outcome, reason, memory_mb = message
-    worker.unit = None
-    worker.num_units += 1
-    if outcome in ("done", "already"):
-        summary.done.append(unit.id)
-        (folder.failed_path / f"{unit.id}.json").unlink(missing_ok=True)
-        if worker.log is not None and worker.log.exists() and worker.log.stat().st_size == 0:
-            worker.log.unlink()
-        on_event(("done", unit.id, "", 0, 0))
-    elif outcome == "full":
-        summary.disk_full = summary.disk_full or reason
-    elif outcome == "failed":
-        _failed(unit, reason, worker.log, todo, attempts, folder, options, summary, on_event)
-    else:  # someone else asked the worker to stop: the unit is simply tried again
-        attempts[unit.id] -= 1
-        todo.append(unit)
-    if outcome == "failed" or worker.is_spent(memory_mb, options):
-        workers.remove(worker)
-        worker.dismiss()
-
-
 def _end_of(exit_code: int) -> str:
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
@@ -227,38 +259,6 @@ def _end_of(exit_code: int) -> str:
     except ValueError:
         name = f"signal {-exit_code}"
     return f"was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
-
-
-def _failed(
-    unit: PlannedUnit,
-    reason: str,
-    log: Path | None,
-    todo: deque[PlannedUnit],
-    attempts: dict[str, int],
-    folder: DatasetFolder,
-    options: LocalOptions,
-    summary: RunSummary,
-    on_event: Callable[[Event], None],
-) -> None:
-    """Queue the unit again, or set it aside once its attempts are used up."""
-    if attempts[unit.id] < options.attempts:
-        todo.append(unit)
-        on_event(("retry", unit.id, reason, attempts[unit.id], options.attempts))
-        return
-    record = FailureRecord(
-        id=unit.id,
-        index=unit.index,
-        attempts=attempts[unit.id],
-        reason=reason,
-        log=str(log.relative_to(folder.root)) if log else "",
-        command=f"datagen run {shlex.quote(str(folder.root.resolve()))} --unit {unit.index} --attempts 0",
-    )
-    summary.failures.append(record)
-    # A full disk fails units and their records alike; the caller has them in the summary.
-    with suppress(OSError):
-        folder.failed_path.mkdir(exist_ok=True)
-        write_bytes_atomically(folder.failed_path / f"{unit.id}.json", canonical_json(record))
-    on_event(("set_aside", unit.id, reason, attempts[unit.id], options.attempts))
 
 
 def _stop_all(workers: list[_Worker]) -> None:
