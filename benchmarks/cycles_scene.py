@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.assembly.daylight import _SUN_HALF_ANGLE_RAD, _sunsky, lookup, sun_of
+from datagen.assembly.daylight import SUN_HALF_ANGLE_RAD, lookup, sun_of, sunsky
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.asset import MATERIAL_CHANNELS, EnvironmentAsset, ObjectAsset, Texture
 from datagen.formats.base import canonical_json
@@ -153,7 +153,7 @@ def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[n
         axis=-1,
     ).reshape(-1, 3)
     if isinstance(light, SkyLight):
-        values = light.sky_scale * _sunsky(
+        values = light.sky_scale * sunsky(
             light.sun_direction, light.turbidity, light.ground_albedo, 1.0, 0.0, directions
         )
     elif light.image is None:
@@ -181,7 +181,7 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
         with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, channels) as file:
             file.write(str(out / "sky.exr"))
         if isinstance(light, SkyLight) and light.sun_scale > 0:
-            sun = sun_of(light).model_copy(update={"angular_diameter_rad": 2 * _SUN_HALF_ANGLE_RAD})
+            sun = sun_of(light).model_copy(update={"angular_diameter_rad": 2 * SUN_HALF_ANGLE_RAD})
             lights.append(sun.model_dump(mode="json"))
     cameras = [camera.model_dump(mode="json") for camera in configuration.cameras]
     (out / "setup.json").write_bytes(canonical_json({"lights": lights, "cameras": cameras}))

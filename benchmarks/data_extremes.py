@@ -121,13 +121,13 @@ def spread_of_alike_views(num_views: int) -> float:
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
     """Views of the boxes from places beside the usual ones, each rendered anew."""
     from datagen.foundation.cameras import look_at
-    from oracles.multiview_scenes import _POSES, hit_boxes
+    from oracles.multiview_scenes import POSES, hit_boxes
 
     rng = np.random.default_rng(3)
     base = make_views((size,))
     found = []
     for index in range(num_views):
-        position, target = (np.array(p) for p in _POSES[index % len(_POSES)])
+        position, target = (np.array(p) for p in POSES[index % len(POSES)])
         camera: Camera = base[index % len(base)].camera
         camera = replace(camera, world_from_camera=look_at(position + rng.uniform(-0.2, 0.2, 3), target))
         directions = camera.ray_directions().reshape(-1, 3)

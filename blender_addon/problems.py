@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 ERROR, APPROXIMATION, NOTE = "error", "approximation", "note"
-SEVERITIES = (ERROR, APPROXIMATION, NOTE)
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,3 @@ class ExportRefused(Exception):
         self.problems = list(problems)
         errors = [problem for problem in self.problems if problem.severity == ERROR]
         super().__init__("\n".join(str(problem) for problem in errors) or "nothing to export")
-
-
-class ExportCancelled(Exception):
-    """The user cancelled; nothing was written and nothing is left in the file."""

@@ -34,7 +34,7 @@ class RecipeChanges:
 
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None
-    configurations: Annotated[int | None, typer.Option(help="How many configurations.")] = None
+    configurations: Annotated[int | None, typer.Option(help="Number of configurations.")] = None
     views: Annotated[int | None, typer.Option(help="Views a configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
@@ -67,7 +67,7 @@ class RunOptions:
     deep: Annotated[bool, typer.Option("--deep", help="Hash every shard again for the index.")] = False
     sheets: Annotated[bool, typer.Option(help="Write a contact sheet a configuration.")] = True
     space_check: Annotated[
-        bool, typer.Option(help="Refuse to begin where the disk is too small for the estimate.")
+        bool, typer.Option(help="Refuse to begin if the disk is too small for the estimate.")
     ] = True
     preview: Annotated[
         bool, typer.Option("--preview", help="Keep OUT/preview.html current: last views, rate, failures.")
@@ -314,7 +314,7 @@ def estimate(
     recipe_path: RecipeArgument,
     workers: WorkersOption = 1,
     library: LibraryOption = None,
-    out: Annotated[Path, typer.Option(help="Where the dataset would go, for the free disk.")] = Path(),
+    out: Annotated[Path, typer.Option(help="Folder of the dataset, for its free disk space.")] = Path(),
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Predict time, disk and memory of a recipe from two timed samples; exit code 1 if the disk is too small.

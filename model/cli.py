@@ -24,7 +24,7 @@ MOVED = {
 
 app = typer.Typer(
     name="materials",
-    help="Learn materials from a dataset, and apply what was learnt to captures of rooms.",
+    help="Train material networks on datasets, and apply them to captures of rooms.",
     cls=group_with(MOVED),
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -34,7 +34,7 @@ app = typer.Typer(
 
 @app.callback()
 def _materials(version: VersionOption = False) -> None:
-    """Learn materials from a dataset, and apply what was learnt to captures of rooms."""
+    """Train material networks on datasets, and apply them to captures of rooms."""
 
 
 @app.command()

@@ -44,7 +44,7 @@ class Event:
 Listener = Callable[[Event], object]
 ListenerOption = Annotated[
     list[str] | None,
-    typer.Option("--listener", help="MODULE:FUNCTION that hears of what happens, repeatable."),
+    typer.Option("--listener", help="MODULE:FUNCTION that receives events of the run, repeatable."),
 ]
 
 

@@ -22,7 +22,7 @@ BOXES = np.array(  # (box, low/high corner, xyz)
         [[0.4, 0.1, 0.0], [1.3, 0.9, 0.5]],
     ]
 )
-_POSES = (  # position, target
+POSES = (  # position, target
     ((0.3, -4.1, 2.2), (0.0, 0.3, 0.4)),
     ((-2.7, -3.2, 1.7), (0.1, 0.4, 0.5)),
     ((2.9, -2.6, 1.4), (-0.2, 0.5, 0.6)),
@@ -62,14 +62,14 @@ def is_occluded(centres: NDArray, points: NDArray) -> NDArray:
 
 def make_views(
     sizes: tuple[tuple[int, int], ...] = ((33, 22),),
-    num_views: int = len(_POSES),
+    num_views: int = len(POSES),
     seed: int = 5,
     is_noise: bool = True,
 ) -> list[StatisticsView]:
     """Views of the scene; ``sizes`` are (width, height) and taken in turn. Some pixels are not surface."""
     rng = np.random.default_rng(seed)
     views = []
-    for index, (position, target) in enumerate(_POSES[:num_views]):
+    for index, (position, target) in enumerate(POSES[:num_views]):
         width, height = sizes[index % len(sizes)]
         camera = Camera(
             width,

@@ -268,6 +268,15 @@ class ClosureWalk:
     def _emit(self, weight: Expression, radiance: Expression) -> None:
         self.result.emission = add(self.result.emission, multiply(weight, widen(radiance)))
 
+    def _round(self, stack: Stack, node: bpy.types.Node) -> None:
+        """Drop the anisotropy of a highlight."""
+        self._drop(
+            node,
+            self._value(stack, node, "Anisotropy"),
+            "anisotropy",
+            "the highlight is round; its area is kept, since the slope widths' geometric mean is roughness^2",
+        )
+
     def diffuse(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
         self._drop(
             node,
@@ -279,12 +288,7 @@ class ClosureWalk:
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
 
     def glossy(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        self._drop(
-            node,
-            self._value(stack, node, "Anisotropy"),
-            "anisotropy",
-            "the highlight is round; its area is kept, since the slope widths' geometric mean is roughness^2",
-        )
+        self._round(stack, node)
         self._normal(stack, node)
         colour = clamp(self._value(stack, node, "Color"))
         self._report(
@@ -293,12 +297,7 @@ class ClosureWalk:
         self._lobe(weight, BLACK, widen(colour), clamp(self._value(stack, node, "Roughness")))
 
     def metallic(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        self._drop(
-            node,
-            self._value(stack, node, "Anisotropy"),
-            "anisotropy",
-            "the highlight is round; its area is kept, since the slope widths' geometric mean is roughness^2",
-        )
+        self._round(stack, node)
         self._normal(stack, node)
         if node.fresnel_type == "PHYSICAL_CONDUCTOR":
             n, k = self._value(stack, node, "IOR"), self._value(stack, node, "Extinction")

@@ -20,7 +20,7 @@ from datagen.library import Library
 
 SUN_ELEVATION_RAD = (math.radians(6.0), math.radians(65.0))
 _TABLE_ROWS, _TABLE_COLUMNS = 32, 64
-_SUN_HALF_ANGLE_RAD = math.radians(0.5 * 0.5358)  # the aperture of Mitsuba's sunsky
+SUN_HALF_ANGLE_RAD = math.radians(0.5 * 0.5358)  # the aperture of Mitsuba's sunsky
 _SUN_SAMPLES = 128
 _SUN_TRIES = 24
 
@@ -97,7 +97,7 @@ def sun_of(light: SkyLight) -> DirectionalLight:
 @lru_cache(maxsize=64)
 def _sky_table(sun: tuple[float, float, float], turbidity: float, albedo: float) -> Floats:
     directions = directions_of_table()
-    values = _sunsky(sun, turbidity, albedo, 1.0, 0.0, directions.reshape(-1, 3))
+    values = sunsky(sun, turbidity, albedo, 1.0, 0.0, directions.reshape(-1, 3))
     return values.reshape(directions.shape)
 
 
@@ -108,15 +108,15 @@ def _sun_irradiance(sun: tuple[float, float, float], turbidity: float, albedo: f
     side /= np.linalg.norm(side)
     other = np.cross(axis, side)
     index = np.arange(_SUN_SAMPLES) + 0.5
-    cap = 1 - math.cos(_SUN_HALF_ANGLE_RAD)
+    cap = 1 - math.cos(SUN_HALF_ANGLE_RAD)
     cosine = 1 - cap * index / _SUN_SAMPLES
     sine, angle = np.sqrt(1 - cosine**2), math.pi * (3 - math.sqrt(5)) * index
     rim = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
     directions = cosine[:, None] * axis + sine[:, None] * rim
-    return _sunsky(sun, turbidity, albedo, 0.0, 1.0, directions).mean(axis=0) * 2 * math.pi * cap
+    return sunsky(sun, turbidity, albedo, 0.0, 1.0, directions).mean(axis=0) * 2 * math.pi * cap
 
 
-def _sunsky(
+def sunsky(
     sun: tuple[float, float, float],
     turbidity: float,
     albedo: float,

@@ -41,7 +41,7 @@ def export(
     min_overlap: Annotated[
         float, typer.Option(min=0, max=1, help="Flow: least share of a view that the other sees.")
     ] = 0.2,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be written and stop.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:
     """Write a dataset in the layout of another tool: Hypersim, nerfstudio, COCO, BOP, or optical flow.
 

@@ -28,7 +28,7 @@ def submit(
     options: SlurmOptions,
     engine: Annotated[str, typer.Option(help="slurm, pbs, or shell: only a list of commands.")] = "slurm",
     space_check: Annotated[
-        bool, typer.Option(help="Refuse to submit where the disk is too small for the estimate.")
+        bool, typer.Option(help="Refuse to submit if the disk is too small for the estimate.")
     ] = True,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only write the job scripts.")] = False,
 ) -> None:

@@ -76,7 +76,7 @@ class SlurmOptions:
     constraint: Annotated[str, typer.Option(help="Features that the units' nodes have.")] = ""
     exclude: Annotated[str, typer.Option(help="Nodes to leave out.")] = ""
     mail_user: Annotated[str, typer.Option(help="Address that Slurm writes to.")] = ""
-    mail_type: Annotated[str, typer.Option(help="What Slurm writes about, as END,FAIL.")] = ""
+    mail_type: Annotated[str, typer.Option(help="Events of Slurm's mails, such as END,FAIL.")] = ""
     sbatch_options: Annotated[
         tuple[str, ...],
         typer.Option("--sbatch-option", help="NAME or NAME=VALUE for sbatch, for the units; repeatable."),

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 recipe = typer.Typer(
-    name="recipe", help="Recipes: what dataset to make.", no_args_is_help=True, rich_markup_mode=None
+    name="recipe", help="Recipes: descriptions of datasets.", no_args_is_help=True, rich_markup_mode=None
 )
 SCHEMA_FILE = "recipe.schema.json"
 _TEXT = """\
@@ -37,8 +37,8 @@ def _recipe() -> None:
 @recipe.command()
 def new(
     file: Annotated[Path, typer.Argument(help="Recipe to write (YAML); its name names the dataset.")],
-    configurations: Annotated[int | None, typer.Option(min=1, help="How many rooms.")] = None,
-    views: Annotated[int | None, typer.Option(min=1, help="How many views of each.")] = None,
+    configurations: Annotated[int | None, typer.Option(min=1, help="Number of rooms.")] = None,
+    views: Annotated[int | None, typer.Option(min=1, help="Views of each.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,
     quality: Annotated[str | None, typer.Option(help="draft, standard or reference.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed: another one, other rooms.")] = 0,

@@ -7,23 +7,28 @@ Frame: metres, Z up. Surfaces are rastered in small squares of side ``square_m``
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import (
+    AssetCamera,
     Box,
     LightSlot,
     MaterialClass,
     Opening,
+    Part,
+    SlotMaterial,
     SupportKind,
     SupportSurface,
 )
 from datagen.formats.base import StrictModel, quantized, read_yaml
 from datagen.formats.lights import AreaLight, Light
+from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.importers.room_grid import MIN_CELL_M, RoomGrid, rectangles, short_vector, surface_points
 
@@ -45,6 +50,17 @@ class Annotations(StrictModel):
     camera_regions: tuple[Box, ...] | None = None
     classes: dict[str, tuple[MaterialClass, ...]] = {}
     replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
+
+    def over(self, places: RoomPlaces, openings: tuple[Opening, ...]) -> dict[str, Any]:
+        """Annotation fields of an environment: every list that is given, else the derived one."""
+        derived = {
+            "support_surfaces": places.support_surfaces,
+            "camera_regions": places.camera_regions,
+            "light_slots": places.light_slots,
+            "openings": openings,
+        }
+        given = {name: getattr(self, name) for name in derived}
+        return {name: derived[name] if value is None else value for name, value in given.items()}
 
 
 def read_annotations(path: Path | None) -> Annotations:
@@ -87,22 +103,38 @@ def find_places(
     return RoomPlaces(grid.floor_m, surfaces, regions, tuple(grid.ceiling_slots(regions)))
 
 
+def places_of_parts(
+    meshes: Sequence[Mesh],
+    parts: Sequence[Part],
+    slots: Mapping[str, SlotMaterial],
+    cameras: Sequence[AssetCamera],
+    findings: Findings,
+) -> RoomPlaces:
+    """:func:`find_places` for the parts of an environment; upholstered ones are seats, cameras are inside."""
+    triangles = [mesh.triangles() for mesh in meshes]
+    owners = np.repeat(np.arange(len(meshes)), [len(t) for t in triangles])
+    seats = {k for k, p in enumerate(parts) if slots[p.material].classes[0] in ("fabric", "leather")}
+    seeds = np.array([[row[3] for row in c.asset_from_camera[:3]] for c in cameras]).reshape(-1, 3)
+    places = find_places(np.concatenate(triangles), owners, seats, seeds)
+    if places.floor_m is None:
+        findings.note("places: no enclosed space found; give support surfaces and camera regions in a file")
+    return places
+
+
+def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
+    """Whether a rectangle is upright and larger than ``min_area_m2``."""
+    normal = np.cross(opening.edge_u_m, opening.edge_v_m)
+    area = float(np.linalg.norm(normal))
+    return area > min_area_m2 and bool(abs(normal[2]) < 0.5 * area)
+
+
 def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
     """Upright area lights of window size: scenes stand them into windows and doors. They point inwards."""
     found = []
     for light in lights:
-        if isinstance(light, AreaLight) and light.shape == "rectangle":
-            normal = np.cross(light.edge_u_m, light.edge_v_m)
-            area = float(np.linalg.norm(normal))
-            if area > 0.4 and abs(normal[2]) < 0.5 * area:
-                found.append(
-                    Opening(
-                        name=light.name,
-                        origin_m=light.origin_m,
-                        edge_u_m=light.edge_u_m,
-                        edge_v_m=light.edge_v_m,
-                    )
-                )
+        if isinstance(light, AreaLight) and light.shape == "rectangle" and is_window_sized(light, 0.4):
+            edges = {"edge_u_m": light.edge_u_m, "edge_v_m": light.edge_v_m}
+            found.append(Opening(name=light.name, origin_m=light.origin_m, **edges))
     return tuple(found)
 
 

@@ -24,7 +24,7 @@ class ImportWords:
     title: Annotated[str, typer.Option(help="Title of the asset.")] = ""
     license: Annotated[str, typer.Option(help="SPDX licence, if none is found beside it.")] = ""
     author: Annotated[str, typer.Option(help="Author, if none is found beside it.")] = ""
-    source: Annotated[str, typer.Option(help="Where it comes from.")] = ""
+    source: Annotated[str, typer.Option(help="Origin, such as a web address.")] = ""
     evaluation_only: Annotated[
         bool, typer.Option("--evaluation-only", help="Never offer it to plans that make training data.")
     ] = False
@@ -45,7 +45,7 @@ class ImportWords:
         tuple[str, ...],
         typer.Option(help="MATERIAL=STAND-IN for one see-through material, repeatable."),
     ] = ()
-    missing: Annotated[str, typer.Option(help="Files that are not there: refuse or replace.")] = "refuse"
+    missing: Annotated[str, typer.Option(help="Missing files: refuse or replace.")] = "refuse"
     annotations: Annotated[
         Path | None,
         typer.Option(help="YAML that states support surfaces, openings, light slots and camera regions."),

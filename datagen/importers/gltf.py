@@ -19,7 +19,6 @@ from datagen.formats.asset import (
     AssetCamera,
     EnvironmentAsset,
     ObjectAsset,
-    Opening,
     Part,
     SlotMaterial,
 )
@@ -310,15 +309,15 @@ class _GltfImporter:
     ) -> ImportedAsset:
         parts, slots, files, meshes = self._contents(pieces, np.zeros(3))
         cameras, lights = self._cameras(), tuple(self._lights())
-        places = self._places(parts, slots, meshes, cameras)
+        places = annotate.places_of_parts(meshes, parts, slots, cameras, self.findings)
         inside = _middle(places, meshes)
         glowing = [
             (part.name, mesh)
             for part, mesh in zip(parts, meshes, strict=True)
             if slots[part.material].emission is not None
         ]
-        openings = [annotate.opening_of(mesh, label, inside) for label, mesh in glowing]
-        known = self.annotations
+        openings = (annotate.opening_of(mesh, label, inside) for label, mesh in glowing)
+        windows = tuple(o for o in openings if annotate.is_window_sized(o, _OPENING_AREA_M2))
         asset = EnvironmentAsset(
             id=name,
             title=title,
@@ -327,30 +326,9 @@ class _GltfImporter:
             parts=parts,
             lights=lights,
             cameras=cameras,
-            support_surfaces=_first(known.support_surfaces, places.support_surfaces),
-            camera_regions=_first(known.camera_regions, places.camera_regions),
-            light_slots=_first(known.light_slots, places.light_slots),
-            openings=_first(known.openings, tuple(o for o in openings if _is_wide(o))),
+            **self.annotations.over(places, windows),
         )
         return finish(asset, files, out_library / "environments", self.options, self.findings)
-
-    def _places(
-        self,
-        parts: tuple[Part, ...],
-        slots: dict[str, SlotMaterial],
-        meshes: list[Mesh],
-        cameras: tuple[AssetCamera, ...],
-    ) -> annotate.RoomPlaces:
-        triangles = [mesh.triangles() for mesh in meshes]
-        owners = np.repeat(np.arange(len(meshes)), [len(t) for t in triangles])
-        seats = {k for k, p in enumerate(parts) if slots[p.material].classes[0] in ("fabric", "leather")}
-        seeds = np.array([[row[3] for row in c.asset_from_camera[:3]] for c in cameras]).reshape(-1, 3)
-        places = annotate.find_places(np.concatenate(triangles), owners, seats, seeds)
-        if places.floor_m is None:
-            self.findings.note(
-                "places: no enclosed space found; give support surfaces and camera regions in a file"
-            )
-        return places
 
     def _cameras(self) -> tuple[AssetCamera, ...]:
         """Perspective cameras; glTF's look along -Z with +Y up, and have no resolution of their own."""
@@ -437,13 +415,3 @@ def _middle(places: annotate.RoomPlaces, meshes: list[Mesh]) -> NDArray[np.float
         region = places.camera_regions[0]
         return (np.asarray(region.minimum_m) + np.asarray(region.maximum_m)) / 2
     return np.mean([m.positions.mean(axis=0, dtype=np.float64) for m in meshes], axis=0)
-
-
-def _is_wide(opening: Opening) -> bool:
-    normal = np.cross(opening.edge_u_m, opening.edge_v_m)
-    area = float(np.linalg.norm(normal))
-    return area > _OPENING_AREA_M2 and abs(normal[2]) < 0.5 * area
-
-
-def _first(given: Any, derived: Any) -> Any:
-    return derived if given is None else given

@@ -170,7 +170,7 @@ class LightConverter:
             )
         )
 
-    def _sunsky(self, node: SceneNode) -> None:
+    def sunsky(self, node: SceneNode) -> None:
         self._daylight(node, float(node.get("sky_scale", 1.0)), float(node.get("sun_scale", 1.0)))
 
     def _sky(self, node: SceneNode) -> None:

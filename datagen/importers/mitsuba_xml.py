@@ -123,7 +123,7 @@ class _SceneImporter:
         slots = self.build_materials(shapes, parts)
         places = self.find_places(placed, parts, slots, cameras)
         lights = tuple(self.lights.lights)
-        known = self.annotations
+        places = replace(places, light_slots=annotate.slots_of(lights) + places.light_slots)
         folder_name = self.path.parent.name if self.path.stem in ("scene", "scene_v3") else self.path.stem
         asset = EnvironmentAsset(
             id=self.options.asset_id or slug(folder_name),
@@ -133,10 +133,7 @@ class _SceneImporter:
             parts=tuple(parts),
             lights=lights,
             cameras=cameras,
-            support_surfaces=_first(known.support_surfaces, places.support_surfaces),
-            camera_regions=_first(known.camera_regions, places.camera_regions),
-            light_slots=_first(known.light_slots, annotate.slots_of(lights) + places.light_slots),
-            openings=_first(known.openings, annotate.openings_of(lights)),
+            **self.annotations.over(places, annotate.openings_of(lights)),
         )
         return finish(asset, self.files, out_library / "environments", self.options, self.findings)
 
@@ -397,17 +394,7 @@ class _SceneImporter:
         known = self.annotations
         if None not in (known.support_surfaces, known.camera_regions, known.light_slots):
             return annotate.RoomPlaces(None)
-        triangles = [mesh.triangles() for mesh in placed]
-        classes = np.repeat(np.arange(len(placed)), [len(t) for t in triangles])
-        upholstery = ("fabric", "leather")
-        seats = {k for k, p in enumerate(parts) if slots[p.material].classes[0] in upholstery}
-        seeds = np.array([[row[3] for row in c.asset_from_camera[:3]] for c in cameras]).reshape(-1, 3)
-        places = annotate.find_places(np.concatenate(triangles), classes, seats, seeds)
-        if places.floor_m is None:
-            self.findings.note(
-                "places: no enclosed space found; give support surfaces and camera regions in a file"
-            )
-        return places
+        return annotate.places_of_parts(placed, parts, slots, cameras, self.findings)
 
 
 def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
@@ -451,7 +438,3 @@ def _pieces(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int32]:
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else quantized(value, 6)
-
-
-def _first(given: Any, derived: Any) -> Any:
-    return derived if given is None else given

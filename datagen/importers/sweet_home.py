@@ -40,7 +40,6 @@ from datagen.importers.packaging import finish
 from datagen.importers.sweet_home_catalogue import Catalogue, Piece, open_catalogue
 from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConverter
 
-SUFFIX = ".sh3f"
 _IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")
 _OUTER = 0.02  # share of an extent by which a pane must reach beyond the rest to stay
 _STRETCH = 1.05  # a model whose sides are scaled more unequally than this is said to be stretched

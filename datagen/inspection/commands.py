@@ -62,7 +62,7 @@ def verify(
     as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Let warnings fail as well.")] = False,
     recheck: Annotated[
-        int, typer.Option(min=0, help="Render so many random views again by plain path tracing, and compare.")
+        int, typer.Option(min=0, help="Render N random views again by plain path tracing, and compare.")
     ] = 0,
     recheck_samples: Annotated[
         int, typer.Option(min=4, help="Paths a pixel of each, a multiple of 4.")
@@ -108,7 +108,7 @@ def report(
     ] = False,
     workers: WorkersOption = 1,
     library: LibraryOption = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be written and stop.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:
     """Write a page that shows what a dataset holds, with a viewer; it opens from disk in any browser.
 

@@ -55,7 +55,7 @@ def tradeoff(
     out: Annotated[Path, typer.Option("--out", help="Folder for references, trials and results.")],
     options: SweepOptions,
     limits: Limits,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be measured and stop.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned trials and stop.")] = False,
 ) -> None:
     """Measure error against time over everything that costs time, and recommend a setting for an error.
 

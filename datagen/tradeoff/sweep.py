@@ -51,7 +51,7 @@ class SweepOptions:
     ] = 512
     sweeps: Annotated[
         tuple[str, ...],
-        typer.Option("--sweep", help="What to vary: NAME or NAME=VALUE,VALUE, repeatable."),
+        typer.Option("--sweep", help="Setting to vary: NAME or NAME=VALUE,VALUE, repeatable."),
     ] = tuple(SWEEPS)
     with_factorial: Annotated[
         bool,

@@ -27,7 +27,7 @@ def evaluate(
         typer.Option("--compare", help="evaluation.json of another run, or its folder: print differences."),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print what would be done; render nothing.")
+        bool, typer.Option("--dry-run", help="Print the planned work; render nothing.")
     ] = False,
     quiet: QuietOption = False,
 ) -> None:

@@ -42,7 +42,7 @@ class FrameOptions:
             "--unit",
             parser=_metres,
             metavar="METRES",
-            help="Of a unit of cameras and mesh, or auto (default).",
+            help="Metres in a unit of cameras and mesh, or auto (default).",
         ),
     ] = None
     max_width_px: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = (
@@ -65,8 +65,8 @@ class CaptureOptions(FrameOptions):
         typer.Option(help="Packages that a shard was rendered with, repeatable; default: its own, bundled."),
     ] = ()
     mesh_up: Annotated[Literal["same", Axis], typer.Option(help="Up axis of the mesh.")] = "same"
-    encoding: Annotated[Encoding, typer.Option(help="How the photographs' values stand for light.")] = "auto"
+    encoding: Annotated[Encoding, typer.Option(help="Transfer function of the photographs' values.")] = "auto"
     exposure: Annotated[
-        Exposure, typer.Option(help="auto: what EXIF and overlaps tell; exif alone; or common.")
+        Exposure, typer.Option(help="auto: EXIF and common surfaces; exif alone; or common.")
     ] = "auto"
     limits: Limits | None = None

@@ -60,13 +60,16 @@ class InferOptions(AssetOptions):
     (``geometry.pose_mending``)."""
 
     visibility: Annotated[
-        Literal["depth", "trace"], typer.Option(help="What a texel's views are found by.")
+        Literal["depth", "trace"],
+        typer.Option(help="Visibility test of views: depth buffers or shadow rays."),
     ] = "depth"
-    weights: Annotated[Weights, typer.Option(help="Of the medians over views.")] = "none"
-    materials: Annotated[Materials, typer.Option(help="From the network, from light, or both.")] = "both"
-    precision: Annotated[Literal["auto", "float32", "bfloat16"], typer.Option(help="Of the networks.")] = (
-        "auto"
+    weights: Annotated[Weights, typer.Option(help="Weights of the medians over views.")] = "none"
+    materials: Annotated[Materials, typer.Option(help="Source of materials: network, light, or both.")] = (
+        "both"
     )
+    precision: Annotated[
+        Literal["auto", "float32", "bfloat16"], typer.Option(help="Precision of the networks.")
+    ] = "auto"
     batch: int = 4
     is_filtered: Annotated[
         bool, typer.Option("--filter/--no-filter", help="Run the bilateral solver over predicted maps.")
@@ -84,7 +87,8 @@ class InferOptions(AssetOptions):
     ] = False
     is_evened: bool = True
     mends_poses: Annotated[
-        bool, typer.Option("--mend-poses", help="Mend cameras that are off by millimetres; says by how much.")
+        bool,
+        typer.Option("--mend-poses", help="Align cameras that are off by millimetres; report the shifts."),
     ] = False
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
-from typing import Protocol
 
 import torch
 import torch.nn.functional as F
@@ -30,16 +29,6 @@ _SCALE = (0.458, 0.448, 0.450)
 _POOL_BEFORE = (2, 4, 7, 10)
 _BLOCK_ENDS = (1, 3, 6, 9, 12)
 _PERMUTATIONS = tuple(permutations(range(3)))
-
-
-class PerceptualLoss(Protocol):
-    """A distance with the name under which a checkpoint records it."""
-
-    name: str
-
-    def __call__(self, image: Tensor, reference: Tensor, generator: torch.Generator) -> Tensor:
-        """Distances (B,) >= 0; gradients flow to ``image`` only. Draws come from the CPU ``generator``."""
-        ...
 
 
 # --- the random transforms --------------------------------------------------------------------------------

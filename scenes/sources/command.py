@@ -27,7 +27,7 @@ def _parser() -> argparse.ArgumentParser:
     build.add_argument(
         "--quality", type=int, default=1, choices=(1, 2, 4, 8), help="textures this many times finer"
     )
-    build.add_argument("--verbose", action="store_true", help="print what the export approximated")
+    build.add_argument("--verbose", action="store_true", help="print the approximations of the export")
     preview = verbs.add_parser("preview", help="render a source with Cycles")
     preview.add_argument("id")
     preview.add_argument("--out", type=Path, required=True, help="a PNG file")

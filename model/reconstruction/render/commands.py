@@ -93,7 +93,7 @@ def _warn(text: str) -> None:
 
 
 def view(
-    asset: Annotated[Path, typer.Argument(help="What `materials infer` wrote, or an asset package.")],
+    asset: Annotated[Path, typer.Argument(help="Output of `materials infer`, or an asset package.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the page.")],
     max_side: Annotated[
         int, typer.Option("--max-side", min=64, max=4096, help="Larger textures are averaged down.")

@@ -17,9 +17,9 @@ class FilmOptions:
 
     way: Annotated[
         Literal["orbit", "cameras"],
-        typer.Option(help="Film: orbit, a turn inside; or through the asset's cameras."),
+        typer.Option(help="Film: orbit inside the room, or through the asset's cameras."),
     ] = "orbit"
-    frames: Annotated[int, typer.Option(min=2, help="Film: frames of the whole way.")] = 48
+    frames: Annotated[int, typer.Option(min=2, help="Film: number of frames.")] = 48
     frames_per_second: Annotated[float, typer.Option("--fps", help="Film: frames a second.")] = 12.0
     max_width_px: Annotated[
         int, typer.Option("--max-width", min=16, help="Film: wider frames are shrunk.")
