@@ -5,11 +5,11 @@ views.
     python -m benchmarks.bench_recorded_error                      96x64: references, views, figures, picture
     python -m benchmarks.bench_recorded_error --size 320 192 --views 1 --samples 128
 
-Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). What is true
-is what `datagen verify --recheck` measures: four independent parts of plain paths of up to 65 segments, here
-with shadow rays through the windows, which has the same expectation. Parts are kept in --cache, so that the
-command goes on where it was stopped. A view whose true error is known worse than to a quarter counts as *not
-known*.
+Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The true
+error is measured as by `datagen verify --recheck`: four independent parts of plain paths of up to 65
+segments, here with shadow rays through the windows, which has the same expectation. Parts are kept in
+--cache, so that the command goes on where it was stopped. A view whose true error is known worse than to a
+quarter counts as *not known*.
 """
 
 from __future__ import annotations

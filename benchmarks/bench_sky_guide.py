@@ -6,7 +6,7 @@
 Rooms of the bundled library as recipes make them, each view traced with ``--samples`` paths a pixel, four
 times with and four times without the guide, with the firefly clamp of the named qualities. Variance is the
 exposed relMSE of one image against the next, halved, mean over views; time is processor time, median over
-images. Their product is the relative time for the same noise. What learning costs is given beside it.
+images. Their product is the relative time for the same noise. The cost of learning is given beside it.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """Mutants of a module: single changes of its source text, found in its syntax tree.
 
 Text is replaced where the tree says that a piece of it stands, so that all else, line numbers included,
-stays. What only words a message, annotates or imports is left alone.
+stays. Messages, annotations and imports are left alone.
 """
 
 from __future__ import annotations

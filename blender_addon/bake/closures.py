@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A graph of closures as a list of weighted lobes, each a diffuse reflectance, an F0 and a roughness.
 
-Mix Shader weights its inputs, Add Shader sums them, groups are looked through. What the project's BSDF cannot
-hold is approximated with a statement of the error or refused by name: the policy for each closure is in the
-function that handles it and, in words, in docs/blender.md.
+Mix Shader weights its inputs, Add Shader sums them, groups are looked through. Closures without a counterpart
+in the project's BSDF are approximated with a statement of the error or refused by name: the policy for each
+closure is in the function that handles it and, in words, in docs/blender.md.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 """Cameras: where a person with a camera would stand, looking at what is in the room.
 
 Candidates are drawn in free space, aimed at things, and looked through at low resolution on the real
-triangles. What is too close, shows too little, is too dark or shares too little with the other views is
-thrown away and counted. The views are then chosen one by one among the rest: each must share enough with
-those chosen before, and among those that do, the one that differs most in place and direction wins.
-Letters: C candidates, H x W pixels of the low-resolution image, P points.
+triangles. Candidates that are too close, show too little, are too dark or overlap too little with other views
+are rejected and counted. The views are then chosen one by one among the rest: each must share enough with
+those chosen before, and among those that do, the one that differs most in place and direction wins. Letters:
+C candidates, H x W pixels of the low-resolution image, P points.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """Runs a plan on PBS (OpenPBS, PBS Professional): array jobs that look their unit up in a list.
 
 PBS arrays have no gaps and at least two members, so that the members' units stand in the script. PBS gives no
-notice before a time limit; the script does. What is unfinished then submits itself again.
+notice before a time limit; the script does. Unfinished units then submit themselves again.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def fault_of(
 ) -> tuple[Path | None, str]:
     """The file (or folder) behind a name in ``folder``, links followed, or None and why it is refused.
 
-    ``allowed`` are further folders into which names may lead. What is not there is no fault.
+    ``allowed`` are further folders into which names may lead. Missing files are no fault.
     """
     name = name.replace("\\", "/")
     if not name:

@@ -67,7 +67,7 @@ class Bars:
         return [task for task in self._bars.tasks if not task.finished]
 
     def tell(self, stage: str, done: int, total: int, note: str = "") -> None:
-        """Show where a stage is. What was done when it is first told of is no work of this run."""
+        """Show where a stage is. Steps that are done at the first report are not work of this run."""
         if self.is_quiet:
             return
         now = time.monotonic()

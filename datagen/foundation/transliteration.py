@@ -2,7 +2,7 @@
 """Names in other alphabets, in the letters of ids and files: Küche is kueche, Öl-Eiche oel-eiche.
 
 German writes its umlauts as two letters; accents are left out; letters that are no others with an accent
-(ø, ł, ß), Greek and Cyrillic go by the tables. What has no Latin writing here is named by its code points,
+(ø, ł, ß), Greek and Cyrillic go by the tables. Characters without a Latin form here become their code points,
 so that two such names stay two.
 """
 

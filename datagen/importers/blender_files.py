@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Files that Blender reads (FBX, USD, .blend, glTF with Draco): its module makes glTF of them, in a process
-of its own, and that is imported. What it makes draws on the same budget as any other glTF file.
+of its own, and that is imported. Its output is charged to the same budget as any other glTF file.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass
 
 
 def guess_category(*names: str) -> str:
-    """Object category by names; '' if none is known. What comes ``with`` a thing does not count (``chair with
+    """Object category by names; '' if none is known. Words after ``with`` do not count (``chair with
     cushion`` is a seat); of several words the last says what it is (``table lamp``)."""
     for name in names:
         words = words_of(name)
@@ -150,7 +150,7 @@ def guess_category(*names: str) -> str:
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
     """Supports of an object: furniture and large things stand on the floor, small ones on furniture.
 
-    What is larger than 40 cm stands on a table only if its category does so at that size (a vase, a lamp);
+    Objects larger than 40 cm stand on a table only if their category does so at that size (a vase, a lamp);
     a thing of unknown kind may be a stool.
     """
     if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A Mitsuba 3 scene (XML) as an environment package: one part a shape, metres, Z up.
 
-What is converted and how well is set out in docs/importing.md. Nothing is dropped or replaced silently: it is
+docs/importing.md lists the conversions and their errors. Nothing is dropped or replaced silently: it is
 refused by name, or replaced by option and listed in the record of the import.
 """
 

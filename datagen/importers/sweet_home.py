@@ -2,9 +2,9 @@
 """Sweet Home 3D furniture libraries (.sh3f) as object packages: hundreds of objects by one command.
 
 A model is turned by its catalogue's rotation, stretched to the catalogue's width, depth and height, put
-upright (the file's +Y is up, its +Z the front, which becomes -Y) and on z = 0. What cannot be imported is
-refused by name and the rest goes on; packages that are there already are kept, so that an interrupted import
-goes on where it stopped.
+upright (the file's +Y is up, its +Z the front, which becomes -Y) and on z = 0. Pieces that cannot be imported
+are refused by name, the others are imported; packages that are there already are kept, so that an interrupted
+import goes on where it stopped.
 """
 
 from __future__ import annotations

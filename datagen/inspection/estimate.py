@@ -2,8 +2,8 @@
 """Predicts time, disk and memory of a recipe from a few timed samples, before anything large starts.
 
 Two small plans of the same recipe, with few and with twice as many views, run through the real stages in a
-temporary folder. What a view costs, what a configuration costs once, and what grows with the number of views
-(statistics and memory) follow from the two by straight lines.
+temporary folder. The cost of a view, the fixed cost of a configuration, and costs that grow with the number
+of views (statistics and memory) follow from the two by straight lines.
 """
 
 from __future__ import annotations

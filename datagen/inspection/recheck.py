@@ -87,7 +87,7 @@ def recheck(
     """Render ``count`` views again with ``samples`` paths a pixel, a multiple of 4; faults and notes go to
     ``report``.
 
-    Which views follows from the recipe's seed. Raises :class:`InputError` where there is no dataset; a
+    The recipe's seed selects the views. Raises :class:`InputError` where there is no dataset; a
     configuration whose assets have changed since is left out with a note.
     """
     if samples < PARTS or samples % PARTS:

@@ -4,7 +4,7 @@
 Compiled functions release Python's lock: threads of a pool run them side by side on tiles of their own, so
 that Numba needs no threading layer beside those of torch and Mitsuba. Compiling takes seconds; the result is
 kept beside the source or, where that cannot be written, in the user's cache (``NUMBA_CACHE_DIR`` names
-another place). What is kept for a function is renewed when its own module changes; after a change of a
+another place). A function's cache is renewed when its own module changes; after a change of a
 function that another module's loop calls, remove the ``__pycache__``.
 """
 

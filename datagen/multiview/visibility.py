@@ -15,7 +15,7 @@ A view sees p (method 2) if p projects inside its image, n . omega_i > 0 and not
 - ``trace`` asks the scene's geometry with a shadow ray from the camera that ends a relative distance
   ``trace_tolerance / max(n . omega_i, 0.05)`` before p.
 
-What is marked *traced* takes and returns Dr.Jit arrays and may be called inside a kernel; the view index is
+Functions marked *traced* take and return Dr.Jit arrays and may be called inside a kernel; the view index is
 an array, never a literal, so that one compiled kernel serves every view and any number of views. Pixels of
 all views are stored one view after another, so views may differ in size.
 """

@@ -2,7 +2,7 @@
 """Pieces of furniture as data: shapes by slot, surfaces for things, lamps, and the space that they need.
 
 An item's frame is that of a wall: its back is the plane y = 0, its front looks along -y, x runs to the right
-for who looks at it, z = 0 is where it rests. What hangs from a ceiling has z = 0 there and reaches down.
+for who looks at it, z = 0 is where it rests. Items that hang from a ceiling have z = 0 there and reach down.
 """
 
 from __future__ import annotations

@@ -362,8 +362,8 @@ class GltfFile:
                 rest.extend((child, matrix, depth + 1) for child in reversed(children))
 
     def placed_primitives(self, nodes: Sequence[PlacedNode]) -> int:
-        """Number of primitives in the meshes of some nodes, each counted as often as it is placed. What they
-        come to is spent, before any of them is read."""
+        """Number of primitives in the meshes of some nodes, each counted as often as it is placed. Their
+        total is charged to the budget before any of them is read."""
         for index, buffer in enumerate(self.items("buffers")):
             content = self.resource(str(buffer.get("uri", "data:,")), f"buffers[{index}].uri")
             if isinstance(content, Path) and content.is_file():

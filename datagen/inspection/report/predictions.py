@@ -128,7 +128,7 @@ class CompareJob:
 def compare_shard(job: CompareJob) -> dict[str, Any]:
     """Errors of every view of a shard as plain data; writes tiles of predicted maps.
 
-    What is missing or wrong with a prediction is part of the result. Raises :class:`InputError` where the
+    Faults of a prediction are part of the result. Raises :class:`InputError` where the
     shard itself is damaged.
     """
     key = job.key

@@ -51,8 +51,8 @@ class ViewResult:
 def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
     """Write the page of an asset package, or of a folder that ``materials infer`` has written, into ``out``.
 
-    What was seen and how sure it is are taken from ``atlas/mask.png`` and ``confidence.png`` beside the
-    package, where they are. Raises :class:`InputError` for other input, and where ``out`` holds other files.
+    Masks of seen texels and confidence come from ``atlas/mask.png`` and ``confidence.png`` beside the
+    package, if present. Raises :class:`InputError` for other input, and where ``out`` holds other files.
     """
     package_path = source / "asset" if is_package(source / "asset") else source
     _check_out(out)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Environment packages as captures: cameras, meshes and lights of the package, photographs beside it.
 
-What the Blender add-on exports of a scene is such a package, so that a scene modelled over photographs needs
-no other export. A photograph bears its camera's name.
+The Blender add-on exports such packages, so that a scene modelled over photographs needs no other export. A
+photograph bears its camera's name.
 """
 
 from __future__ import annotations

@@ -62,8 +62,8 @@ class ImageMissing(Exception):
 
 class ImageFinder:
     """Finds images by the names that calibrations give them, which may be absolute paths of another computer,
-    lack their suffix or differ in case. What lies outside the folder, or is a link that leads there, is not
-    found: calibrations come from strangers."""
+    lack their suffix or differ in case. Files outside the folder, or links that lead there, are not found:
+    calibrations come from strangers."""
 
     def __init__(self, folder: Path):
         self.folder = folder

@@ -78,7 +78,7 @@ def make_asset(
     tell: Progress,
     say: Callable[[str], None],
 ) -> Made:
-    """Everything from ``folder`` to ``out``. What is there from an earlier run is not made again.
+    """Everything from ``folder`` to ``out``. Results of an earlier run are kept.
 
     Raises :class:`InputError` where the input is bad, a program lacks or fails, or ``out`` holds other work.
     """
