@@ -3,7 +3,7 @@
 
 The probe gives each group's contribution to the mean irradiance at camera positions; shares are drawn
 log-uniformly, each from its range, and scaled so that their sum is the irradiance drawn from the recipe. A
-light that adds nothing is dropped and counted.
+light that adds nothing is dropped and counted. Beside panoramas lamps are white-balanced.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from datagen.assembly.daylight import environment_radiance, sky_radiance, sun_of
 from datagen.assembly.geometry import Floats, Hits
 from datagen.assembly.light_probe import LUMINANCE, Emitters, LightGroup, LightProbe, Rectangle
 from datagen.assembly.lights import PlannedGroup, RoomToLight, plan_lights, plan_panels
+from datagen.assembly.white_balance import NO_TINT, Tint, tint_of_lamps
 from datagen.formats.base import quantized
 from datagen.formats.light_changes import scaled
 from datagen.formats.lights import (
@@ -70,12 +71,14 @@ def light_room(
 ) -> Lighting:
     """Choose lights and set their intensities. Raises :class:`InputError`."""
     groups = plan_lights(room, recipe, library, key, rejections)
-    probe, arriving = _probe(room, groups, library, key)
+    probe, irradiance = _probe(room, groups, library, key)
+    arriving = (irradiance @ LUMINANCE).mean(axis=0)
     useful = arriving > _NEGLIGIBLE * max(float(arriving.max(initial=0.0)), 1e-12)
     if not useful.any():
         rejections["light.no_effect"] += len(groups)
         groups = plan_panels(room, recipe, 2, Draws(*key, "panel"), rejections)
-        probe, arriving = _probe(room, groups, library, key)
+        probe, irradiance = _probe(room, groups, library, key)
+        arriving = (irradiance @ LUMINANCE).mean(axis=0)
         useful = arriving > 0
     if not useful.any():
         counts = ", ".join(
@@ -97,10 +100,15 @@ def light_room(
         quantized(target * share / total / float(e), 4) if is_useful else 0.0
         for share, e, is_useful in zip(shares, arriving, useful, strict=True)
     ]
+    seen = np.einsum("pgc,g->c", irradiance, np.array(gains))
+    tint = NO_TINT if recipe.panoramas is None else tint_of_lamps(seen)
     lights = [
-        scaled(light, g) for group, g in zip(groups, gains, strict=True) if g > 0 for light in group.lights
+        scaled(light, g, tint)
+        for group, g in zip(groups, gains, strict=True)
+        if g > 0
+        for light in group.lights
     ]
-    emission = _emission(room, groups, gains)
+    emission = _emission(room, groups, gains, tint)
     return Lighting(_named(lights), emission, probe, tuple(gains), float(np.dot(gains, arriving)))
 
 
@@ -116,7 +124,7 @@ def _named(lights: list[Light]) -> tuple[Light, ...]:
 
 
 def _emission(
-    room: RoomToLight, groups: list[PlannedGroup], gains: list[float]
+    room: RoomToLight, groups: list[PlannedGroup], gains: list[float], tint: Tint
 ) -> tuple[dict[str, tuple[float, float, float]], ...]:
     """Radiance of every emissive slot by placed asset; 0 for those of no group."""
     gain_of = {slot: gain for group, gain in zip(groups, gains, strict=True) for slot in group.slots}
@@ -127,7 +135,7 @@ def _emission(
             own = asset.materials[slot].emission
             if own is not None:
                 gain = gain_of.get((item, slot), 0.0)
-                red, green, blue = (quantized(gain * c, 6) for c in own)
+                red, green, blue = (quantized(gain * t * c, 6) for t, c in zip(tint, own, strict=True))
                 found[slot] = (red, green, blue)
         emission.append(found)
     return tuple(emission)
@@ -136,7 +144,7 @@ def _emission(
 def _probe(
     room: RoomToLight, groups: list[PlannedGroup], library: Library, key: tuple[int | str, ...]
 ) -> tuple[LightProbe, Floats]:
-    """The probe of a room and the mean luminous irradiance (G,) of each group at camera positions."""
+    """The probe of a room and the irradiance (P, G, 3) of each group at camera positions."""
     probe = LightProbe(
         room.scene,
         _albedo_of_faces(room),
@@ -144,9 +152,8 @@ def _probe(
         room.environment.openings,
     )
     if not groups or not len(room.eyes):
-        return probe, np.zeros(len(groups))
-    irradiance = probe.irradiance(room.eyes, Draws(*key, "probe"))
-    return probe, (irradiance @ LUMINANCE).mean(axis=0)
+        return probe, np.zeros((1, len(groups), 3))
+    return probe, probe.irradiance(room.eyes, Draws(*key, "probe"))
 
 
 def _probe_group(room: RoomToLight, group: PlannedGroup, library: Library) -> LightGroup:

@@ -76,8 +76,10 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
     _, tint, specular = colorsys.rgb_to_hsv(*mean.specular_albedo)
     if not _holds(look.specular, specular) or not _holds(look.tint, tint):
         return None
-    values = _scales(look.value, value, _MAX_FACTOR if is_tint else limits.value)
-    saturations = _scales(look.saturation, saturation, _MAX_FACTOR if is_tint else limits.saturation)
+    most_value = _MAX_FACTOR if is_tint else limits.value
+    most_saturation = _MAX_FACTOR if is_tint else limits.saturation
+    values = _scales(look.value, value, 1 / max(most_value, look.stain), most_value)
+    saturations = _scales(look.saturation, saturation, 1 / max(most_saturation, look.stain), most_saturation)
     step = 2 * limits.roughness_step if is_tint else limits.roughness_step
     offsets = _meet((look.roughness[0] - mean.roughness, look.roughness[1] - mean.roughness), (-step, step))
     turns = (0.0, 0.0)
@@ -85,7 +87,8 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
         wanted = 0.5 * (look.hue[0] + look.hue[1])
         shift = (wanted - hue + 0.5) % 1.0 - 0.5
         half = 0.5 * (look.hue[1] - look.hue[0])
-        most = 0.5 if limits.hue_turns >= _DYED_HUE_TURNS else limits.hue_turns
+        is_dyed = look.is_printed or limits.hue_turns >= _DYED_HUE_TURNS
+        most = 0.5 if is_dyed else limits.hue_turns
         turns = _meet((shift - half, shift + half), (-most, most))  # type: ignore[assignment]
     if values is None or saturations is None or offsets is None or turns is None:
         return None
@@ -101,11 +104,11 @@ def _meet(one: Interval, other: Interval) -> Interval | None:
     return (low, high) if low <= high else None
 
 
-def _scales(wanted: Interval, own: float, most: float) -> Interval | None:
-    """Factors on ``own`` that bring it into ``wanted``, none beyond ``most`` or its inverse."""
+def _scales(wanted: Interval, own: float, least: float, most: float) -> Interval | None:
+    """Factors on ``own`` in [``least``, ``most``] that bring it into ``wanted``."""
     if own <= _GREY and _holds(wanted, own):
         return (1.0, 1.0)  # of black and of grey nothing can be scaled
-    return _meet((wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1.0 / most, most))
+    return _meet((wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (least, most))
 
 
 @dataclass(frozen=True)

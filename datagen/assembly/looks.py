@@ -8,7 +8,8 @@ handles and taps, one accent colour, white or dark or wooden joinery.
 Sources. EN 12464-1:2021 recommends reflectances of 0.7 to 0.9 for ceilings, 0.5 to 0.8 for walls, 0.2 to 0.6
 for floors and 0.2 to 0.7 for large objects; ranges are wider where practice differs (dark floors, coloured
 walls). Hues, saturations and roughness: ``python -m datagen.assembly.surface_statistics`` over imported
-rooms.
+rooms. Woods: planed wood has CIELAB values of about L* 45 to 85, a* 3 to 13 and b* 16 to 25, which is a
+saturation of 0.45 to 0.75 in linear HSV; oil and lacquer raise it to 0.85, whitewash and weathering lower it.
 """
 
 from __future__ import annotations
@@ -24,8 +25,6 @@ Joinery = Literal["white", "wood", "dark"]
 Interval = tuple[float, float]
 ANY: Interval = (0.0, 1.0)
 
-_WOOD_TONES: tuple[Interval, ...] = ((0.36, 0.66), (0.18, 0.38), (0.05, 0.19))  # pale, middle, dark
-_WOOD_WEIGHTS = (0.42, 0.38, 0.2)
 _FINISHES: tuple[Finish, ...] = ("steel", "brass", "black")
 _FINISH_WEIGHTS = (0.62, 0.2, 0.18)
 _JOINERY: tuple[Joinery, ...] = ("white", "wood", "dark")
@@ -43,11 +42,34 @@ ACCENT_SPREAD = 0.03  # hues of one accent differ by so much of a turn
 
 
 @dataclass(frozen=True)
-class RoomStyle:
-    """Style of a room: values of wood (furniture, floor), a hue, a metal, joinery."""
+class Wood:
+    """A tone of wood: ranges of the mean of D in linear HSV."""
 
-    wood: Interval
-    floor: Interval
+    value: Interval
+    saturation: Interval
+    hue: Interval
+
+
+_WOODS: tuple[Wood, ...] = (
+    Wood((0.45, 0.68), (0.18, 0.38), (0.07, 0.105)),  # whitewashed
+    Wood((0.5, 0.72), (0.4, 0.58), (0.065, 0.095)),  # ash, maple, birch
+    Wood((0.45, 0.7), (0.54, 0.74), (0.055, 0.09)),  # pine, beech
+    Wood((0.3, 0.5), (0.5, 0.72), (0.055, 0.09)),  # oak
+    Wood((0.18, 0.36), (0.15, 0.38), (0.07, 0.105)),  # grey oak
+    Wood((0.2, 0.42), (0.62, 0.84), (0.035, 0.065)),  # cherry, teak, mahogany
+    Wood((0.1, 0.24), (0.5, 0.78), (0.04, 0.07)),  # walnut
+    Wood((0.02, 0.1), (0.3, 0.68), (0.03, 0.08)),  # dark stain
+)
+_WOOD_WEIGHTS = (0.1, 0.14, 0.16, 0.24, 0.07, 0.1, 0.13, 0.06)
+WOOD_STAIN = 2.5
+
+
+@dataclass(frozen=True)
+class RoomStyle:
+    """Style of a room: tones of wood (furniture, floor), a hue, a metal, joinery."""
+
+    wood: Wood
+    floor: Wood
     accent_hue: float
     finish: Finish
     joinery: Joinery
@@ -55,8 +77,8 @@ class RoomStyle:
     @classmethod
     def draw(cls, draws: Draws) -> RoomStyle:
         """A style; half of the floors are of the furniture's tone."""
-        wood = draws.weighted(_WOOD_TONES, _WOOD_WEIGHTS)
-        other = draws.weighted(_WOOD_TONES, _WOOD_WEIGHTS)
+        wood = draws.weighted(_WOODS, _WOOD_WEIGHTS)
+        other = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         floor = wood if draws.chance(0.5) else other
         accent = draws.uniform(*draws.weighted(_ACCENTS, _ACCENT_WEIGHTS))
         finish = draws.weighted(_FINISHES, _FINISH_WEIGHTS)
@@ -68,8 +90,10 @@ class Look:
     """A class with ranges of means: ``value`` and ``saturation`` of D, its ``hue`` (turns; None: its own),
     ``roughness`` R, ``specular`` the brightest channel of S and ``tint`` the saturation of S.
 
-    ``follows`` takes the value range of a wood from the style, or the hue from its accent; ``only`` is a
-    choice of the style without which the look does not occur.
+    ``follows`` takes the ranges of a wood from the style, or the hue from its accent; ``only`` is a
+    choice of the style without which the look does not occur. ``stain``: a textured material may be darkened
+    and its saturation lowered by this factor, if that is more than its class allows. ``is_printed``: its hue
+    is free, whatever its class.
     """
 
     weight: float
@@ -82,21 +106,29 @@ class Look:
     tint: Interval = ANY
     follows: Literal["", "wood", "floor", "accent"] = ""
     only: Finish | Joinery | None = None
+    stain: float = 1.0
+    is_printed: bool = False
 
     def in_style(self, style: RoomStyle) -> Look | None:
         """The look with the style's choices applied; None where the style excludes it."""
         if self.only is not None and self.only not in (style.finish, style.joinery):
             return None
-        value, hue = self.value, self.hue
+        plain = replace(self, follows="", only=None)
         if self.follows in ("wood", "floor"):
-            value = style.wood if self.follows == "wood" else style.floor
+            tone = style.wood if self.follows == "wood" else style.floor
+            return replace(plain, value=tone.value, saturation=tone.saturation, hue=tone.hue)
         if self.follows == "accent":
-            hue = (style.accent_hue - ACCENT_SPREAD, style.accent_hue + ACCENT_SPREAD)
-        return replace(self, value=value, hue=hue, follows="", only=None)
+            return replace(plain, hue=(style.accent_hue - ACCENT_SPREAD, style.accent_hue + ACCENT_SPREAD))
+        return plain
 
 
-def _wood(weight: float, roughness: Interval = (0.2, 0.6), only: Joinery | None = None) -> Look:
-    return Look(weight, "wood", roughness=roughness, hue=(0.01, 0.11), follows="wood", only=only)
+def _wood(
+    weight: float,
+    roughness: Interval = (0.2, 0.6),
+    only: Joinery | None = None,
+    follows: Literal["wood", "floor"] = "wood",
+) -> Look:
+    return Look(weight, "wood", roughness=roughness, follows=follows, only=only, stain=WOOD_STAIN)
 
 
 def _white(weight: float, roughness: Interval = (0.15, 0.45), only: Joinery | None = None) -> Look:
@@ -141,7 +173,7 @@ LOOKS: dict[Surface, tuple[Look, ...]] = {
         Look(1.2, "plaster", (0.5, 0.86), (0.0, 0.25), (0.7, 1.0)),
         Look(1.8, "painted", (0.32, 0.62), (0.08, 0.4), (0.5, 1.0), follows="accent"),
         Look(0.4, "painted", (0.06, 0.25), (0.15, 0.6), (0.45, 1.0), follows="accent"),
-        Look(1, "paper", (0.35, 0.8), (0.0, 0.45), (0.5, 1.0)),
+        Look(1, "paper", (0.35, 0.8), (0.0, 0.45), (0.5, 1.0), follows="accent", is_printed=True),
     ),
     "tiles": (
         Look(4, "glazed", (0.08, 0.82), (0.0, 0.6), (0.05, 0.32)),
@@ -149,7 +181,7 @@ LOOKS: dict[Surface, tuple[Look, ...]] = {
         _white(0.7),
     ),
     "floor": (
-        Look(5, "wood", roughness=(0.16, 0.55), hue=(0.01, 0.12), follows="floor"),
+        _wood(5, (0.16, 0.55), follows="floor"),
         Look(2, "stone", (0.04, 0.65), (0.0, 0.5), (0.1, 0.6)),
         Look(1.2, "glazed", (0.1, 0.75), (0.0, 0.5), (0.08, 0.3)),
         Look(0.8, "fabric", (0.06, 0.5), (0.0, 0.6), (0.7, 1.0)),

@@ -65,11 +65,11 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
     return light.model_copy(update=changes_env)
 
 
-def scaled(light: Light, gain: float) -> Light:
-    """The light with all its power multiplied by ``gain``."""
+def scaled(light: Light, gain: float, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Light:
+    """The light with all its power multiplied by ``gain``, and that of a lamp by ``tint``: not of skies."""
 
     def times(color: tuple[float, float, float]) -> tuple[float, float, float]:
-        red, green, blue = (quantized(gain * c, 6) for c in color)
+        red, green, blue = (quantized(gain * t * c, 6) for t, c in zip(tint, color, strict=True))
         return (red, green, blue)
 
     if isinstance(light, PointLight | SpotLight):

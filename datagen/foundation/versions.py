@@ -7,13 +7,15 @@ from importlib.metadata import PackageNotFoundError, version
 
 DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 10
-"""Raised whenever a change of the code changes the bytes of a dataset."""
+"""Raised whenever a change of the code changes the bytes of a dataset, its configurations aside."""
+PLAN_REVISION = 1
+"""Raised whenever a change of the code changes the configurations or generated rooms of a recipe."""
 _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
 def pixel_versions() -> dict[str, str]:
-    """Name to version of everything that decides the bytes of a view."""
-    found = {"result_revision": str(RESULT_REVISION)}
+    """Name to version of everything that decides the bytes of a recipe's views."""
+    found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
     for name in (DISTRIBUTION, *_PACKAGES):
         try:
             found[name] = version(name)

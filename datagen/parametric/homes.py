@@ -41,7 +41,7 @@ def bedroom(room: Furnisher) -> None:
         room.before(seating.bench(style, draws, 1.2, False), placed, 0.04)
     if draws.chance(0.5):
         room.hang(fittings.mirror(style, draws, draws.uniform(0.4, 0.6), draws.uniform(1.2, 1.6)), 0.35)
-    fill(room, ("chest", "bookcase", "pouf", "basket", "chair"), 1, 3)
+    fill(room, ("chest", "bookcase", "pouf", "basket", "chair"), 2, 5)
     decorate(room, rug=0.6)
     ceiling_light(room, ("disc", "pendant", "spots"))
 
@@ -63,7 +63,7 @@ def childs_room(room: Furnisher) -> None:
     room.at_wall(storage.wardrobe(style, draws, 2), where="corner")
     if draws.chance(0.6):
         room.at_wall(storage.basket(style, draws))
-    fill(room, ("cubes", "basket", "pouf", "chest"), 1, 4)
+    fill(room, ("cubes", "basket", "pouf", "chest"), 2, 6)
     decorate(room, rug=0.8, round_rug=0.5)
     ceiling_light(room, ("globe", "disc", "pendant"))
 
@@ -81,7 +81,7 @@ def study(room: Furnisher) -> None:
         floor_lamp_somewhere(room)
     if draws.chance(0.4):
         room.at_wall(storage.sideboard(style, draws, draws.uniform(0.9, 1.5)))
-    fill(room, ("chest", "basket", "chair", "crates"), 1, 3)
+    fill(room, ("chest", "basket", "chair", "crates"), 2, 5)
     decorate(room, rug=0.6)
     ceiling_light(room, ("pendant", "disc", "spots"))
 
@@ -157,7 +157,7 @@ def dining_room(room: Furnisher) -> None:
         )
     if draws.chance(0.35):
         room.hang(fittings.mirror(style, draws, draws.uniform(0.6, 1.0), draws.uniform(0.7, 1.1)), 1.0)
-    fill(room, ("chest", "trolley", "open_shelf", "chair", "bench", "basket"), 1, 4)
+    fill(room, ("chest", "trolley", "open_shelf", "chair", "bench", "basket"), 2, 6)
     decorate(room, rug=0.0)
     ceiling_light(room, ("pendant", "pendant", "globe"), over=table)
 
@@ -230,7 +230,7 @@ def bathroom(room: Furnisher) -> None:
         )
     if draws.chance(0.3):
         plant_somewhere(room)
-    fill(room, ("bin", "basket", "stool", "trolley", "cupboard"), 1, 4)
+    fill(room, ("bin", "basket", "stool", "trolley", "cupboard"), 2, 6)
     if draws.chance(0.6):
         room.hang(storage.wall_shelf(style, draws, draws.uniform(0.4, 0.7), draws.integer(1, 2)), 1.4)
     pictures(room, draws.integer(0, 2))
@@ -270,7 +270,7 @@ def hallway(room: Furnisher) -> None:
         room.at_wall(fittings.shoes(style, draws))
     if draws.chance(0.5):
         room.at_wall(storage.basket(style, draws))
-    fill(room, ("chest", "basket", "shoes", "pouf", "bookcase"), 1, 3)
+    fill(room, ("chest", "basket", "shoes", "pouf", "bookcase"), 2, 5)
     decorate(room, rug=0.7)
     ceiling_light(
         room, ("disc", "globe", "spots", "pendant"), many=max(room.shell.width, room.shell.depth) > 4

@@ -289,9 +289,14 @@ class Furnisher:
         walls: Sequence[Wall] | None = None,
         s: float | None = None,
         free: float = 0.12,
+        is_slim: bool = False,
     ) -> Placed | None:
-        """On a wall, ``free`` metres clear of doors and windows and of what stands there."""
+        """On a wall, ``free`` metres clear of doors and windows and of what stands there.
+
+        What ``is_slim`` may also be behind furniture and beside its front.
+        """
         b = item.bounds
+        near = tuple(self.placed) if is_slim else ()
         for wall in list(walls) if walls is not None else self.draws.shuffled(WALLS):
             length = self.shell.length(wall)
             low, high = -length / 2 - b[0, 0] + 0.05, length / 2 - b[1, 0] - 0.05
@@ -309,8 +314,10 @@ class Furnisher:
                 ):
                     continue
                 at = (*self.shell.point(wall, place), z)
-                windows = [name for name, _ in self.zones if name.startswith("window")]
-                found = self.offer(item, at, self.shell.yaw(wall), ignores=windows)
+                passed = [
+                    n for n, _ in self.zones if n.startswith("window") or (is_slim and n[:5] != "door ")
+                ]
+                found = self.offer(item, at, self.shell.yaw(wall), near=near, ignores=passed)
                 if found is not None:
                     return found
         return None

@@ -14,6 +14,7 @@ from datagen.formats.base import quantized
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 from datagen.parametric.checks import Fault, Furnished, faults_of
+from datagen.parametric.electrics import wire
 from datagen.parametric.furnish import dress_windows
 from datagen.parametric.items import Placed, Style
 from datagen.parametric.kinds import KINDS, Kind
@@ -63,6 +64,7 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
         try:
             dress_windows(room, spec.curtains, spec.blinds, spec.radiators)
             spec.furnish(room)
+            wire(room, Draws(*key, "electrics"))
         except Unfit as why:
             rejected.append(str(why))
             continue

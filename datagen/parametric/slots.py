@@ -104,6 +104,7 @@ SLOTS: Mapping[str, Slot] = {
     "white_board": _fixed("gadget", "glazed", (0.78, 0.79, 0.79), 0.12),
     "slate_board": _fixed("gadget", "painted", (0.025, 0.03, 0.028), 0.75),
     "mirror": Slot("small", ("glass",), _BARE, 0.03, (0.86, 0.87, 0.87), is_fixed=True),
+    "switch": _fixed("gadget", "plastic", (0.78, 0.78, 0.75), 0.35),
     "opal": _fixed("shade", "glass", (0.8, 0.79, 0.76), 0.3),
     "dark": _fixed("gadget", "rubber", (0.02, 0.02, 0.02), 0.7),
     "soil": _fixed("small", "organic", (0.04, 0.025, 0.015), 0.95),

@@ -48,7 +48,7 @@ def office(room: Furnisher) -> None:
         room.hang(fittings.board(style, draws, draws.uniform(1.2, 1.8), 0.95, "white_board"), 0.95)
     if draws.chance(0.6):
         room.hang(fittings.clock(style, draws), 1.95)
-    fill(room, ("files", "lockers", "bin", "bookcase", "chair", "crates"), 1, 4)
+    fill(room, ("files", "lockers", "bin", "bookcase", "chair", "crates"), 2, 6)
     decorate(room, rug=0.1, is_home=False)
     ceiling_light(room, ("panel", "panel", "spots"), many=True)
 
@@ -66,7 +66,7 @@ def meeting_room(room: Furnisher) -> None:
     room.at_wall(storage.sideboard(style, draws, draws.uniform(1.2, 1.8)))
     if draws.chance(0.5):
         room.hang(fittings.clock(style, draws), 1.95)
-    fill(room, ("sideboard", "trolley", "open_shelf", "chair"), 0, 3)
+    fill(room, ("sideboard", "trolley", "open_shelf", "chair"), 1, 4)
     decorate(room, rug=0.0, is_home=False)
     ceiling_light(room, ("panel", "pendant", "spots"), over=table, many=True)
 
@@ -86,7 +86,7 @@ def reading_room(room: Furnisher) -> None:
         if table is not None:
             lamp_on(room, table)
     floor_lamp_somewhere(room)
-    fill(room, ("bench", "pouf", "chest"), 1, 3)
+    fill(room, ("bench", "pouf", "chest"), 2, 5)
     decorate(room, rug=0.7)
     ceiling_light(room, ("pendant", "globe", "spots"))
 
@@ -205,6 +205,6 @@ def cafe(room: Furnisher) -> None:
         made += any([room.seat(chair, table, side, 0.0, 0.12) is not None for side in sides])
     if made < 2:
         raise Unfit("too few tables for guests")
-    fill(room, ("sideboard", "trolley", "bin", "open_shelf", "plant"), 1, 4)
+    fill(room, ("sideboard", "trolley", "bin", "open_shelf", "plant"), 2, 6)
     decorate(room, rug=0.0, is_home=False)
     ceiling_light(room, ("pendant", "globe", "spots"), many=True)

@@ -39,7 +39,7 @@ from datagen.formats.recipe import CameraRecipe, Recipe, RenderRecipe
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.progress import Progress
 from datagen.foundation.random import digest
-from datagen.foundation.versions import RESULT_REVISION
+from datagen.foundation.versions import PLAN_REVISION, RESULT_REVISION
 from datagen.importers.common import ImportOptions
 from datagen.library import Library
 from model.checkpoint import CheckpointCard
@@ -204,6 +204,7 @@ def _key(scene: TestScene) -> str:
         del parts["configuration"], parts["imports"]
     else:
         parts["imports"] = [path.name for path in scene.imports]
+        parts["plan_revision"] = PLAN_REVISION
     parts["result_revision"] = RESULT_REVISION
     for name, path in (("source", _file(scene.source)), ("annotations", scene.annotations)):
         if path is not None:

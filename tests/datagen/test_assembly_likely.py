@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import colorsys
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -90,6 +91,43 @@ def test_a_room_has_one_style() -> None:
         assert len(metals) <= 1, "brass beside steel"
         tones |= metals
     assert tones == {True, False}
+
+
+def test_wood_has_the_tone_of_the_room() -> None:
+    """Pale, grey, red and dark woods occur, and each room keeps to its tone."""
+    seen = []
+    for seed in range(40):
+        style, means = RoomStyle.draw(Draws(seed)), assigned("dining_room", seed)
+        for slot, assignment in dressed("dining_room", seed).items():
+            if surfaces("dining_room")[slot] not in ("furniture", "tabletop") or assignment.asset is None:
+                continue
+            if library().package(assignment.asset).asset.material.classes[0] != "wood":  # type: ignore[union-attr]
+                continue
+            for value, (low, high) in zip(
+                hsv(means[slot]), (style.wood.hue, style.wood.saturation, style.wood.value), strict=True
+            ):
+                assert low - 0.01 < value < high + 0.01, (seed, slot, assignment)
+            seen.append(hsv(means[slot]))
+    _, saturation, value = zip(*seen, strict=True)
+    assert min(saturation) < 0.4 and max(saturation) > 0.65 and min(value) < 0.12 and max(value) > 0.55
+
+
+def test_wallpaper_is_printed_in_the_accent() -> None:
+    """The twin: no other paper takes any hue."""
+    style = RoomStyle.draw(Draws(1))
+    (wallpaper,) = (look for look in LOOKS["wall"] if look.material_class == "paper")
+    package = library().package("wallpaper_leaf")
+    assert isinstance(package.asset, MaterialAsset)
+    mean = MEANS.mean(package, package.asset.material)
+    for hue in (0.05, 0.35, 0.6):
+        look = wallpaper.in_style(replace(style, accent_hue=hue))
+        assert look is not None
+        found = reach(look, package.asset.material, mean)
+        assert found is not None
+        shown = hsv(adjusted(mean, found.at(Draws(hue > 0.3).units(4), 1.0)))
+        assert abs((shown[0] - hue + 0.5) % 1 - 0.5) < 0.031
+        if hue > 0.3:
+            assert reach(replace(look, is_printed=False), package.asset.material, mean) is None
 
 
 def test_likely_configurations_come_by_weight_and_wild_ones_stay(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from datagen.assembly.generated import generated_room
 from datagen.assembly.panoramas import OUTSIDE_SHARE, panoramas_of
 from datagen.assembly.plan import assemble, check_recipe
 from datagen.assembly.skyless import rooms_without_sky
+from datagen.assembly.white_balance import ADAPTATION, NO_TINT, tint_of_lamps
 from datagen.asset_check import check_package
 from datagen.formats.asset import Daytime, PanoramaAsset, Provenance
 from datagen.formats.base import canonical_json
@@ -22,6 +23,7 @@ from datagen.formats.lights import AreaLight, EnvironmentLight
 from datagen.formats.package import write_package
 from datagen.formats.recipe import LightRecipe, Recipe
 from datagen.foundation.bundled import bundled_library
+from datagen.foundation.color import color_of_temperature
 from datagen.foundation.errors import InputError
 from datagen.library import Library, describe_library
 from tests.datagen.small_library import write_room, write_small_library
@@ -49,7 +51,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
     return Library([root])
 
 
-def recipe(weights: dict[str, float], **lights: Any) -> Recipe:
+def recipe(weights: dict[str, float] | None, **lights: Any) -> Recipe:
     base = {"area_probability": 0, "point_probability": 0, "native_probability": 0, "panoramas": weights}
     return Recipe.model_validate(
         {
@@ -90,6 +92,32 @@ def test_by_night_lamps_are_on_and_the_outside_is_dim(library: Library) -> None:
         assert not any(isinstance(light, AreaLight) for light in by_day.lights)
         assert 0 < outside_of(configuration).scale < 0.1 * outside_of(by_day).scale
     assert OUTSIDE_SHARE["night"][1] < OUTSIDE_SHARE["dusk"][1] < OUTSIDE_SHARE["overcast"][1]
+
+
+def test_balance_leaves_a_share_of_the_warmth() -> None:
+    for kelvin in (2700.0, 3500.0, 5000.0):
+        light = np.array(color_of_temperature(kelvin))
+        shown = light * tint_of_lamps(3.0 * light)
+        left = 1e6 / 6500 + (1 - ADAPTATION) * (1e6 / kelvin - 1e6 / 6500)
+        assert shown == pytest.approx(color_of_temperature(1e6 / left), abs=0.01)
+    for bluish in ((0.9, 1.0, 1.2), (0.0, 0.0, 0.0), (1.0, 1.0, 0.0)):
+        assert tint_of_lamps(np.array(bluish)) == NO_TINT
+
+
+def test_lamps_are_balanced_for_the_light_of_the_room(library: Library) -> None:
+    """By night a lamp is shown nearly white, beside daylight warmer, without a panorama as it is."""
+
+    def warmth(**lights: Any) -> float:
+        fields = {"area_probability": 1, "color_temperature_k": (2700, 2700), **lights}
+        configuration = assemble(recipe(fields.pop("panoramas"), **fields), 0, library)
+        red, _, blue = next(x for x in configuration.lights if isinstance(x, AreaLight)).radiance
+        return red / blue
+
+    night, day = warmth(panoramas={"night": 1}), warmth(panoramas={"day": 1})
+    bare = warmth(panoramas=None, daylight_probability=0)
+    red, _, blue = color_of_temperature(2700)
+    assert bare == pytest.approx(red / blue, rel=1e-3)
+    assert 1.0 < night < day < bare and night < 0.6 * bare
 
 
 def test_rooms_without_openings_or_with_a_sky_have_none(tmp_path: Path) -> None:

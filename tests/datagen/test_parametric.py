@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import subprocess
@@ -14,6 +15,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from datagen.assembly.geometry import CollisionModel, intersects
 from datagen.asset_check import check_package
@@ -28,6 +30,7 @@ from datagen.parametric.checks import Furnished, faults_of, meets, swing
 from datagen.parametric.items import Item, Placed, hull_of
 from datagen.parametric.kinds import KINDS
 from datagen.parametric.packing import package_of, room_id
+from datagen.parametric.prints import print_image
 from datagen.parametric.room import MadeRoom, draw_shell, make_room
 from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
 
@@ -106,6 +109,33 @@ def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
     spread = np.sqrt(sum(p * (1 - p) for p in expected))
     assert len(found) >= 8 and abs(sum(drawn) - sum(expected)) < 3 * spread
     assert in_metal("legs").surface == "fitting" and in_metal("worktop").surface == "worktop"
+
+
+def test_doors_have_switches_and_walls_sockets() -> None:
+    """Nearly all doors; none where a corner or a cupboard is in the way."""
+    doors = switches = sockets = 0
+    for kind in sorted(KINDS):
+        for seed in SEEDS:
+            room = _room(kind, seed).furnished
+            plates = [p for p in room.items if p.item.name == "switch"]
+            doors, switches = doors + len(room.shell.doors), switches + len(plates)
+            for plate in plates:
+                near = [
+                    math.dist(plate.at[:2], room.shell.point(d.wall, d.s)) - d.width / 2
+                    for d in room.shell.doors
+                ]
+                assert 0.1 < min(near) < 0.3 and plate.at[2] == 1.05, (kind, seed)
+            sockets += any(p.item.name == "socket" for p in room.items)
+    assert 0.85 * doors < switches <= doors and sockets > 0.85 * len(KINDS) * len(SEEDS)
+
+
+def test_prints_differ() -> None:
+    pictures = [print_image(Draws("print", k)) for k in range(60)]
+    assert len(set(pictures)) == 60 and pictures[7] == print_image(Draws("print", 7))
+    shown = np.stack([np.asarray(Image.open(io.BytesIO(p)), dtype=np.float64) / 255 for p in pictures])
+    assert shown.shape == (60, 144, 144, 3) and shown.min() >= 0.01
+    spread = np.ptp(shown.mean(axis=(1, 2)), axis=-1)
+    assert (spread < 0.08).mean() > 0.1, "greys occur"
 
 
 def test_every_seed_makes_another_room() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -110,6 +111,18 @@ def test_a_lost_room_is_made_again(planned: DatasetFolder, library: Library, tmp
     next((root / "rooms").iterdir()).unlink()
     create_plan(_recipe(), library, root)
     assert _files(DatasetFolder(root)) == before
+
+
+def test_a_folder_of_an_older_plan_revision_says_so(
+    planned: DatasetFolder, library: Library, tmp_path: Path
+) -> None:
+    root = tmp_path / "older"
+    shutil.copytree(planned.root, root)
+    record = json.loads((root / "dataset.json").read_bytes())
+    record["versions"]["plan_revision"] = "0"
+    (root / "dataset.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"version of plan_revision = \d+; expected 0 as at its start"):
+        create_plan(_recipe(), library, root)
 
 
 def test_bare_slots_are_dressed(planned: DatasetFolder, library: Library) -> None:
