@@ -3,12 +3,14 @@
 
     python -m benchmarks.bench_merge_quality weights SHARD ...
     python -m benchmarks.bench_merge_quality sizes SHARD ... --sizes 0.5x,1x,2x,16384
+    python -m benchmarks.bench_merge_quality seams SHARD ...
 
 ``weights``: mean squared error of predicted maps after merging with each choice of weights, and before
 (``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x: twice the
-side of ``auto``). An atlas is judged as the views see it: at the surface under each pixel's centre, between
-texels, against the pixel's truth; all surface pixels of all views of all shards count alike. ``--json`` keeps
-the figures.
+side of ``auto``). ``seams``: the mean step of merged D between neighbouring texels of smooth true D, where
+the number of views differs (``border``) and where it does not (``inside``), by weights; it is printed alone.
+An atlas is judged as the views see it: at the surface under each pixel's centre, between texels, against the
+pixel's truth; all surface pixels of all views of all shards count alike. ``--json`` keeps the figures.
 """
 
 from __future__ import annotations
@@ -46,6 +48,8 @@ from model.reconstruction.unwrap.uv import unwrapped
 
 WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
 Maps = list[dict[str, NDArray]]
+MAX_TRUE_STEP = 0.004
+"""Of true D, in any channel, between neighbouring texels whose merged D should not step either."""
 MAX_SIDE = 4096
 """Side of the largest atlas that ``auto`` may choose here: some rooms stand in a landscape."""
 
@@ -112,6 +116,32 @@ def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
     return np.asarray(upper * (1 - t) + lower * t, np.float64)
 
 
+def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
+    """Sums of the steps of D, mean over channels, between neighbouring texels where both are seen and true D
+    is smooth, and the number of such pairs: at the ``border`` of a view's footprint, where the number of
+    views differs, and ``inside``. Both atlases have the same mesh and side."""
+    found = {"border": (0.0, 0), "inside": (0.0, 0)}
+    for axis in (0, 1):
+        turned = [
+            np.swapaxes(array, 0, axis)
+            for array in (
+                atlas.count,
+                atlas.maps["diffuse_albedo"].astype(np.float64),
+                truth.maps["diffuse_albedo"].astype(np.float64),
+            )
+        ]
+        count, merged, true = turned
+        is_smooth = (
+            (count[1:] > 0) & (count[:-1] > 0) & (np.abs(np.diff(true, axis=0)).max(-1) < MAX_TRUE_STEP)
+        )
+        step = np.abs(np.diff(merged, axis=0)).mean(axis=-1)
+        for name, is_kind in (("border", count[1:] != count[:-1]), ("inside", count[1:] == count[:-1])):
+            chosen = is_smooth & is_kind
+            total, num = found[name]
+            found[name] = total + float(step[chosen].sum()), num + int(chosen.sum())
+    return found
+
+
 def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeometry) -> NDArray:
     """UVs (H, W, 2) of the surface under each pixel's centre, NaN off the surface; the meshes share their
     triangles' order and corners."""
@@ -168,10 +198,20 @@ def measure(what: str, room: Room, checkpoint: Path, sizes: list[str]) -> dict[s
     return rows
 
 
+def print_seams(room: Room, checkpoint: Path) -> None:
+    """Rows of a room."""
+    maps = predictions(room, checkpoint, InferOptions(weights="all"))
+    truth = room.merged(room.truth, room.auto, None)
+    for weights in WEIGHTS:
+        found = steps(room.merged(maps, room.auto, None, weights), truth)
+        cells = (f"{name} {total / max(num, 1):.5f} ({num})" for name, (total, num) in found.items())
+        print(f"{weights:<36}" + "  ".join(cells), flush=True)
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=("weights", "sizes"))
+    parser.add_argument("what", choices=("weights", "sizes", "seams"))
     parser.add_argument("shards", nargs="+", type=Path)
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--library", type=Path, action="append", default=[])
@@ -185,12 +225,18 @@ def main() -> None:
         room = open_room(shard, arguments.library)
         num_pixels += room.num_pixels
         checkpoint = arguments.checkpoint or bundled_checkpoint()
+        if arguments.what == "seams":
+            print(f"{shard.name}: {len(room.capture.views)} views, auto {room.auto}", flush=True)
+            print_seams(room, checkpoint)
+            continue
         rows = measure(arguments.what, room, checkpoint, arguments.sizes.split(","))
         for row, errors in rows.items():
             kept = sums.setdefault(row, dict.fromkeys(MATERIAL_MAPS, 0.0))
             for name, value in errors.items():
                 kept[name] += value
         print(f"{shard.name}: {len(room.capture.views)} views, auto {room.auto}", flush=True)
+    if not sums:
+        return
     print(f"{'':<36}" + "".join(f"{name:>18}" for name in MATERIAL_MAPS))
     for row, errors in sums.items():
         print(f"{row:<36}" + "".join(f"{errors[name] / num_pixels:>18.3e}" for name in MATERIAL_MAPS))
