@@ -35,7 +35,7 @@ MODULES = {
 BROUGHT_ALONG = {"drjit": "mitsuba", "mathutils": "bpy", "bpy_extras": "bpy"}
 """Modules that come with another distribution, whose version fixes theirs."""
 PROVIDED = {"tensorboard": "torch.utils.tensorboard"}
-"""Packages needed by way of another module."""
+"""Packages imported through a module of another distribution."""
 
 
 def _names(requirements: list[str]) -> set[str]:

@@ -76,10 +76,9 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
     _, tint, specular = colorsys.rgb_to_hsv(*mean.specular_albedo)
     if not _holds(look.specular, specular) or not _holds(look.tint, tint):
         return None
-    most_value = _MAX_FACTOR if is_tint else limits.value
-    most_saturation = _MAX_FACTOR if is_tint else limits.saturation
-    values = _scales(look.value, value, 1 / max(most_value, look.stain), most_value)
-    saturations = _scales(look.saturation, saturation, 1 / max(most_saturation, look.stain), most_saturation)
+    max_value, max_saturation = (_MAX_FACTOR,) * 2 if is_tint else (limits.value, limits.saturation)
+    values = _scales(look.value, value, look.stain, max_value)
+    saturations = _scales(look.saturation, saturation, look.stain, max_saturation)
     step = 2 * limits.roughness_step if is_tint else limits.roughness_step
     offsets = _meet((look.roughness[0] - mean.roughness, look.roughness[1] - mean.roughness), (-step, step))
     turns = (0.0, 0.0)
@@ -88,8 +87,8 @@ def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
         shift = (wanted - hue + 0.5) % 1.0 - 0.5
         half = 0.5 * (look.hue[1] - look.hue[0])
         is_dyed = look.is_printed or limits.hue_turns >= _DYED_HUE_TURNS
-        most = 0.5 if is_dyed else limits.hue_turns
-        turns = _meet((shift - half, shift + half), (-most, most))  # type: ignore[assignment]
+        max_turns = 0.5 if is_dyed else limits.hue_turns
+        turns = _meet((shift - half, shift + half), (-max_turns, max_turns))  # type: ignore[assignment]
     if values is None or saturations is None or offsets is None or turns is None:
         return None
     return Reach(turns, saturations, values, offsets)
@@ -104,11 +103,14 @@ def _meet(one: Interval, other: Interval) -> Interval | None:
     return (low, high) if low <= high else None
 
 
-def _scales(wanted: Interval, own: float, least: float, most: float) -> Interval | None:
-    """Factors on ``own`` in [``least``, ``most``] that bring it into ``wanted``."""
+def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> Interval | None:
+    """Factors that bring ``own`` into ``wanted``: at most ``max_factor``, at least its inverse or that of
+    ``stain``."""
     if own <= _GREY and _holds(wanted, own):
         return (1.0, 1.0)  # of black and of grey nothing can be scaled
-    return _meet((wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (least, most))
+    return _meet(
+        (wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1 / max(max_factor, stain), max_factor)
+    )
 
 
 @dataclass(frozen=True)

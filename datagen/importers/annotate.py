@@ -122,7 +122,7 @@ def places_of_parts(
 
 
 def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
-    """Whether a rectangle is upright and larger than ``min_area_m2``."""
+    """Whether an opening is vertical and larger than ``min_area_m2``."""
     normal = np.cross(opening.edge_u_m, opening.edge_v_m)
     area = float(np.linalg.norm(normal))
     return area > min_area_m2 and bool(abs(normal[2]) < 0.5 * area)

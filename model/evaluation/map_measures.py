@@ -28,8 +28,8 @@ from model.evaluation.surface_kinds import ViewSurfaces
 
 D, S, R = MATERIAL_MAPS
 _FLOOR = 1e-4  # keeps the logarithm of a black part finite
-_LEAST_MSE = 1e-10  # 100 dB, where the formula gives infinity; as in the code that is followed
-_ROUGH_LEAST = 0.2
+_MIN_MSE = 1e-10  # 100 dB, where the formula gives infinity; as in the code that is followed
+_MIN_ROUGHNESS = 0.2
 QUARTERS = 4
 
 
@@ -153,7 +153,7 @@ def _best_gain(product: float, square: float) -> float:
 
 def psnr_of_mse(mse: float) -> float:
     """Of values with a range of 1; at most 100 dB."""
-    return float(-10.0 * np.log10(max(mse, _LEAST_MSE)))
+    return float(-10.0 * np.log10(max(mse, _MIN_MSE)))
 
 
 def _eight_bits(values: NDArray) -> NDArray[np.float64]:
@@ -167,12 +167,12 @@ def measures_of_others(
     emitter, IoU of the emitters' pixels and mean squared difference of ln(1 + emission)."""
     lit = truth.emission_mask
     is_seen = truth.surface_mask | lit  # the background is zero in both
-    rough = np.clip(_eight_bits(truth.maps[R]), _ROUGH_LEAST, 1.0)
+    rough = np.clip(_eight_bits(truth.maps[R]), _MIN_ROUGHNESS, 1.0)
     matt = rough[..., 0] >= 1.0
     pairs: dict[str, tuple[NDArray, NDArray, NDArray]] = {
         "kd": (maps[D], truth.maps[D], is_seen & ~lit & matt),
         "a_prime": (_reflectance(maps), _reflectance(truth.maps), is_seen & ~lit),
-        "roughness": (np.clip(maps[R], _ROUGH_LEAST, 1.0), rough, is_seen & ~lit),
+        "roughness": (np.clip(maps[R], _MIN_ROUGHNESS, 1.0), rough, is_seen & ~lit),
     }
     found = {}
     for name, (estimate, true, mask) in pairs.items():

@@ -17,7 +17,7 @@ from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, joined, welded, without_degenerate
 
 _MIN_FACES = 4  # a part of fewer triangles is not reduced
-_HOLES_AT_MOST = 10_000
+_MAX_HOLES = 10_000
 
 
 class GeometryError(StrictModel):
@@ -108,7 +108,7 @@ def _with_holes(
 
     tree, gone = cKDTree(centres), np.zeros(len(centres), dtype=bool)
     share = areas / areas.sum()
-    for place in random.choice(len(centres), size=_HOLES_AT_MOST, p=share):
+    for place in random.choice(len(centres), size=_MAX_HOLES, p=share):
         if share[gone].sum() >= error.hole_share:
             break
         gone[tree.query_ball_point(centres[place], error.hole_radius_m)] = True
