@@ -163,7 +163,7 @@ def print_energy() -> None:
         for diffuse in (0.5, 0.8, 0.9, 0.95, 1.0):
             transport = specular_part + (1 - 0.04) * diffuse / len(specular_part)
             radius = float(np.abs(np.linalg.eigvals(transport)).max())
-            # What no direction may exceed: columns are scaled down to 1, which is the least that bounds them.
+            # Upper bound of every direction: columns are scaled down to 1, the least bound.
             bounded = transport / np.maximum(transport.sum(0), 1.0)
             sums = {
                 name: _sum_of_bounces(t, n)

@@ -293,7 +293,7 @@ class Furnisher:
     ) -> Placed | None:
         """On a wall, ``free`` metres clear of doors and windows and of what stands there.
 
-        What ``is_slim`` may also be behind furniture and beside its front.
+        A placement with ``is_slim`` may also be behind furniture and beside its front.
         """
         b = item.bounds
         near = tuple(self.placed) if is_slim else ()

@@ -123,7 +123,7 @@ EACH = "each"
 
 
 def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, ...]:
-    """What a suite's ``camera`` stands for. Raises ``ValueError`` for an unknown name and a name used
+    """Camera faults named by a suite's ``camera``. Raises ``ValueError`` for an unknown name and a name used
     twice."""
     found: list[CameraFaults] = []
     for name in names:

@@ -19,7 +19,7 @@ from model.evaluation.results import MethodResult, SuiteResult
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Cell, Table
 
 _IMAGES = {"psnr_srgb_db": ("PSNR (dB)", True), "dssim": ("DSSIM", False), "lpips_vgg": ("LPIPS", False)}
-"""What is compared of images: its name, and whether more is better."""
+"""Compared image metrics: name, and whether higher is better."""
 _STAGES = {"per_view": "per view", "merged": "merged"}
 NONE = "none"
 

@@ -200,7 +200,7 @@ def _judge(
 
 
 def _maps_identity(method: Method, scene: str) -> list[str]:
-    """What the files of given maps are, so that others are measured anew."""
+    """Identity of the files of given maps; changed files are measured again."""
     folder = getattr(method, "folder", None)
     if folder is None:
         return []
@@ -319,7 +319,7 @@ def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
 
 
 def _map_results(stage: str, measures: MapMeasures, earlier: dict[str, Any] | None = None) -> dict[str, Any]:
-    """What a result holds of the maps of a stage, beside those of ``earlier`` ones."""
+    """Measurements of the maps of a stage, beside those of ``earlier`` ones."""
     found = earlier or {}
     return {
         f"maps_{stage}": measures.mse(),

@@ -82,7 +82,7 @@ class EnoughOf:
     share: float
 
     def decides(self, names: Sequence[str]) -> IsEnough:
-        """What the renderer of ``names`` asks."""
+        """Requirements of the renderer of ``names``."""
 
         def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
             apart = relative_mse(image, self.truth[names[index]].color, exposed=True) - estimate.rel_mse

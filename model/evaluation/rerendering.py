@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a method recovered, rendered and held against the truth."""
+"""Re-renderings of recovered materials, compared with the truth."""
 
 from __future__ import annotations
 

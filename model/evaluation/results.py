@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What was measured, as plain data; one file for every scene and method."""
+"""Measurements as plain data; one file for every scene and method."""
 
 from __future__ import annotations
 

@@ -251,7 +251,7 @@ def _room(library: Library) -> Package:
 
 
 def _recipe(scene: TestScene) -> Recipe:
-    """What a dataset of this one configuration is made by; nothing is drawn from it but the cameras."""
+    """Recipe of a dataset of this one configuration; only its cameras are sampled."""
     return Recipe(
         name=scene.name,
         seed=scene.seed,

@@ -100,7 +100,7 @@ def true_scenery(prepared: PreparedScene) -> Scenery:
 def recovered_scenery(
     truth: Scenery, asset: Path, emission: dict[str, tuple[float, float, float]]
 ) -> Scenery:
-    """What was recovered, in place of the scene's surfaces: ``asset`` is the package of a reconstruction,
+    """Recovered surfaces in place of the scene's: ``asset`` is the package of a reconstruction,
     which holds surface and lamps, these with ``emission`` by slot in place of their own; all other lights are
     the scene's, and what was put in stays."""
     package = open_package(asset)

@@ -99,8 +99,8 @@ class ModifiedLight(StrictModel):
 
 
 class InsertedObject(StrictModel):
-    """What is put into the scene for the figures: an object package, or ``bundled:ID``. ``position_m`` None
-    finds a level place in front of the camera; ``scale`` multiplies its size."""
+    """Object inserted into the scene for the figures: an object package, or ``bundled:ID``. Where
+    ``position_m`` is None, a level place in front of the camera is found; ``scale`` multiplies its size."""
 
     package: str = "bundled:statuette_torso"
     position_m: Vector3 | None = None
@@ -113,7 +113,7 @@ class InsertedObject(StrictModel):
 
 
 class Suite(StrictModel):
-    """What ``materials evaluate`` does.
+    """Configuration of ``materials evaluate``.
 
     ``input_views`` and ``novel_views`` of each scene are judged (at most), the former drawn by ``seed`` from
     those that methods may use. ``render``: what a re-rendered view costs; ``truth``: what a judged view of
@@ -235,7 +235,7 @@ def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[P
 
 
 def describe_suite(suite: Suite) -> str:
-    """What a suite would do, for people."""
+    """Readable plan of a suite."""
     lines = [f"suite {suite.name}: {len(suite.scenes)} scenes, {len(suite.methods)} methods"]
     for scene in suite.scenes:
         width, height = scene.resolution

@@ -25,7 +25,7 @@ KNOWN_WARNING = (
 
 
 def state_of(result: SuiteResult) -> bytes:
-    """What a finished folder was written from."""
+    """Inputs of a finished folder."""
     return canonical_json({"revision": _REVISION, "result": sha256_hex(canonical_json(result))})
 
 
@@ -62,7 +62,7 @@ def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]],
 
 
 def _notes(result: SuiteResult) -> list[str]:
-    """What a reader must know, beside the tables."""
+    """Notes printed beside the tables."""
     notes = [KNOWN_WARNING] if result.may_be_known else []
     notes += [f"{scene}: no figures, {' '.join(why.split())}." for scene, why in result.failures.items()]
     for scene in result.scenes:

@@ -58,7 +58,7 @@ class AreaCondition:
 class SampleDraws:
     """Random numbers of a batch in which each image has its own stream.
 
-    What an image is shown under then depends on its own seed alone, not on the batch, the rank or the order
+    The conditions of an image then depend on its own seed alone, not on the batch, the rank or the order
     in which it came: two processes with half a batch each draw what one process draws for the whole.
     """
 

@@ -41,9 +41,9 @@ STEPS = (
 
 @dataclass
 class LightReport:
-    """What was found. ``photographed_share``: mean share of the surfels' hemispheres that photographs show;
-    ``confidence`` means over surfels for D, S and R; ``seconds`` by step, and ``memory_mb``, the peak of the
-    process's resident memory up to the end of each."""
+    """Findings of the light stage. ``photographed_share``: mean share of the surfels' hemispheres that
+    photographs show; ``confidence`` means over surfels for D, S and R; ``seconds`` by step, and
+    ``memory_mb``, the peak of the process's resident memory up to the end of each."""
 
     num_surfels: int = 0
     num_observations: int = 0
