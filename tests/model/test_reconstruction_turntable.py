@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from datagen.formats.lights import PointLight
 from datagen.formats.package import open_package, write_package
 from datagen.foundation.cameras import Camera, look_at
-from datagen.foundation.color import exposure_for
+from datagen.foundation.color import linear_from_srgb, photographic_exposure
 from datagen.foundation.errors import InputError
 from datagen.foundation.images import read_image
 from model.reconstruction.infer import InferOptions, infer
@@ -91,7 +91,7 @@ def test_files_show_the_frames(asset: Path, tmp_path: Path, suffix: str) -> None
     frames = read_frames(out)
     assert len(frames) == 4 and frames[0].shape == (36, 48, 3)
     rendered = [i.color for i in render_asset(asset, replace(QUICK, cameras=tuple(cameras)))]
-    exposure = exposure_for(rendered[0])
+    exposure = photographic_exposure(rendered[0])
     same = [[correlation(f, shown_bytes(r, exposure)) for r in rendered] for f in frames]
     assert (np.argmax(same, axis=1) == np.arange(4)).all() and np.min(np.diag(same)) > 0.95, same
 
@@ -163,6 +163,35 @@ def test_a_room_without_light_has_a_lamp(
     assert len(warnings) == 1 and "a lamp in the middle of its cameras shines" in warnings[0]
 
 
+def test_a_warm_lamp_and_exposure_compensation(asset: Path, tmp_path: Path) -> None:
+    """A stop less is half the light of the PNG, and the same EXR; the intensity's colour tints both."""
+    from model.cli import app
+
+    words = [
+        "render",
+        str(asset),
+        "--lamp",
+        "2,1.5,2,4,2,1",
+        "--samples",
+        "4",
+        "--view",
+        "view_00",
+        "--quiet",
+    ]
+    for name, stops in (("plain", "0"), ("darker", "-1")):
+        done = CliRunner().invoke(app, [*words, "--stops", stops, "--out", str(tmp_path / name)])
+        assert done.exit_code == 0, done.output
+    assert (tmp_path / "plain/view_00.exr").read_bytes() == (tmp_path / "darker/view_00.exr").read_bytes()
+    plain, darker = (
+        linear_from_srgb(read_image(tmp_path / name / "view_00.png")[..., :3].astype(np.float64) / 255)
+        for name in ("plain", "darker")
+    )
+    unclipped = plain.max(axis=-1) < 0.99
+    assert darker[unclipped].mean() == pytest.approx(plain[unclipped].mean() / 2, rel=0.02)
+    linear = read_image(tmp_path / "plain/view_00.exr")[..., :3]
+    assert linear[..., 0].mean() > 1.3 * linear[..., 1].mean() > 1.3 * linear[..., 2].mean()
+
+
 def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
     from model.cli import app
 
@@ -183,8 +212,9 @@ def test_command_and_wrong_input(asset: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0 and out.is_file(), done.output
     dark = CliRunner().invoke(app, [*words, "--sky", "1,1,1", "--quiet"])
     assert dark.exit_code == 0 and "no light of the sky reaches frame-000" in dark.output
-    for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 numbers"), (["--way", "up"], "not one of"),
-                        (["--lamp", "1,2,3,0"], "above 0")):  # fmt: skip
+    for extra, text in ((["--lamp", "1,2"], "expected 3 or 4 or 6 numbers"), (["--way", "up"], "not one of"),
+                        (["--lamp", "1,2,3,0"], "above 0"),
+                        (["--lamp", "1,2,3,1,-1,1"], "above 0")):  # fmt: skip
         refused = CliRunner().invoke(app, [*words, *extra])
         assert refused.exit_code == 2 and text in refused.output, refused.output
     with pytest.raises(InputError, match=r"expected a file \.gif or \.mp4"):

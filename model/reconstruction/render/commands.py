@@ -27,7 +27,9 @@ class LightWords:
     ] = None
     lamp: Annotated[
         tuple[str, ...],
-        typer.Option(help="Instead of the asset's lights: X,Y,Z or X,Y,Z,INTENSITY, repeatable."),
+        typer.Option(
+            help="Instead of the asset's lights: X,Y,Z, X,Y,Z,INTENSITY or X,Y,Z,R,G,B (W/sr), repeatable."
+        ),
     ] = ()
     insert: Annotated[
         tuple[str, ...],
@@ -35,6 +37,9 @@ class LightWords:
     ] = ()
     samples: Annotated[int, typer.Option(min=1, help="Light paths a pixel.")] = 16
     no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False
+    stops: Annotated[
+        float, typer.Option(help="Exposure compensation of PNG and film: -1 shows half as bright.")
+    ] = 0.0
 
     def parse(self) -> RelightOptions:
         """Raises ``BadParameter`` for what is no light, place or color."""
@@ -46,6 +51,7 @@ class LightWords:
             insertions=tuple(_insertion(text) for text in self.insert),
             samples=self.samples,
             denoise=not self.no_denoise,
+            compensation=2.0**self.stops,
         )
 
 
@@ -136,12 +142,13 @@ def _sky(text: str | None) -> Path | tuple[float, float, float] | None:
 def _lamp(text: str) -> Any:
     from model.reconstruction.render.relight import Lamp
 
-    x, y, z, *strength = _numbers(text, (3, 4), "--lamp")
-    if not strength:
+    x, y, z, *intensity = _numbers(text, (3, 4, 6), "--lamp")
+    if not intensity:
         return Lamp((x, y, z))
-    if not strength[0] > 0:
+    if min(intensity) < 0 or not max(intensity) > 0:
         raise typer.BadParameter(f"{text!r}; expected an intensity above 0", param_hint="--lamp")
-    return Lamp((x, y, z), (strength[0],) * 3)
+    red, green, blue = intensity if len(intensity) == 3 else intensity * 3
+    return Lamp((x, y, z), (red, green, blue))
 
 
 def _insertion(text: str) -> Any:

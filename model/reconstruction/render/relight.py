@@ -25,7 +25,7 @@ from datagen.formats.package import Package, open_package, write_package
 from datagen.formats.recipe import RenderRecipe
 from datagen.formats.standalone import configuration_of
 from datagen.foundation.cameras import Camera
-from datagen.foundation.color import exposure_for, luminance, srgb_from_linear
+from datagen.foundation.color import luminance, photographic_exposure, srgb_from_linear
 from datagen.foundation.errors import input_error
 from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.mesh import Mesh
@@ -58,7 +58,7 @@ class Lamp:
 class RelightOptions:
     """``sky`` and ``lamps`` replace the asset's lights: an environment map (EXR) or a constant radiance, and
     point lights. ``views`` are names of the asset's cameras, all of them where empty; ``cameras`` stand in
-    their place, named ``frame-000`` on."""
+    their place, named ``frame-000`` on. ``compensation`` scales the exposure of PNG and film."""
 
     sky: Path | tuple[float, float, float] | None = None
     insertions: tuple[Insertion, ...] = ()
@@ -69,6 +69,7 @@ class RelightOptions:
     seed: int = 0
     lamps: tuple[Lamp, ...] = ()
     cameras: tuple[Camera, ...] = ()
+    compensation: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -267,7 +268,7 @@ def write_renders(
     written = []
     exposure = 0.0
     for image in lit_images(path, options, warn):
-        exposure = exposure or exposure_for(image.color)
+        exposure = exposure or options.compensation * photographic_exposure(image.color)
         file = out / f"{image.name}.exr"
         with OpenEXR.File(
             {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from datagen.formats.asset import EnvironmentAsset
 from datagen.formats.package import open_package
 from datagen.foundation.cameras import Camera, look_at
-from datagen.foundation.color import exposure_for
+from datagen.foundation.color import photographic_exposure
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Progress
@@ -61,7 +61,7 @@ def write_turntable(
     frames: list[NDArray[np.uint8]] = []
     exposure = 0.0
     for image in lit_images(path, replace(options.render, views=(), cameras=tuple(made)), warn):
-        exposure = exposure or exposure_for(image.color)
+        exposure = exposure or options.render.compensation * photographic_exposure(image.color)
         frames.append(shown_bytes(image.color, exposure))
         if progress is not None:
             progress("render", len(frames), len(made))
