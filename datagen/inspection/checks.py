@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.formats.configuration import GLOSSY_ROUGHNESS, METAL_SPECULAR
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
@@ -106,13 +107,22 @@ def firefly_mask(view: View) -> NDArray[np.bool_]:
     return is_bright & (crowd <= FIREFLY_MAX_SIZE + 0.5)
 
 
+def _shows_highlights(view: View) -> NDArray[np.bool_]:
+    """Pixels (H, W) of metal or gloss; none without their buffers."""
+    if not {"specular_albedo", "roughness"} <= view.keys():
+        return np.zeros(view["beauty"].shape[:2], bool)
+    is_metal = view["specular_albedo"].max(axis=-1) > METAL_SPECULAR
+    return is_metal | (view["roughness"][..., 0] < GLOSSY_ROUGHNESS)
+
+
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Fireflies; few are a warning, since a small highlight can look like one."""
+    """Fireflies; few are a warning, since a small highlight can look like one, and none on metal and gloss,
+    which have such highlights of lamps and the sun."""
     mask = firefly_mask(view)
     count = int(mask.sum())
-    if count == 0:
-        return []
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
+    if count == 0 or (count <= limit and _shows_highlights(view)[mask].all()):
+        return []
     peak = float(luminance(view["beauty"][mask].astype(np.float32)).max())
     noun = "firefly" if count == 1 else "fireflies"
     got = f"{count} {noun} of luminance up to {peak:.4g}, {_first(mask)}"

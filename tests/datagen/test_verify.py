@@ -25,7 +25,7 @@ from datagen.foundation.buffers import BUFFERS, VIEW_BUFFERS
 from datagen.foundation.color import exposure_for
 from datagen.foundation.errors import InputError
 from datagen.foundation.exr import encode_view, to_storage
-from datagen.inspection.checks import firefly_mask
+from datagen.inspection.checks import check_fireflies, firefly_mask
 from datagen.inspection.findings import CHECKS
 from datagen.inspection.verify import expected_roughness, verify_command, verify_dataset
 from datagen.multiview.statistics import StatisticsView, compute_statistics
@@ -407,6 +407,28 @@ def test_highlights_and_lamps_are_no_fireflies():
     assert not firefly_mask({"beauty": light, "surface_mask": mask}).any()
     mask[30, 30] = 1
     assert firefly_mask({"beauty": light, "surface_mask": mask}).sum() == 1
+
+
+@pytest.mark.parametrize(
+    "specular, roughness, count, severity",
+    [
+        (0.04, 0.8, 1, "warning"),
+        (0.9, 0.35, 1, None),
+        (0.04, 0.2, 1, None),
+        (0.04, 0.8, 5, "error"),
+        (0.9, 0.35, 5, "error"),
+    ],
+)
+def test_few_bright_pixels_of_metal_or_gloss_are_highlights(specular, roughness, count, severity):
+    light = np.full((40, 40, 3), 0.1, np.float32)
+    light[5 : 5 + 6 * count : 6, 20] = 50
+    view = {
+        "beauty": light,
+        "specular_albedo": np.full_like(light, specular),
+        "roughness": np.full((40, 40, 1), roughness, np.float32),
+    }
+    assert int(firefly_mask(view).sum()) == count
+    assert [fault.severity for fault in check_fireflies(view, "view")] == ([severity] if severity else [])
 
 
 @pytest.mark.parametrize(
