@@ -71,6 +71,12 @@ class DataConfig(StrictModel):
     spread_jitter_stops: float = Field(default=0.0, ge=0, le=4)
     """Each crop's minimum over views is divided, its maximum multiplied by 2^u, a u each, uniform from 0 to
     this: noise, and errors of cameras and of geometry, only ever move the two apart."""
+    light_jitter_stops: float = Field(default=0.0, ge=0, le=4)
+    """Each crop's reflectance and mirror images are multiplied by one 2^u, u uniform within plus and minus
+    this: errors of geometry and exposure scale the light that photographs record."""
+    noise: float = Field(default=0.0, ge=0, le=1)
+    """Greatest relative deviation of a crop's Gaussian noise in ``beauty`` at an exposed radiance of 1; it
+    grows with the square root of radiance, as photon noise does."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of so many views, each of which is decoded once a loader process."""
     workers: int = Field(default=1, ge=0)
@@ -116,7 +122,8 @@ class TrainingConfig(StrictModel):
     compile: bool = False
     validation: ValidationConfig = ValidationConfig()
     initial_checkpoint: Path | None = None
-    """Start from the weights of this checkpoint, which must have the same network."""
+    """Start from the weights of this checkpoint. Its network must be the same, but for ``light_inputs`` that
+    it may lack: their weights start at 0."""
     checkpoint_every_steps: int = Field(default=500, ge=1)
     log_every_steps: int = Field(default=10, ge=1)
 

@@ -11,8 +11,9 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from datagen.foundation.errors import input_error
-from model.checkpoint import load_checkpoint
+from model.checkpoint import DataRecord, load_checkpoint
 from model.confidence import ConfidenceNets
+from model.networks import MaterialNetwork, NetworkConfig, input_channels, track_inputs
 from model.own_network import OwnNetwork, make_network, try_network
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
@@ -66,11 +67,12 @@ class Models(nn.Module):
 
 @dataclass(frozen=True)
 class TrainingContext:
-    """Objects shared by all phases of a run."""
+    """Objects shared by all phases of a run. ``inherited`` records the data of ``initial_checkpoint``."""
 
     config: TrainingConfig
     data: TrainingData
     models: Models
+    inherited: tuple[DataRecord, ...]
     loss: MaterialLoss
     device: torch.device
     ranks: Ranks
@@ -112,28 +114,52 @@ def make_context(
         chosen = config.perceptual
         perceptual = make_perceptual(chosen.kind, chosen.vgg, chosen.heads, chosen.precision)
     loss = MaterialLoss(config.loss, perceptual).to(device)
-    models = _initial_models(config).to(device)
+    models, inherited = _initial_models(config)
+    models.to(device)
     if config.channels_last:
         models.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     if config.compile:
         for part in models.network.trained(("diffuse", "specular")):
             part.compile()
-    return TrainingContext(config, data, models, loss, device, ranks, stopwatch or Stopwatch())
+    return TrainingContext(config, data, models, inherited, loss, device, ranks, stopwatch or Stopwatch())
 
 
-def _initial_models(config: TrainingConfig) -> Models:
-    """Random weights by the run's seed, or those of ``initial_checkpoint``."""
+def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:
+    """Random weights by the run's seed, or those of ``initial_checkpoint`` and the records of its data."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)
     if isinstance(models.network, OwnNetwork):
         try_network(models.network)
     path = config.initial_checkpoint
-    if path is not None:
-        first = load_checkpoint(path)
-        if first.card.network != config.network:
-            raise input_error(path, "network", first.card.network, f"{config.network}")
+    if path is None:
+        return models, ()
+    first = load_checkpoint(path)
+    given, wanted = first.card.network, config.network
+    with_light = given.model_copy(update={"light_inputs": wanted.light_inputs})
+    if with_light != wanted or not set(given.light_inputs) <= set(wanted.light_inputs):
+        raise input_error(path, "network", given, f"{wanted}, or the same with fewer light_inputs")
+    if isinstance(first.network, MaterialNetwork):
+        models.network.load_state_dict(_widened(first.network, wanted))
+    else:
         models.network.load_state_dict(first.network.state_dict())
-        if first.confidence is not None:
-            models.confidence.load_state_dict(first.confidence.state_dict())
-    return models
+    if first.confidence is not None:
+        models.confidence.load_state_dict(first.confidence.state_dict())
+    return models, first.card.data
+
+
+def _widened(network: MaterialNetwork, config: NetworkConfig) -> dict[str, Tensor]:
+    """Weights of ``network`` for the inputs of ``config``; those of further inputs are 0, so that the maps
+    are the same until training changes them."""
+    weights = dict(network.state_dict())
+    for track in network.tracks:
+        given = set(track_inputs(track, network.config))
+        is_given = torch.cat(
+            [torch.full((input_channels(n),), n in given) for n in track_inputs(track, config)]
+        )
+        for name in (f"tracks.{track}.enc1.weight", f"tracks.{track}.global_start.weight"):
+            narrow = weights[name]
+            wide = narrow.new_zeros(len(narrow), len(is_given), *narrow.shape[2:])
+            wide[:, is_given] = narrow
+            weights[name] = wide
+    return weights

@@ -269,7 +269,23 @@ class CropDataset(Dataset[dict[str, Tensor]]):
             widened = float(torch.rand(1, generator=generator)) * self.config.spread_jitter_stops
             if name in sample:
                 sample[name] = sample[name] * 2.0 ** (sign * widened)
+        self._degrade(sample, generator)
         return sample
+
+    def _degrade(self, sample: dict[str, Tensor], generator: torch.Generator) -> None:
+        """Errors of recorded light, and photon noise (``light_jitter_stops``, ``noise``), in place."""
+        config = self.config
+        if config.light_jitter_stops > 0:
+            scale = 2.0 ** ((2 * float(torch.rand(1, generator=generator)) - 1) * config.light_jitter_stops)
+            for name in LIGHT_BUFFERS:
+                if name in sample and name != "known_share":
+                    sample[name] = sample[name] * scale
+        if config.noise > 0:
+            deviation = float(torch.rand(1, generator=generator)) * config.noise
+            radiance, exposure = sample["beauty"], sample["exposure"]
+            normal = torch.randn(radiance.shape, generator=generator)
+            spread = deviation * torch.sqrt(radiance / exposure)
+            sample["beauty"] = (radiance + spread * normal).clamp_min(0.0)
 
 
 def view_sample(

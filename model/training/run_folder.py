@@ -93,7 +93,7 @@ class RunFolder:
             phase=phase,
             step=step,
             metrics=metrics,
-            data=context.data.records,
+            data=(*(r for r in context.inherited if r not in context.data.records), *context.data.records),
             training=config.model_dump(mode="json"),
             versions=software_versions(),
         )

@@ -150,6 +150,45 @@ def test_crops_are_reproducible_and_differ(shard):
     assert stops.std() > 0.2
 
 
+def test_light_jitter_scales_recorded_light_alone(tmp_path):
+    folder = make_dataset(tmp_path / "lit", {"room-0": ("train", 3)}, has_light=True)
+    places = index_shard(next(folder.glob("shards/*.tar")))
+    network = NETWORK.model_copy(update={"light_inputs": ("reflectance", "known_share", "mirror_broad")})
+    plain = CropDataset(places, CONFIG, network, seed=2)
+    jittered = CropDataset(places, CONFIG.model_copy(update={"light_jitter_stops": 0.5}), network, seed=2)
+    stops = []
+    for crop in range(20):
+        before, after = plain[crop], jittered[crop]
+        scaled = [name for name, value in before.items() if not torch.equal(value, after[name])]
+        assert scaled == ["reflectance", "mirror_broad"]
+        lit = before["reflectance"] > 1e-3
+        ratio = torch.log2(after["reflectance"][lit] / before["reflectance"][lit])
+        torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio), atol=1e-4, rtol=0)
+        expected = before["mirror_broad"] * 2 ** ratio[0]
+        torch.testing.assert_close(after["mirror_broad"], expected, atol=1e-6, rtol=1e-4)
+        stops.append(float(ratio[0]))
+    assert -0.5 <= min(stops) < -0.1 and 0.1 < max(stops) <= 0.5
+
+
+def test_noise_grows_with_the_root_of_exposed_radiance(shard):
+    plain = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
+    noisy = CropDataset(index_shard(shard), CONFIG.model_copy(update={"noise": 0.1}), NETWORK, seed=2)
+    deviations = []
+    for crop in range(20):
+        before, after = plain[crop], noisy[crop]
+        assert [n for n, value in before.items() if not torch.equal(value, after[n])] == ["beauty"]
+        exposed = before["beauty"] * before["exposure"]
+        bright = exposed > 0.05  # no value of these is cut off at zero
+        error = (after["beauty"] * after["exposure"] - exposed)[bright]
+        relative = error / exposed[bright].sqrt()
+        dim, light = exposed[bright] < exposed[bright].median(), exposed[bright] >= exposed[bright].median()
+        assert 0.8 < float(relative[dim].std() / relative[light].std()) < 1.25
+        assert abs(float(relative.mean())) < 5 * float(relative.std()) / relative.numel() ** 0.5
+        assert (after["beauty"] >= 0).all()
+        deviations.append(float(relative.std()))
+    assert max(deviations) < 0.105 and min(deviations) < 0.03 and np.std(deviations) > 0.02
+
+
 def test_spread_jitter_moves_minimum_and_maximum_apart(shard):
     plain = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
     config = CONFIG.model_copy(update={"spread_jitter_stops": 0.5})

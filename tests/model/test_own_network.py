@@ -212,5 +212,27 @@ def test_tracks_learn_from_light(dataset: Path, tmp_path: Path) -> None:
     assert card.network.light_inputs == ("reflectance", "known_share", "mirror_sharp", "mirror_broad")
 
 
+def test_training_with_light_starts_from_a_checkpoint_without(dataset: Path, tmp_path: Path) -> None:
+    lit = "network.light_inputs=[known_share, mirror_broad]"
+    first = Trainer(_config(), [dataset], tmp_path / "first", device=CPU).run()
+    config = _config(lit, f"initial_checkpoint={first}")
+    other = make_dataset(tmp_path / "other", {"room-2": ("train", 4)}, has_light=True)
+    trainer = Trainer(config, [other], tmp_path / "lit", device=CPU)
+    narrow, wide = load_checkpoint(first).network, trainer.models.network.eval()
+    batch = synthetic_batch(2, 32, CPU)
+    expected, found = narrow(batch, batch["exposure"]), wide(batch, batch["exposure"])
+    for name, values in found.items():
+        torch.testing.assert_close(values, expected[name], rtol=0, atol=1e-6)
+    assert not torch.equal(values, torch.full_like(values, 0.5))
+    card = load_checkpoint(trainer.run()).card
+    assert [record.num_views for record in card.data] == [10, 4]
+    assert trainer.models.network.tracks["diffuse"].enc1.weight[:, 9:].abs().max() > 0
+    with pytest.raises(InputError, match="fewer light_inputs"):
+        fewer = _config(
+            "network.light_inputs=[known_share]", f"initial_checkpoint={tmp_path / 'lit'}/final.safetensors"
+        )
+        Trainer(fewer, [dataset], tmp_path / "fewer", device=CPU)
+
+
 def test_cards_without_light_are_as_they_were() -> None:
     assert not {"light_inputs", "factory", "arguments"} & NetworkConfig().model_dump().keys()
