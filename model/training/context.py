@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from datagen.foundation.errors import input_error
 from model.checkpoint import DataRecord, load_checkpoint
 from model.confidence import ConfidenceNets
-from model.networks import MaterialNetwork, NetworkConfig, input_channels, track_inputs
+from model.networks import TRACK_OUTPUTS, MaterialNetwork, NetworkConfig, input_channels, track_inputs
 from model.own_network import OwnNetwork, make_network, try_network
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
@@ -152,7 +152,7 @@ def _widened(network: MaterialNetwork, config: NetworkConfig) -> dict[str, Tenso
     """Weights of ``network`` for the inputs of ``config``; those of further inputs are 0, so that the maps
     are the same until training changes them."""
     weights = dict(network.state_dict())
-    for track in network.tracks:
+    for track in TRACK_OUTPUTS:
         given = set(track_inputs(track, network.config))
         is_given = torch.cat(
             [torch.full((input_channels(n),), n in given) for n in track_inputs(track, config)]
