@@ -3,12 +3,13 @@
 method.
 
     python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
-        [--worse-mesh] [--ablate]
+        [--worse-mesh] [--ablate] [--checkpoint FILE]
 
 Renders the scenes of a suite, or takes them from the cache of ``materials evaluate``, and predicts the maps
-of their first so many photographs with the bundled network. Mean squared errors are over all surface pixels,
-and over those of metal (S above 0.2), of white (D above 0.6) and of glossy surfaces (R below 0.4). Sheets,
-one a room, show D of the network, from light and true, and R from light and true, of three views.
+of their first so many photographs with the bundled network, or with that of ``--checkpoint``. Mean squared
+errors are over all surface pixels, and over those of metal (S above 0.2), of white (D above 0.6) and of
+glossy surfaces (R below 0.4). Sheets, one a room, show D of the network, from light and true, and R from
+light and true, of three views.
 ``--worse-mesh`` takes vertices that are off by 1 cm, three tenths of the triangles and 5 % holes.
 ``--ablate`` adds a row for each step that is left out.
 """
@@ -100,11 +101,11 @@ def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[d
     Image.fromarray(np.vstack(lines)).save(path, quality=88)
 
 
-def rows(traced: TracedCapture, run: Run, sheet: Path | None, ablates: bool) -> None:
+def rows(traced: TracedCapture, run: Run, checkpoint: Path, sheet: Path | None, ablates: bool) -> None:
     """Print the rows of a room."""
     truth = [view.source.read_maps((*NAMES, "surface_mask")) for view in traced.capture.views]
     name = f"{traced.capture.name} | {len(truth)}"
-    source = CheckpointMaps(bundled_checkpoint())
+    source = CheckpointMaps(checkpoint)
     source.prepare(run.options)
     network = maps = source.maps(traced, run)
     print(f"{name} | network | {measured(maps, truth)}", flush=True)
@@ -132,6 +133,7 @@ def main() -> None:
     parser.add_argument("--sheet", type=Path, help="folder for pictures")
     parser.add_argument("--worse-mesh", action="store_true", help="judge with geometry that is off")
     parser.add_argument("--ablate", action="store_true", help="rows without one step each")
+    parser.add_argument("--checkpoint", type=Path, default=bundled_checkpoint())
     options = parser.parse_args()
     select_variant()
     print("room | views | method | all D S R | metal | white | glossy")
@@ -146,11 +148,14 @@ def main() -> None:
         photographs = tuple(view for view in capture.views if view.name in prepared.input_names)
         for count in options.views:
             chosen = replace(capture, views=photographs[:count])
-            out = options.cache / "light" / f"{prepared.capture.stem}-{len(chosen.views)}"
+            mesh = "-worse" if options.worse_mesh else ""
+            identity = CheckpointMaps(options.checkpoint).identity[:8]
+            name = f"{prepared.capture.stem}-{len(chosen.views)}{mesh}-{identity}"
+            out = options.cache / "light" / name
             (out / "views").mkdir(parents=True, exist_ok=True)
             report = InferReport(chosen.name, len(chosen.views), len(chosen.geometry.mesh.faces))
             run = Run(out, InferOptions(materials="both"), report, lambda *_: None)
-            rows(trace_capture(chosen), run, options.sheet, options.ablate)
+            rows(trace_capture(chosen), run, options.checkpoint, options.sheet, options.ablate)
 
 
 if __name__ == "__main__":

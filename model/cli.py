@@ -43,7 +43,7 @@ def train(
     out: Annotated[Path, typer.Option("--out", help="Folder of the run; an unfinished run in it continues.")],
     preset: Annotated[
         str | None,
-        typer.Option("--preset", help="paper (default), small or smoke."),
+        typer.Option("--preset", help="paper (default), small, light or smoke."),
     ] = None,
     config: Annotated[
         Path | None,

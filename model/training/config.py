@@ -20,7 +20,7 @@ from model.bilateral_solver import SolverConfig
 from model.networks import NetworkConfig, TrackName
 from model.training.losses import LossConfig
 
-PRESETS = ("paper", "small", "smoke")
+PRESETS = ("paper", "small", "light", "smoke")
 PhaseName = Literal["diffuse", "specular", "joint", "confidence"]
 PHASE_TRACKS: dict[PhaseName, tuple[TrackName, ...]] = {
     "diffuse": ("diffuse",),
