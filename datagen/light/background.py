@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Background radiance: rays that leave the mesh, from the pixels that show no surface.
+"""Background radiance of rays that leave the mesh, estimated from the pixels that show no surface.
 
-Near light, as through a window pane, is binned by direction and by the place where a ray leaves the room's
-box (:data:`NEAR`). Far light, as of the sky, depends on direction alone and has finer bins (:data:`FAR`).
-Half of the views predict the background pixels of the other half by direction and by place; the better
-prediction decides. A bin holds the median of its pixels, their mean in :data:`FAR`. An empty bin takes the
-nearest filled one, with a move by the box's diagonal counted as :data:`PLACE_WEIGHT` radians: within the
-layout's ``photographed_reach`` as photographed, within :data:`REACH` as an estimate, else unknown.
+Near light, such as light through a window pane, is binned by direction and by the position at which a ray
+leaves the room's bounding box (:data:`NEAR`). Far light, such as the sky, depends on direction alone and has
+finer bins (:data:`FAR`). Half of the views predict the background pixels of the other half, once by direction
+alone and once by position too; the layout with the smaller error is used. A bin holds the median of its
+pixels, or their mean in :data:`FAR`. An empty bin is filled from the nearest filled one, where a shift by the
+box's diagonal counts as :data:`PLACE_WEIGHT` radians. The result counts as photographed within the layout's
+``photographed_reach``, as an estimate within :data:`REACH`, and as unknown beyond.
 """
 
 from __future__ import annotations
@@ -25,23 +26,26 @@ from mitsuba_plugins.cells import cell_of
 
 REACH = 1.0
 MIN_PIXELS = 3
-"""Pixels that a bin needs to count as seen."""
+"""Pixels that a bin needs to count as filled."""
 PLACE_WEIGHT = 2.25
 FAR_GAIN = 0.8
-"""Light is far where the error by direction is below this share of the error by place: of two equal
-predictions, near light is preferred, as its place is known."""
+"""Light counts as far if the error by direction is below this share of the error by position. Of equally good
+predictions, near light is preferred."""
 JUDGED_PLACES = 24
-"""Squares along both sides of a face of the box in that test; its directions are :data:`FAR`'s."""
-_MIN_GAIN = 1e-3  # in ln radiance, above rounding
-_MAX_PIXELS = 6000  # of a view
+"""Squares along both sides of a face of the box in that test; its directions are those of :data:`FAR`."""
+_MIN_GAIN = 1e-3  # in ln radiance; keeps rounding from deciding
+_MAX_PIXELS = 6000  # per view
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Bins: ``faces`` of the box (1: direction alone), ``places`` along both sides of a face, ``azimuths``,
-    and ``heights`` in equal steps of the direction's z, for equal solid angles. ``photographed_reach`` is in
-    radians. ``gain_blocks``: blocks along places, heights and azimuths whose bins share the gain of an
-    estimate."""
+    """Layout of the background's bins.
+
+    ``faces`` of the box (1: direction alone), ``places`` along both sides of a face, ``azimuths``, and
+    ``heights`` in equal steps of the direction's z, for equal solid angles. ``photographed_reach`` is in
+    radians. ``gain_blocks``: number of blocks along places, heights and azimuths; the bins of a block share
+    one gain of estimated light.
+    """
 
     faces: int
     places: int
@@ -57,22 +61,22 @@ class Layout:
 
     @property
     def directions(self) -> int:
-        """Bins by direction at one place."""
+        """Number of directional bins at one position."""
         return self.azimuths * self.heights
 
     @property
     def size(self) -> int:
-        """Bins in all."""
+        """Total number of bins."""
         return self.faces * self.places**2 * self.directions
 
     @property
     def num_gains(self) -> int:
-        """Blocks in all."""
+        """Total number of blocks that share a gain."""
         places, heights, azimuths = self.gain_blocks
         return self.faces * places**2 * heights * azimuths
 
     def ways(self) -> NDArray[np.float64]:
-        """Unit directions (D, 3) of the centres of the bins at one place."""
+        """Unit directions (D, 3) of the bin centres at one position."""
         row, column = np.divmod(np.arange(self.directions), self.azimuths)
         z = (row + 0.5) / self.heights * 2 - 1
         azimuth = (column + 0.5 - 0.5 * self.azimuths) * (2 * np.pi / self.azimuths)
@@ -97,8 +101,10 @@ FAR = Layout(1, 1, 128, 64, photographed_reach=0.15, gain_blocks=(1, 4, 8))
 
 @dataclass(frozen=True)
 class Background:
-    """``low`` and ``high`` (3,) corners of the box; by bin of the ``layout`` ``radiance`` (B, 3),
-    ``is_known`` and ``is_photographed`` (B,)."""
+    """Radiance of rays that leave the box from corner ``low`` to corner ``high``, (3,) each.
+
+    Per bin of the ``layout``: ``radiance`` (B, 3), ``is_known`` and ``is_photographed`` (B,).
+    """
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
@@ -108,7 +114,7 @@ class Background:
     layout: Layout = NEAR
 
     def bin_of(self, origin: Any, direction: Any) -> Any:
-        """Bin of Dr.Jit rays that start inside the box."""
+        """Bin index of Dr.Jit rays that start inside the box."""
         import drjit as dr
         import mitsuba as mi
 
@@ -138,8 +144,11 @@ class Background:
 def box_squares(
     origin: NDArray, direction: NDArray, low: NDArray, high: NDArray, across: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Face (N,) of the box through which rays (N, 3) leave it (twice the axis, plus 1 for the upper one), and
-    row and column (N, 2) among ``across`` x ``across`` squares of it."""
+    """Face (N,) of the box through which rays (N, 3) leave it, and the square (N, 2) hit on that face.
+
+    The face index is twice the axis, plus 1 for the upper face; the square is (row, column) in a grid of
+    ``across`` x ``across``.
+    """
     safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
     leaves = np.maximum((np.where(safe > 0, high, low) - origin) / safe, 0.0)
     axis = leaves.argmin(axis=1)
@@ -174,7 +183,7 @@ def outside_pixels(views: Sequence[TracedView]) -> OutsidePixels:
 
 
 def is_far(pixels: OutsidePixels, low: NDArray, high: NDArray) -> bool:
-    """Whether direction predicts the pixels of other views better than place."""
+    """Whether direction alone predicts the pixels of other views better than direction and position."""
     if not len(pixels.view):
         return False
     face, square = box_squares(pixels.origin, pixels.direction, low, high, JUDGED_PLACES)
@@ -225,7 +234,9 @@ def photographed_background(
 
 
 def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDArray[np.float64]:
-    """Rays (N, 6) of bins, as their place in units of :data:`PLACE_WEIGHT` diagonals and their direction."""
+    """Features (N, 6) for the distance between bins: position in :data:`PLACE_WEIGHT` diagonals, and
+    direction.
+    """
     places = layout.places
     face, direction = np.divmod(bins, places * places * layout.directions)
     u, direction = np.divmod(direction, places * layout.directions)
@@ -241,7 +252,7 @@ def _centres(bins: NDArray, low: NDArray, high: NDArray, layout: Layout) -> NDAr
 
 
 def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Bins of at least :data:`MIN_PIXELS` colours, and the medians (K, 3) of their colours."""
+    """Indices (K,) of the bins with at least :data:`MIN_PIXELS` colours, and the medians (K, 3) of these."""
     order = np.argsort(bins, kind="stable")
     keys, first, num = np.unique(bins[order], return_index=True, return_counts=True)
     medians = np.empty((len(keys), 3), np.float32)
@@ -253,7 +264,7 @@ def _medians(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[
 
 
 def _means(bins: NDArray, color: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The same with means, which preserve the irradiance of skies with trees and clouds."""
+    """As :func:`_medians`, with means, which preserve the irradiance of skies with trees and clouds."""
     keys, of_pixel, num = np.unique(bins, return_inverse=True, return_counts=True)
     sums = [np.bincount(of_pixel, color[:, channel].astype(np.float64)) for channel in range(3)]
     enough = num >= MIN_PIXELS

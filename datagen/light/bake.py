@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Shading of surfels in a radiance field: irradiance, and the specular part of each observation.
+"""Shading of surfels in a radiance field: irradiance, and the specular terms of each observation.
 
-With the project's BRDF and Schlick's Fresnel term, an observation of a point is
+With the project's BRDF and Schlick's Fresnel term, the radiance of a point towards a camera is
 
     L = (1 - S) D Ld + S Ls0(R) + Ls1(R),       Ld = E / pi,
     Ls0 = mean of L_in G1(wo) (1 - f),  Ls1 = mean of L_in G1(wo) f,  f = (1 - wi.h)^5,
 
-over half vectors h drawn from the visible normals of roughness R (Heitz & d'Eon 2014), wo the mirror image of
-wi about h. Emitters are sampled too, and both ways of sampling are combined by the balance heuristic (Veach
-1997). Samples of a point are a rank-1 lattice with a shift of its own, so that results depend on the number
-of a point and on nothing else.
+over half vectors h drawn from the distribution of visible normals at roughness R (Heitz & d'Eon 2014), with
+wo the mirror image of wi about h. Emitters are also sampled directly, and both techniques are combined by the
+balance heuristic (Veach 1997). Each point uses a rank-1 lattice with its own shift, so that its result
+depends on its index alone.
 """
 
 from __future__ import annotations
@@ -32,14 +32,17 @@ from mitsuba_plugins.beckmann import (
 )
 
 GOLDEN = 0.6180339887498949
-_START = 2e-4  # of the diagonal: distance of a ray's origin from the surface
-_SHADOW = 1e-3  # of the distance to an emitter that a shadow ray leaves out
+_START = 2e-4  # of the diagonal: offset of a ray's origin from the surface
+_SHADOW = 1e-3  # of the distance to an emitter by which a shadow ray is shortened
 
 
 @dataclass(frozen=True)
 class Irradiance:
-    """``diffuse`` (N, 3): Ld = E / pi of all known light; cosine-weighted shares of the hemisphere: ``known``
-    (N,), photographed or estimated, and ``photographed`` (N,)."""
+    """Diffuse shading of N points.
+
+    ``diffuse`` (N, 3): Ld = E / pi of all known light. Cosine-weighted shares of the hemisphere: ``known``
+    (N,), photographed or estimated, and ``photographed`` (N,).
+    """
 
     diffuse: NDArray[np.float32]
     known: NDArray[np.float32]
@@ -48,8 +51,10 @@ class Irradiance:
 
 @dataclass(frozen=True)
 class SpecularShading:
-    """``ls0`` and ``ls1`` (K, 3), ``known`` and ``photographed`` (K,) as in :class:`Irradiance`, of the
-    lobe."""
+    """Specular shading of K observations: ``ls0`` and ``ls1`` (K, 3), defined in the module's docstring.
+
+    ``known`` and ``photographed`` (K,) are shares as in :class:`Irradiance`, of the lobe.
+    """
 
     ls0: NDArray[np.float32]
     ls1: NDArray[np.float32]
@@ -58,8 +63,10 @@ class SpecularShading:
 
 
 def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: float, seed: int) -> Any:
-    """``num_rays`` cosine-distributed rays for each point (N, 3) with normal (N, 3), grouped by point;
-    origins are offset by ``start_m`` along the normal."""
+    """``num_rays`` cosine-distributed rays for each point (N, 3) with normal (N, 3), grouped by point.
+
+    Origins are offset by ``start_m`` along the normal.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -71,7 +78,7 @@ def cosine_rays(position_m: NDArray, normal: NDArray, num_rays: int, start_m: fl
 
 
 class Baker:
-    """Bakes shading at points of a radiance field. ``size_m``: diagonal of the room."""
+    """Computes shading at points in a radiance field. ``size_m``: diagonal of the room."""
 
     def __init__(self, field: RadianceField, size_m: float):
         self.field = field
@@ -134,8 +141,9 @@ class Baker:
         )
 
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
-        """A sampled point of an emitter: local direction, radiance if visible, density by solid angle, and
-        whether the sample is valid."""
+        """Sampled point of an emitter: local direction, radiance if visible, density [1/sr], and validity
+        mask.
+        """
         import drjit as dr
         import mitsuba as mi
 
@@ -154,7 +162,7 @@ class Baker:
         return wo, dr.select(counts, radiance, 0.0), pdf, counts
 
     def emitter_pdf(self, met: Any, ray: Any) -> Any:
-        """Density by solid angle at which :meth:`emitter_sample` samples the hit of a ray."""
+        """Density [1/sr] with which :meth:`emitter_sample` samples the hit of a ray."""
         import drjit as dr
         import mitsuba as mi
 
@@ -174,7 +182,7 @@ def _rows(values: Any) -> NDArray[np.float32]:
 
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Five numbers in [0, 1) of a point's sample: a rank-1 lattice with a shift for each point."""
+    """Five numbers in [0, 1) for one sample of a point: a rank-1 lattice with a shift for each point."""
     import drjit as dr
     import mitsuba as mi
 
@@ -199,7 +207,7 @@ def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, An
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
-    """Two more numbers of a sample, for the reflection at a metal; None in fields without metals."""
+    """Two more numbers of a sample, for the reflection at a metal; None if the field has no metals."""
     import drjit as dr
     import mitsuba as mi
 
@@ -284,8 +292,7 @@ def _specular_loop(
 
 
 def _lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:
-    """Density by solid angle of ``wo`` when half vectors are drawn from the visible normals:
-    D(h) G1(wi) / (4 cos_i)."""
+    """Density [1/sr] of ``wo`` for half vectors drawn from the visible normals: D(h) G1(wi) / (4 cos_i)."""
     import drjit as dr
 
     valid = (h.z > 0) & (wo.z > 0)

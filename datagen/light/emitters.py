@@ -20,14 +20,17 @@ from datagen.geometry.traced import seen_sides
 from datagen.geometry.views import TracedView
 
 MIN_PIXELS = 4
-"""Pixels of an emitter without which its radiance is that of its neighbours."""
+"""Emitters with fewer pixels get the radiance of their neighbours."""
 
 
 @dataclass(frozen=True)
 class Emitters:
-    """``of_face`` (M,) emitter of each triangle, -1 for none; ``radiance`` (K, 3); ``side_of_face`` (M,) 1 or
-    -1, the emitting side; for sampling the emitting ``triangles`` (T,), their ``vertices`` (T, 3, 3) in
-    metres and ``power`` (T,), area times luminance."""
+    """Emitters (K) of the mesh (M triangles), with the emissive triangles (T) that are sampled.
+
+    ``of_face`` (M,) emitter of each triangle, -1 for none; ``radiance`` (K, 3); ``side_of_face`` (M,) 1 or
+    -1, the emitting side. For sampling: ``triangles`` (T,) indices, ``vertices`` (T, 3, 3) in metres and
+    ``power`` (T,), area times luminance.
+    """
 
     of_face: NDArray[np.int32]
     radiance: NDArray[np.float32]
@@ -43,7 +46,7 @@ class Emitters:
 def photographed_emitters(
     views: Sequence[TracedView], mesh: Mesh, emits: NDArray[np.bool_], region_of_face: NDArray[np.int32]
 ) -> Emitters:
-    """Emitters among the triangles where ``emits`` (M,); radiance 0 for those in no photograph."""
+    """Emitters among the triangles where ``emits`` (M,); radiance 0 for those that no photograph shows."""
     of_face = np.full(len(mesh.faces), -1, np.int32)
     if not emits.any():
         none = np.zeros(0, np.float32)
@@ -74,7 +77,7 @@ def photographed_emitters(
 
 
 class EmitterSampler:
-    """Samples points of emitters by power, on the device."""
+    """Samples points of emitters in proportion to their power, on the device."""
 
     def __init__(self, emitters: Emitters):
         import drjit as dr
@@ -103,7 +106,7 @@ class EmitterSampler:
         luminance = np.maximum(radiance @ LUMINANCE_WEIGHTS, 1e-20)
         total = float(emitters.power[used].astype(np.float64).sum())
         self._area_pdf = upload(luminance / total)  # power / total / area
-        #: density by area of a point of a triangle of the mesh, for rays that hit it by chance
+        #: density by area with which :meth:`sample` gives a point of a triangle, for rays that hit it
         by_face = np.zeros(len(emitters.of_face), np.float32)
         by_face[triangles] = luminance / total
         self.area_pdf_of_face = mi.Float(by_face)

@@ -26,33 +26,38 @@ from datagen.light.radiance_field import side_of
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 MAX_SURFELS, RAYS = 16_000, 96
-"""Surfels that the fit is made on, and rays of each."""
+"""Number of surfels used in the fit, and of rays per surfel."""
 ROOM_PARTS = 5
-"""Parts of the room along its longest side; surface in one that faces one way shares a gain."""
+"""Number of parts of the room along its longest side; surfaces in one part and of one orientation share a
+gain."""
 MIN_SHARE, MAX_GROUPS = 0.002, 96
-"""Mean share of the surfels' irradiance below which a group keeps its estimate, and how many are fitted."""
+"""Groups with less than this mean share of the surfels' irradiance keep their estimate; and maximum number of
+fitted groups."""
 SURFELS_A_SAMPLE = 10.0
-"""Neighbouring surfels err alike: as many count as one."""
+"""Number of neighbouring surfels that count as one sample, since their errors are correlated."""
 PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
-"""Samples that speak for a gain like the others' of its kind, for their mean of 1, and for a region's albedo
-like the room's."""
+"""Strengths of the priors, in samples: a gain equals the mean of its kind; that mean is 1; a region's albedo
+equals the room's."""
 MAX_LOG_GAIN = 2.5
 HIDDEN_GAIN = 4.0
-"""Surface that is brighter than this many times its estimate holds a lamp that no photograph shows."""
+"""Surface brighter than this multiple of its estimate is attributed to a lamp that no photograph shows."""
 MAX_REFLECTED = 1.1
-"""Radiance over Ld that a white surface reaches, with noise."""
+"""Largest ratio of radiance to Ld of a white surface, with noise."""
 _HUBER = 0.25  # in ln L
 _STEPS, _REWEIGHTINGS, _MAX_STEP = 8, 5, 1.0
-_MIN_REST = 0.02  # of the irradiance: samples of its parts are not those of the whole
+_MIN_REST = 0.02  # of the irradiance: its parts are sampled separately and need not add up to it exactly
 NUM_OUTSIDE = max(layout.num_gains for layout in (NEAR, FAR))
 NUM_GROUPS = NUM_OUTSIDE + (ROOM_PARTS + 2) ** 3 * NUM_SIDES
 
 
 @dataclass(frozen=True)
 class EstimateGains:
-    """``of_group`` (:data:`NUM_GROUPS`,): gain of each group, 1 where undetermined. ``hidden`` (N,): share of
-    the surfels' irradiance from groups beyond :data:`HIDDEN_GAIN`, averaged by region; at least the share of
-    the room's surfels that reflect more than arrives without gains."""
+    """Gains of estimated light.
+
+    ``of_group`` (:data:`NUM_GROUPS`,): gain of each group, 1 if undetermined. ``hidden`` (N,): share of the
+    surfels' irradiance from groups with gains above :data:`HIDDEN_GAIN`, averaged by region; at least the
+    share of the room's surfels that reflect more than the light that reaches them without gains.
+    """
 
     of_group: NDArray[np.float64]
     hidden: NDArray[np.float64]
@@ -70,11 +75,11 @@ def background_groups(layout: Layout) -> NDArray[np.int64]:
 
 
 def surface_groups(position_m: NDArray, normal: NDArray, surfels: Surfels) -> NDArray[np.int64]:
-    """Group (N,) of surface positions with normals (N, 3), from :data:`NUM_OUTSIDE` on."""
+    """Group (N,) of surface positions (N, 3) with normals (N, 3); indices start at :data:`NUM_OUTSIDE`."""
     grid = surfels.grid
     side_m = grid.cell_m * float(grid.shape.max()) / ROOM_PARTS
     part = np.floor((position_m - grid.low) / side_m).astype(np.int64)
-    x, y, z = (np.clip(part, -1, ROOM_PARTS) + 1).T  # the outermost parts hold what lies outside
+    x, y, z = (np.clip(part, -1, ROOM_PARTS) + 1).T  # the outermost parts also take values beyond the limits
     across = ROOM_PARTS + 2
     return NUM_OUTSIDE + ((x * across + y) * across + z) * NUM_SIDES + side_of(normal)
 
@@ -127,8 +132,10 @@ def _by_region(values: NDArray, sampled_region: NDArray, region: NDArray) -> NDA
 def solve_gains(
     log_radiance: NDArray, rest: NDArray, parts: NDArray, region: NDArray, is_outside: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Gains (K,) of ``parts`` (N, K) of the irradiance beside its known part ``rest`` (N,); ``is_outside``
-    (K,) is the kind of each group."""
+    """Gains (K,) of the estimated ``parts`` (N, K) of the irradiance; ``rest`` (N,) is its known part.
+
+    ``is_outside`` (K,): whether a group lies outside the room.
+    """
     num_groups = parts.shape[1]
     region = np.unique(region, return_inverse=True)[1]
     is_alike = is_outside[:, None] == is_outside[None, :]
@@ -149,7 +156,7 @@ def solve_gains(
 
 
 def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
-    """Huber weights (N,) of residuals about their region's mean, in samples."""
+    """Huber weights (N,) of the residuals about the mean of their region, in samples."""
     weight = np.ones(len(residual))
     for _ in range(_REWEIGHTINGS):
         mean = np.bincount(region, weight * residual) / np.bincount(region, weight)
@@ -158,7 +165,7 @@ def _robust_weights(residual: NDArray, region: NDArray) -> NDArray[np.float64]:
 
 
 def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np.float64]:
-    """Means (N, J) of ``rows`` (N, J) by region, shrunk to the overall mean where samples are few."""
+    """Means (N, J) of ``rows`` (N, J) by region, shrunk to the overall mean for regions with few samples."""
     total = np.bincount(region, weight)
     means = np.stack([np.bincount(region, weight * column) / total for column in rows.T], axis=1)
     own = (total / (total + REGION_PRIOR))[:, None]
@@ -166,7 +173,7 @@ def _region_means(rows: NDArray, region: NDArray, weight: NDArray) -> NDArray[np
 
 
 def with_gains(background: Background, gains: NDArray) -> Background:
-    """The background with gains applied to its estimates, not to photographed radiance."""
+    """The background with gains applied to its estimates but not to photographed radiance."""
     is_estimated = background.is_known & ~background.is_photographed
     factor = np.where(is_estimated, gains[background_groups(background.layout)], 1.0)[:, None]
     return replace(background, radiance=(background.radiance * factor).astype(np.float32))

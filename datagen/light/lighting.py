@@ -20,24 +20,28 @@ from datagen.light.radiance_field import RadianceField, surface_cells
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1
-"""Least share of known light that is scaled up to all light."""
+"""Minimum share of known light for extrapolation to all light."""
 MIN_SHADING = 1e-3
-"""Of the room's median: below it nothing is known of a diffuse albedo."""
+"""Share of the room's median shading below which a diffuse albedo is undetermined."""
 MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
-"""Surfels whose rays look for surface that no photograph shows, and how many rays each has."""
+"""Number of surfels whose rays search for unphotographed surface, and of rays per surfel."""
 MAX_RATIO_SURFELS = 8000
-"""Surfels whose reflectance gives the mean of the room."""
+"""Number of surfels whose reflectance gives the mean of the room."""
 ESTIMATE_ROUNDS = 5
-"""Surfaces in no photograph light each other: each round adds a bounce. The first takes unknown light to be
-as bright as known light; from the fifth on, the mean changes by less than 2 %."""
+"""Unphotographed surfaces illuminate each other: each round adds a bounce. The first assumes unknown light to
+be as bright as known light; from the fifth on, the mean changes by less than 2 %."""
 _MEAN_REFLECTANCE = (0.05, 0.9)  # bounds
 
 
 @dataclass(frozen=True)
 class GatherOptions:
-    """Rays a surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, ``estimate_rays``
-    for unphotographed surface; and the surfels over which shading is smoothed. ``estimates_unseen``: whether
-    unphotographed surface gets the mean reflectance; ``fits_estimates``: whether estimates get gains."""
+    """Options of :func:`light_surfels` and :func:`relight`.
+
+    Rays per surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, and ``estimate_rays``
+    for unphotographed surface. Further the number of surfels over which shading is smoothed.
+    ``estimates_unseen``: whether unphotographed surface gets the mean reflectance; ``fits_estimates``:
+    whether gains of the estimates are fitted.
+    """
 
     irradiance_rays: int = 144
     second_irradiance_rays: int = 512
@@ -49,8 +53,11 @@ class GatherOptions:
 
 @dataclass(frozen=True)
 class Lit:
-    """Surfels with their shading: ``diffuse`` (N, 3), smoothed; ``hidden`` (N,), the share of their light
-    attributed to unphotographed lamps."""
+    """Surfels with their shading.
+
+    ``diffuse`` (N, 3) is smoothed; ``hidden`` (N,) is the share of their light attributed to unphotographed
+    lamps.
+    """
 
     surfels: Surfels
     baker: Baker
@@ -67,7 +74,7 @@ def light_surfels(
     options: GatherOptions,
     step: Callable[[str], AbstractContextManager[None]] = lambda name: nullcontext(),
 ) -> Lit:
-    """Surfels of the views and their incident light. ``step`` wraps each part of the work."""
+    """Surfels of the views and their incident light. ``step`` is a context manager around each stage."""
     with step("surfels"):
         surfels = build_surfels(views)
     with step("field"):
@@ -91,8 +98,10 @@ def relight(
     is_metal: NDArray[np.bool_],
     options: GatherOptions,
 ) -> Lit:
-    """The same surfels, relit with less noise and with reflections at metals of S (N, 3) and R (N,) in all
-    directions."""
+    """The surfels relit with less noise and with reflections at metals.
+
+    Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,).
+    """
     field = lit.baker.field
     if is_metal.any():
         field = field.with_metals(lit.surfels, specular_albedo, roughness, is_metal, lit.baker.start_m)
@@ -110,9 +119,11 @@ def _lit(surfels: Surfels, baker: Baker, hidden: NDArray, num_rays: int, options
 def _estimated(
     scene_field: RadianceField, surfels: Surfels, size_m: float, region: NDArray, options: GatherOptions
 ) -> tuple[RadianceField, NDArray[np.float64]]:
-    """The field with estimates for unphotographed surface that the surfels' rays hit (the room's mean
-    reflectance times the incident light), then with the gains of all estimates; and the surfels' share of
-    light from hidden lamps (N,)."""
+    """Radiance field with estimates for unphotographed surface, and the surfels' share of light from hidden
+    lamps (N,).
+
+    The estimate is the room's mean reflectance times the incident light, then scaled by the fitted gains.
+    """
     position, facing = _unknown_surface(scene_field, surfels, size_m)
     extended = scene_field
     radiance = np.zeros((len(position), 3), np.float32)
@@ -162,7 +173,7 @@ def _mean_reflectance(baker: Baker, surfels: Surfels, options: GatherOptions) ->
 
 
 def smoothed(surfels: Surfels, values: NDArray, neighbours: int) -> NDArray[np.float32]:
-    """Means of ``values`` (N, K) over the nearest surfels of similar normals."""
+    """Means of ``values`` (N, K) over the nearest surfels with similar normals."""
     distance, index = near_surfels(surfels, neighbours)
     weight = np.exp(-0.5 * (distance / 1.5) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Incident radiance of a photographed room, as one Dr.Jit function of a ray.
 
-A ray that hits an emitter returns its radiance; one that hits another surface that of the surfel there, else
-of the cells of twice and four times the size; one that leaves the mesh the background in its direction.
-Unphotographed radiance is estimated (:meth:`RadianceField.extended`) or unknown. Rays are reflected once at
-detected metals (:meth:`RadianceField.with_metals`), whose radiance towards the cameras differs from that
-along the ray. Everything runs on CPU and CUDA from one source.
+A ray that hits an emitter returns the emitter's radiance. A ray that hits another surface returns the
+radiance of the surfel there or, if there is none, of the enclosing cell of twice or four times the size. A
+ray that leaves the mesh returns the background in its direction. Unphotographed radiance is estimated
+(:meth:`RadianceField.extended`) or unknown. At detected metals, whose radiance towards the cameras differs
+from that along the ray, rays are reflected once (:meth:`RadianceField.with_metals`). Everything runs on CPU
+and CUDA from one source.
 """
 
 from __future__ import annotations
@@ -26,17 +27,20 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 MIN_COSINE = 0.02
-"""Of a view's direction: one below the surface's horizon, as bumpy normals have it, is lifted to it."""
+"""Minimum cosine of a view's direction: directions below the horizon of a bumpy normal are raised to it."""
 NUM_LEVELS = 3
-"""Cells of one, two and four times the surfels' side."""
+"""Number of cell sizes: one, two and four times the surfels' side."""
 OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
-"""Side of the cells of surface outside of the surfels' grid, in cells of the surfels, and how far they reach
-beyond it: by the diagonal of the photographed box."""
+"""Side of the cells outside of the surfels' grid, in surfel cells, and how far they extend beyond it, which
+is the diagonal of the photographed box."""
 
 
 class Met(NamedTuple):
-    """Result of a ray: ``radiance``, 0 where unknown; ``is_known``; ``is_photographed`` (not estimated);
-    ``is_front_of_emitter``, then ``face`` its triangle, ``distance_m`` and ``cosine`` at it."""
+    """Result of a ray: ``radiance`` (0 if unknown), ``is_known``, ``is_photographed`` (not estimated).
+
+    If ``is_front_of_emitter``, then ``face`` is the emitter's triangle, with ``distance_m`` and ``cosine`` at
+    the hit.
+    """
 
     radiance: Any
     is_known: Any
@@ -49,8 +53,11 @@ class Met(NamedTuple):
 
 @dataclass(frozen=True)
 class Cells:
-    """Radiance (K, 3) of cells: ``index`` maps the cells of a level to its rows, or -1; ``low`` corner (3,),
-    ``cell_m`` side and ``shape`` (3,) of the grid."""
+    """Radiance (K, 3) of cells.
+
+    ``index`` maps the cells of a level to rows of the radiance, -1 for none; ``low`` corner (3,), ``cell_m``
+    side and ``shape`` (3,) of the grid.
+    """
 
     index: NDArray[np.int32]
     low: NDArray[np.float64]
@@ -62,8 +69,11 @@ class Cells:
 
 @dataclass(frozen=True)
 class Metals:
-    """By row of the cells' radiance: ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,).
-    Reflected rays are offset by ``start_m``."""
+    """Metals of the field, by row of the cells' radiance.
+
+    ``specular_albedo`` (K, 3), ``roughness`` (K,), ``is_metal`` (K,). Reflected rays are offset by
+    ``start_m``.
+    """
 
     specular_albedo: NDArray[np.float32]
     roughness: NDArray[np.float32]
@@ -72,8 +82,11 @@ class Metals:
 
 
 class Estimated(NamedTuple):
-    """Rays of estimated radiance: ``ray`` (K,) indices, ``radiance`` (K, 3), ``background_bin`` (K,) of rays
-    that leave the mesh, else -1 with ``position_m`` and ``normal`` (K, 3) of the surface."""
+    """Rays whose radiance is estimated.
+
+    ``ray`` (K,) indices, ``radiance`` (K, 3). ``background_bin`` (K,) for rays that leave the mesh; -1 for
+    the others, which hit surface at ``position_m`` with ``normal``, (K, 3) each.
+    """
 
     ray: NDArray[np.int64]
     radiance: NDArray[np.float32]
@@ -83,8 +96,9 @@ class Estimated(NamedTuple):
 
 
 class _End(NamedTuple):
-    """End of a ray: the result, the surfel's row or -1, position, normal towards the ray, and whether the ray
-    leaves the mesh."""
+    """End of a ray: the result, the surfel's row or -1, the position, the normal towards the ray, and whether
+    the ray leaves the mesh.
+    """
 
     met: Met
     row: Any
@@ -94,7 +108,7 @@ class _End(NamedTuple):
 
 
 class RadianceField:
-    """Radiance of ``surfels``, ``emitters`` and ``background``."""
+    """Radiance along rays, from ``surfels``, ``emitters`` and ``background``."""
 
     def __init__(
         self,
@@ -136,8 +150,9 @@ class RadianceField:
         )
 
     def _lookup(self, position: Any, normal: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """Radiance, whether it is known and photographed, and the row of the finest cell or -1, of surface at
-        ``position`` on the side of ``normal``."""
+        """Radiance of the surface at ``position`` on the side of ``normal``, whether it is known and
+        photographed, and the row of the finest cell (-1 for none).
+        """
         import drjit as dr
         import mitsuba as mi
 
@@ -160,8 +175,11 @@ class RadianceField:
         return radiance, is_known, is_photographed, finest
 
     def meet(self, ray: Any, active: Any, sample: Any | None = None) -> Met:
-        """Trace ``ray`` into the field. ``sample``, uniform on [0, 1)^2, chooses the half vector of the
-        reflection at a metal; fields without metals ignore it."""
+        """Trace ``ray`` into the field.
+
+        ``sample``, uniform on [0, 1)^2, chooses the half vector of the reflection at a metal; without metals
+        it is unused.
+        """
         import drjit as dr
         import mitsuba as mi
 
@@ -284,7 +302,11 @@ class RadianceField:
         is_metal: NDArray[np.bool_],
         start_m: float,
     ) -> RadianceField:
-        """The field with metals among the ``surfels``: S (N, 3), R (N,) and ``is_metal`` (N,)."""
+        """The field with rays reflected at the metals among the ``surfels``.
+
+        Per surfel: ``specular_albedo`` (N, 3), ``roughness`` (N,) and ``is_metal`` (N,). ``start_m`` offsets
+        the origins of reflected rays.
+        """
         rest = len(self.cells.radiance) - len(surfels)  # estimated surface
         metals = Metals(
             np.pad(specular_albedo, ((0, rest), (0, 0))).astype(np.float32),
@@ -306,7 +328,7 @@ def schlick_weight(cosine: Any) -> Any:
 
 
 def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Cell and side (N,) of points, -1 outside of the grid."""
+    """Index (N,) of the cell and side of points, -1 outside of the grid."""
     at = np.floor((position_m - grid.low) / grid.cell_m).astype(np.int64)
     inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
     key = ((at[:, 0] * grid.shape[1] + at[:, 1]) * grid.shape[2] + at[:, 2]) * NUM_SIDES + side_of(normal)
@@ -320,8 +342,9 @@ def side_of(normal: NDArray) -> NDArray[np.int64]:
 
 
 def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-    """Indices (N,) of the cells and sides of points in the surfels' grid or, outside of it, in the larger
-    cells around; -1 beyond those."""
+    """Index (N,) of the cell and side of points: in the surfels' grid, else in the larger cells around it,
+    else -1.
+    """
     keys = cell_keys(grid, position_m, normal)
     around = cell_keys(_outer_grid(grid), position_m, normal)
     return np.where(keys >= 0, keys, np.where(around >= 0, len(grid.surfel) + around, -1))
@@ -370,7 +393,7 @@ def _surfel_cells(surfels: Surfels) -> Cells:
 
 
 def _pyramid(cells: Cells) -> list[Cells]:
-    """The cells, and those of twice and four times the side with the mean radiance of their children."""
+    """The cells, then those of twice and of four times the side with the mean radiance of their children."""
     levels = [cells]
     occupied = np.flatnonzero(cells.index >= 0)
     side, rest = occupied % NUM_SIDES, occupied // NUM_SIDES

@@ -2,10 +2,10 @@
 """Surfels: the photographed surfaces of a room as cells of about 2.5 cm, with all observations of each.
 
 Letters: V views, N surfels, M observations (a surfel in a view), C cells. Space is divided into cubic cells,
-each split into six sides by the axis that the normal is nearest to, so that both sides of a wall stay apart.
-A surfel is an occupied cell and side. Its observation in a view is the weighted mean of the view's pixels
-there; its radiance is the weighted median over views. Surfels are numbered by cell, so that they do not
-depend on the order of the views. Colours are linear and of one exposure.
+each split into six sides by the axis nearest to the normal, so that the two faces of a wall stay apart. A
+surfel is an occupied side of a cell. Its observation in a view is the weighted mean of the view's pixels
+there; its radiance is the weighted median over the views. Surfels are numbered by cell, so that their order
+does not depend on the order of the views. Colours are linear and share one exposure.
 """
 
 from __future__ import annotations
@@ -25,17 +25,21 @@ Floats32 = NDArray[np.float32]
 CELLS_ACROSS = 300
 """Cells along the diagonal of the photographed volume: 2.5 cm in a room of 7 m."""
 MIN_CELL_PIXELS = 1.0
-"""Least side of a cell in pixels at the median depth: smaller cells would be seen by chance."""
+"""Minimum side of a cell in pixels at the median depth: smaller cells would be missed by whole views."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
-"""Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit, against 1 elsewhere."""
-_MAX_EXTENT = 1.25  # of the central 98 % of the pixels: what lies farther out counts as outside
+"""Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
+1."""
+_MAX_EXTENT = 1.25  # of the central 98 % of the pixels; pixels beyond count as outside
 
 
 @dataclass(frozen=True)
 class CellGrid:
-    """The cells: ``low`` (3,) corner in metres, ``cell_m`` side, ``shape`` (3,) cells along the axes, and
-    ``surfel`` (C * 6,) surfel of each cell and side, -1 where there is none."""
+    """Grid of cubic cells.
+
+    ``low`` (3,) corner in metres, ``cell_m`` side, ``shape`` (3,) cells along the axes, and ``surfel`` (C *
+    6,) index of the surfel in each cell and side, -1 for none.
+    """
 
     low: NDArray[np.float64]
     cell_m: float
@@ -45,8 +49,11 @@ class CellGrid:
 
 @dataclass(frozen=True)
 class Observations:
-    """Rows of surfel i are ``start[i]`` to ``start[i + 1]``, ordered by view. ``radiance`` (M, 3),
-    ``weight`` (M,): number of pixels, those at depth edges counted by :data:`EDGE_WEIGHT`."""
+    """Observations (M) of the surfels, ordered by surfel and then by view.
+
+    Those of surfel i are rows ``start[i]`` to ``start[i + 1]``. ``radiance`` (M, 3); ``weight`` (M,), the
+    number of pixels, where a pixel at a depth edge counts :data:`EDGE_WEIGHT`.
+    """
 
     start: NDArray[np.int64]
     view: NDArray[np.int32]
@@ -56,9 +63,12 @@ class Observations:
 
 @dataclass(frozen=True)
 class Surfels:
-    """``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,)
-    triangle, ``radiance`` (N, 3) median over views, ``camera_m`` (V, 3) positions of the cameras. By view:
-    ``pixel_surfel`` surfel (P,) of each pixel, -1 for none, and its ``pixel_weight`` (P,)."""
+    """Surfels of a room.
+
+    ``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,) triangle,
+    ``radiance`` (N, 3) median over views, ``camera_m`` (V, 3) positions of the cameras. Per view:
+    ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
+    """
 
     grid: CellGrid
     position_m: Floats32
@@ -86,7 +96,7 @@ class Surfels:
 def build_surfels(views: Sequence[TracedView]) -> Surfels:
     """Surfels of the non-emitting surfaces in the views.
 
-    Raises ValueError where the views see no extended surface.
+    Raises ValueError if the views show no extended surface.
     """
     cameras = [camera_row(view) for view in views]
     low, cell_m, shape = _extent(views, cameras)
@@ -122,7 +132,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
 
 
 def camera_row(view: TracedView) -> NDArray[np.float64]:
-    """Rotation (9), position (3), fx, fy, cx, cy, width, height of a view's camera."""
+    """A view's camera as one row: rotation (9), position (3), fx, fy, cx, cy, width, height."""
     camera = view.camera
     matrix = camera.world_from_camera
     return np.array(
@@ -134,7 +144,7 @@ def camera_row(view: TracedView) -> NDArray[np.float64]:
 def _extent(
     views: Sequence[TracedView], cameras: Sequence[NDArray]
 ) -> tuple[NDArray[np.float64], float, NDArray[np.int64]]:
-    """Corner, cell size and shape of the grid, from a sparse sample of the pixels."""
+    """Corner, cell size and shape of the grid, from a sparse subset of the pixels."""
     points, footprint = [], []
     for view, row in zip(views, cameras, strict=True):
         depth = view.geometry.depth_z_m[..., 0]
@@ -162,7 +172,7 @@ def _extent(
 
 @compiled
 def cell_of(position, normal, low, cell_m, shape):
-    """Index of the cell and side of a point; -1 outside of the grid."""
+    """Index of the cell and side of a point, -1 outside of the grid."""
     index = 0
     for axis in range(3):
         at = int(np.floor((position[axis] - low[axis]) / cell_m))
@@ -192,8 +202,10 @@ def place_pixel(index, depth, width, camera, out):
 
 @compiled
 def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
-    """Surfels of one side around a point for trilinear interpolation: their number, at most 8, their indices
-    in ``near`` and their weights in ``share``."""
+    """Surfels of one side around a point, for trilinear interpolation.
+
+    Returns their number, at most 8; writes their indices to ``near`` and their weights to ``share``.
+    """
     num = 0
     for corner in range(8):
         key = 0
@@ -257,8 +269,9 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
 
 @compiled
 def _observe_view(cell, weight, color, depth, camera, low, cell_m, shape, surfel, num):
-    """Surfels (K,) in a view in order, their radiance (K, 3) and weight (K,), and the pixel (K,) nearest to
-    the cell centre with its squared distance (K,)."""
+    """Surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), and the pixel (K,)
+    nearest to the cell centre with its squared distance (K,).
+    """
     sums = np.zeros((num, 3), np.float32)
     total = np.zeros(num, np.float32)
     nearest = np.full(num, -1, np.int32)
@@ -274,9 +287,7 @@ def _observe_view(cell, weight, color, depth, camera, low, cell_m, shape, surfel
         for channel in range(3):
             sums[at, channel] += w * color[index, channel]
         place_pixel(index, depth[index], width, camera, here)
-        off = np.float32(
-            0.0 if w == 1.0 else 1e6
-        )  # pixels at edges stand for a surfel only where no other does
+        off = np.float32(0.0 if w == 1.0 else 1e6)  # edge pixels only if no others
         for axis in range(3):
             part = (here[axis] - low[axis]) / cell_m
             off += (part - np.floor(part) - 0.5) ** 2
@@ -330,7 +341,7 @@ def _gathered(
     pixel = np.concatenate([part[3] for part in seen])
     distance = np.concatenate([part[4] for part in seen])
     ranked = np.lexsort((distance, surfel))
-    chosen = ranked[start[:-1]]  # every surfel is seen by a view
+    chosen = ranked[start[:-1]]  # every surfel is observed in some view
     position, normal = np.empty((num, 3), np.float32), np.empty((num, 3), np.float32)
     face = np.empty(num, np.int32)
     for index, (of_view, row) in enumerate(zip(views, cameras, strict=True)):
@@ -352,8 +363,10 @@ def _gathered(
 
 @compiled
 def weighted_medians(start, values, weight):
-    """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel: the
-    mean of the values at which the weights of the smaller ones reach and exceed half of all."""
+    """Weighted median (N, 3) of rows ``start[i]`` to ``start[i + 1]`` of ``values`` (M, 3), per channel.
+
+    The mean of the two values at which the cumulative weight reaches and exceeds one half.
+    """
     num = len(start) - 1
     found = np.zeros((num, 3), np.float32)
     for i in range(num):
@@ -374,8 +387,10 @@ def weighted_medians(start, values, weight):
 
 
 def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distances in cells and indices (N, ``num`` or N) of the nearest surfels of similar normals; the first
-    is the surfel itself."""
+    """Distances in cells and indices (N, ``num`` or N) of the nearest surfels with similar normals.
+
+    The first is the surfel itself.
+    """
     cell = surfels.grid.cell_m
     tree = cKDTree(np.concatenate([surfels.position_m, surfels.normal * (3 * cell)], axis=1))
     nearest = np.arange(min(num, len(surfels))) + 1
@@ -384,7 +399,7 @@ def near_surfels(surfels: Surfels, num: int) -> tuple[NDArray[np.float64], NDArr
 
 
 def surfel_means(surfels: Surfels, maps: Sequence[NDArray]) -> Floats32:
-    """Weighted means (N, K) over all pixels of a surfel of the views' ``maps`` (H, W, K)."""
+    """Weighted means (N, K) of the views' ``maps`` (H, W, K) over all pixels of a surfel."""
     channels = maps[0].shape[-1]
     sums, total = np.zeros((len(surfels), channels)), np.zeros(len(surfels))
     for view_map, surfel, weight in zip(maps, surfels.pixel_surfel, surfels.pixel_weight, strict=True):

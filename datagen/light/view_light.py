@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Light recorded by the views of a room, by pixel, as inputs of networks.
+"""Light recorded by the views of a room, per pixel, as input of networks.
 
-Letters: V views, N surfels, M observations. Everything comes from the views' colours and the mesh, never from
-the ground truth, so that datasets (``datagen run --only stats``) and captures (``materials infer``) get the
-same values. Irradiance is baked by surfel, mirror reflections by observation; pixels interpolate the surfels
-of their side around them.
+Letters: V views, N surfels, M observations. Everything derives from the views' colours and the mesh, never
+from the ground truth, so that datasets (``datagen run --only stats``) and captures (``materials infer``) get
+the same values. Irradiance is computed per surfel and mirror reflections per observation; pixels interpolate
+the surfels around them on their side of the surface.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from datagen.light.surfels import NUM_SIDES, camera_row, cell_of, place_pixel, s
 from datagen.multiview.compiled import compiled
 
 GATHERING = GatherOptions(irradiance_rays=64, estimate_rays=24, fits_estimates=False)
-"""Rays are fewer than the reconstruction's, and estimates stay as they are: a network is to be fed, and does
-not mind some noise."""
+"""Fewer rays than in the reconstruction, and no fitted gains: inputs of a network may be noisy."""
 MIRROR_RAYS = 6
-"""Of an observation and roughness; pixels are means over several observations."""
+"""Rays per observation and roughness; pixels average several observations."""
 _MIRROR_SEED = 23
 
 
 class ViewLight:
     """Light of all views; :meth:`buffers` evaluates one view.
 
-    ``emits`` (M,) are the triangles known to emit. The result does not depend on the order of the views.
-    Raises ValueError where the views see no extended surface.
+    ``emits`` (M,): triangles known to emit. The result does not depend on the order of the views. Raises
+    ValueError if the views show no extended surface.
     """
 
     def __init__(self, views: Sequence[TracedView], traced: TracedGeometry, emits: NDArray[np.bool_]):
@@ -62,8 +61,11 @@ class ViewLight:
         return shading.ls0 / np.maximum(shading.known, MIN_KNOWN)[:, None]
 
     def buffers(self, index: int, color_median: NDArray) -> dict[str, NDArray[np.float32]]:
-        """:data:`~datagen.foundation.buffers.LIGHT_BUFFERS` of view ``index``, (H, W, 3 or 1); 0 where there
-        is no surface. ``color_median`` (H, W, 3) is the median over views of each pixel's point."""
+        """:data:`~datagen.foundation.buffers.LIGHT_BUFFERS` of view ``index``, (H, W, 3 or 1); 0 without
+        surface.
+
+        ``color_median`` (H, W, 3) is the median over views of each pixel's point.
+        """
         place = self._place[index]
         view, surfels = self._views[place], self._lit.surfels
         rows = np.flatnonzero(surfels.observations.view == place)
@@ -94,7 +96,9 @@ class ViewLight:
 def _interpolated(
     depth, normal, own, camera, low, cell_m, shape, surfel, row_of, of_surfel, of_observation
 ):  # fmt: skip
-    """Means (P, K + J) of surfels' (N, K) and observations' (M, J) values around pixels; 0 without surfel."""
+    """Values (P, K + J) at pixels, interpolated from surfels' (N, K) and observations' (M, J); 0 without a
+    surfel.
+    """
     num_first, num_second = of_surfel.shape[1], of_observation.shape[1]
     out = np.zeros((len(depth), num_first + num_second), np.float32)
     width = int(camera[16])
@@ -120,6 +124,6 @@ def _interpolated(
                     out[index, num_first + c] += w * of_observation[row, c]
         for c in range(num_first):
             out[index, c] /= total
-        for c in range(num_second):  # a pixel's own surfel is seen by its view, so that there is one
+        for c in range(num_second):  # a pixel's own surfel is always observed by its view
             out[index, num_first + c] /= total_seen
     return out

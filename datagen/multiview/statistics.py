@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Multi-view colour statistics of every pixel (method 2): minimum, median and maximum over the best views.
 
-One Dr.Jit source runs on CPU and GPU and is compiled once for all views. Per pixel with a surface: p is
-unprojected from the view's depth, the views that see p are ranked (``view_selection``), colours of the best
-are fetched at p's projections, and each channel is sorted by a network. The median of an even number of
-colours is the mean of the middle two. A pixel without a surface (nothing hit, an emitter, or less than half
-covered by reflecting surface), or one that no chosen view sees, holds its own colour and the count 0.
+One Dr.Jit source runs on CPU and GPU and is compiled once for all views. For each pixel with a surface, its
+point p is unprojected from the view's depth, the views that see p are ranked (``view_selection``), the
+colours of the best are fetched at p's projections, and each channel is sorted by a sorting network. The
+median of an even number of colours is the mean of the middle two. A pixel without a surface (nothing hit, an
+emitter, or less than half covered by reflecting surface), or one whose point is visible in no chosen view,
+holds its own colour and the count 0.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class StatisticsView:
     def from_buffers(
         cls, camera: Camera, buffers: Mapping[str, NDArray], name: str = "view"
     ) -> StatisticsView:
-        """The same from a view's buffers by name, its colour being ``beauty``."""
+        """A view's input from its buffers by name; the colour is ``beauty``."""
         return cls(
             camera,
             buffers["beauty"],
@@ -66,7 +67,7 @@ class StatisticsView:
         )
 
     def problems(self) -> list[Problem]:
-        """Every fault of the arrays: shapes that differ from the camera's, NaN or Inf."""
+        """All faults of the arrays: shapes that differ from the camera's, NaN or Inf."""
         height, width = self.camera.height_px, self.camera.width_px
         found = []
         for field_name, channels in (
@@ -91,9 +92,11 @@ class StatisticsView:
 
 @dataclass(frozen=True)
 class StatisticsOptions:
-    """Options of the statistics. ``best_views`` in [4, 24] is k; ``include_self`` makes a view's own pixel a
-    candidate; ``color_fetch`` reads a colour at a projection from the nearest pixel or from those of the four
-    around it that show the same depth.
+    """Options of the statistics.
+
+    ``best_views`` in [4, 24] is k. ``include_self``: whether a view's own pixel is a candidate.
+    ``color_fetch`` reads a colour at a projection from the nearest pixel, or interpolates the neighbouring
+    four that have the same depth.
     """
 
     best_views: int = 12
@@ -118,7 +121,7 @@ class StatisticsOptions:
 
 
 def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that have statistics of more than their own colour."""
+    """Mask (H, W) of the pixels whose statistics cover more than their own colour."""
     return (depth_z_m[..., 0] > 0) & (surface_mask[..., 0] >= MIN_COVERAGE)
 
 
@@ -131,10 +134,10 @@ def compute_statistics(
 ) -> Iterator[dict[str, NDArray[np.float32]]]:
     """Statistics of each view in turn, or of the views ``only``, as float32 arrays by buffer name.
 
-    ``color_min``, ``color_median``, ``color_max`` are (H, W, 3) scene-linear, ``observation_count`` is
-    (H, W, 1). ``scene`` is needed for traced visibility only: a ``mi.Scene``, or any object whose
-    ``ray_test(ray, active=mask)`` says what hides a point. ``progress(done, total)`` is called after each
-    view. Input is checked before anything is computed; all faults are raised in one :class:`InputError`.
+    ``color_min``, ``color_median``, ``color_max`` are (H, W, 3) scene-linear, ``observation_count`` is (H, W,
+    1). ``scene`` is needed for traced visibility only: a ``mi.Scene``, or any object whose ``ray_test(ray,
+    active=mask)`` returns whether a ray is occluded. ``progress(done, total)`` is called after each view.
+    Input is checked before anything is computed; all faults are raised in one :class:`InputError`.
     """
     options = options or StatisticsOptions()
     problems = [problem for view in views for problem in view.problems()]
@@ -181,7 +184,7 @@ def _statistics_of_all(
 
 
 def _pack_colors(views: Sequence[StatisticsView], packed: PackedViews) -> mi.Float:
-    """Colours of all views, four floats a pixel: one packet load fetches a colour."""
+    """Colours of all views, padded to four floats per pixel: one packet load fetches a colour."""
     import mitsuba as mi
 
     flat = aligned_empty(packed.num_pixels * 4, np.float32)
@@ -201,7 +204,7 @@ def _view_statistics(
     options: StatisticsOptions,
     scene: mi.Scene | None,
 ) -> tuple[Any, ...]:
-    """Minimum, median, maximum (each a list of three channels) and count of one view's pixels (*traced*)."""
+    """Minimum, median, maximum (a list of three channels each) and count of one view's pixels (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -253,7 +256,8 @@ def _unproject(packed: PackedViews, view: mi.UInt32, pixel: mi.UInt32, depth: mi
     import mitsuba as mi
 
     at = project(packed, view, mi.Point3f(0, 0, 0))
-    # A kernel's last SIMD packet has idle lanes, whose gathers give 0: an integer division by that is fatal.
+    # The last SIMD packet of a kernel has idle lanes, whose gathers return 0: dividing an integer by it
+    # crashes.
     width = dr.maximum(at.layout[1], 1)
     row = pixel // width
     x = (mi.Float(pixel - row * width) + 0.5 - at.intrinsics[2]) / at.intrinsics[0]
@@ -283,7 +287,7 @@ def _fetch_colors(
             fetched = dr.gather(mi.Vector4f, colors, _pixel_at(at), ~is_own)
         else:
             fetched = _fetch_bilinear(packed, at, colors, options.visibility, ~is_own)
-        color = dr.select(is_own, own_color, fetched)  # exact: no detour over a projection
+        color = dr.select(is_own, own_color, fetched)  # exact, without a projection
         red[j], green[j], blue[j] = color[0], color[1], color[2]
         return j + 1, red, green, blue
 
@@ -296,11 +300,11 @@ def _fetch_colors(
 def _fetch_bilinear(
     packed: PackedViews, at: Any, colors: mi.Float, options: VisibilityOptions, active: mi.Bool
 ) -> mi.Vector4f:
-    """Colour between the four pixels around the projection; those that show another depth are left out."""
+    """Colour interpolated between the four pixels around the projection, without those of another depth."""
     import drjit as dr
     import mitsuba as mi
 
-    # beyond the outermost pixel centres the border pixel's colour continues
+    # beyond the outermost pixel centres the border pixel's colour is repeated
     last_x, last_y = at.layout[1] - 1, at.layout[2] - 1
     x = dr.clip(at.u_px - 0.5, 0, mi.Float(last_x))
     y = dr.clip(at.v_px - 0.5, 0, mi.Float(last_y))
@@ -321,7 +325,7 @@ def _fetch_bilinear(
         weight = dr.select(dr.abs(depth - at.z_m) <= tolerance, weight, 0)
         total += weight * dr.gather(mi.Vector4f, colors, pixel, active)
         weights += weight
-    # No neighbour at p's depth happens only to traced points, and near zero weights would amplify rounding.
+    # Only traced points can lack a neighbour at p's depth; weights near zero would amplify rounding errors.
     nearest = dr.gather(mi.Vector4f, colors, _pixel_at(at), active)
     return dr.select(weights > _MIN_WEIGHT, total / weights, nearest)
 
@@ -334,7 +338,7 @@ def _pixel_at(at: Any) -> mi.UInt32:
 
 
 def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, Any]:
-    """Minimum, median and maximum of the first ``count`` of ``values``; the others are Inf (*traced*)."""
+    """Minimum, median and maximum of the first ``count`` of ``values``; the rest must be Inf (*traced*)."""
     import drjit as dr
 
     values = list(values)
@@ -352,7 +356,7 @@ def _order_statistics(values: list[Any], count: mi.UInt32) -> tuple[Any, Any, An
 
 
 def sorting_network(size: int) -> list[tuple[int, int]]:
-    """Compare-exchange pairs of Batcher's odd-even merge sort for ``size`` values (any size)."""
+    """Compare-exchange pairs of Batcher's odd-even merge sort for any number of values."""
     pairs = []
     full = 1 << max(size - 1, 0).bit_length()
     run = 1

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Choosing the views whose colours stand for a point: cost, ranking and the list of the best (method 2).
+"""Choice of the views whose colours a point's statistics use: cost, ranking and the best k (method 2).
 
-cost_i = -n . omega_i + d_ip / max_j d_jp, j over all cameras; the k visible views of least cost are kept.
-Equal costs keep the view of lower index, so the choice does not depend on how the kernel is scheduled.
+cost_i = -n . omega_i + d_ip / max_j d_jp, j over all cameras; the k visible views of least cost are kept. Of
+equal costs the lower view index comes first, so that the choice does not depend on the scheduling of the
+kernel.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OwnView:
-    """The view to whose pixel grid the points belong: it sees them by definition, or is left out."""
+    """The view whose pixels the points belong to: visible there by definition, or excluded."""
 
     index: mi.UInt32
     is_included: bool = True
@@ -31,9 +32,9 @@ class Selection(NamedTuple):
     """The chosen views of each point (*traced*)."""
 
     num_chosen: mi.UInt32
-    """Number of the lists' entries that are set: min(k, number of views that see the point)."""
+    """Number of entries set: min(k, number of views in which the point is visible)."""
     costs: dr.Local
-    """(k,) floats, rising; Inf past the end."""
+    """(k,) floats, increasing; Inf beyond the entries set."""
     views: dr.Local
     """(k,) view indices in the order of their costs."""
 
@@ -48,7 +49,7 @@ def select_views(
     own: OwnView | None = None,
     active: mi.Bool | bool = True,
 ) -> Selection:
-    """The ``num_best`` views of least cost among those that see each point (*traced*).
+    """The ``num_best`` views of least cost among those in which each point is visible (*traced*).
 
     ``own`` is None for points that belong to no view's pixel grid, such as texels. No view is chosen for
     points that are not ``active``.
@@ -64,7 +65,7 @@ def select_views(
     def insert(
         costs: dr.Local, chosen: dr.Local, cost: mi.Float, view: mi.UInt32
     ) -> tuple[dr.Local, dr.Local]:
-        """Bubble one candidate into the sorted lists; entries beyond the end are dropped."""
+        """Insert one candidate into the sorted lists; entries beyond the end are dropped."""
 
         def body(j: Any, cost: Any, view: Any, costs: Any, chosen: Any) -> tuple[Any, ...]:
             other_cost, other_view = costs[j], chosen[j]

@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of points in views: packed views and the projection and visibility kernels on them.
+"""Visibility of points in views: packed views, and kernels for projection and occlusion.
 
 Letters: p a world point with unit normal n, i a view, o_i its centre, omega_i the unit direction from p to
 o_i, d_ip = |o_i - p|, (x, y, z) the point in view i's camera space, (u, v) its projection in pixels.
 
-A view sees p (method 2) if p projects inside its image, n . omega_i > 0 and nothing lies between. For that:
+Point p is visible in a view (method 2) if it projects inside the image, n . omega_i > 0 and nothing occludes
+it. Occlusion is tested in one of two ways:
 
 - ``depth`` compares with the view's own depth buffer at the pixel that p projects into. With n' the normal in
-  camera space, a pixel's step moves the depth of p's tangent plane by
-  z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)| per pixel, and p counts as seen where
+  camera space, one pixel along the image changes the depth of p's tangent plane by
+  z' = z (|n'_x| / f_x + |n'_y| / f_y) / |n' . (x/z, y/z, 1)|, and p counts as visible if
   |z_buffer - z| <= tolerance * z + min(slope_tolerance_px * z', slope_limit * z).
-  The test is two-sided: where the buffer lies far *behind* p the pixel's centre misses p's surface and the
-  pixel shows something else, so its colour would not be p's.
-- ``trace`` asks the scene's geometry with a shadow ray from the camera that ends a relative distance
+  The test is two-sided: if the buffer lies far *behind* p, the pixel's centre misses p's surface and the
+  pixel shows something else, so that its colour is not p's.
+- ``trace`` casts a shadow ray in the scene's geometry from the camera, which ends a relative distance
   ``trace_tolerance / max(n . omega_i, 0.05)`` before p.
 
 Functions marked *traced* take and return Dr.Jit arrays and may be called inside a kernel; the view index is
-an array, never a literal, so that one compiled kernel serves every view and any number of views. Pixels of
-all views are stored one view after another, so views may differ in size.
+an array, never a literal, so that one compiled kernel serves any number of views. Pixels of all views are
+stored one view after another, so that views may differ in size.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ from mitsuba_plugins.variant import select_variant
 if TYPE_CHECKING:
     import mitsuba as mi
 
-CAMERA_STRIDE = 16  # floats a view: rotation (9, row-major camera_from_world), centre (3), fx, fy, cx, cy
+CAMERA_STRIDE = 16  # floats per view: rotation (9, row-major camera_from_world), centre (3), fx, fy, cx, cy
 _ALIGNMENT = 64  # bytes of the widest SIMD register
 _MAX_PIXELS = 2**32  # pixel indices are 32-bit
-_MIN_TRACE_COSINE = 0.05  # keeps the shadow ray from being cut far short of a point seen at grazing angles
+_MIN_TRACE_COSINE = 0.05  # keeps the shadow ray of a point at grazing angles from ending far short of it
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class VisibilityOptions:
 
 
 class Projection(NamedTuple):
-    """Points as one view's camera has them, inside its image or not (*traced*)."""
+    """Points projected into one view's camera, and whether they are inside its image (*traced*)."""
 
     rotation: mi.Matrix3f
     """camera_from_world."""
@@ -90,7 +91,7 @@ class Projection(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """Samples of one view at each point (*traced*); undefined where ``is_visible`` is False."""
+    """Sample of one view at each point (*traced*); undefined unless ``is_visible``."""
 
     is_visible: mi.Bool
     cosine: mi.Float
@@ -104,8 +105,8 @@ class Observation(NamedTuple):
 class PackedViews:
     """Cameras and depth buffers of all views on the device.
 
-    ``depth_z_m`` holds one (H, W) or (H, W, 1) array a view (0 where nothing was hit), or is None where only
-    traced visibility will be asked for. Raises :class:`InputError` for empty or mismatched input.
+    ``depth_z_m`` holds one (H, W) or (H, W, 1) array per view (0: nothing hit), or is None if only traced
+    visibility is used. Raises :class:`InputError` for empty or mismatched input.
     """
 
     def __init__(
@@ -143,10 +144,10 @@ class PackedViews:
 
 
 def aligned_empty(size: int, dtype: Any) -> NDArray:
-    """A flat NumPy array in memory aligned for packet loads, for a Dr.Jit array to share.
+    """A flat NumPy array in memory aligned for packet loads, which a Dr.Jit array can share.
 
-    On the CPU Dr.Jit works in NumPy's own memory. Where that lies across packets it compiles another kernel,
-    with scalar gathers instead of packet loads; which one would be a matter of luck with the allocator.
+    On the CPU Dr.Jit works in NumPy's own memory. If it is not aligned, Dr.Jit compiles another kernel with
+    scalar gathers instead of packet loads; which of the two runs would depend on the allocator.
     """
     num_bytes = size * np.dtype(dtype).itemsize
     memory = np.empty(num_bytes + _ALIGNMENT, dtype=np.uint8)
@@ -155,7 +156,7 @@ def aligned_empty(size: int, dtype: Any) -> NDArray:
 
 
 def aligned(array: NDArray, dtype: Any = None) -> NDArray:
-    """A flat copy of ``array`` in such memory."""
+    """A flat copy of ``array`` in aligned memory."""
     flat = aligned_empty(array.size, dtype or array.dtype)
     flat[:] = array.ravel()
     return flat
@@ -208,7 +209,7 @@ def project(views: PackedViews, view: mi.UInt32, points: mi.Point3f) -> Projecti
 
 
 def max_distance(views: PackedViews, points: mi.Point3f) -> mi.Float:
-    """max_j d_jp over all cameras, whether they see the point or not (*traced*)."""
+    """max_j d_jp over all cameras, whether or not the point is visible there (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -234,7 +235,7 @@ def observe(
     options: VisibilityOptions,
     scene: mi.Scene | None = None,
 ) -> Observation:
-    """Project ``points`` with unit ``normals`` into ``view`` and decide whether it sees them (*traced*)."""
+    """Project ``points`` with unit ``normals`` into ``view`` and test their visibility (*traced*)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -273,13 +274,13 @@ def _agrees_with_depth(
     seen = dr.gather(mi.Float, views.depth, pixel, active)
     normal = at.rotation @ normals
     step = dr.abs(normal.x) / at.intrinsics[0] + dr.abs(normal.y) / at.intrinsics[1]
-    # facing = |n' . (x/z, y/z, 1)| z; at grazing angles the quotient may be Inf, which the limit takes
+    # facing = |n' . (x/z, y/z, 1)| z; at grazing angles the quotient may be Inf, which min() bounds
     slope = dr.minimum(options.slope_tolerance_px * step * at.z_m / facing, options.slope_limit)
     return dr.abs(seen - at.z_m) <= at.z_m * (options.depth_tolerance + slope)
 
 
 def vectors_from_rows(rows: NDArray) -> Any:
-    """(N, 3) numbers as a ``mi.Vector3f``, the same kernel serving every N.
+    """(N, 3) numbers as a ``mi.Vector3f`` that gives the same kernel for every N.
 
     ``mi.Vector3f(array)`` would make N a literal of the kernels that use it.
     """
@@ -300,7 +301,7 @@ class PointObservations(NamedTuple):
     cosine: NDArray[np.float32]
     """(V, N), n . omega_i; 0 where not visible."""
     distance_m: NDArray[np.float32]
-    """(V, N), distance between camera and point, whether visible or not."""
+    """(V, N), distance between camera and point, visible or not."""
 
 
 def observe_points(
@@ -312,7 +313,7 @@ def observe_points(
 ) -> PointObservations:
     """Observations of free points (N, 3) with unit normals (N, 3), independent of any pixel grid.
 
-    The whole result is returned, V x N; work through many points in blocks.
+    The result has V x N entries; process large numbers of points in blocks.
     """
     import drjit as dr
     import mitsuba as mi

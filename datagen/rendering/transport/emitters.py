@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Emitters of a scene as paths meet and sample them: visibility to the camera, shadow rays, MIS weights.
+"""Emitters of a scene: visibility to the camera, shadow rays and MIS weights.
 
-Lights that the camera does not see are passed by camera rays and met by all others. Shadow rays are
-attenuated by the opacity of what they cross, so that leaves and curtains cast their own shadows from point
+Emitters hidden from the camera are invisible to camera rays but not to rays after a bounce. Shadow rays are
+attenuated by the opacity of the surfaces that they cross, so that leaves and curtains cast shadows of point
 lights too.
 """
 
@@ -41,7 +41,7 @@ class SceneEmitters:
         return self._is_hidden_shape is not None
 
     def tables(self) -> list[Any]:
-        """Arrays that kernels read and that no argument brings."""
+        """Arrays that kernels read beside their arguments."""
         return [
             self._is_hidden_shape,
             *([] if self.light_sampler is None else self.light_sampler.arrays()),
@@ -55,7 +55,7 @@ class SceneEmitters:
         return (depth == 0) & dr.gather(mi.Bool, self._is_hidden_shape, shape, si.is_valid())
 
     def emission(self, si: Any, walk: Walk, active: Array, shown: Array) -> tuple[Any, Any]:
-        """Emission that a segment meets where it is ``shown``, and its MIS weight against :meth:`sample`."""
+        """Emission at the end of a segment where ``shown``, and its MIS weight against :meth:`sample`."""
         emitter = si.emitter(self.scene)
         ds = mi.DirectionSample3f(self.scene, si, walk.previous)
         pdf = self.scene.pdf_emitter_direction(walk.previous, ds, active & ~walk.previous_is_delta)
@@ -67,9 +67,9 @@ class SceneEmitters:
         return emitter.eval(si, shown), weight
 
     def sample(self, si: Any, numbers: Any, record: Array, active: Array) -> tuple[Any, Any]:
-        """Direction to an emitter, and its radiance over the density, less what lies between.
+        """Direction to an emitter, and its radiance over the density, attenuated by the surfaces between.
 
-        ``numbers`` is the path's sampler, ``record`` that of ``si`` in the irradiance cache, or 0.
+        ``numbers`` is the path's sampler, ``record`` the irradiance cache record of ``si``, or 0.
         """
         if self.light_sampler is None:
             is_tested = not self.has_transparency
@@ -110,7 +110,7 @@ class SceneEmitters:
 
 
 def _hidden_table(built: BuiltScene) -> Any:
-    """By registry index of a shape: whether the camera does not see it."""
+    """By registry index of a shape: whether it is hidden from the camera."""
     pointers: Any = built.scene.shapes_dr()
     registry = np.asarray(dr.reinterpret_array(mi.UInt32, pointers)).astype(np.int64)
     table = np.zeros(int(registry.max(initial=0)) + 1, bool)

@@ -6,11 +6,11 @@ The estimator is that of Mitsuba's ``path`` (tests compare the two), extended by
 * lights hidden from the camera, and opacity in shadow rays (:mod:`.emitters`);
 * low-discrepancy samples in every pair of dimensions of a pixel (:mod:`.sobol`);
 * learned light sampling (:mod:`.light_sampler`) and a guide through openings (:mod:`.sky_guide`);
-* optionally, termination in cached irradiance behind the first bounce (:mod:`.irradiance_cache`).
+* optionally, termination in cached irradiance after the first bounce (:mod:`.irradiance_cache`).
 
-No film is involved: a pixel's samples are neighbours in one array and are added in their order, so that a
-result has the same bytes for any number of threads. Camera, size, seed, sample count and the clamp are data
-of the kernel, which is recorded once for a scene and replayed.
+There is no film: the samples of a pixel are neighbours in one array and are summed in order, so that a result
+has the same bytes for any number of threads. Camera, size, seed, sample count and clamp are arguments of the
+kernel, which is recorded once per scene and replayed.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 Array = Any
 
 MAX_LANES = 1 << 24
-"""Light paths traced in one launch; a view with more takes several. Each takes 36 bytes."""
+"""Light paths per launch, 36 bytes each; views with more are traced in several launches."""
 TINY = 1e-30
 """Keeps the clamp's quotient finite for paths without light."""
 
@@ -51,7 +51,7 @@ _LIVE: weakref.WeakSet[PathTracer] = weakref.WeakSet()
 
 
 def forget_recordings() -> None:
-    """Drop the recorded kernels of all tracers; before Dr.Jit's cache of kernels is emptied."""
+    """Drop the recorded kernels of all tracers; to be called before Dr.Jit's kernel cache is emptied."""
     for tracer in list(_LIVE):
         tracer.forget_recordings()
 
@@ -74,15 +74,17 @@ class PathTracer:
         _LIVE.add(self)
 
     def _tables(self) -> list[Any]:
-        """Arrays that kernels read and that no argument brings."""
+        """Arrays that kernels read beside their arguments."""
         cache = [] if self.irradiance is None else self.irradiance.arrays()
         return [*self.emitters.tables(), *cache]
 
     # ---- state shared by all views -------------------------------------------------------------------
 
     def fit_sky_guide(self, sensors: Iterable[Any], num_samples: int, seed: int) -> None:
-        """Estimate the sky guide by ``num_samples`` paths a pixel from ``sensors``; without an environment
-        there is none."""
+        """Estimate the sky guide from ``num_samples`` paths per pixel of ``sensors``.
+
+        Without an environment the guide is absent.
+        """
         self.use_sky_guide(None)
         if self.scene.environment() is None:
             return
@@ -93,7 +95,7 @@ class PathTracer:
             )
 
     def use_sky_guide(self, guide: SkyGuide | None) -> None:
-        """Sample the openings of ``guide`` from here on; drops what was gathered with another."""
+        """Sample the openings of ``guide`` from now on; drops irradiance gathered with another guide."""
         self.sky_guide, self.irradiance = guide, None
         self.emitters.light_sampler = uniform_sampler(self.scene, guide)
         self.forget_recordings()
@@ -101,8 +103,11 @@ class PathTracer:
     def gather_irradiance(
         self, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
     ) -> None:
-        """Fill the irradiance cache, which paths may end in from here on, and the light sampler from
-        ``sensors``; ``num_pixels`` of all views bound the cost."""
+        """Fill the irradiance cache and the light sampler from ``sensors``; from now on paths may end in the
+        cache.
+
+        ``num_pixels`` of all views together limits the cost.
+        """
         self.use_sky_guide(self.sky_guide)
         if self.scene.emitters():
             with dr.suspend_grad():
@@ -111,8 +116,8 @@ class PathTracer:
             self.emitters.light_sampler = LightSampler(self.scene, self.sky_guide, weights)
 
     def _rays_of(self, sensor: Any, num_samples: int, seed: int) -> tuple[Any, Any]:
-        """Rays through all pixels of a sensor, and a sampler for the paths that they begin."""
-        from datagen.rendering.plugins import rays_through  # knows classes of the variant
+        """Rays through all pixels of a sensor, and the sampler of the paths that they start."""
+        from datagen.rendering.plugins import rays_through  # needs a selected variant
 
         width, height = (int(v) for v in sensor.film().crop_size())
         lane: Any = dr.arange(mi.UInt32, width * height * num_samples)
@@ -127,10 +132,10 @@ class PathTracer:
     def render(
         self, sensor: Any, num_samples: int, seed: int, *, with_visible_emission: bool = True
     ) -> NDArray[np.float32]:
-        """Mean radiance (H, W, 3) of ``num_samples`` paths a pixel, uniformly distributed over the pixel.
+        """Mean radiance (H, W, 3) of ``num_samples`` paths per pixel, uniformly distributed over the pixel.
 
-        ``with_visible_emission`` False leaves out light that reaches the camera without a bounce
-        (:mod:`.visible_emission`). ``seed`` is taken modulo 2^32.
+        Without ``with_visible_emission``, light that reaches the camera without a bounce
+        (:mod:`.visible_emission`) is left out. ``seed`` is taken modulo 2^32.
         """
         return self.accumulate(sensor, num_samples, seed, with_visible_emission=with_visible_emission).mean()
 
@@ -145,13 +150,14 @@ class PathTracer:
         grid: tuple[int, int] | None = None,
         before: NDArray[np.int64] | int = 0,
     ) -> PathSums:
-        """Sums over ``num_samples`` paths a pixel: one number, or one for each pixel (H, W).
+        """Sums over ``num_samples`` paths per pixel; ``num_samples`` is one number, or one for each pixel (H,
+        W).
 
-        Where light of two or more bounces exceeds ``limit`` in its largest channel, it is scaled down to it,
-        and the difference is summed too. Direct light is never clamped: a patch of sun is as bright as it
-        is. ``grid`` (columns, rows) divides the image into other cells than its pixels. ``before``: samples
-        that each cell had with this seed; these are the next ones of its sequence. All calls share one
-        kernel.
+        Where light of two or more bounces exceeds ``limit`` in its largest channel, it is scaled down to the
+        limit, and the difference is summed too. Direct light is never clamped: a patch of sun is meant to be
+        bright. ``grid`` (columns, rows) divides the image into other cells than its pixels. ``before``:
+        number of samples that each cell already has with this seed; the new ones continue its sequence. All
+        calls share one kernel.
         """
         width, height = grid or tuple(int(v) for v in sensor.film().crop_size())
         wanted = np.broadcast_to(np.asarray(num_samples, np.int64), (height, width)).ravel()
@@ -185,7 +191,7 @@ class PathTracer:
     ) -> list[NDArray[np.float64]]:
         """Sums over ``count`` samples of each entry: red, green, blue and clamped luminance, (N,) each.
 
-        ``entries``: cells, flat indices (N,), and the number of the first sample of each (N,).
+        ``entries``: flat cell indices (N,), and the index of the first sample of each (N,).
         """
         cells, firsts = entries
         num_lanes = cells.size * count
@@ -230,9 +236,9 @@ class PathTracer:
     ) -> list[Array]:
         """Red, green, blue and clamped luminance of one path through each cell of the image.
 
-        Recorded and replayed: all that differs between calls is an argument.
+        Recorded and replayed: everything that differs between calls is an argument.
         """
-        from datagen.rendering.plugins import rays_through  # knows classes of the variant
+        from datagen.rendering.plugins import rays_through  # needs a selected variant
 
         ray = rays_through(view, (corner + sampler.next_2d()) * cell_px)
         direct, indirect = self.sample(sampler, ray, with_visible_emission)
@@ -241,8 +247,7 @@ class PathTracer:
 
     @dr.syntax
     def sample(self, sampler: Any, ray: Array, with_visible_emission: bool = True) -> tuple[Array, Array]:
-        """Radiance that arrives along camera rays, one path each: (Color3f, Color3f), by at most one bounce
-        and by more."""
+        """Radiance along camera rays, one path each: by at most one bounce, and by more (Color3f each)."""
         scene, emitters, ctx = self.scene, self.emitters, mi.BSDFContext()
         cache: Any = self.irradiance
         walk = Walk(ray)  # current segment and previous vertex
@@ -250,9 +255,9 @@ class PathTracer:
         indirect = mi.Color3f(0.0)  # radiance by more bounces
         throughput = mi.Color3f(1.0)  # path throughput weight
         record = mi.UInt32(0)  # this vertex's record in the irradiance cache
-        spread_m = mi.Float(0.0)  # side of the area that the path has spread over
+        spread_m = mi.Float(0.0)  # side in metres of the area over which the path has spread
         is_cached = mi.Bool(False)  # whether the path may end in the cache here
-        cached = mi.Color3f(0.0)  # mean incident radiance by the cache
+        cached = mi.Color3f(0.0)  # mean incident radiance from the cache
         active = mi.Bool(True)  # lanes whose path goes on
         while active:
             si = walk.intersect(scene, active)
@@ -305,7 +310,7 @@ class PathTracer:
             # ---- next segment ------------------------------------------------------------------------------
             throughput *= bsdf_weight
             bounces = active_next & ~passes
-            # A narrow lobe that leaves the cache had no shadow ray: emission behind it has the full weight.
+            # Cached vertices have no shadow ray: emission at the next hit of a narrow lobe has full weight.
             is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta) | is_cached
             walk.advance(si, bounces, passes, si.to_world(bs.wo), bs.pdf, is_delta, record)
 

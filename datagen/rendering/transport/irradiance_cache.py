@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Irradiance of a scene's surfaces, gathered once for all views of a configuration.
 
-Most of a path's time and variance lies behind its first bounce, and all views of a room need the same
-quantity there: the light that a wall receives. Surfaces are divided into cells (a cube's part of one of six
+Most of a path's time and variance comes after its first bounce, and all views of a room need the same
+quantity there: the irradiance of the walls. Surfaces are divided into cells (cubes, each split by six
 orientations), and the irradiance E of each cell is estimated beforehand from all cameras together
 (:mod:`.irradiance_gathering`). A path may then end where it has spread over more than a few cells:
 
@@ -10,8 +10,8 @@ orientations), and the irradiance E of each cell is estimated beforehand from al
 
 which is final gathering (Reichert 1992) from an irradiance cache (Ward, Rubinstein and Clear 1988) whose
 records are means over cells. The criterion for enough spread is that of Mueller et al. (Real-time Neural
-Radiance Caching, 2021): the area that the densities of the path's directions stand for. Neglected effects and
-their cost: docs/decisions/0075.
+Radiance Caching, 2021): the area that corresponds to the densities of the path's directions. Neglected
+effects and their cost: docs/decisions/0075.
 """
 
 from __future__ import annotations
@@ -28,18 +28,21 @@ from datagen.rendering.transport.vertex import INVERSE_PI, facing_normal
 Array = Any
 
 PRIOR_SAMPLES = 4.0
-"""Weight of the surrounding cells in a cell's mean, in samples."""
+"""Weight of the neighbouring cells in the mean of a cell, in samples."""
 LEVELS = 3
-"""Doublings of the side of those surroundings."""
+"""Number of times that the side of this neighbourhood is doubled."""
 MIN_SPREAD = 8.0
-"""Sides of a cell over which a path has to have spread before it may end in the cache."""
+"""Number of cell sides over which a path must have spread before it may end in the cache."""
 NARROW_PDF = 2.0
-"""Density [1/sr] from which a lobe is too narrow for the mean over all directions."""
+"""Density [1/sr] from which on a lobe is too narrow for the mean over all directions."""
 
 
 class SurfaceCells:
-    """A grid of cubes over a box, each with six orientations. ``side_m`` of a cube follows from the number of
-    cells; no side is less than 1/512 of the box's longest."""
+    """A grid of cubes over a box, each split by six orientations.
+
+    The side ``side_m`` of a cube follows from the number of cells; it is at least 1/512 of the box's longest
+    side.
+    """
 
     def __init__(self, box_m: NDArray[np.float64], max_cells: int):
         """``box_m`` (2, 3): lower and upper corner."""
@@ -58,7 +61,7 @@ class SurfaceCells:
         return [self.low, self.side, self.counts]
 
     def index(self, point: Array, normal: Array) -> tuple[Any, Any]:
-        """Cell of a point on a surface with this normal, and whether it lies in the box."""
+        """Index of the cell at a surface point with a normal, and whether the point is inside the box."""
         position = dr.floor((point - self.low) / self.side)
         is_inside = dr.all((position >= 0.0) & (position < mi.Vector3f(self.counts)))
         cube: Any = mi.Vector3u(dr.select(is_inside, position, 0.0))
@@ -73,9 +76,9 @@ class SurfaceCells:
 
 
 class IrradianceCache:
-    """Irradiance by cell: sums of samples, and their means as kernels look them up.
+    """Irradiance by cell: sums of samples, and their means as read by kernels.
 
-    Cells with samples have a record, numbered from 1; record 0 stands for all others.
+    Cells with samples have a record, numbered from 1; record 0 is shared by all others.
     """
 
     def __init__(self, cells: SurfaceCells, num_techniques: int = 0):
@@ -93,12 +96,15 @@ class IrradianceCache:
 
     @property
     def num_records(self) -> int:
-        """Cells with known irradiance."""
+        """Number of cells with known irradiance."""
         return len(self._counts) - 1
 
     def add(self, cells: NDArray[np.int64], samples: NDArray[np.float64], keep: float = 1.0) -> None:
-        """Add samples (N, 3 + T) to the means of cells (N,); ``keep`` is the weight of earlier samples from
-        here on. Columns: irradiance, and squares of the contribution by technique of the light sampler."""
+        """Add samples (N, 3 + T) to the means of cells (N,); earlier samples are weighted by ``keep`` from
+        now on.
+
+        Columns: irradiance, and the squared contribution by technique of the light sampler.
+        """
         new = np.unique(cells[self._record_of_cell[cells] == 0])
         self._record_of_cell[new] = np.arange(len(self._counts), len(self._counts) + len(new))
         self.cell_of_record = np.concatenate([self.cell_of_record, new])
@@ -111,7 +117,7 @@ class IrradianceCache:
         self._upload(self._sums[:, :3] / np.maximum(self._counts, 1e-9)[:, None])
 
     def finish(self) -> None:
-        """Shrink the means of cells with few samples towards those of their surroundings."""
+        """Shrink the means of cells with few samples towards the means of their neighbourhood."""
         means = np.zeros_like(self._sums)
         grid = (6, *self.cells.shape)
         places = np.array(np.unravel_index(self.cell_of_record[1:], grid))
@@ -125,13 +131,15 @@ class IrradianceCache:
             around = (added + prior * around) / (total + prior)[:, None]
             prior = PRIOR_SAMPLES
         means[1:] = around
-        means[0, 3:] = sums[:, 3:].sum(axis=0)  # cells without a record: the sum over all others
+        means[0, 3:] = sums[:, 3:].sum(axis=0)  # cells without a record share the sum over all others
         self._upload(means[:, :3])
         self._squares = means[:, 3:]
 
     def light_weights(self) -> NDArray[np.float64]:
-        """Weights of the light sampler's techniques, (records + 1, T), once finished: the root of the second
-        moment of their contribution. T is 0 if no moments were recorded."""
+        """Weights of the light sampler's techniques, (records + 1, T), once finished.
+
+        The root of the second moment of their contribution. T is 0 if no moments were recorded.
+        """
         return np.sqrt(self._squares)
 
     def _upload(self, means: NDArray[np.float64]) -> None:
@@ -140,12 +148,12 @@ class IrradianceCache:
         self.means = mi.Float(np.column_stack([means, is_known]).astype(np.float32).ravel())
 
     def record(self, point: Array, normal: Array, active: Array) -> Array:
-        """Number of the record at a point, 0 where there is none."""
+        """Index of the record at a point, 0 for none."""
         cell, is_inside = self.cells.index(point, normal)
         return dr.gather(mi.UInt32, self.records, cell, active & is_inside)
 
     def record_at(self, si: Any, direction: Array, active: Array) -> Array:
-        """Number of the record where a ray of ``direction`` hits a surface, 0 where there is none."""
+        """Index of the record where a ray of ``direction`` hits a surface, 0 for none."""
         return self.record(si.p, facing_normal(si, direction), active)
 
     def irradiance(self, record: Array, active: Array) -> tuple[Any, Any]:
@@ -156,11 +164,12 @@ class IrradianceCache:
     def mean_radiance(
         self, si: Any, direction: Array, record: Array, spread_m: Array, sample: Array, active: Array
     ) -> tuple[Any, Any]:
-        """Mean of the radiance that a hit receives from all directions, E / pi, and whether a path that has
-        spread over ``spread_m`` may end with it. ``record`` is that of the hit.
+        """Mean incident radiance E / pi at a hit, and whether a path that has spread over ``spread_m`` may
+        end there.
 
-        The lookup is jittered by up to half a cell, by numbers in [0, 1), so that cells blend into each
-        other in the mean; where the jittered cell has no record, that of the hit serves.
+        ``record`` is that of the hit. The lookup is jittered by up to half a cell, by ``sample`` in [0, 1),
+        which blends neighbouring cells in the mean; if the jittered cell has no record, that of the hit is
+        used.
         """
         normal = facing_normal(si, direction)
         is_wide = active & (spread_m > MIN_SPREAD * self.cells.side)
@@ -173,6 +182,6 @@ class IrradianceCache:
 
 
 def spread_of(previous: Any, pdf: Array, si: Any, direction: Array) -> Array:
-    """Side in metres of the area at a hit that a direction of density ``pdf`` [1/sr] stands for."""
+    """Side in metres of the area at a hit that corresponds to a direction of density ``pdf`` [1/sr]."""
     cosine = dr.maximum(dr.abs(dr.dot(si.n, direction)), 1e-3)
     return dr.norm(si.p - previous.p) * dr.rsqrt(dr.maximum(pdf * cosine, 1e-30))

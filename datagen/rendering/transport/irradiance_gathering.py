@@ -39,33 +39,34 @@ MAX_RAYS = 40960
 """Camera rays of all views together; each gives samples of irradiance at up to four vertices."""
 MIN_RAYS = 4096
 PIXELS_PER_RAY = 16
-"""Pixels of all views for which there is one of those rays: the shared part must cost less than the views."""
+"""Pixels of all views per ray: the shared part must cost less than the views."""
 MAX_CELLS = 1 << 21
-"""Cells of the grid with ``MAX_RAYS``, nearly all of them empty air: 0.07 m in a room of 5 m."""
+"""Cells of the grid for ``MAX_RAYS``, nearly all of them empty air: 0.07 m in a room of 5 m."""
 BOX_PERCENTILE = 1.0
-"""Share of the visited points beyond each face of the grid's box: the street outside is not the room."""
+"""Percentage of the visited points beyond each face of the grid's box, which excludes the street outside."""
 BOX_MARGIN = 0.05
 """Margin of the box on each side, as a fraction of its longest side."""
 MIN_HITS = 64
-"""Hits below which there is no cache."""
+"""Minimum number of hits for a cache."""
 BOUNCES = 3
 """Bounces of a path in the later rounds."""
 WARM_UP_BOUNCES = 12
-"""And in the first ones, which distribute light: 0.9^12 of white walls' light is left for the others."""
+"""Bounces of a path in the first rounds, which distribute light: in a white room, the share 0.9^12 remains.
+"""
 WARM_UP, ROUNDS = 6, 12
-"""Rounds of whole paths, whose results are scaled by ``KEEP`` with each that follows, and rounds of full
-weight."""
+"""Number of rounds with whole paths, whose weight is multiplied by ``KEEP`` in each later one, and number of
+rounds with full weight."""
 WARM_UP_SHARE, KEEP = 4, 0.25
-"""Divisor of the rays in the former; weight that earlier rounds keep."""
+"""Divisor of the number of rays in warm-up rounds; factor on the weight of earlier rounds."""
 
 
 def gather_irradiance(
     emitters: SceneEmitters, materials: SceneMaterials, sensors: Iterable[Any], num_pixels: int, seed: int
 ) -> IrradianceCache | None:
-    """Irradiance of the surfaces that paths from ``sensors`` meet; None where cameras see nothing.
+    """Irradiance of the surfaces on paths from ``sensors``; None if the cameras see no surface.
 
-    ``sensors`` are read one after the other, so that one object may stand for all. ``num_pixels`` of all
-    views together bound the cost.
+    ``sensors`` are read one after the other, so that an iterator may reuse one object. ``num_pixels`` of all
+    views together limits the cost.
     """
     num_rays = min(MAX_RAYS, max(MIN_RAYS, num_pixels // PIXELS_PER_RAY))
     views = [(sensor.view, tuple(int(v) for v in sensor.film().crop_size())) for sensor in sensors]
@@ -77,7 +78,7 @@ def gather_irradiance(
     margin = BOX_MARGIN * float((high - low).max())
     if not margin > 0.0:
         return None
-    # As many samples for each cell that has a surface in it: their number goes with the side's inverse square
+    # Equal samples for each occupied cell: the number of cells goes with the inverse square of the side
     max_cells = int(MAX_CELLS * (num_rays / MAX_RAYS) ** 1.5)
     sampler = emitters.light_sampler
     if sampler is not None and sampler.num_techniques > MAX_LEARNED:
@@ -112,8 +113,9 @@ def gather_irradiance(
 def _observed(
     vertices: list[tuple[Any, ...]], num_techniques: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Cells (N,) and samples (N, 3 + T) as :meth:`IrradianceCache.add` takes them, from the result of
-    :func:`_walk`."""
+    """Cells (N,) and samples (N, 3 + T), as arguments of :meth:`IrradianceCache.add`, from the result of
+    :func:`_walk`.
+    """
     cells, samples = [], []
     for cell, is_found, irradiance, technique, contribution in vertices:
         chosen = np.array(is_found)
@@ -129,8 +131,8 @@ def _observed(
 
 
 def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: int) -> Any:
-    """Rays through all views (``PinholePixels.view`` and size in pixels), uniform over each."""
-    from datagen.rendering.plugins import rays_through  # knows classes of the variant
+    """Rays through all views, uniformly distributed over each."""
+    from datagen.rendering.plugins import rays_through  # needs a selected variant
 
     parts = []
     for number, (view, (width, height)) in enumerate(views):
@@ -149,7 +151,7 @@ def _camera_rays(views: list[tuple[Any, tuple[int, ...]]], num_rays: int, seed: 
 
 
 def _visited(scene: Any, ray: Any, seed: int) -> NDArray[np.float64]:
-    """Points (N, 3) that rays and their cosine-distributed bounces meet."""
+    """Points (N, 3) hit by rays and by their cosine-distributed bounces."""
     launch: Any = dr.opaque(mi.UInt32, (seed + 1) & 0xFFFFFFFF)
     lane: Any = dr.arange(mi.UInt32, dr.width(ray))
     numbers = OwenSobol(dr.zeros(mi.UInt32, dr.width(ray)), mi.sample_tea_32(lane, launch)[0])
@@ -174,11 +176,11 @@ def _walk(
     numbers: Any,
     is_warm: Any,
 ) -> list[tuple[Any, ...]]:
-    """Of each vertex of a path: cell, whether there is one, one sample of its irradiance, and
-    :func:`_attributed` of its shadow ray.
+    """For each vertex of a path: cell, validity, one sample of its irradiance, and :func:`_attributed` of its
+    shadow ray.
 
     The radiosity of a vertex is reflectance x cached irradiance if ``is_warm``, else that of the rest of the
-    path; behind the last bounce, always the former.
+    path; after the last bounce always the former.
     """
     walk = Walk(ray)
     cells: list[Any] = [mi.UInt32(0) for _ in range(BOUNCES + 1)]
@@ -236,7 +238,10 @@ def _walk(
 
 def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, direct: Any) -> tuple[Any, Any]:
     """Technique of a shadow ray, and the luminance of ``direct`` times the root of the technique's
-    probability: the mean of its square over all rays is then that over the technique's own rays."""
+    probability.
+
+    The mean square of the latter over all rays equals the second moment over the technique's own rays.
+    """
     if light_sampler is None:
         return mi.UInt32(0), mi.Float(0.0)
     technique = light_sampler.technique(ds, mi.luminance(radiance) * ds.pdf)
@@ -247,8 +252,8 @@ def _attributed(light_sampler: LightSampler | None, ds: Any, radiance: Any, dire
 def specular_reflectance(channels: Any) -> Array:
     """Directional-hemispherical reflectance of the specular lobe, averaged over directions, in [0, 1].
 
-    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere; how both parts fall with
-    roughness is a fit to the BSDF, to 0.01.
+    Schlick's Fresnel term has the mean S + (1 - S) / 21 over the hemisphere; the decrease of both parts with
+    roughness is fitted to the BSDF, to 0.01.
     """
     specular, square = channels.specular_albedo, channels.roughness * channels.roughness
     grazing = (1.0 - specular) / 21.0 * dr.maximum(1.0 - 1.25 * square, 0.0)

@@ -2,16 +2,16 @@
 """Learned light sampling: per-cell probabilities for choosing an emitter.
 
 Mitsuba chooses among emitters with equal probability: in a room with a lamp and a sky, half of the shadow
-rays go to the emitter that is occluded. While irradiance is gathered (:mod:`.irradiance_gathering`), the
-second moment of each technique is estimated in every cell: sampling of each emitter, and the sky guide
-(:mod:`.sky_guide`) where there is one. Technique k is then chosen with probability
+rays go to whichever is occluded. While irradiance is gathered (:mod:`.irradiance_gathering`), the second
+moment of each technique is estimated in every cell. Techniques are the sampling of each emitter, and the sky
+guide (:mod:`.sky_guide`) if there is one. Technique k is then chosen with probability
 
     q_k ~ sqrt(E_k[f^2]),    f = radiance x cosine / density, E_k over its own samples,
 
 which minimizes the variance of a choice among techniques. Every technique has a minimum probability, and
-densities are exact, so that bad estimates increase the variance and add no bias.
+densities are exact, so that bad estimates increase the variance but add no bias.
 
-The choice warps the first of two random numbers, which keeps low-discrepancy points well distributed.
+The choice reuses the first of two random numbers, which keeps low-discrepancy points well distributed.
 """
 
 from __future__ import annotations
@@ -31,22 +31,23 @@ if TYPE_CHECKING:
 Array = Any
 
 SLOTS = 32
-"""Slots of a row of the table, or twice as many as there are techniques; the inverse is the least
-probability, and all are multiples of it."""
+"""Minimum number of slots in a row of the table; at least twice the number of techniques. Probabilities are
+multiples of the inverse, which is also their minimum."""
 MAX_LEARNED = 16
-"""With more techniques nothing is learned: tables would be large, and a few rays do not distinguish the
+"""Maximum number of techniques for learning: beyond, tables would be large, and a few rays do not distinguish
 techniques."""
 MAX_TECHNIQUES = 512
-"""With more the scene's uniform choice is used, without a sky guide: the table's entries have 10 bits."""
+"""Beyond this number the scene's uniform choice is used, without a sky guide: the table's entries have 10
+bits."""
 BELOW_ONE = 1.0 - 2.0**-20
-"""Keeps a warped number in its part of the unit interval when it is rounded."""
+"""Keeps a rescaled random number below 1 after rounding."""
 
 
 class LightSampler:
     """Probabilities of T techniques in each of P records of the irradiance cache.
 
-    Techniques are the emitters in the scene's order, then the guide. ``weights`` (P, T), of any sum, are what
-    probabilities are proportional to. Record 0 stands for cells without a record; if P is 1, for all.
+    Techniques are the emitters in the scene's order, then the guide. Probabilities are proportional to
+    ``weights`` (P, T). Record 0 is shared by cells without a record; if P is 1, by all cells.
     """
 
     def __init__(self, scene: Any, guide: SkyGuide | None, weights: NDArray[np.float64]):
@@ -77,12 +78,12 @@ class LightSampler:
         return own if self.guide is None else [*own, *self.guide.arrays()]
 
     def index(self, emitter: Array) -> Array:
-        """Number of an emitter (``EmitterPtr``) among the techniques."""
+        """Technique index of an emitter (``EmitterPtr``)."""
         registry: Any = dr.reinterpret_array(mi.UInt32, emitter)
         return dr.gather(mi.UInt32, self.index_of_emitter, registry)
 
     def _row(self, record: Array) -> Array:
-        """Row of the tables."""
+        """Row of the tables for a record."""
         return record if self.num_records > 1 else mi.UInt32(0)
 
     def probability(self, record: Array, technique: Array) -> Array:
@@ -90,7 +91,7 @@ class LightSampler:
         return dr.gather(mi.Float, self.probabilities, self._row(record) * self.num_techniques + technique)
 
     def choose(self, record: Array, sample: Array) -> tuple[Any, Any]:
-        """A technique by a number in [0, 1), and the number's remainder: again in [0, 1)."""
+        """Technique chosen by a number in [0, 1), and the number rescaled to [0, 1) for reuse."""
         scaled = sample * self.num_slots
         slot = cell_of(scaled, self.num_slots)
         packed: Any = dr.gather(mi.UInt32, self.table, self._row(record) * self.num_slots + slot)
@@ -130,8 +131,10 @@ class LightSampler:
         return ds, dr.select(ds.pdf > 0.0, emitted / dr.maximum(ds.pdf, 1e-30), 0.0)
 
     def pdf(self, point: Array, direction: Array, own_pdf: Array, index: Array, record: Array) -> Array:
-        """Density [1/sr] of :meth:`sample_emitter` towards emitter ``index``, from ``own_pdf``, that of the
-        scene's own sampling with a uniform choice among emitters."""
+        """Density [1/sr] of :meth:`sample_emitter` towards emitter ``index``.
+
+        ``own_pdf`` is the density of the scene's own sampling, with a uniform choice among emitters.
+        """
         probability = self.probability(record, index)
         guide = self.guide
         if guide is None:
@@ -139,13 +142,15 @@ class LightSampler:
         is_sky: Any = index == self.environment_index
         is_inside = guide.contains(point)
         guided = dr.select(is_sky, self.probability(record, mi.UInt32(self.num_emitters)), 0.0)
-        probability += dr.select(is_inside, 0.0, guided)  # outside of its box the environment has its part
+        probability += dr.select(is_inside, 0.0, guided)  # outside of the box, the environment's
         through = dr.select(is_sky & is_inside, guided * guide.pdf(point, direction), 0.0)
         return own_pdf * self.num_emitters * probability + through
 
     def technique(self, ds: Any, radiance: Array) -> Array:
-        """Technique that a sample's light is attributed to: that of the sky to the guide, if there is one,
-        unless it is as bright as the sun. ``radiance``: luminance of the emitter in the direction of ``ds``.
+        """Technique to which a sample's light is attributed.
+
+        Light of the sky goes to the guide, if there is one, unless it is as bright as the sun. ``radiance``:
+        luminance of the emitter in the direction of ``ds``.
         """
         index = self.index(ds.emitter)
         if self.guide is None:
@@ -155,9 +160,9 @@ class LightSampler:
 
 
 def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
-    """The sampler before anything is learned: the guide has its share, emitters equal parts of the rest.
+    """The sampler before learning: the guide has its share, and the emitters have equal parts of the rest.
 
-    None where there is nothing to choose, or too much.
+    None if there is nothing to choose from, or too many techniques.
     """
     num_emitters = len(scene.emitters())
     if not 2 <= num_emitters + (guide is not None) <= MAX_TECHNIQUES:
@@ -169,7 +174,9 @@ def uniform_sampler(scene: Any, guide: SkyGuide | None) -> LightSampler | None:
 
 
 def whole_slots(weights: NDArray[np.float64], num_slots: int = SLOTS) -> NDArray[np.int64]:
-    """Slots (P, T) of ``num_slots`` for weights (P, T): at least one each, else in proportion."""
+    """Integer numbers of slots (P, T), ``num_slots`` per row, for weights (P, T): at least one each, else
+    proportional.
+    """
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.full_like(weights, 1.0 / weights.shape[1])
     parts = np.divide(weights, total, out=uniform, where=total > 0.0)

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 def undisturbed() -> Iterator[None]:
     """Suspend the garbage collector.
 
-    Dr.Jit ends the process ("enqueue_host_func(): this function cannot be recorded") where an array on
-    NumPy's memory is freed while a function is recorded. The collector may do that at any time, for arrays of
-    an earlier scene; reference counts do not.
+    Dr.Jit aborts the process ("enqueue_host_func(): this function cannot be recorded") if an array in NumPy's
+    memory is freed while a function is recorded. The collector may do that at any time, for arrays of an
+    earlier scene; reference counting does not.
     """
     was_enabled = gc.isenabled()
     gc.disable()

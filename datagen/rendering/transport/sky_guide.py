@@ -3,16 +3,16 @@
 
 An environment that lights a room through a window covers a few per cent of the directions at most points, and
 emitter sampling, which chooses directions by their radiance, sends nearly all of its shadow rays into walls.
-Portals placed by hand are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment Map
-Sampling, 2015). Here they are estimated: paths from the cameras record where rays that leave the room cross
-the box around it, weighted with the radiance outside (:mod:`.sky_observation`).
+Manually placed portals are the classic remedy (Bitterli, Novak and Jarosz, Portal-Masked Environment Map
+Sampling, 2015). Here the openings are estimated: paths from the cameras record where rays that leave the room
+cross the box around it, weighted by the radiance outside (:mod:`.sky_observation`).
 
 From a point x inside a convex box every direction leaves through exactly one point of its faces. Faces are
-divided into cells, cell c is chosen with the estimated probability P_c and a point q of it uniformly; then
+divided into cells; cell c is chosen with the estimated probability P_c and a point q in it uniformly. Then
 
     p(w) = P_c / A_c * |q - x|^2 / |cos|
 
-is known for every direction, whatever the shape of the openings. So the guide is one more technique of
+is known for every direction, whatever the shape of the openings. The guide is thus one more technique of
 multiple importance sampling and adds no bias, however bad its estimate.
 """
 
@@ -33,26 +33,27 @@ Array = Any
 CELLS = 32
 """Cells of a face along each side: 0.15 m in a room of 5 m."""
 TABLE = 1 << 16
-"""Entries of the table that a cell is drawn from; probabilities are multiples of its inverse."""
+"""Entries of the table from which a cell is drawn; probabilities are multiples of its inverse."""
 BOX_PERCENTILE = 2.0
-"""Share of the visited points beyond each face of the box: the street outside is not the room."""
+"""Percentage of the visited points beyond each face of the box, which excludes the street outside."""
 BOX_MARGIN = 0.02
 """Margin of the box on each side, as a fraction of its longest side, so that walls lie inside."""
 NEIGHBOUR_SHARE = 0.05
-"""Fraction of a cell's weight that each of its eight neighbours gets: openings are larger than observed."""
+"""Fraction of a cell's weight given to each of its eight neighbours, since openings are larger than observed.
+"""
 MIN_ESCAPES = 256
-"""Rays leaving the room below which there is no guide."""
+"""Minimum number of rays leaving the room for a guide."""
 MAX_SHARE = 0.5
-"""Bound on the share of the shadow rays that follow the guide instead of emitter sampling."""
+"""Maximum share of the shadow rays sampled by the guide instead of emitter sampling."""
 MIN_SHARE = 0.1
-"""Share of the sky in the direct light below which there is no guide."""
+"""Minimum share of the sky in the direct light for a guide."""
 
 
 class SkyGuide:
     """A density of directions towards openings, for points inside its box.
 
-    ``share`` of the shadow rays follow it there unless the light sampler has learned other probabilities
-    (:mod:`.light_sampler`); see :func:`fit_sky_guide` for the conditions.
+    ``share`` of the shadow rays is sampled from it, unless the light sampler has learned other probabilities
+    (:mod:`.light_sampler`). :func:`fit_sky_guide` states the conditions.
     """
 
     def __init__(
@@ -64,8 +65,9 @@ class SkyGuide:
         brightest: float,
     ):
         """``box_m`` (2, 3): lower and upper corner; ``probabilities`` (6 CELLS^2,), by face, column, row;
-        ``brightest`` luminance of the sky without its sun."""
-        from datagen.rendering.plugins import outside_distance  # knows classes of the variant
+        ``brightest``: luminance limit of the sky without its sun.
+        """
+        from datagen.rendering.plugins import outside_distance  # needs a selected variant
 
         self.environment = scene.environment()
         self.box_m, self.share = box_m, share
@@ -73,10 +75,10 @@ class SkyGuide:
         areas = np.array([side[(axis + 1) % 3] * side[(axis + 2) % 3] for axis in (0, 0, 1, 1, 2, 2)])
         cumulative = np.cumsum(probabilities) / probabilities.sum()
         table = np.searchsorted(cumulative, (np.arange(TABLE) + 0.5) / TABLE)
-        drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # the table's true probabilities
+        drawn = np.bincount(table, minlength=probabilities.size) / TABLE  # the table's exact probabilities
         self.low, self.high = _corners(box_m)
         self.brightest = mi.Float(brightest)
-        self.distance = mi.Float(outside_distance(scene))  # from which the environment's light comes
+        self.distance = mi.Float(outside_distance(scene))  # where the environment's light comes from
         self.table = mi.UInt32(table.astype(np.uint32))
         self.density = mi.Float((drawn / np.repeat(areas / CELLS**2, CELLS**2)).astype(np.float32))
         dr.make_opaque(self.low, self.high, self.brightest, self.distance)
@@ -95,7 +97,7 @@ class SkyGuide:
         return dr.gather(mi.Float, self.density, cell) * dr.square(t) / dr.maximum(dr.abs(along), 1e-9)
 
     def sample(self, point: Array, choice: Array, sample: Array) -> Array:
-        """A direction from ``point``, which must be inside the box, by numbers in [0, 1)."""
+        """Sample a direction from ``point``, which must be inside the box, by numbers in [0, 1)."""
         entry = cell_of(choice * TABLE, TABLE)
         cell = dr.gather(mi.UInt32, self.table, entry)
         face, rest = cell // (CELLS * CELLS), cell % (CELLS * CELLS)
@@ -117,9 +119,9 @@ def _corners(box_m: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[Any, Any, Any]:
-    """Exits of rays from the box: cell, distance, and the direction's part across the face.
+    """Exits of rays from the box: cell, distance, and the component of the direction normal to the face.
 
-    The cell is one of the box's for any input, NaN of lanes without a vertex included.
+    The cell is always a valid one, even for NaN input of lanes without a vertex.
     """
     far = [
         dr.select(d == 0.0, dr.inf, (dr.select(d > 0.0, upper, lower) - p) / d)
@@ -138,7 +140,7 @@ def exit_cell(low: Array, high: Array, point: Array, direction: Array) -> tuple[
 
 
 def fit_sky_guide(scene: Any, observations: SkyObservations) -> SkyGuide | None:
-    """A guide from observations; None where the sky's share of the light is too small."""
+    """A guide fitted to observations; None if the sky's share of the light is too small."""
     from scipy import ndimage
 
     share = observations.sky_share()

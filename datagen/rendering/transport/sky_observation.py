@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Observation of the environment from inside a scene: rays from surfaces that leave it, and their radiance.
+"""Observation of the environment from inside a scene: radiance along rays from surfaces that leave the scene.
 
-Paths from the cameras bounce twice with cosine-distributed directions, whatever the materials.
+Paths from the cameras bounce twice in cosine-distributed directions, whatever the materials.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from datagen.rendering.transport.vertex import MAX_CROSSINGS_BEFOREHAND, Walk, c
 
 BOUNCES = 2
 RADIANCE_PERCENTILE = 99.5
-"""Radiance of rays that leave is clamped to this percentile: the sun's disc has sampling of its own."""
+"""Percentile to which the radiance of leaving rays is clamped: the sun's disc is sampled separately."""
 _NO_RAY, _HIT, _LEFT = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class SkyObservations:
-    """Rays from surface points: P points, E rays that left the scene.
+    """Rays from P surface points, E of which left the scene.
 
-    ``points_m`` (P, 3) with one cosine-distributed ray each; ``origins_m``, ``directions`` (E, 3) and
-    ``radiance`` (E,), luminance, of those that left. ``environment``, ``others``: mean irradiance at the
-    points by emitter sampling, from the environment (with its sun) and from all other lights.
+    ``points_m`` (P, 3), with one cosine-distributed ray each. Of the rays that left: ``origins_m`` and
+    ``directions`` (E, 3), ``radiance`` (E,) luminance. ``environment`` and ``others``: mean irradiance at the
+    points by emitter sampling, from the environment (sun included) and from all other lights.
     """
 
     points_m: NDArray[np.float64]
@@ -40,7 +40,7 @@ class SkyObservations:
     others: float
 
     def clamped_radiance(self) -> NDArray[np.float64]:
-        """``radiance`` without its highest values: rays meet the sun's disc by chance alone."""
+        """``radiance`` without its highest values, because rays hit the sun's disc only by chance."""
         return np.minimum(self.radiance, np.percentile(self.radiance, RADIANCE_PERCENTILE))
 
     def sky_share(self) -> float:
@@ -55,9 +55,10 @@ class SkyObservations:
 def observe_sky(
     scene: Any, is_hidden: Callable[[Any, Any], Any], camera_rays: Iterable[tuple[Any, Any]]
 ) -> SkyObservations:
-    """Observations along paths from cameras; ``camera_rays``: for each, rays and a sampler for as many.
+    """Observe the sky along paths from the cameras.
 
-    ``is_hidden(si, depth)``: whether the camera does not see a light that was hit.
+    ``camera_rays``: for each camera, rays and a sampler for as many lanes. ``is_hidden(si, depth)``: whether
+    a light that was hit is hidden from the camera.
     """
     points, origins, directions, radiance = [], [], [], []
     sums = np.zeros(2)
@@ -87,8 +88,9 @@ def observe_sky(
 
 @dr.syntax
 def _walk(scene: Any, is_hidden: Any, ray: Any, numbers: Any) -> tuple[list[tuple[Any, ...]], list[Any]]:
-    """Of the segments after each bounce: origin, direction, luminance of the environment, and how they end;
-    irradiance at all vertices from environment and others."""
+    """Trace the walk. For the segments after each bounce: origin, direction, luminance of the environment,
+    and how they end; irradiance at all vertices from the environment and from other lights.
+    """
     walk = Walk(ray)
     environment: Any = mi.EmitterPtr(scene.environment())
     from_sky, from_others = mi.Float(0.0), mi.Float(0.0)

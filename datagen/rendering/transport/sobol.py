@@ -2,11 +2,12 @@
 """Owen-scrambled Sobol' points: low-discrepancy random numbers for light paths.
 
 The samples of a pixel are the first points of a (0, 2)-sequence: any power of two of them are stratified over
-the unit square, and later passes continue the sequence. Every pair of dimensions of a path has a sequence of
-its own: the same points, shuffled and under another scramble (padding). Scrambles come from hashes (Laine and
-Karras 2011; Burley, Practical Hash-Based Owen Scrambling, 2020, with its constants), the second dimension by
-the Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
-Compact, 2024). Owen's scrambling makes every point uniform by itself, so that estimates stay unbiased.
+the unit square, and later passes continue the sequence. Every pair of dimensions of a path uses the same
+sequence, shuffled and with another scramble (padding). Scrambles are hashes (Laine and Karras 2011; Burley,
+Practical Hash-Based Owen Scrambling, 2020, with its constants); the second dimension is computed by the
+Pascal matrix in five steps (Ahmed, An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and
+Compact, 2024). With Owen scrambling every single point is uniformly distributed, so that estimates stay
+unbiased.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ _UNIT = 2.0**-24
 
 
 class OwenSobol:
-    """A sampler of one sequence a lane; a state of loops and an argument of recorded functions.
+    """A sampler of one sequence per lane, usable as a loop state and as an argument of recorded functions.
 
-    ``index``: number of the lane's sample within its pixel; ``key``: the pixel's hash. Lanes of one key and
-    different indices are points of one sequence; different keys are independent.
+    ``index``: index of the lane's sample within its pixel; ``key``: hash of the pixel. Lanes with the same
+    key and different indices are points of one sequence; different keys are independent.
     """
 
-    # Dr.Jit goes by the names; the types, mi.UInt32 all, are not known before a variant is.
+    # Dr.Jit uses the names only; the types, all mi.UInt32, are unknown until a variant is selected.
     DRJIT_STRUCT: ClassVar[dict[str, type]] = dict.fromkeys(("reversed_index", "key", "dimension"), object)
 
     def __init__(self, index: Array = 0, key: Array = 0):
@@ -38,18 +39,18 @@ class OwenSobol:
         self.dimension: Any = dr.zeros(mi.UInt32, dr.width(self.reversed_index))
 
     def _next(self) -> tuple[Any, Any]:
-        """Index into the next sequence, shuffled, and the hash of its scrambles."""
+        """Index into the next, shuffled sequence, and the hash of its scrambles."""
         hashed = _hash(self.key ^ (self.dimension * 0x9E3779B9 + 0x632BE5AB))
         self.dimension = self.dimension + 1
         return dr.brev(_scramble(self.reversed_index, hashed)), hashed
 
     def next_1d(self) -> Array:
-        """A number in [0, 1)."""
+        """A sample in [0, 1)."""
         index, hashed = self._next()
         return _to_unit(_scramble(index, _hash(hashed + 1)))
 
     def next_2d(self) -> Array:
-        """Two numbers in [0, 1), a Point2f."""
+        """A sample in [0, 1)^2, as Point2f."""
         index, hashed = self._next()
         other = index
         for shift, mask in _PASCAL:
@@ -59,7 +60,7 @@ class OwenSobol:
 
 
 def _scramble(reversed_bits: Array, seed: Array) -> Array:
-    """Owen's nested scramble of numbers whose bits are reversed: bits flip by a hash of those above them."""
+    """Owen's nested scramble of bit-reversed numbers: each bit is flipped by a hash of the bits above it."""
     x = reversed_bits + seed
     for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
         x = x ^ (x * factor)
@@ -76,5 +77,5 @@ def _hash(x: Array) -> Array:
 
 
 def _to_unit(reversed_bits: Array) -> Array:
-    """Reversed bits as a float in [0, 1): 24 of them fit."""
+    """Bit-reversed number as a float in [0, 1), from its upper 24 bits."""
     return mi.Float(dr.brev(reversed_bits) >> 8) * _UNIT

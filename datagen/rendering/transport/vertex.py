@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""One step of a random walk, inside kernels: shared by the path integrator, the irradiance cache and the sky
+"""One step of a random walk, inside kernels, shared by the path integrator, the irradiance cache and the sky
 guide.
 
-Surfaces that a ray passes (partial opacity, lights hidden from the camera) are no vertices: they add to no
-path depth, and the MIS weight of emission behind them is that of the last bounce.
+Surfaces that a ray passes through (partial opacity, lights hidden from the camera) are no vertices: they do
+not add to the path depth, and the MIS weight of emission behind them is that of the last bounce.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import numpy as np
 Array = Any
 
 MAX_CROSSINGS = 32
-"""Surfaces that a segment passes before it counts as blocked."""
+"""Surfaces that a segment may pass through; beyond this number it counts as blocked."""
 MAX_CROSSINGS_BEFOREHAND = 8
-"""The same for the paths that irradiance cache and sky guide are estimated from."""
+"""The same for the paths from which irradiance cache and sky guide are estimated."""
 INVERSE_PI = 1.0 / np.pi
 
 
 class Walk:
-    """State of one random walk a lane; a variable of Dr.Jit's loops."""
+    """State of one random walk per lane; a variable of Dr.Jit's loops."""
 
-    # Dr.Jit goes by the names; the types are not known before a variant is selected.
+    # Dr.Jit uses the names only; the types are unknown until a variant is selected.
     DRJIT_STRUCT: ClassVar[dict[str, type]] = dict.fromkeys(
         (
             "ray",
@@ -43,14 +43,14 @@ class Walk:
     def __init__(self, ray: Any = None):
         self.ray: Any = dr.zeros(mi.Ray3f) if ray is None else mi.Ray3f(ray)  # segment to trace next
         self.depth: Any = mi.UInt32(0)  # bounces before that segment
-        self.num_crossed: Any = mi.UInt32(0)  # surfaces passed so far
+        self.num_crossed: Any = mi.UInt32(0)  # surfaces passed through so far
         self.previous: Any = dr.zeros(mi.Interaction3f)  # vertex of the last bounce
         self.previous_pdf: Any = mi.Float(1.0)  # density of the direction sampled there [1/sr]
-        self.previous_is_delta: Any = mi.Bool(True)  # whether MIS has no emitter sample to weigh there
-        self.previous_record: Any = mi.UInt32(0)  # its record in the irradiance cache; 0: none
+        self.previous_is_delta: Any = mi.Bool(True)  # that bounce has no emitter sample for MIS
+        self.previous_record: Any = mi.UInt32(0)  # irradiance cache record of that vertex; 0: none
 
     def intersect(self, scene: Any, active: Array) -> Any:
-        """Surface at the end of the segment."""
+        """Surface interaction at the end of the segment."""
         return scene.ray_intersect(self.ray, mi.RayFlags.All, coherent=False, active=active)
 
     def advance(
@@ -63,8 +63,11 @@ class Walk:
         is_delta: Array = False,
         record: Array = 0,
     ) -> None:
-        """Go on from ``si``: where the path ``bounces`` in ``direction``, which was sampled with density
-        ``pdf``, elsewhere straight on. ``passes``: where that is no vertex."""
+        """Continue from ``si``.
+
+        Where the path ``bounces``, it goes in ``direction``, sampled with density ``pdf``; elsewhere straight
+        on. ``passes``: where the ray passes through the surface without a vertex.
+        """
         self.ray = si.spawn_ray(dr.select(bounces, direction, self.ray.d))
         self.previous = dr.select(bounces, mi.Interaction3f(si), self.previous)
         self.previous_pdf = dr.select(bounces, pdf, self.previous_pdf)
@@ -75,18 +78,18 @@ class Walk:
 
 
 def facing_normal(si: Any, direction: Array) -> Array:
-    """Geometric normal on the side that a ray of ``direction`` arrives at."""
+    """Geometric normal on the side from which a ray of ``direction`` arrives."""
     return dr.mulsign(mi.Vector3f(si.n), -dr.dot(si.n, direction))
 
 
 def cosine_bounce(normal: Array, sample: Array) -> tuple[Any, Any]:
-    """Cosine-distributed direction around ``normal`` and its density [1/sr], by two numbers in [0, 1)."""
+    """Cosine-distributed direction around ``normal`` and its density [1/sr], from two numbers in [0, 1)."""
     local = mi.warp.square_to_cosine_hemisphere(sample)
     return mi.Frame3f(normal).to_world(local), local.z * INVERSE_PI
 
 
 def power_heuristic(pdf: Array, other: Array) -> Array:
-    """Veach's power heuristic; 0 where both densities vanish."""
+    """Veach's power heuristic; 0 if both densities vanish."""
     square, other_square = dr.square(pdf), dr.square(other)
     total = square + other_square
     return dr.select(total > 0.0, square / dr.maximum(total, 1e-38), 0.0)

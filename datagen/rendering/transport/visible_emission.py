@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Visible emission: light that reaches the camera straight from emitters and background.
 
-It has no noise but at edges, so that it is traced as finely as the ground truth, never denoised, and added to
-the denoised reflected light.
+It has no noise except at edges. It is therefore traced with as many samples as the ground truth, never
+denoised, and added to the denoised reflected light.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ LATTICE = (0.7548776662466927, 0.5698402909980532)
 def render_visible_emission(
     emitters: SceneEmitters, sensor: Any, pixels: NDArray[np.uint32], num_samples: int, seed: int
 ) -> NDArray[np.float32]:
-    """Visible emission (P, 3) of flat pixel indices (P,), by ``num_samples`` points of a shifted lattice a
-    pixel."""
+    """Visible emission (P, 3) of flat pixel indices (P,), from ``num_samples`` points of a shifted lattice
+    per pixel.
+    """
     width, height = (int(v) for v in sensor.film().crop_size())
     with dr.suspend_grad():
         count = dr.opaque(mi.UInt32, num_samples)
