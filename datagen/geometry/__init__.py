@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of a capture's mesh by view, and normals for meshes without."""
+"""Visibility of a capture's mesh in each view, and normals for meshes without any."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Normals for meshes that come without: smooth where the surface bends gently, broken where it creases."""
+"""Normals for meshes without any: smooth where the surface bends gently, discontinuous at creases."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ import numpy as np
 from datagen.foundation.meshes.mesh import Mesh, welded
 
 CREASE_RAD = np.radians(40.0)  # of meshes without normals
-_MAX_AROUND = 128  # triangles at a vertex that are looked at
+_MAX_AROUND = 128  # maximum number of triangles at a vertex
 
 
 def with_normals(mesh: Mesh) -> Mesh:
-    """The mesh with its normals; where it has none, with normals that break at creases, its vertices split
-    there. Faces keep their order.
+    """The mesh with its normals or, if it has none, with normals that are discontinuous at creases.
 
-    A corner's normal is the mean, by area, over the triangles at its vertex that bend less than
-    ``CREASE_RAD`` from its own: large flat walls keep theirs beside narrow bevels, as modellers' weighted
-    normals do.
+    Vertices are split at creases; faces keep their order. A corner's normal is the area-weighted mean over
+    the triangles at its vertex whose normals differ by less than ``CREASE_RAD`` from its own: large flat
+    walls stay flat beside narrow bevels, as with the weighted normals of modelling tools.
     """
     if mesh.normals is not None:
         return mesh
@@ -31,7 +30,9 @@ def with_normals(mesh: Mesh) -> Mesh:
     local = np.arange(len(order)) - start[:-1][place[order]]
     total = np.repeat(cross, 3, axis=0)
     for step in range(1, min(int(size.max(initial=1)), _MAX_AROUND)):
-        rows = np.flatnonzero(size > step)  # each corner with the one ``step`` further round its vertex
+        rows = np.flatnonzero(
+            size > step
+        )  # pairs each corner with the one ``step`` further around its vertex
         other = rows - local[rows] + (local[rows] + step) % size[rows]
         a, b = order[rows] // 3, order[other] // 3
         is_near = (unit[a] * unit[b]).sum(axis=1) > np.cos(CREASE_RAD)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Visible geometry of a capture's mesh in each view: depth, normals and faces through the pixels' centres, by
-ray tracing.
+"""Visible geometry of a capture's mesh in each view: depth, normals and faces at the pixel centres, by ray
+tracing.
 
-The same for rendered and photographed rooms: nothing is taken from stored buffers, so the geometry may be
-coarser than the room, as a retopologised mesh is.
+The same for rendered and photographed rooms: no stored buffers are used, so that the geometry may be coarser
+than the room, as a retopologised mesh is.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """The mesh as a view sees it. ``depth_z_m`` (H, W, 1), 0 where nothing is hit; ``normal_world`` (H, W,
-    3), unit, facing the camera, 0 where nothing is hit; ``surface_mask`` (H, W, 1), 1 on surface that does
-    not emit; ``face`` (H, W), -1 where nothing is hit; ``is_front`` (H, W), whether the face's outer side is
-    seen."""
+    """The mesh in a view's pixels.
+
+    ``depth_z_m`` (H, W, 1), 0 where nothing is hit; ``normal_world`` (H, W, 3), unit, facing the camera, 0
+    where nothing is hit; ``surface_mask`` (H, W, 1), 1 on surfaces that do not emit; ``face`` (H, W), -1
+    where nothing is hit; ``is_front`` (H, W), whether the face's outer side is visible.
+    """
 
     depth_z_m: NDArray[np.float32]
     normal_world: NDArray[np.float32]
@@ -60,7 +62,7 @@ def mesh_scene(mesh: Mesh) -> mi.Scene:
 
 
 class TracedGeometry:
-    """A capture's mesh, ready to be looked at. ``scene`` serves shadow rays as well."""
+    """A capture's mesh, ready for ray tracing. ``scene`` also serves shadow rays."""
 
     def __init__(self, geometry: CaptureGeometry):
         mesh = with_normals(geometry.mesh)
@@ -102,8 +104,10 @@ class TracedGeometry:
 def reachable_faces(
     geometry: TracedGeometry, position_m: NDArray, normal: NDArray, num_rays: int = 400_000
 ) -> NDArray[np.bool_]:
-    """(M,) triangles that rays, by the cosine, meet from points (N, 3) with normals (N, 3): what could be
-    seen from the space before them."""
+    """Mask (M,) of the triangles hit by cosine-distributed rays from points (N, 3) with normals (N, 3).
+
+    These are the triangles visible from the space in front of the points.
+    """
     import mitsuba as mi
 
     found = np.zeros(len(geometry.mesh.faces), dtype=bool)
@@ -125,9 +129,9 @@ def reachable_faces(
 
 
 def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.float32]:
-    """(M,) 1, or -1 for triangles that the views see mostly from behind: a mesh's winding may be wrong.
+    """Outer side of each triangle (M,): 1, or -1 for triangles that the views mostly show from behind.
 
-    Triangles that no pixel's centre meets keep the side of most others of the mesh.
+    The winding of a mesh may be wrong. Triangles at no pixel centre get the side of the majority of the mesh.
     """
     balance = np.zeros(num_faces, dtype=np.int64)
     for view in views:
@@ -139,7 +143,7 @@ def seen_sides(views: Sequence[ViewGeometry], num_faces: int) -> NDArray[np.floa
 
 
 def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Unit normals (M, 3) of the triangles, turned by ``sides`` (M,)."""
+    """Unit normals (M, 3) of the triangles, flipped by ``sides`` (M,)."""
     corners = mesh.triangles()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
@@ -149,11 +153,10 @@ def face_normals(mesh: Mesh, sides: NDArray[np.float32] | None = None) -> NDArra
 
 
 def smooth_regions(mesh: Mesh, max_angle_rad: float = np.pi / 4) -> NDArray[np.int32]:
-    """(M,) index of each triangle's smooth region: triangles are joined over edges that bend less than the
-    angle.
+    """Index (M,) of each triangle's smooth region: triangles joined over edges that bend less than the angle.
 
-    Vertices at equal positions count as one. The two sides of a sharp edge are different regions, and so are
-    things that do not touch.
+    Vertices at equal positions count as one. The two sides of a sharp edge, and objects that do not touch,
+    are different regions.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

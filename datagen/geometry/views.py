@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A capture's views as read and traced: input of all later stages of a reconstruction."""
+"""A capture's views, read and traced: input of all later stages of a reconstruction."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ from datagen.multiview.statistics import StatisticsView
 
 @dataclass(frozen=True)
 class TracedView:
-    """A view: ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False where the photograph has nothing;
-    ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None for no such pixel; ``limit``, the
-    radiance at the sensor's limit, None where none is known."""
+    """A view of a capture.
+
+    ``color`` (H, W, 3) linear; ``valid_mask`` (H, W), False at pixels without a photographed value;
+    ``clipped_mask`` (H, W, 3), True where ``color`` is a lower bound, None if there is no such pixel;
+    ``limit``, the radiance at the sensor's limit, None if unknown.
+    """
 
     camera: Camera
     color: NDArray[np.float32]
@@ -32,7 +35,7 @@ class TracedView:
 
     @property
     def statistics(self) -> StatisticsView:
-        """The same as input of the statistics over views; arrays are shared."""
+        """The view as input of the multi-view statistics; arrays are shared."""
         seen = self.geometry
         return StatisticsView(
             self.camera, self.color, seen.depth_z_m, seen.normal_world, seen.surface_mask, self.name
@@ -41,7 +44,7 @@ class TracedView:
 
 @dataclass(frozen=True)
 class TracedCapture:
-    """A capture, its mesh ready for rays, and its views in the capture's order."""
+    """A capture, its mesh ready for ray tracing, and its views in the capture's order."""
 
     capture: Capture
     geometry: TracedGeometry
@@ -49,14 +52,14 @@ class TracedCapture:
 
     @property
     def statistics(self) -> list[StatisticsView]:
-        """Of every view."""
+        """Inputs of the multi-view statistics, for every view."""
         return [view.statistics for view in self.views]
 
 
 def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None = None) -> TracedCapture:
     """Read and trace every view. The Mitsuba variant must have been selected.
 
-    Raises :class:`InputError` where no view sees reflecting surface.
+    Raises :class:`InputError` if no view shows a reflecting surface.
     """
     geometry, views = TracedGeometry(capture.geometry), []
     for number, view in enumerate(capture.views, start=1):
@@ -74,7 +77,9 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
 
 
 def visible_faces(traced: TracedCapture) -> NDArray[np.bool_]:
-    """(M,) triangles that a view sees or could be seen from what views see: not the outside of walls."""
+    """Mask (M,) of the triangles visible in a view or from surface visible in a view; excludes the outside of
+    walls.
+    """
     found = np.zeros(len(traced.geometry.mesh.faces), dtype=bool)
     places, normals = [], []
     for view in traced.views:

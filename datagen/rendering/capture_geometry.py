@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The meshes of a configuration as the geometry of a capture: one mesh in the world, its parts and lamps."""
+"""The meshes of a configuration as the geometry of a capture: one mesh in world space, its parts and
+lamps.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ from datagen.library import Library
 def configuration_geometry(
     configuration: Configuration, library: Library
 ) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """Every placed part as one mesh in the world, and notes on properties that a mesh does not represent."""
+    """Every placed part as one mesh in world space, and notes on properties that a mesh cannot represent."""
     found = []
     for placed in (configuration.environment, *configuration.objects):
         package = library.package(placed.asset)
@@ -34,7 +36,7 @@ def configuration_geometry(
 
 
 def package_geometry(package: Package, placed: PlacedAsset) -> tuple[CaptureGeometry, tuple[str, ...]]:
-    """The parts of one package with materials of its own."""
+    """The parts of one package with its own materials."""
     return _geometry(_parts_of(package, placed, None))
 
 
@@ -86,7 +88,7 @@ def _geometry(found: list[_PlacedPart]) -> tuple[CaptureGeometry, tuple[str, ...
 
 def _placed(mesh: Mesh, world_from_part: NDArray[np.float64]) -> Mesh:
     world = mesh.transformed(world_from_part)
-    if np.linalg.det(world_from_part[:3, :3]) < 0:  # mirrored: keep the triangles wound outward
+    if np.linalg.det(world_from_part[:3, :3]) < 0:  # mirrored: keep the winding outward
         return Mesh(world.positions, np.ascontiguousarray(world.faces[:, [0, 2, 1]]), world.normals, world.uv)
     return world
 

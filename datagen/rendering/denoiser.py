@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Denoising with clean auxiliary buffers: OIDN on the CPU, OptiX on NVIDIA.
 
-Two path samples a pixel with noise-free albedo and normal beat sixteen with noisy ones; the auxiliary buffers
-therefore come from a pass of their own (:mod:`mitsuba_plugins.material_buffers`).
+Two path samples per pixel with noise-free albedo and normal give less error than sixteen with noisy ones; the
+auxiliary buffers therefore come from a separate pass (:mod:`mitsuba_plugins.material_buffers`).
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ class Denoiser(Protocol):
 def auxiliary_albedo(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32], mask: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Reflectance seen head-on, (1 - S) D + S, that guides the denoiser; 0 where there is no surface.
+    """Reflectance at normal incidence, (1 - S) D + S, as the denoiser's albedo guide; 0 without surface.
 
-    The image that is denoised holds reflected light alone, so that both fade to 0 at a surface's edge.
-    ``mask`` (H, W, 1) is the surface's share of the pixel.
+    The denoised image holds only reflected light, so that both fade to 0 at a surface's edge. ``mask`` (H, W,
+    1) is the surface's share of the pixel.
     """
     return (mask * ((1.0 - specular) * diffuse + specular)).astype(np.float32)
 
 
 @dataclass
 class OidnDenoiser:
-    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 takes all cores. One caller at a time.
+    """Intel Open Image Denoise on the CPU. ``num_threads`` 0 uses all cores. Not safe for concurrent calls.
 
-    ``is_guided`` False leaves albedo and normal out, to measure their effect.
+    ``is_guided`` False omits albedo and normal, to measure their effect.
     """
 
     quality: Quality = "high"
@@ -87,7 +87,9 @@ class OidnDenoiser:
         return np.maximum(images["output"], 0.0)
 
     def _make_filter(self, shape: tuple[int, int]) -> tuple[Any, dict[str, NDArray[np.float32]]]:
-        """A committed filter on buffers that stay: building its network costs more than one small image."""
+        """A committed filter with persistent buffers: building its network costs more than denoising a small
+        image.
+        """
         import pyoidn
         from pyoidn.denoise import _QUALITIES
         from pyoidn.filter import OIDN_FORMAT_FLOAT3
@@ -155,13 +157,15 @@ class OptixDenoiser:
 
 
 def make_denoiser(variant: str, num_threads: int = 0) -> OidnDenoiser | OptixDenoiser:
-    """The denoiser that fits a Mitsuba variant."""
+    """The denoiser for a Mitsuba variant."""
     return OptixDenoiser() if variant.startswith("cuda") else OidnDenoiser(num_threads=num_threads)
 
 
 def fast_denoiser(recipe: RenderRecipe) -> Denoiser | None:
-    """A denoiser for error estimates at a quarter of the cost; None where the recipe has none, or where its
-    own is fast."""
+    """A denoiser for error estimates at a quarter of the cost.
+
+    None if the recipe has no denoiser, or if its own is as fast.
+    """
     from mitsuba_plugins.variant import select_variant
 
     variant = select_variant(recipe.variant)

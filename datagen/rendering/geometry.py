@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The meshes of a configuration, merged into one Mitsuba shape for each BSDF.
+"""The meshes of a configuration, merged into one Mitsuba shape per BSDF.
 
-Parts are brought to world space in double precision and joined by BSDF, emission and vertex layout: a room of
-775 meshes is 35 shapes, which load faster and trace as fast (docs/decisions/0007). A table gives the instance
-of each triangle. v of a texture coordinate runs upwards in files, downwards in Mitsuba; it is flipped here.
+Parts are transformed to world space in double precision and joined by BSDF, emission and vertex layout: a
+room of 775 meshes becomes 35 shapes, which load faster and trace as fast (docs/decisions/0007). A table gives
+the instance of each triangle. The texture coordinate v points up in files and down in Mitsuba; it is flipped
+here.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ DEFAULT_CACHE_BYTES = 256 << 20
 
 
 class MeshCache:
-    """Decoded meshes by package hash and file, least recently used go first."""
+    """Least-recently-used cache of decoded meshes, by package hash and file."""
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES):
         self.max_bytes = max_bytes
@@ -54,7 +55,7 @@ class MeshCache:
 
 
 def _check(mesh: Mesh, where: str) -> None:
-    """Refuse meshes that would give NaN; the full inspection (edges) is part of the library."""
+    """Reject meshes that would give NaN; the full check of the mesh is part of the library."""
     arrays = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     indices_fit = len(mesh.faces) > 0 and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.positions)
     if indices_fit and all(np.isfinite(a).all() for a in arrays):
@@ -65,7 +66,7 @@ def _check(mesh: Mesh, where: str) -> None:
 
 @dataclass(frozen=True)
 class GroupKey:
-    """The properties that all triangles of one Mitsuba shape share."""
+    """Properties shared by all triangles of one Mitsuba shape."""
 
     bsdf: Hashable
     emission: tuple[float, float, float] | None
@@ -76,7 +77,7 @@ class GroupKey:
 
 @dataclass
 class MeshGroup:
-    """Triangles that become one shape: world-space meshes and the instance that each belongs to."""
+    """Triangles of one shape: world-space meshes and the instance that each belongs to."""
 
     key: GroupKey
     meshes: list[Mesh] = field(default_factory=list)
@@ -89,7 +90,7 @@ class MeshGroup:
 
 
 def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) -> Mesh:
-    """A part as it is rendered: world space, wound outward also if mirrored, UVs scaled, v downwards."""
+    """A part as rendered: in world space, wound outward even if mirrored, UVs scaled, v downwards."""
     world = mesh.transformed(world_from_part)
     faces = world.faces
     if np.linalg.det(world_from_part[:3, :3]) < 0:
@@ -102,9 +103,9 @@ def in_world(mesh: Mesh, world_from_part: NDArray[np.float64], uv_scale: float) 
 
 
 def split_by_uv_handedness(mesh: Mesh) -> list[tuple[bool, Mesh]]:
-    """(is mirrored, triangles) for the one or two kinds of triangle by the sense in which their UVs run.
+    """Pairs (is mirrored, triangles), one for each handedness of the UVs that occurs.
 
-    ``mesh`` is as :func:`in_world` returns it (v downwards).
+    ``mesh`` is as returned by :func:`in_world` (v downwards).
     """
     assert mesh.uv is not None
     corners = mesh.uv.astype(np.float64)[mesh.faces]

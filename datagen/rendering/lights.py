@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Lights of a configuration as Mitsuba emitters.
 
-Flat lights are meshes like everything else (a disk is a polygon of equal area), so that rooms need one kind
-of shape. Their surface reflects nothing. Lights that are not visible keep their shape, for reflections and
+Flat lights are meshes like all surfaces (a disk is a polygon of equal area), so that rooms need one kind of
+shape. Their surface has zero reflectance. Lights hidden from the camera keep their shape, for reflections and
 for multiple importance sampling, and are listed in :attr:`LightSetup.hidden`: camera rays pass through them.
 """
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 DISK_CORNERS = 64
-"""Corners of the polygon that stands for an elliptic light; its outline is off by 0.08 % of the radius."""
+"""Corners of the polygon that approximates an elliptic light; its outline is off by 0.08 % of the radius."""
 _MIN_AREA_M2 = 1e-12  # below this Mitsuba divides by a vanishing area
 # Columns: Mitsuba's envmap frame (Y up, centre column along +Z) in ours (Z up, centre column along +Y).
 _ENVIRONMENT_FROM_MITSUBA = np.array(
@@ -44,7 +44,7 @@ _ENVIRONMENT_FROM_MITSUBA = np.array(
 
 @dataclass
 class LightSetup:
-    """Entries for the scene's dictionary; ``hidden`` names the shapes that camera rays do not see."""
+    """Entries for the scene's dictionary; ``hidden`` names the shapes invisible to camera rays."""
 
     entries: dict[str, Any] = field(default_factory=dict)
     hidden: set[str] = field(default_factory=set)
@@ -53,9 +53,9 @@ class LightSetup:
 def make_lights(
     configuration: Configuration, library: Library, black: Any, problems: list[Problem]
 ) -> LightSetup:
-    """All lights of a configuration but its emissive parts. ``black`` is the BSDF of luminous shapes.
+    """All lights of a configuration except emissive parts. ``black`` is the BSDF of luminous shapes.
 
-    Faults (zero area, two skies, an image that is missing or holds NaN) are added to ``problems``.
+    Faults (zero area, two skies, a missing image or one with NaN) are added to ``problems``.
     """
     setup = LightSetup()
     skies = [light.name for light in configuration.lights if isinstance(light, EnvironmentLight | SkyLight)]
@@ -144,7 +144,7 @@ def _spot(light: SpotLight, where: str, problems: list[Problem]) -> Any:
         ),
         "intensity": _rgb(light.intensity),
         "cutoff_angle": math.degrees(light.cutoff_rad),
-        # Mitsuba divides by cutoff - beam width; a hard edge is an edge of a thousandth
+        # Mitsuba divides by cutoff - beam width; a hard edge becomes one of a thousandth
         "beam_width": math.degrees(min(light.beam_width_rad, 0.999 * light.cutoff_rad)),
     }
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""From slots and assignments to BSDFs: assigned materials and their trees of ``cook_torrance``.
+"""From slots and assignments to BSDFs: assigned materials as nested ``cook_torrance`` BSDFs.
 
-Two slots share a BSDF, and a material id, exactly if package, material and adjustment agree; UV scales are
-in the meshes.
+Two slots share a BSDF and a material id exactly if package, material and adjustment agree; UV scales are
+applied to the meshes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class SurfaceMaterial:
 
     @property
     def key(self) -> tuple:
-        """Equal keys, equal BSDFs."""
+        """Materials with equal keys have equal BSDFs."""
         return (self.package.sha256, self.name, self.adjustment)
 
     @property
@@ -46,7 +46,7 @@ class SurfaceMaterial:
 def resolve_materials(
     placed: PlacedAsset, package: Package, library: Library, problems: list[Problem]
 ) -> dict[str, SurfaceMaterial]:
-    """Slot -> assigned material. Faults are added to ``problems``."""
+    """Assigned material of each slot. Faults are added to ``problems``."""
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
     where = f"configuration: {placed.name}"
@@ -81,9 +81,9 @@ def resolve_materials(
 
 
 def make_bsdf(surface: SurfaceMaterial, textures: TextureCache, *, has_mirrored_uv: bool = False) -> Any:
-    """The BSDF of a material: ``cook_torrance`` inside ``normalmap`` inside ``mask``, where needed.
+    """The BSDF of a material: ``cook_torrance`` inside ``normalmap`` inside ``mask``, as far as needed.
 
-    ``has_mirrored_uv``: the mesh's UVs run clockwise, where Mitsuba's tangent frame (right-handed by
+    ``has_mirrored_uv``: the mesh's UVs run clockwise, so that Mitsuba's tangent frame (right-handed by
     construction) flips the bitangent; the normal map's green channel is flipped with it.
     """
     import mitsuba as mi

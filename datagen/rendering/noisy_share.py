@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Noisy pixels kept beside sources many times brighter than white, where the denoiser bleeds.
+"""Noisy pixels kept near very bright sources, where the denoiser leaks light.
 
-OIDN errs by a few per cent of the highest radiance in its network's receptive field. Up to white that is less
-than the noise which it removes. Of panes at forty times white it is more than the radiance of a dark bar
-between them, whose own samples are noisy but unbiased.
+OIDN's error is a few per cent of the highest radiance in its network's receptive field. For radiance up to
+white that is less than the noise it removes. Beside window panes at forty times white it is more than the
+radiance of a dark glazing bar, whose own samples are noisy but unbiased.
 
-Two independent halves a and b of the samples identify these pixels. With F, their denoised image, the
+Two independent halves a and b of the samples identify these pixels. With F their denoised image, the
 expectation of (a - F)(b - F) is F's squared error, as long as F does not depend on the noise of that pixel; a
-firefly is in one half only and makes it negative. So the noisy image N replaces F with the share
+firefly occurs in one half only and makes it negative. The noisy image N therefore replaces F with the share
 
     g max(0, 1 - v / ((a - F)(b - F)))
 
 where v is the variance of a half: a shrinkage towards F (James and Stein 1961; for renderings Gu,
 Iglesias-Guitian and Moon 2022) that keeps F wherever noise may explain the difference. v is relative to the
-darker of F and N, and pooled, because two halves give a poor estimate of a pixel's variance. g rises from 0
-to 1 where a source that is ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE`` times white in both halves lies within
-``REACH_PX``. Without it samples that are low by chance would pass for dark surfaces (decision 78).
+darker of F and N, and pooled, because two halves give a poor estimate of a pixel's variance. The gate g rises
+from 0 to 1 if a source of ``FAINTEST_SOURCE`` to ``BRIGHT_SOURCE`` times white in both halves lies within
+``REACH_PX``. Without the gate, samples that are low by chance would pass for dark surfaces (decision 78).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from datagen.foundation.color import exposure_for, luminance
 
 FAINTEST_SOURCE, BRIGHT_SOURCE = 4.0, 8.0
-"""Luminance, over the exposed image's white, at which the gate g begins to open, and is fully open."""
+"""Luminance, relative to the exposed image's white, at which the gate g begins to open and is fully open."""
 REACH_PX = 5
-"""Side of the square around a pixel in which such a source lies."""
+"""Side of the square around a pixel that is searched for such a source."""
 NEAR_PX, WIDE_PX = 3, 15
-"""Sides of the squares over which relative variances are pooled; the larger of the two means is used: strong
-noise here, or nearby and not yet sampled here."""
+"""Sides of the squares over which relative variances are pooled. The larger of the two means is used: strong
+noise at the pixel, or nearby and missed by the pixel's own samples."""
 MIN_LEVEL = 0.01
-"""Of white: keeps relative variances of black pixels finite."""
+"""Relative to white: keeps relative variances of black pixels finite."""
 
 
 def noisy_share(
@@ -43,8 +43,8 @@ def noisy_share(
 ) -> NDArray[np.float32]:
     """Share of the noisy image (a + b) / 2 in the finished one, (H, W, 1) in [0, 1].
 
-    ``halves`` and ``denoised`` (H, W, 3) hold reflected light; ``visible_emission`` (H, W, 3) is added
-    to it and affects the exposure alone. Zero nearly everywhere in nearly all images.
+    ``halves`` and ``denoised`` (H, W, 3) hold reflected light; ``visible_emission`` (H, W, 3) is added to it
+    and only affects the exposure. Zero at nearly all pixels.
     """
     from scipy import ndimage
 

@@ -4,8 +4,8 @@
 Each bounce scales light by the reflectance rho of the surface. Paths of d segments end after d - 1 bounces,
 so that the share rho^(d-1) of all reflected light is missing: the truncation.
 
-rho is that of the surfaces that a few of the configuration's cameras see, the (1 - S) D + S of the ground
-truth. A mean by surface area would include the outside of walls and the inside of objects.
+rho is the reflectance (1 - S) D + S of the ground truth, over the surfaces visible to a few of the
+configuration's cameras. An area-weighted mean would include the outside of walls and the inside of objects.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 MIN_DEPTH = 2
-"""Direct light."""
+"""Direct light only."""
 MAX_DEPTH = 64
-"""Bound for surfaces that reflect nearly everything; Russian roulette ends nearly all paths before."""
+"""Limit for nearly white surfaces; Russian roulette ends nearly all paths before."""
 
 
 def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
-    """Reflectance of the surfaces in views, in [0, 1]; 0 where none is seen.
+    """Reflectance of the surfaces in views, in [0, 1]; 0 without surfaces.
 
-    The root mean square over pixels, of the channel with the highest: bright surfaces reflect more light than
-    dark ones, so that the mean would be too small. ``buffers`` are ground truth of views, (H, W, C).
+    The root mean square over pixels, in the channel where it is highest: bright surfaces reflect more light
+    than dark ones, so that the mean would be too small. ``buffers`` are ground truth of views, (H, W, C).
     """
     squares, weight = np.zeros(3), 0.0
     for view in buffers:
@@ -37,7 +37,9 @@ def reflectance_met(buffers: list[dict[str, NDArray[np.float32]]]) -> float:
 
 
 def depth_for(reflectance: float, max_energy_left: float) -> int:
-    """Fewest segments, 2 ... 64, for which ``reflectance`` ** (depth - 1) is at most ``max_energy_left``."""
+    """Smallest number of segments, 2 ... 64, for which ``reflectance`` ** (depth - 1) is at most
+    ``max_energy_left``.
+    """
     if reflectance <= 0.0:
         return MIN_DEPTH
     if reflectance >= 1.0:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Two small Mitsuba plugins that the renderer needs: a camera with full intrinsics and a sun with a disc.
+"""Mitsuba plugins of the renderer: a camera with full intrinsics and a sun with a disc.
 
-``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels, off-centre and with oblong pixels if
-need be (Mitsuba's ``perspective`` knows square ones only). All parameters are opaque: another view is another
-set of numbers, never another kernel. ``sun_disc``: parallel light with an angular diameter. It is sampled,
-never hit: camera and mirror rays do not see it, and its reflections come through emitter sampling alone.
+``pinhole_pixels``: a pinhole camera with fx, fy, cx, cy in pixels, off-centre and with non-square pixels if
+need be (Mitsuba's ``perspective`` supports square ones only). All parameters are opaque to Dr.Jit: another
+view reuses the kernel with other numbers. ``sun_disc``: parallel light with an angular diameter. It is
+sampled but never hit: it is invisible to camera and mirror rays, and its reflections come from emitter
+sampling alone.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from datagen.foundation.cameras import Camera
 
 Array = Any
-# Shadow rays start this many scene diagonals away: outside of it, and finite so that float32 stays exact.
+# Shadow rays start this many scene diagonals away: outside of the scene, and close enough for float32.
 _SHADOW_DISTANCE_FACTOR = 2.0
 
 
@@ -42,7 +43,7 @@ class PinholePixels(mi.Sensor):
     m_clip: Any  # near depth, and from there to the far one
 
     def set_camera(self, camera: Camera) -> None:
-        """Look through another camera of the same resolution. Raises ``ValueError`` if it has another."""
+        """Use another camera of the same resolution. Raises ``ValueError`` if its resolution differs."""
         if (camera.width_px, camera.height_px) != (self.width_px, self.height_px):
             got = f"{camera.width_px}x{camera.height_px}"
             raise ValueError(f"camera of {got} pixels; the film has {self.width_px}x{self.height_px}")
@@ -74,7 +75,7 @@ class PinholePixels(mi.Sensor):
 
     @property
     def view(self) -> tuple[Any, ...]:
-        """Input of :func:`rays_through`, all of it data of a kernel."""
+        """Input of :func:`rays_through`: kernel arguments, no literals."""
         return (self.m_position, self.m_right, self.m_down, self.m_forward, self.m_centre, self.m_clip)
 
     def sample_ray_differential(
@@ -102,7 +103,7 @@ def rays_through(view: tuple[Any, ...], position_px: Any) -> Any:
 
 
 def outside_distance(scene: Any) -> float:
-    """Distance that leads out of a scene from any of its points; 1 without extent."""
+    """Distance that leads out of a scene from any of its points; 1 for an empty scene."""
     box = scene.bbox()
     extent = np.asarray(box.max, np.float64).ravel() - np.asarray(box.min, np.float64).ravel()
     reach = float(np.linalg.norm(extent)) if np.isfinite(extent).all() else 1.0
@@ -113,8 +114,8 @@ class SunDisc(mi.Emitter):
     """Parallel light of ``irradiance`` [W/m^2] across ``direction`` (of travel), spread over a cone.
 
     ``angular_diameter_rad``: directions are uniform over the disc's solid angle, radiance E / (pi sin^2 r).
-    The emitter calls itself a delta, so that integrators give emitter sampling the whole weight: nothing else
-    can find it.
+    The emitter is flagged as a delta, so that integrators give emitter sampling the full weight: no other
+    technique can reach it.
     """
 
     def __init__(self, props: mi.Properties):
@@ -140,12 +141,12 @@ class SunDisc(mi.Emitter):
         self.m_flags = +mi.EmitterFlags.Infinite | +mi.EmitterFlags.DeltaDirection
 
     def set_scene(self, scene: mi.Scene) -> None:
-        """Learn how far away the light must start to be outside the scene."""
+        """Record the size of the scene, which determines how far away the light must start."""
         self.distance = mi.Float(outside_distance(scene))
         dr.make_opaque(self.distance)
 
     def is_environment(self) -> bool:
-        """Never found by rays."""
+        """False: rays never hit it."""
         return False
 
     def sample_direction(self, it: mi.Interaction3f, sample: Array, active: Array = True) -> tuple[Any, Any]:
@@ -168,7 +169,7 @@ class SunDisc(mi.Emitter):
         return ds, dr.select(active, self.irradiance.eval(si, active) * self.weight, 0.0)
 
     def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
-        """Zero: like any delta it cannot be met by chance."""
+        """Zero: like any delta, it cannot be hit by chance."""
         return mi.Float(0.0)
 
     def eval_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: Array = True) -> Array:
@@ -176,11 +177,11 @@ class SunDisc(mi.Emitter):
         return mi.Color3f(0.0)
 
     def eval(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """Zero: the disc is not seen."""
+        """Zero: the disc is invisible."""
         return mi.Color3f(0.0)
 
     def bbox(self) -> mi.ScalarBoundingBox3f:
-        """Empty: the light has no place."""
+        """Empty: the light has no position."""
         return mi.ScalarBoundingBox3f()
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
@@ -196,7 +197,7 @@ _registered: set[str] = set()
 
 
 def register_rendering_plugins() -> None:
-    """Make both plugins known to Mitsuba under the active variant, besides those of ``mitsuba_plugins``."""
+    """Register both plugins with Mitsuba under the active variant, beside those of ``mitsuba_plugins``."""
     from mitsuba_plugins import register
 
     register()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A configuration's scene with all that its views share: path tracer, materials, path depth, sensors.
+"""A configuration's scene and the data that its views share: path tracer, materials, path depth, sensors.
 
 Sky guide and irradiance cache are estimated from fixed views, so that a view's bytes do not depend on the
 views rendered before it or on the process.
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
 COARSE_CELLS = 1024
 """Pixels of a coarse image: for path depth, sky guide and the exposure of the firefly clamp."""
 MAX_COARSE_VIEWS = 8
-"""Views whose surfaces give the path depth, and that the sky guide is estimated from."""
+"""Views used for path depth and sky guide."""
 COARSE_MAP_SAMPLES = 4
-"""Ground-truth samples a pixel of those."""
+"""Ground-truth samples per pixel of these images."""
 SKY_SAMPLES = 48
-"""Paths a pixel of those, for the sky guide."""
+"""Paths per pixel of these images, for the sky guide."""
 MAX_IRRADIANCE_VIEWS = 64
-"""Views that irradiance is gathered from."""
+"""Views from which irradiance is gathered."""
 
 
 def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
-    """Seed in [0, 2^31) that depends on nothing else than its arguments."""
+    """Seed in [0, 2^31) that depends on its arguments alone."""
     text = f"{configuration_seed}:{view_index}:{purpose}".encode()
     return int.from_bytes(hashlib.sha256(text).digest()[:4], "little") >> 1
 
@@ -47,8 +47,8 @@ def view_seed(configuration_seed: int, view_index: int, purpose: str) -> int:
 def release_memory() -> None:
     """Release memory of earlier scenes: Dr.Jit keeps freed arrays and kernels, and glibc keeps freed pages.
 
-    Without it a worker grows by some 15 MB a configuration although nothing is leaked. Kernels that are
-    needed again come from Dr.Jit's cache on disk, in milliseconds.
+    Otherwise a worker grows by some 15 MB per configuration although nothing is leaked. Kernels that are
+    needed again are loaded from Dr.Jit's cache on disk within milliseconds.
     """
     import drjit as dr
 
@@ -58,7 +58,7 @@ def release_memory() -> None:
     gc.collect()  # scenes and their materials refer to each other
     dr.flush_malloc_cache()
     dr.flush_kernel_cache()
-    with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+    with contextlib.suppress(OSError, AttributeError):  # a C library other than glibc
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
@@ -91,7 +91,7 @@ class PreparedScene:
         self.prepare_paths()
 
     def reseed(self, seed: int) -> None:
-        """Take the seed of another configuration; the built scene stays."""
+        """Use the seed of another configuration; the built scene stays."""
         self.configuration = self.configuration.model_copy(update={"seed": seed})
         self.prepare_paths()
 
@@ -116,8 +116,7 @@ class PreparedScene:
         return self.configuration.cameras[index].camera()
 
     def sensor(self, camera: Camera) -> Any:
-        """A Mitsuba sensor of this camera; cameras of one resolution share it, so that it holds until the
-        next call."""
+        """A Mitsuba sensor of this camera, valid until the next call: cameras of one resolution share it."""
         size = (camera.width_px, camera.height_px)
         if size not in self._sensors:
             self._sensors[size] = sensor_for(camera)
@@ -135,12 +134,12 @@ class PreparedScene:
             )
 
     def close(self) -> None:
-        """Release the sensors and what earlier scenes left."""
+        """Release the sensors and the memory of earlier scenes."""
         self._sensors.clear()
         release_memory()
 
     def _path_depth(self) -> tuple[int, float | None]:
-        """Segments of the longest path, and the truncation where the recipe bounds it."""
+        """Segments of the longest path, and the truncation if the recipe bounds it."""
         if self.recipe.max_energy_left is None:
             return self.recipe.max_depth or DEFAULT_MAX_DEPTH, None
         reflectance = reflectance_met(list(self.coarse_maps()))
@@ -148,7 +147,7 @@ class PreparedScene:
         return depth, truncation(reflectance, depth)
 
     def _coarse_cameras(self) -> Iterator[tuple[int, Camera]]:
-        """Some of the views, by index, as small images."""
+        """Cameras of some of the views, by index, at low resolution."""
         cameras = self.configuration.cameras
         for index in range(0, len(cameras), math.ceil(len(cameras) / MAX_COARSE_VIEWS)):
             camera = cameras[index].camera()

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Views of a configuration: beauty and ground truth, each in a pass of its own, then the denoiser.
+"""Renders the views of a configuration: a beauty pass, a ground-truth pass, and the denoiser.
 
 The scene is built once (:mod:`.prepared_scene`); a view (:mod:`.view_job`) is another set of camera numbers
-for the same kernels. Both passes use a box filter on the same pixels. Paths draw their samples from
+for the same kernels. Both passes use a box filter on the same pixels. The samples of paths depend on
 (configuration seed, view index, half) alone and are added in a fixed order.
 
-A recipe gives the number of paths, or an error: then passes are added to two independent halves of the image
-until the error estimated from them (:mod:`datagen.rendering.sample_budget`) is small enough.
+A recipe gives either the number of paths or an error. For an error, passes are added to two independent
+halves of the image until the error estimated from them (:mod:`datagen.rendering.sample_budget`) is small
+enough.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ if TYPE_CHECKING:
 class SceneRenderer:
     """Renders the views of one configuration.
 
-    Selects the recipe's Mitsuba variant. ``caches`` None shares the process's. ``estimator`` denoises the
-    halves that the error is estimated from, None: as the view is; ``is_enough`` lets views stop early. Raises
-    what :func:`build_scene` raises.
+    Selects the recipe's Mitsuba variant. ``caches`` None uses the process-wide caches. ``estimator`` denoises
+    the halves from which the error is estimated (None: the view's denoiser); ``is_enough`` may stop a view
+    early. Raises what :func:`build_scene` raises.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class SceneRenderer:
 
     @property
     def recipe(self) -> RenderRecipe:
-        """Options of rendering views."""
+        """Recipe options that affect rendering."""
         return self.scene.recipe
 
     @property
@@ -82,7 +83,7 @@ class SceneRenderer:
 
     @property
     def tracer(self) -> PathTracer:
-        """The path tracer that all views share."""
+        """The path tracer shared by all views."""
         return self.scene.tracer
 
     @property
@@ -95,18 +96,19 @@ class SceneRenderer:
         return self.scene.sensor(camera)
 
     def reseed(self, seed: int) -> None:
-        """Render with the samples of another configuration seed from here on, as a renderer of its own would;
-        the scene stays built."""
+        """Render with the samples of another configuration seed from now on, as a new renderer would; the
+        scene stays built.
+        """
         self.scene.reseed(seed)
 
     def view_job(self, index: int) -> ViewJob:
-        """The job of a view, to be taken step by step; its ground truth is traced."""
+        """The job of a view, to be advanced step by step; its ground truth is already traced."""
         return ViewJob(self.scene, self._finishing, index)
 
     def render_view(self, index: int) -> RenderedView:
         """Render view ``index``: all of ``RENDERED_BUFFERS``, and ``beauty_noisy`` if the recipe keeps it.
 
-        Raises :class:`RenderError` where a pixel is NaN or Inf.
+        Raises :class:`RenderError` if a pixel is NaN or Inf.
         """
         (view,) = self.render_views([index])
         return view
@@ -114,8 +116,8 @@ class SceneRenderer:
     def render_views(self, indices: Iterable[int]) -> Iterator[RenderedView]:
         """Views in the order of ``indices``.
 
-        Estimates of the error and the denoiser run in a thread of its own while another view is traced, and
-        while the caller works on the one before.
+        Error estimates and the denoiser run in a separate thread while another view is traced and while the
+        caller processes the previous one.
         """
         with ThreadPoolExecutor(1, thread_name_prefix="denoise") as pool:
             yield from interleaved(self.view_job(index).steps(pool) for index in indices)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Adaptive sampling: the error of a view is estimated from two independent halves of its samples.
 
-Letters: ``a`` and ``b`` are the images of the two halves, n samples a pixel each, independent and with the
+Letters: ``a`` and ``b`` are the images of the two halves, n samples per pixel each, independent and with the
 right expectation r; ``A`` and ``B`` the same images denoised; all of them (H, W, 3), scene-linear, and here
-multiplied by the image's exposure. Errors are relMSE as :mod:`datagen.rendering.error` defines it: per-pixel
-squares are divided by r^2 + 0.01, for which (A + B) / 2 stands in. A and B keep noisy pixels where those are
-more accurate (:mod:`datagen.rendering.noisy_share`): a dark bar that the denoiser blurs with the bright panes
-around it would weigh hundreds of times too little.
+multiplied by the image's exposure. Errors are relMSE as defined in :mod:`datagen.rendering.error`: per-pixel
+squares are divided by r^2 + 0.01, with r replaced by (A + B) / 2. A and B keep noisy pixels where those are
+more accurate (:mod:`datagen.rendering.noisy_share`): otherwise a dark glazing bar, blurred by the denoiser
+with the bright panes around it, would weigh hundreds of times too little.
 
 The error of a denoised half consists of a spread V, the variance between the halves, and a bias of the
 denoiser, common to both. The bias is estimated by comparing each denoised half with the other noisy one,
@@ -16,12 +16,12 @@ whose noise is independent and unbiased:
     V = (A - B)^2 / 2                                 E V = Var A
     bias^2 = U - V
 
-    E [((A + B) / 2 - r)^2] = E [U - V / 2],  pixel by pixel, whatever the denoiser does.
+    E [((A + B) / 2 - r)^2] = E [U - V / 2],  pixel by pixel, for any denoiser.
 
-U contains products of the halves' noise, (a - r)(b - r), which vanish in the mean over many pixels only:
-with few pixels or strong noise, the estimate of bias^2 has a high variance, and V, whose variance is low,
-serves as a prior (:func:`_squared_bias`). Energy removed by a firefly clamp is missing in all of these; its
-amount in each pixel is recorded with each half (:func:`_clamped_error`).
+U contains products of the halves' noise, (a - r)(b - r), which vanish only in the mean over many pixels: with
+few pixels or strong noise, the estimate of bias^2 has a high variance, and V, whose variance is low, serves
+as a prior (:func:`_squared_bias`). Energy removed by a firefly clamp is missing from all of these; its amount
+in each pixel is recorded with each half (:func:`_clamped_error`).
 """
 
 from __future__ import annotations
@@ -36,30 +36,35 @@ from datagen.foundation.color import exposure_for, luminance
 from datagen.rendering.error import EPSILON
 
 FIRST_SAMPLES = 8
-"""Of the first pass, both halves together, in every pixel; later passes go where the error is."""
+"""Samples per pixel of the first pass, both halves together; later passes concentrate on the error."""
 BIAS_PER_SPREAD = 1.0
-"""Prior of the squared bias of a denoised half, over its spread (decision 70)."""
+"""Prior of the squared bias of a denoised half, divided by its spread (decision 70)."""
 TILE_PX = 4
-"""Side of the blocks that get the same number of samples: edges and highlights are narrow."""
+"""Side of the tiles that get the same number of samples; small, because edges and highlights are narrow."""
 AROUND_PX = 3
-"""Side of the squares over which errors are averaged, against outliers, and of those over which the maximum
-of these means is taken, so that an edge gets samples also where its halves agree by chance."""
+"""Side of the squares over which errors are averaged, against outliers, and over which the maximum of these
+means is taken, so that an edge also gets samples where its halves agree by chance."""
 MAX_GROWTH = 4
-"""Bound on the factor by which a pass multiplies a tile's samples: its error comes from few samples."""
+"""Maximum factor by which a pass multiplies a tile's samples, since its error is estimated from few samples.
+"""
 MIN_SHARE = 0.05
-"""Minimum error of a tile, over the mean of the tiles: light that no sample has found yet."""
+"""Minimum error of a tile relative to the mean of the tiles, for light that no sample has found yet."""
 CLAMP_BLUR_PX = 2.0
 """Standard deviation of the Gaussian that smooths the clamped energy of single pixels."""
 MIN_PASS = 0.1
-"""Minimum of a pass, over all samples before it: an estimate costs as much as some samples."""
+"""Minimum size of a pass relative to all samples before it, since an estimate costs as much as some samples.
+"""
 SAMPLE_STEP = 4
 """Samples are added to a tile's half in multiples of this, which keeps lists of pixels short."""
 
 
 @dataclass(frozen=True)
 class PathSums:
-    """Sums over light paths: ``radiance`` (H, W, 3) and the luminance (H, W) that a clamp removed from it,
-    both float64; ``counts`` (H, W) int64, paths of each pixel. The default is zero and fits any image."""
+    """Sums over light paths.
+
+    ``radiance`` (H, W, 3) and the luminance (H, W) removed from it by a clamp, both float64; ``counts`` (H,
+    W) int64, paths per pixel. The default is zero and broadcasts to any image.
+    """
 
     radiance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1, 3)))
     removed_luminance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 1)))
@@ -74,29 +79,32 @@ class PathSums:
 
     @property
     def mean_samples(self) -> float:
-        """Mean number of paths a pixel."""
+        """Mean number of paths per pixel."""
         return float(self.counts.mean())
 
     def mean(self) -> NDArray[np.float32]:
-        """Radiance (H, W, 3)."""
+        """Mean radiance (H, W, 3)."""
         return (self.radiance / self.counts[..., None]).astype(np.float32)
 
     def removed_mean(self) -> NDArray[np.float64]:
-        """Luminance (H, W) that the clamp removed from the mean."""
+        """Luminance (H, W) removed from the mean by the clamp."""
         return self.removed_luminance / self.counts
 
     def removed_share(self) -> float:
-        """Share of the luminance that the clamp removed, in [0, 1]."""
+        """Share of the luminance removed by the clamp, in [0, 1]."""
         removed = float((self.removed_luminance / self.counts).sum())
         kept = float((luminance(self.radiance) / self.counts).sum())
-        return removed / max(removed + kept, 1e-300)  # of nothing: 0
+        return removed / max(removed + kept, 1e-300)  # without samples: 0
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """``rel_mse`` of the finished image and its ``standard_error``; of one half: ``spread``, the measured
-    squared bias (it may be negative) and the standard error of that measurement. ``spread_map`` (H, W): the
-    spread by pixel."""
+    """Estimated error of a view.
+
+    ``rel_mse`` of the finished image and its ``standard_error``. Of one half: ``spread``, the measured
+    squared bias (it may be negative) and the standard error of that measurement. ``spread_map`` (H, W):
+    per-pixel spread.
+    """
 
     rel_mse: float
     standard_error: float
@@ -112,11 +120,11 @@ def estimate_error(
     visible_emission: NDArray[np.float32],
     removed: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> ErrorEstimate:
-    """Error of the image that is made of both halves. Arrays (H, W, 3), but for ``removed`` (H, W).
+    """Error of the image averaged from both halves. Arrays are (H, W, 3), except ``removed`` (H, W).
 
-    ``visible_emission`` is added to the image without noise; it affects the image's brightness only.
-    ``denoised`` are the halves themselves where there is no denoiser. ``removed``: luminance that a clamp
-    took from each half.
+    ``visible_emission`` is added to the image without noise; it only affects the image's brightness. Without
+    a denoiser, ``denoised`` are the halves themselves. ``removed``: luminance that a clamp took from each
+    half.
     """
     a, b = (half.astype(np.float64) for half in halves)
     clean_a, clean_b = (image.astype(np.float64) for image in denoised)
@@ -127,7 +135,7 @@ def estimate_error(
     spread_map = (weight * 0.5 * (clean_a - clean_b) ** 2).sum(axis=-1).astype(np.float32)
     spread = float(spread_map.mean(dtype=np.float64))
     clamped = 0.0 if removed is None else _clamped_error(removed, scale, finished)
-    if denoised[0] is halves[0]:  # unbiased: the halves' spread is all there is
+    if denoised[0] is halves[0]:  # unbiased: the halves' spread is the whole error
         return ErrorEstimate(0.5 * spread + clamped, 0.0, spread, 0.0, 0.0, spread_map)
     witnessed = 0.5 * ((clean_a - b) ** 2 + (clean_b - a) ** 2 - (a - b) ** 2)
     measured = float((weight * witnessed).sum(axis=-1).mean()) - spread
@@ -143,8 +151,7 @@ def _clamped_error(
 ) -> float:
     """Error by clamping: mean square of the removed share of the light around each pixel.
 
-    The square is the product of both halves' shares, so that their independent noise adds nothing in the
-    mean.
+    The square is the product of both halves' shares, so that their independent noise cancels in the mean.
     """
     from scipy import ndimage
 
@@ -160,9 +167,9 @@ def _clamped_error(
 def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[float, float]:
     """Squared bias of a denoised half from its measurement and from the spread, and its standard error.
 
-    The prior is ``BIAS_PER_SPREAD`` times the spread, with a standard deviation of as much, or more where the
-    measurement is further above than its own error explains. Prior and measurement are averaged with weights
-    1 / variance; never negative.
+    The prior is ``BIAS_PER_SPREAD`` times the spread, with an equal standard deviation, or a larger one if
+    the measurement exceeds it by more than its own error explains. Prior and measurement are averaged with
+    weights 1 / variance; never negative.
     """
     expected = BIAS_PER_SPREAD * spread
     variance = bias_error**2
@@ -178,28 +185,31 @@ def _squared_bias(spread: float, measured: float, bias_error: float) -> tuple[fl
 
 @dataclass(frozen=True)
 class SampleBudget:
-    """When to stop: a target for the estimated relMSE, and the most samples a pixel (at least 2) as a mean
-    over the image, which is what a view costs.
+    """Stopping criterion: a target for the estimated relMSE, and a maximum number of samples per pixel.
 
-    Both halves have the same samples in each pixel. The first pass is uniform; then samples go to the
-    tiles whose denoised halves differ: as many as bring the image to its target, or twice as many as all
-    before.
+    The maximum, at least 2, is a mean over the image, which determines the cost of a view. Both halves have
+    the same samples in each pixel. The first pass is uniform; further samples go to the tiles whose denoised
+    halves differ: as many as bring the image to its target, but at most twice the previous total.
     """
 
     max_rel_mse: float
     max_samples: int
 
     def is_met(self, estimate: ErrorEstimate) -> bool:
-        """Whether the target is met with a margin of one standard error: estimates from few and noisy samples
-        are small by chance."""
+        """Whether the target is met with a margin of one standard error.
+
+        Estimates from few and noisy samples are sometimes small by chance.
+        """
         return estimate.rel_mse + estimate.standard_error <= self.max_rel_mse
 
     def first_counts(self, shape: tuple[int, int]) -> NDArray[np.int64]:
-        """Samples of each pixel of one half in the first pass, (H, W)."""
+        """Samples per pixel of one half in the first pass, (H, W)."""
         return np.full(shape, min(FIRST_SAMPLES, self.max_samples) // 2, np.int64)
 
     def next_counts(self, counts: NDArray[np.int64], estimate: ErrorEstimate) -> NDArray[np.int64]:
-        """Samples to add to each pixel of one half, (H, W); all zero: stop. ``counts`` (H, W) of one half."""
+        """Samples to add per pixel of one half, (H, W); all zero: stop. ``counts`` (H, W) are those of one
+        half.
+        """
         nothing = np.zeros_like(counts)
         if self.is_met(estimate):
             return nothing
@@ -211,7 +221,7 @@ class SampleBudget:
         errors = tiles.means(_around(estimate.spread_map))
         errors += MIN_SHARE * float(errors.mean())
         if not errors.any():
-            errors += 1.0  # the halves agree everywhere: the rest is bias, whose place is unknown
+            errors += 1.0  # the halves agree everywhere: the rest is bias, whose position is unknown
         before = tiles.means(counts)
         for share in (0.25, 0.5, 1.0, 2.0):
             after = _distribute(errors, before, tiles.areas, min(share * mean, room))
@@ -222,7 +232,7 @@ class SampleBudget:
 
 
 def _around(spread_map: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Greatest of the means around each pixel, (H, W)."""
+    """Maximum of the local means around each pixel, (H, W)."""
     from scipy import ndimage
 
     return ndimage.maximum_filter(ndimage.uniform_filter(spread_map, AROUND_PX), AROUND_PX)
@@ -245,7 +255,7 @@ class _Tiles:
         return self._sums(np.broadcast_to(image, self.shape)) / self.areas
 
     def spread_out(self, values: NDArray) -> NDArray:
-        """An image (H, W) of values (R, C) of the tiles."""
+        """An image (H, W) from values (R, C) of the tiles."""
         rows, columns = (np.arange(side) // TILE_PX for side in self.shape)
         return values[rows[:, None], columns[None, :]]
 
@@ -253,11 +263,11 @@ class _Tiles:
 def _distribute(
     errors: NDArray[np.float64], counts: NDArray[np.float64], areas: NDArray[np.float64], added: float
 ) -> NDArray[np.float64]:
-    """Counts of tiles after at most ``added`` more samples a pixel, on average, all arrays (R, C).
+    """Counts of tiles after at most ``added`` more samples per pixel on average; all arrays (R, C).
 
-    An error that falls with the inverse of the samples, as variance does, is least in sum where the counts
-    go with the root of error x count. No tile loses samples, none gets more than ``MAX_GROWTH`` times what
-    it has, and steps are whole.
+    The sum of errors that fall with the inverse of the samples, as variance does, is minimal for counts
+    proportional to the root of error x count. No tile loses samples, none gets more than ``MAX_GROWTH`` times
+    its count, and steps are whole.
     """
     wanted = np.sqrt(errors * counts)
     most = float(((counts + added) * areas).sum())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A configuration and its library become a Mitsuba scene with tables of ids and names.
+"""Builds a Mitsuba scene, with tables of ids and names, from a configuration and its library.
 
-Only what the configuration uses is loaded. Objects are one instance each, environments one a part; ids start
-at 1 and follow the configuration's order, so that the same configuration has the same ids everywhere.
+Only used assets are loaded. Each object is one instance, and each part of an environment is one; ids start at
+1 and follow the configuration's order, so that the same configuration has the same ids everywhere.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ BLACK_ALBEDO = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
 
 @dataclass
 class AssetCaches:
-    """Decoded meshes and uploaded textures that the configurations of one process share."""
+    """Decoded meshes and uploaded textures, shared by the configurations of one process."""
 
     meshes: MeshCache = field(default_factory=MeshCache)
     textures: TextureCache = field(default_factory=TextureCache)
@@ -76,12 +76,12 @@ class BuiltScene:
 
     @property
     def num_triangles(self) -> int:
-        """Triangles of everything but lights that are not part of an asset."""
+        """Number of triangles, without those of lights outside of assets."""
         return sum(len(faces) for faces in self.face_instances.values())
 
 
 def sensor_for(camera: Camera) -> Any:
-    """A ``pinhole_pixels`` sensor with a box filter that looks through ``camera``."""
+    """A ``pinhole_pixels`` sensor with a box filter for ``camera``."""
     import mitsuba as mi
 
     from datagen.rendering.plugins import register_rendering_plugins
@@ -107,8 +107,8 @@ def build_scene(
 ) -> BuiltScene:
     """Build the scene of a configuration. The Mitsuba variant must have been selected.
 
-    Raises :class:`InputError` with everything that is wrong: packages that are missing or differ from the
-    configuration's hashes, unknown slots, textures on meshes without UVs, lights without area, two skies.
+    Raises :class:`InputError` with all faults: packages that are missing or differ from the configuration's
+    hashes, unknown slots, textures on meshes without UVs, lights without area, two skies.
     """
     import mitsuba as mi
 
@@ -132,7 +132,7 @@ def build_scene(
 
 
 def _check_packages(configuration: Configuration, library: Library) -> None:
-    """Every asset in use must be in the library with the hash that the configuration was planned with."""
+    """Check that the library has every used asset, with the hash recorded in the configuration."""
     where = f"configuration {configuration.id}"
     used = {placed.asset for placed in (configuration.environment, *configuration.objects)}
     for placed in (configuration.environment, *configuration.objects):
@@ -160,7 +160,7 @@ def _check_packages(configuration: Configuration, library: Library) -> None:
 
 
 class _Builder:
-    """Collects groups of triangles, ids and faults while the placed assets are walked in order."""
+    """Collects groups of triangles, ids and faults over the placed assets in order."""
 
     def __init__(self, configuration: Configuration, library: Library, caches: AssetCaches):
         self.library, self.caches = library, caches
@@ -192,7 +192,7 @@ class _Builder:
         instance = self._new_instance(placed.name) if is_object else 0
         for part in asset.parts:
             if part.material not in surfaces:
-                continue  # its fault has been noted
+                continue  # its fault is already in problems
             if not is_object:
                 instance = self._new_instance(f"{placed.name}/{part.name}")
             self._add_part(part, package, surfaces[part.material], world_from_asset, instance)
@@ -251,7 +251,7 @@ class _Builder:
         self.material_names[new_id] = name
 
     def finish(self, light_entries: dict[str, Any], hidden: set[str]) -> BuiltScene:
-        """Upload everything and hand over the scene."""
+        """Upload everything and return the scene."""
         import mitsuba as mi
 
         bsdfs: dict[tuple[Hashable, bool], Any] = {}
@@ -283,7 +283,7 @@ class _Builder:
 
 
 def uv_scale_of(surface: SurfaceMaterial, part: Part, world_from_part: NDArray[np.float64]) -> float:
-    """Factor on the part's UVs: the assignment's, or such that a tiled material has its size in the world."""
+    """Factor on the part's UVs: the assignment's, or the one that gives a tiled material its real size."""
     if surface.uv_scale is not None:
         return surface.uv_scale
     tile_size_m = surface.material.tile_size_m

@@ -9,23 +9,23 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 MAX_IN_FLIGHT = 2
-"""Views begun and not finished: one traced, one denoised."""
+"""Maximum number of views in progress: one traced, one denoised."""
 
 Result = TypeVar("Result")
 Steps = Generator[Future, None, Result]
-"""Work of a view on the calling thread; it yields whenever its next step needs the result of a future."""
+"""Work of a view on the calling thread; it yields a future whenever its next step needs the result."""
 
 
 @dataclass
 class _InFlight(Generic[Result]):
-    """A view and the future that its next step needs."""
+    """A view in progress and the future that its next step waits for."""
 
     steps: Steps[Result]
     future: Future
     result: Result | None = None
 
     def advance(self) -> None:
-        """Take the next step; the future is done."""
+        """Run the next step; the future must be done."""
         try:
             self.future = next(self.steps)
         except StopIteration as stop:
@@ -33,7 +33,7 @@ class _InFlight(Generic[Result]):
 
 
 def interleaved(views: Iterable[Steps[Result]]) -> Iterator[Result]:
-    """Results in the order of ``views``, of which up to ``MAX_IN_FLIGHT`` are in work at a time."""
+    """Results in the order of ``views``, with up to ``MAX_IN_FLIGHT`` in progress at a time."""
     waiting = iter(views)
     in_flight: list[_InFlight[Result]] = []
     while True:

@@ -18,8 +18,8 @@ Array = Any
 class MergedShapeMaterials(SceneMaterials):
     """:class:`SceneMaterials` of a :class:`BuiltScene`.
 
-    Every triangle of the scene has an index of its own (from 1; 0 is "none"), and ids are looked up by it.
-    Lights that the camera does not see are passed through, like surfaces without opacity.
+    Every triangle of the scene has its own index (from 1; 0 is "none"), by which ids are looked up. Rays pass
+    through lights hidden from the camera, as through surfaces without opacity.
     """
 
     def __init__(self, built: BuiltScene):
@@ -68,7 +68,7 @@ class MergedShapeMaterials(SceneMaterials):
         return dr.select(is_hit, first + si.prim_index, 0)
 
     def is_emitter(self, si: mi.SurfaceInteraction3f, active: Array) -> Array:
-        """Whether a hit lies on a light that the camera sees."""
+        """Whether a hit lies on a light visible to the camera."""
         return dr.gather(mi.Bool, self._is_emitter_shape, self._shape(si), active)
 
     def ids_at(self, shape_index: Array) -> tuple[Any, Any]:

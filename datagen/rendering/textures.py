@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Channels of a material as Mitsuba textures: decoded, adjusted and uploaded once, shared between scenes.
 
-BSDF and ground truth read the same textures, so all operations on values are applied here, before upload:
-decoding, scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`, then
-rounding to half floats. Constants pass through the same functions, as images of one texel.
+BSDF and ground truth read the same textures, so that all operations on values are applied here, before
+upload: decoding, scale and offset (``formats.textures``), then the configuration's :class:`ColorAdjustment`,
+then rounding to half floats. Constants pass through the same functions, as images of one texel.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Role = Literal["diffuse_albedo", "specular_albedo", "roughness", "opacity", "nor
 SCALAR_ROLES = ("roughness", "opacity")
 NO_ADJUSTMENT = ColorAdjustment()
 DEFAULT_CACHE_BYTES = 256 << 20
-# A metal's F0 is coloured; what lies under this saturation is rounding of a grey one and keeps its colour.
+# A metal's F0 is coloured; saturation below this limit is rounding of a grey one, which keeps its colour.
 _MIN_SATURATION = 1e-3
 
 
@@ -36,7 +36,7 @@ def adjusted(values: NDArray[np.float32], role: Role, adjustment: ColorAdjustmen
     """Channel values under a variation, clamped to [0, 1].
 
     ``values`` (H, W, 3) for colours, (H, W) for roughness. D: hue, saturation and value in linear HSV. S: hue
-    and saturation of what is coloured, its value stays. R: offset. Opacity and normals never vary.
+    and saturation, for coloured texels only; its value stays. R: offset. Opacity and normals never vary.
     """
     if role == "roughness":
         return np.clip(values + np.float32(adjustment.roughness_offset), 0.0, 1.0)
@@ -67,12 +67,11 @@ def adjusted_constant(
 
 
 class TextureCache:
-    """Uploaded textures by content, least recently used go first. One a process serves all configurations.
+    """Least-recently-used cache of uploaded textures, by content. One per process serves all configurations.
 
     Variations hardly ever recur in another configuration: varied textures are shared within a configuration
-    and dropped by :meth:`forget_variations`. UV scales are in the meshes.
-
-    ``shrink``: textures are averaged over squares of so many texels a side, in linear values, before upload.
+    and dropped by :meth:`forget_variations`. UV scales are applied to the meshes. ``shrink``: textures are
+    averaged over squares of this many texels a side, in linear values, before upload.
     """
 
     def __init__(self, max_bytes: int = DEFAULT_CACHE_BYTES, shrink: int = 1):
@@ -83,7 +82,7 @@ class TextureCache:
         self._variations: dict[tuple, Any] = {}
 
     def forget_variations(self) -> None:
-        """Drop varied textures; scenes that use them keep theirs."""
+        """Drop varied textures; scenes keep those that they use."""
         self._variations.clear()
 
     def channel(
@@ -95,10 +94,10 @@ class TextureCache:
         *,
         flip_green: bool = False,
     ) -> Any:
-        """A Mitsuba texture (or its dictionary, for a constant) of one channel of a material.
+        """A Mitsuba texture (for a constant, its dictionary) of one channel of a material.
 
         ``flip_green`` is for normal maps on mirrored UVs. Raises :class:`InputError` for unreadable images
-        and for NaN or Inf in them.
+        and for images with NaN or Inf.
         """
         if not isinstance(value, Texture):
             constant = adjusted_constant(value, role, adjustment)
@@ -141,7 +140,7 @@ def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: 
     if role == "normal" and texture.channel != "rgb":
         raise input_error(path, "normal.channel", texture.channel, "rgb", "correct the material")
     if texture.encoding == "srgb" and texture.channel != "a" and pixels.dtype.kind == "u":
-        # The power function of every texel is half the time of building a scene; of every code it is nothing.
+        # The power function per texel takes half the time of building a scene; per code value it takes none.
         codes = np.arange(np.iinfo(pixels.dtype).max + 1).astype(np.float32)
         pixels = linear_from_srgb(codes / codes[-1]).astype(np.float32)[pixels]
         texture = texture.model_copy(update={"encoding": "linear"})
@@ -149,9 +148,10 @@ def decoded_texture(package: Package, texture: Texture, role: Role, adjustment: 
 
 
 def box_filtered(values: NDArray[np.float32], shrink: int) -> NDArray[np.float32]:
-    """Means of ``values`` (H, W) or (H, W, 3) over squares of ``shrink`` texels a side, at least one texel.
+    """Means of ``values`` (H, W) or (H, W, 3) over squares of ``shrink`` texels a side; the result has at
+    least one texel.
 
-    Sides that are no multiple of ``shrink`` are rounded to the nearest count of equal areas.
+    If a side is not a multiple of ``shrink``, it is divided into the nearest number of equal parts.
     """
     if shrink <= 1:
         return values

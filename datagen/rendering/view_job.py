@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The job of one view: ground truth, passes of light paths, error estimate, denoising, record.
 
-The denoiser sees reflected light only. Visible emission has no noise but at edges; it is traced as finely as
-the ground truth and added afterwards. A denoiser that is shown a lamp changes its radiance by tens of percent
-and smears it over its dark surroundings.
+The denoiser gets reflected light only. Visible emission has no noise except at edges; it is traced with as
+many samples as the ground truth and added afterwards. A denoiser applied to a visible lamp changes its
+radiance by tens of percent and smears it over its dark surroundings.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from datagen.rendering.schedule import Steps
 
 HALF_MAX = 65504.0
 COARSE_SAMPLES = 16
-"""Paths a pixel of the coarse image whose exposure sets the firefly clamp."""
+"""Paths per pixel of the coarse image whose exposure sets the firefly clamp."""
 MIN_LIT = 0.05
-"""Share of that image with light below which nothing is clamped."""
+"""Share of lit pixels of that image below which nothing is clamped."""
 _FULL_COVERAGE_SLACK = 1e-5  # a sum of float32 shares that should be 1
 
 
 class RenderError(RuntimeError):
-    """A view has NaN or Inf; nothing of it is kept."""
+    """A view contains NaN or Inf; it is discarded."""
 
 
 @dataclass
 class RenderedView:
-    """A finished view: ``buffers`` by registered name (H, W, C), the rest for its JSON and the timing log."""
+    """A finished view: ``buffers`` by registered name (H, W, C), fields of its JSON, and the timing log."""
 
     index: int
     buffers: dict[str, NDArray]
@@ -55,14 +55,17 @@ class RenderedView:
 
 
 IsEnough = Callable[[int, NDArray[np.floating], ErrorEstimate], bool]
-"""Whether a view may stop above its recipe's error: its index, the image as it is (H, W, 3), its error."""
+"""Whether a view may stop above its recipe's error, from its index, its current image (H, W, 3) and its
+error."""
 
 
 @dataclass(frozen=True)
 class Finishing:
-    """Post-processing of views: ``denoiser`` of the image, ``estimator`` that denoises the halves whose
-    difference estimates the error, ``budget`` of samples (None: the recipe's fixed number), and
-    ``is_enough``."""
+    """Post-processing of views.
+
+    ``denoiser`` of the image; ``estimator``, which denoises the halves whose difference estimates the error;
+    ``budget`` of samples (None: the recipe's fixed number); ``is_enough``, see :data:`IsEnough`.
+    """
 
     denoiser: Denoiser | None
     estimator: Denoiser | None
@@ -73,7 +76,7 @@ class Finishing:
 class ViewJob:
     """A view whose samples are being accumulated, in two independent ``halves`` if there is a budget.
 
-    Raises :class:`InputError` where the configuration has no such view.
+    Raises :class:`InputError` if the configuration has no such view.
     """
 
     def __init__(self, scene: PreparedScene, finishing: Finishing, index: int):
@@ -95,7 +98,7 @@ class ViewJob:
         self.clamp_limit = self._clamp_limit()
 
     def steps(self, pool: ThreadPoolExecutor) -> Steps[RenderedView]:
-        """The job as the schedule takes it: tracing here, estimates and denoising in ``pool``."""
+        """Steps of the job for the schedule: tracing on this thread, estimates and denoising in ``pool``."""
         if self.budget is None:
             self.add_pass(self.scene.recipe.path_samples or 0)
         else:
@@ -114,7 +117,7 @@ class ViewJob:
         return finishing.result()
 
     def add_pass(self, counts: int | NDArray[np.int64]) -> None:
-        """Trace ``counts`` more samples a pixel, (H, W) or one number; with a budget, for each half."""
+        """Trace ``counts`` more samples per pixel, (H, W) or one number; with a budget, for each half."""
         with self._timed("path"):
             sensor = self._sensor()
             for half, purpose in enumerate(["path"] if self.budget is None else ["path/a", "path/b"]):
@@ -125,7 +128,7 @@ class ViewJob:
                 self.halves[half] = self.halves[half] + sums
 
     def estimate_error(self) -> ErrorEstimate:
-        """Error of the view if it were finished now."""
+        """Error of the view from its samples so far."""
         with self._timed("estimate"):
             a, b = (half.mean() for half in self.halves)
             self._check_finite({"beauty_noisy": a + b, **self.buffers})
@@ -142,9 +145,9 @@ class ViewJob:
         return estimate
 
     def finish(self) -> RenderedView:
-        """The view of all samples so far: denoised, with its record.
+        """The view from all samples so far: denoised, with its record.
 
-        Raises :class:`RenderError` where a pixel is NaN or Inf.
+        Raises :class:`RenderError` if a pixel is NaN or Inf.
         """
         start = time.perf_counter()
         recipe = self.scene.recipe
@@ -185,7 +188,7 @@ class ViewJob:
         return RenderedView(self.index, ordered, instances, materials, record, self.seconds)
 
     def denoise(self, noisy: NDArray[np.float32], denoiser: Denoiser | None) -> NDArray[np.float32]:
-        """Reflected light without its noise; ``noisy`` itself without a denoiser."""
+        """Denoised reflected light; ``noisy`` itself without a denoiser."""
         if denoiser is None:
             return noisy
         if self._guides is None:
@@ -220,7 +223,7 @@ class ViewJob:
     def _trace_visible_emission(self) -> NDArray[np.float32]:
         """Light that reaches the camera straight from emitters and background, (H, W, 3).
 
-        It is traced only where something other than surface shows, and as finely as the other buffers.
+        Traced only in pixels that are not entirely surface, with as many samples as the other buffers.
         """
         from datagen.rendering.transport.visible_emission import render_visible_emission
 
@@ -234,10 +237,10 @@ class ViewJob:
         return image.reshape(*mask.shape[:2], 3)
 
     def _clamp_limit(self) -> float:
-        """Bound on the radiance of a path by two or more bounces, a multiple of the exposed white.
+        """Limit on the radiance of a path by two or more bounces, a multiple of the exposed white.
 
-        The exposure is that of a coarse image of reflected light, traced without a clamp beforehand. Infinite
-        where the recipe clamps nothing, or where less than ``MIN_LIT`` of the image is lit.
+        The exposure is that of a coarse image of reflected light, traced beforehand without a clamp. Infinite
+        if the recipe does not clamp, or if less than ``MIN_LIT`` of the image is lit.
         """
         if self.scene.recipe.firefly_clamp is None:
             return math.inf
