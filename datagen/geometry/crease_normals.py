@@ -30,9 +30,7 @@ def with_normals(mesh: Mesh) -> Mesh:
     local = np.arange(len(order)) - start[:-1][place[order]]
     total = np.repeat(cross, 3, axis=0)
     for step in range(1, min(int(size.max(initial=1)), _MAX_AROUND)):
-        rows = np.flatnonzero(
-            size > step
-        )  # pairs each corner with the one ``step`` further around its vertex
+        rows = np.flatnonzero(size > step)  # pairs corners ``step`` apart around their vertex
         other = rows - local[rows] + (local[rows] + step) % size[rows]
         a, b = order[rows] // 3, order[other] // 3
         is_near = (unit[a] * unit[b]).sum(axis=1) > np.cos(CREASE_RAD)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R from light."""
+"""Confidence of D, S and R recovered from light."""
 
 from __future__ import annotations
 
@@ -15,32 +15,36 @@ from datagen.light.radiance_field import cell_keys
 from datagen.light.surfels import CellGrid, Surfels
 
 IMPOSSIBLE = (0.1, 0.3)
-"""Share of the surfels around that reflect more than arrives, up to which the light counts fully, and from
-which it does not count."""
+"""Limits on the share of nearby surfels that reflect more than their incident light: below the first, the
+light has full weight; above the second, none."""
 IMPOSSIBLE_ROOM = (0.12, 0.2)
-"""The same of a whole room: up to the first, its light is trusted everywhere."""
+"""The same for a whole room: below the first, its light has full weight everywhere."""
 DARK_ROOM = (0.2, 0.4)
-"""The same of a whole room whose lamps no photograph shows: from the second on, its light counts nowhere."""
+"""The same for a whole room with unphotographed lamps: above the second, its light has no weight anywhere."""
 IMPOSSIBLE_SURFACE = (0.4, 0.8)
-"""The same of a surface in any room, up to which its light is evidence of D, and from which it is none."""
+"""The same for a surface in any room, for the weight of its light as evidence of D."""
 MIN_OBSERVATIONS = 50.0
-"""Observations from which a share is that of its surfels rather than of the larger surface around."""
+"""Number of observations at which a share is half determined by its own surfels, half by the larger surface
+around them."""
 BLOCK_CELLS = 25
-"""Side of the blocks whose shares count, in cells: a twelfth of the room's diagonal."""
+"""Side of the blocks over which shares are computed, in cells: a twelfth of the room's diagonal."""
 DOUBT = (0.15, 0.6)
-"""Part of a surfel's light that is not sure up to which it counts fully, and from which it does not count."""
+"""Limits on the uncertain share of a surfel's light: below the first it has full weight, above the second
+none."""
 HIDDEN_LIGHT = (0.3, 0.5)
-"""Share of the light of a surfel's smooth region from lamps that no photograph shows, whose place is not
-known: up to the first it counts fully, and from the second on, it does not count."""
+"""Limits on the share of a smooth region's light from unphotographed lamps, whose position is unknown: below
+the first it has full weight, above the second none."""
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
-"""Share of a surfel's hemisphere that photographs show: below the first number the light counts nothing,
-above the second it counts fully."""
+"""Limits on the photographed share of a surfel's hemisphere: below the first its light has no weight, above
+the second full weight."""
 
 
 def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
-    """Confidence (N, 3) of D, S and R of surfels from the photographed share of their hemisphere: D scales
-    with the irradiance, while S and R already have a prior that grows where evidence is weak."""
+    """Confidence (N, 3) of D, S and R of surfels from the photographed share of their hemisphere.
+
+    D scales with the irradiance; S and R already have a prior whose weight grows with missing evidence.
+    """
     of_d = _ramp(photographed, D_EVIDENCE)
     of_s = _ramp(photographed, S_EVIDENCE)
     return np.stack([of_d, of_s, of_s], axis=1).astype(np.float32)
@@ -48,32 +52,40 @@ def surfel_confidence(photographed: NDArray) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class ImpossibleShares:
-    """Share of the surfels that reflect more than arrives, because of unphotographed lamps and windows:
-    ``around`` each surfel (N,), on its smooth region, and ``of_room``."""
+    """Shares of surfels that reflect more than their incident light, because of unphotographed lamps and
+    windows.
+
+    ``around`` (N,): near each surfel, on its smooth region; ``of_room``: of the whole room.
+    """
 
     around: NDArray[np.float64]
     of_room: float
 
     def trust(self) -> NDArray[np.float32]:
-        """Factor (N,) of all confidences; a low factor blends in the network's maps. Some surfels are too
-        bright in any room: :data:`IMPOSSIBLE_ROOM`."""
+        """Factor (N,) of all confidences; where it is low, the network's maps are blended in.
+
+        Some surfels are too bright in any room: :data:`IMPOSSIBLE_ROOM`.
+        """
         trust = 1 - _ramp(self.of_room, IMPOSSIBLE_ROOM) * _ramp(self.around, IMPOSSIBLE)
         return (trust * (1 - _ramp(self.of_room, DARK_ROOM))).astype(np.float32)
 
     def evidence(self) -> NDArray[np.float32]:
-        """Factor (N,) of the confidence of D in any room: where most of a surface reflects more than arrives,
-        its shading is corrected by surface elsewhere and by the network's maps."""
+        """Factor (N,) of the confidence of D in any room.
+
+        Where most of a surface reflects more than its incident light, its shading is corrected by other
+        surfaces and by the network's maps.
+        """
         return (1 - _ramp(self.around, IMPOSSIBLE_SURFACE)).astype(np.float32)
 
 
 def impossible_shares(
     surfels: Surfels, diffuse: NDArray, is_metal: NDArray[np.bool_], region: NDArray
 ) -> ImpossibleShares:
-    """Where surfels of the smooth regions ``region`` (N,) reflect more than arrives: their radiance exceeds
-    :data:`MAX_REFLECTED` times ``diffuse`` (N, 3).
+    """Shares of surfels that reflect more than their incident light, by smooth ``region`` (N,).
 
-    Shares, weighted by views, are those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between
-    blocks; blocks of few surfels shrink to the whole region, small regions to the room. Metals are ignored.
+    These have a radiance above :data:`MAX_REFLECTED` times ``diffuse`` (N, 3). Shares, weighted by views, are
+    those of a region in blocks of :data:`BLOCK_CELLS`, interpolated between blocks; blocks with few surfels
+    are shrunk to the whole region, small regions to the room. Metals are ignored.
     """
     excess = (surfels.radiance - MAX_REFLECTED * diffuse) @ LUMINANCE_WEIGHTS > 0
     weight = (np.diff(surfels.observations.start) * ~is_metal).astype(np.float64)
@@ -87,7 +99,7 @@ def impossible_shares(
     whole = _shrunk_share(np.bincount(of_region, weight * excess), np.bincount(of_region, weight), of_room)
     num = np.bincount(block)
     total, shining = np.bincount(block, weight), np.bincount(block, weight * excess)
-    apart_m = 100 * side_m * of_region  # blocks of other regions are never near
+    apart_m = 100 * side_m * of_region  # keeps blocks of other regions far apart
     place = np.column_stack([surfels.position_m, surfels.normal * side_m, apart_m]).astype(np.float64)
     centre = np.stack([np.bincount(block, column) / num for column in place.T], axis=1)
     distance, index = cKDTree(centre).query(place, k=np.arange(min(_NEAR_BLOCKS, len(num))) + 1, workers=-1)
@@ -99,24 +111,27 @@ def impossible_shares(
 
 
 def _shrunk_share(part: NDArray, total: NDArray, otherwise: float | NDArray) -> NDArray[np.float64]:
-    """``part`` of ``total``, shrunk to ``otherwise`` with the weight of :data:`MIN_OBSERVATIONS`."""
+    """``part`` / ``total``, shrunk to ``otherwise`` with the weight of :data:`MIN_OBSERVATIONS`."""
     return (part + MIN_OBSERVATIONS * otherwise) / (total + MIN_OBSERVATIONS)
 
 
 def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of all confidences by the share ``hidden`` (N,) of light from unphotographed lamps; a low
-    factor blends in the network's maps."""
+    """Factor (N,) of all confidences from the share ``hidden`` (N,) of light from unphotographed lamps.
+
+    Where it is low, the network's maps are blended in.
+    """
     return (1 - _ramp(hidden, HIDDEN_LIGHT)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
-    """Factor (N,) of the confidence of surfels whose shading ``diffuse`` (N, 3) has the uncertain luminance
-    ``doubt`` (N,)."""
+    """Factor (N,) of the confidence of surfels with shading ``diffuse`` (N, 3), of which the luminance
+    ``doubt`` (N,) is uncertain.
+    """
     part = doubt / np.maximum(diffuse @ LUMINANCE_WEIGHTS, 1e-12)
     return 1.0 - _ramp(part, DOUBT)
 
 
 def _ramp(value: NDArray | float, ends: tuple[float, float]) -> NDArray:
-    """0 below the first of ``ends``, 1 above the second, smooth between."""
+    """0 below the first of ``ends``, 1 above the second, smooth between them."""
     t = np.clip((value - ends[0]) / (ends[1] - ends[0]), 0, 1)
     return t * t * (3 - 2 * t)

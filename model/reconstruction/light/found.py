@@ -17,8 +17,10 @@ from model.reconstruction.light.sky import sky_image
 
 
 def found_lights(lit: Lit, traced: TracedGeometry, geometry: CaptureGeometry) -> FoundLights:
-    """Lamps, windows and, where light from outside is far, the sky, as photographed. Lamps named by the
-    geometry are not searched for."""
+    """Lamps, windows and, if the outside light is far, the sky, as photographed.
+
+    Lamps named by the geometry are not searched for.
+    """
     field = lit.baker.field
     lamps = found_lamps(field.emitters, traced.mesh, geometry.parts)
     rays = leaving_rays(field, lit.surfels)

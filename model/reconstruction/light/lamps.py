@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Emissive surfaces as exported lights: one lamp for each emissive part named by the geometry, and one for
-each smooth region beside them that was found to emit."""
+each other smooth region that was found to emit.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +17,10 @@ from model.reconstruction.found_lights import Color, FoundLamp
 
 
 def found_lamps(emitters: Emitters, mesh: Mesh, parts: Sequence[GeometryPart]) -> tuple[FoundLamp, ...]:
-    """The lamps ``lamp-0``, ... of the emissive ``parts`` in order, and ``found-0``, ... for others.
+    """Lamps ``lamp-0``, ... of the emissive ``parts`` in order, and ``found-0``, ... of other surfaces.
 
-    A part has the area-weighted radiance of its photographed triangles, on the side of its winding; 0 where
-    no photograph shows that side.
+    A part has the area-weighted radiance of its photographed triangles, on the side of its winding; 0 if that
+    side is in no photograph.
     """
     areas = mesh.areas()
     shown = np.zeros((len(mesh.faces), 3))

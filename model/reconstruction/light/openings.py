@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Windows: rectangles where rays from a room's surfaces leave its mesh, with the incident radiance.
+"""Windows: rectangles through which rays from a room's surfaces leave its mesh, with the incident radiance.
 
 Rays that leave the background's box through one connected part of a face belong to one opening. Its plane,
 parallel to the face, is the one that they cross in the smallest area. Rays from surfels are
 cosine-distributed, so that the mean radiance of the rays through a rectangle preserves the irradiance. All
-rays through an opening belong to it, whichever face of the box they cross behind it.
+rays through an opening count, whichever face of the box they cross behind it.
 """
 
 from __future__ import annotations
@@ -27,26 +27,29 @@ FINE = 96
 """Squares along both sides of a face of the box."""
 RAYS = 600_000
 MIN_RAYS, MIN_OPEN = 2, 0.4
-"""Rays through a square that is open, and their least number in that of the median one: at its edge a window
-covers squares in part."""
+"""Minimum number of rays through an open square, absolute and relative to the median square: squares at the
+edge of a window are covered in part."""
 PLANES, MAX_DEPTH, MIN_INSIDE = 16, 0.25, 0.9
-"""Planes that are tried from a face of the box inwards, the depth of the last in sides of the box, and the
-share of the rays that must begin inside of a plane."""
+"""Number of planes tried from a face of the box inwards, depth of the last in sides of the box, and minimum
+share of the rays that must start on the inner side of a plane."""
 MAX_BUNDLES, MIN_BUNDLE = 32, 1e-3
-"""Openings that are looked for, the largest first, and the share of all rays that leave that one needs."""
+"""Maximum number of openings, searched from the largest, and minimum share of all leaving rays for each."""
 MIN_SIDE = 1 / 60
-"""Side of the smallest window, in diagonals of the box: meshes have cracks."""
+"""Side of the smallest window, in diagonals of the box: smaller gaps may be cracks of the mesh."""
 MAX_BLOCK = FINE // 6
-"""Squares along the longest side of a rectangle: longer ones are cut, so that a gradient is kept."""
+"""Maximum side of a rectangle in squares; longer ones are cut, so that gradients are preserved."""
 DARK = 1e-3
-"""Of the surfels' median luminance: windows below it send nothing in."""
-_GAP = 1e-3  # diagonals between the plane and the rectangles, which else may lie in that of a wall
+"""Minimum luminance of a window relative to the surfels' median."""
+_GAP = 1e-3  # diagonals between the plane and the rectangles, which could otherwise coincide with a wall
 
 
 @dataclass(frozen=True)
 class LeavingRays:
-    """Rays (N, 3) that leave the mesh: ``origin``, ``direction``, the ``face`` (N,) of the box (twice the
-    axis, plus 1 for the upper one), ``radiance`` (N, 3) and whether it ``is_known``."""
+    """Rays (N, 3) that leave the mesh.
+
+    ``origin``, ``direction``, the ``face`` (N,) of the box (twice the axis, plus 1 for the upper one),
+    ``radiance`` (N, 3) and whether it ``is_known``.
+    """
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -55,12 +58,12 @@ class LeavingRays:
     is_known: NDArray[np.bool_]
 
     def chosen(self, which: NDArray) -> LeavingRays:
-        """Some of them."""
+        """The selected rays; ``which`` is a mask (N,) or indices."""
         return LeavingRays(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def leaving_rays(field: RadianceField, surfels: Surfels) -> LeavingRays:
-    """Cosine-distributed rays of surfels that hit nothing."""
+    """Cosine-distributed rays from surfels that leave the mesh."""
     import mitsuba as mi
 
     random = np.random.default_rng(0x77696E64)
@@ -91,7 +94,7 @@ def _gathered(background: Background, origin: NDArray, direction: NDArray) -> Le
 def found_windows(
     rays: LeavingRays, background: Background, median_luminance: float
 ) -> tuple[FoundPatch, ...]:
-    """The windows of ``rays``, brightest power first, without dark ones."""
+    """The windows found among ``rays``, in decreasing order of power, without dark ones."""
     windows: list[FoundPatch] = []
     rest = rays
     for _ in range(MAX_BUNDLES):
@@ -113,7 +116,9 @@ def found_windows(
 
 @dataclass(frozen=True)
 class _Plane:
-    """Parallel to a face of the box, ``depth_m`` inwards, in squares as the face is."""
+    """A plane parallel to a face of the box, ``depth_m`` inwards, with the same grid of squares as the
+    face.
+    """
 
     box: Background
     face: int
@@ -125,24 +130,24 @@ class _Plane:
 
     @property
     def at_m(self) -> float:
-        """Its coordinate."""
+        """Coordinate of the plane along its axis."""
         if self.face % 2:
             return float(self.box.high[self.axis]) - self.depth_m
         return float(self.box.low[self.axis]) + self.depth_m
 
     @property
     def across(self) -> tuple[int, int]:
-        """The other axes."""
+        """The two axes along the plane."""
         first, second = (axis for axis in range(3) if axis != self.axis)
         return first, second
 
     @property
     def square_m(self) -> NDArray[np.float64]:
-        """Sides (2,) of a square."""
+        """Sides (2,) of a square in metres."""
         return (self.box.high - self.box.low)[list(self.across)] / FINE
 
     def crossed(self, rays: LeavingRays) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Which rays (N,) begin inside of it, and the square (N,) that each crosses."""
+        """Which rays (N,) start on the inner side of the plane, and the square (N,) that each crosses."""
         along = rays.direction[:, self.axis]
         along = np.where(np.abs(along) < 1e-9, np.where(self.face % 2, 1e-9, -1e-9), along)
         distance = (self.at_m - rays.origin[:, self.axis]) / along
@@ -152,15 +157,17 @@ class _Plane:
         return distance >= 0, square[:, 0] * FINE + square[:, 1]
 
     def within(self, rays: LeavingRays, is_open: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which rays (N,) cross it in squares that are open."""
+        """Which rays (N,) cross the plane through open squares."""
         is_inside, square = self.crossed(rays)
         return is_inside & is_open.ravel()[square]
 
 
 @dataclass(frozen=True)
 class _Squares:
-    """Of the squares (FINE, FINE) of a plane: number of rays, of rays of known radiance, and ``sums`` (FINE,
-    FINE, 3) of radiance."""
+    """Sums over the rays through each square (FINE, FINE) of a plane.
+
+    Number of rays, of rays of known radiance, and ``sums`` (FINE, FINE, 3) of radiance.
+    """
 
     num: NDArray[np.int64]
     known: NDArray[np.int64]
@@ -197,7 +204,7 @@ def _components(is_open: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 
 
 def _largest_bundle(rays: LeavingRays, background: Background) -> tuple[NDArray[np.bool_], int]:
-    """The most rays (N,) through one connected part of a face of the box, and that face."""
+    """The largest set of rays (N,) through one connected part of a face of the box, and that face."""
     best, of_face, most = np.zeros(len(rays.face), dtype=bool), 0, 0
     for face in range(6):
         mine = rays.face == face
@@ -227,8 +234,10 @@ def _narrowest(rays: LeavingRays, background: Background, face: int) -> _Plane:
 
 
 def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatch | None:
-    """An open component as a window; None where it is too small or of unknown radiance. Its rectangles, which
-    cover most of it, emit its total."""
+    """A connected set of open squares as a window; None if it is too small or of unknown radiance.
+
+    Its rectangles cover most of it and emit its total power.
+    """
     area_m2 = float(part.sum() * plane.square_m.prod())
     diagonal = float(np.linalg.norm(plane.box.high - plane.box.low))
     if area_m2 < (MIN_SIDE * diagonal) ** 2 or not seen.known[part].any():
@@ -246,7 +255,7 @@ def _window(part: NDArray[np.bool_], seen: _Squares, plane: _Plane) -> FoundPatc
 
 
 def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, mean: NDArray) -> Rectangle:
-    """A block of squares of a plane, emitting inwards."""
+    """A block of squares of a plane as a light that emits inwards."""
     row, column, rows, columns = block
     window = (slice(row, row + rows), slice(column, column + columns))
     known = int(seen.known[window].sum())
@@ -259,7 +268,7 @@ def _rectangle(block: tuple[int, int, int, int], plane: _Plane, seen: _Squares, 
     origin[first] += row * plane.square_m[0]
     origin[second] += column * plane.square_m[1]
     u[first], v[second] = rows * plane.square_m[0], columns * plane.square_m[1]
-    if (np.cross(u, v)[plane.axis] > 0) == is_upper:  # it must point inwards
+    if (np.cross(u, v)[plane.axis] > 0) == is_upper:  # the winding must point inwards
         u, v = v, u
     return Rectangle(_color(origin), _color(u), _color(v), _color(radiance))
 

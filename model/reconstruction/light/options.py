@@ -15,12 +15,15 @@ from model.reconstruction.light.solve import PriorWeights
 
 @dataclass(frozen=True)
 class LightOptions(GatherOptions):
-    """Rays an observation of a solved point and level (``solve_rays``), an observation of a surfel
-    (``specular_rays``), beside those that gather light; ``max_points`` solved in all, ``num_observations`` of
-    each. ``num_rounds``: in a second one, the light has less noise, and rays go on where they meet a metal
-    that the first has found. ``has_prior``: whether the network's maps draw the solution where evidence
-    lacks. ``is_corrected``: whether the shading gets a smooth correction where its light is not
-    photographed."""
+    """Options of the light stage.
+
+    Rays per observation of a solved point and roughness level (``solve_rays``) and per observation of a
+    surfel (``specular_rays``), beside the rays of :class:`GatherOptions`. At most ``max_points`` are solved,
+    with ``num_observations`` each. ``num_rounds``: in a second round, the light has less noise, and rays are
+    reflected at the metals found in the first. ``has_prior``: whether the network's maps are a prior where
+    evidence is missing. ``is_corrected``: whether the shading gets a smooth correction where its light is not
+    photographed.
+    """
 
     solve_rays: int = 24
     specular_rays: int = 12
@@ -36,14 +39,17 @@ STEPS = (
     "surfels", "field", "irradiance", "segments", "solve", "second round", "specular", "correction", "maps",
     "lights",
 )  # fmt: skip
-"""Of the stage, in their order; with one round the second is left out."""
+"""Steps of the stage in order; with one round, those of the second are left out."""
 
 
 @dataclass
 class LightReport:
-    """Findings of the light stage. ``photographed_share``: mean share of the surfels' hemispheres that
-    photographs show; ``confidence`` means over surfels for D, S and R; ``seconds`` by step, and
-    ``memory_mb``, the peak of the process's resident memory up to the end of each."""
+    """Findings of the light stage.
+
+    ``photographed_share``: mean photographed share of the surfels' hemispheres; ``confidence``: means over
+    surfels for D, S and R; ``seconds`` by step; ``memory_mb``, peak resident memory of the process up to the
+    end of each step.
+    """
 
     num_surfels: int = 0
     num_observations: int = 0
@@ -59,7 +65,7 @@ class LightReport:
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        """Time a step, and move ``advance`` on after it."""
+        """Time a step, and call ``advance`` after it."""
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

@@ -19,7 +19,7 @@ NO_SURFACE = 128
 
 
 def view_pictures(views: Sequence[TracedView], maps: Sequence[Maps], exposure: float) -> list[ViewPicture]:
-    """Up to :data:`NUM_VIEWS` of the views, evenly spread, at most :data:`WIDTH_PX` wide."""
+    """Pictures of up to :data:`NUM_VIEWS` evenly spaced views, at most :data:`WIDTH_PX` wide."""
     chosen = np.unique(np.linspace(0, len(views) - 1, NUM_VIEWS).round().astype(int))
     pictures = []
     for index in chosen:

@@ -20,19 +20,20 @@ from model.reconstruction.light.solve import (
 )
 
 EVIDENCE_POWER = 3
-"""Priors count one over this power of the share of the light that photographs show."""
+"""Priors are weighted by the photographed share of the light to the power of minus this number."""
 HALF_EVIDENCE_VIEWS = 1.0
-"""Views of a surfel that make half of the evidence: few directions look like metal by chance."""
+"""Number of views of a surfel that gives half of the full evidence: with few directions, other materials may
+look like metal."""
 MIN_VIEWS, MIN_LIGHT = 3, 0.6
-"""Views and known light of a surfel that is preferred as a point."""
-_MIN_WEIGHT = 0.1  # of an observation that is preferred
+"""Minimum number of views and minimum share of known light of preferred points."""
+_MIN_WEIGHT = 0.1  # preferred minimum per observation
 _QUOTA_STEP = 8
-_UNSEEN_WEIGHT = 0.05  # of an observation whose lobe sees nothing that photographs show, against 1.05
+_UNSEEN_WEIGHT = 0.05  # minimum weight, for lobes without photographed light; the maximum is 1.05
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """By surfel: ``segment`` (N,), smooth ``region`` (N,) and the network's D, S, R ``prior`` (N, 7)."""
+    """Per-surfel ``segment`` (N,), smooth ``region`` (N,), and the network's D, S, R as ``prior`` (N, 7)."""
 
     segment: NDArray[np.int32]
     region: NDArray[np.int32]
@@ -41,8 +42,11 @@ class Segmentation:
 
 @dataclass(frozen=True)
 class Points:
-    """Surfels with solved observations: ``surfel`` (P,), ``row`` (P, O) observations and ``weight`` (P, O), 0
-    for none; ``segment`` (G,) the solved segments and ``start`` (G + 1,) of their points."""
+    """Solved surfels (P) with O observations each, ordered by segment.
+
+    ``surfel`` (P,); ``row`` (P, O) observations and their ``weight`` (P, O), 0 for none; ``segment`` (G,) the
+    solved segments and ``start`` (G + 1,) of their points.
+    """
 
     surfel: NDArray[np.int64]
     row: NDArray[np.int64]
@@ -51,8 +55,10 @@ class Points:
 
 
 def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: LightOptions) -> Points:
-    """At most ``max_points`` surfels, evenly over the segments; of each surfel the brightest, the darkest and
-    evenly ranked observations between them."""
+    """At most ``max_points`` surfels, evenly distributed over the segments.
+
+    Each keeps its brightest, its darkest and evenly ranked observations between them.
+    """
     num_segments = int(segment.max()) + 1
     size = np.bincount(segment, minlength=num_segments)
     quota = _QUOTA_STEP
@@ -74,7 +80,9 @@ def choose_points(surfels: Surfels, segment: NDArray, known: NDArray, options: L
 
 
 def _observation_weights(surfels: Surfels) -> NDArray[np.float32]:
-    """Weight (M,) of each observation: its pixels, up to four, times the cosine of the view direction."""
+    """Weight (M,) of each observation: its number of pixels, at most four, times the cosine of the view
+    direction.
+    """
     observations = surfels.observations
     surfel = surfels.surfel_of_observation()
     direction = surfels.directions(surfel, observations.view)
@@ -101,8 +109,10 @@ def _choose_observations(
 
 @dataclass(frozen=True)
 class PointShading:
-    """Specular shading ``ls0`` and ``ls1`` (P, O, levels, 3) of the points' observations, and their
-    ``weight`` (P, O), lower where the lobe includes unphotographed radiance."""
+    """Specular shading ``ls0`` and ``ls1`` (P, O, levels, 3) of the points' observations.
+
+    Their ``weight`` (P, O) is lower where the lobe includes unphotographed radiance.
+    """
 
     ls0: NDArray[np.float32]
     ls1: NDArray[np.float32]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Covers masks with few rectangles."""
+"""Covers masks with a small number of rectangles."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 COVERED, MAX_RECTANGLES = 0.98, 12
-"""Share of a mask that its rectangles cover at least, or how many there are at most."""
+"""Minimum share of a mask covered by its rectangles, and maximum number of them."""
 
 
 def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Disjoint rectangles (row, column, rows, columns) of a mask, largest first, that cover :data:`COVERED`
-    of it; at most :data:`MAX_RECTANGLES`."""
+    """Disjoint rectangles (row, column, rows, columns) that cover :data:`COVERED` of a mask, largest first;
+    at most :data:`MAX_RECTANGLES`.
+    """
     rest = mask.copy()
     found: list[tuple[int, int, int, int]] = []
     while rest.sum() > (1 - COVERED) * mask.sum() and len(found) < MAX_RECTANGLES:
@@ -27,7 +28,7 @@ def cover(mask: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
 def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """The largest rectangle (row, column, rows, columns) of True, by column heights above each row."""
     best, size = (0, 0, 0, 0), 0
-    heights = np.zeros(mask.shape[1] + 1, np.int64)  # the last one ends all that is open
+    heights = np.zeros(mask.shape[1] + 1, np.int64)  # a final 0 closes all open rectangles
     for row, line in enumerate(mask):
         heights[:-1] = np.where(line, heights[:-1] + 1, 0)
         stack: list[int] = []

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Correction of the diffuse shading where the incident light is not photographed.
 
-The error of Ld is smooth over a surface, whatever its texture: missing or wrongly estimated light affects all
-of its surroundings. The logarithm u (N, 3) of the factor by which the albedo pi L / E is too low minimises
+The error of Ld is smooth over a surface, whatever its texture: missing or wrongly estimated light affects the
+whole neighbourhood. u (N, 3), the logarithm of the factor by which the albedo pi L / E is too low, minimises
 over the surfels
 
     c u^2 + SMOOTHNESS sum w (u_i - u_j)^2 + (1 - c) (W_p (ln D_p / rho - u)^2 + W_r (ln D_r / rho - u)^2),
@@ -24,15 +24,16 @@ from datagen.light.radiance_field import cell_keys
 from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medians
 
 SMOOTHNESS = 100.0
-"""Weight of a difference between adjacent surfels against that of a surfel whose light is known."""
+"""Weight of a difference between adjacent surfels, relative to that of a surfel with known light."""
 NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
-"""Of the priors at a spread of 1; small, as the errors of neighbouring surfels are alike."""
+"""Weights of the priors at a spread of 1; small, because the errors of neighbouring surfels are correlated.
+"""
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
 """Added to the spreads, in quadrature."""
 MIN_SUPPORT = 10.0
-"""Confident surfels that a region needs to be a prior; with ten times as many it counts fully."""
+"""Number of confident surfels that a region needs for a prior; ten times as many give full weight."""
 _NEIGHBOURS = 9
-_BLOCK = 5  # cells
+_BLOCK = 5  # in cells
 _ROUNDS = 3  # of Huber weights
 _HUBER_NETWORK, _HUBER_REGION = 0.5, 2.0  # in ln D, and in spreads
 _TOLERANCE, _MAX_ITERATIONS = 1e-3, 1000  # of the conjugate gradients
@@ -47,11 +48,11 @@ def shading_correction(
     confidence: NDArray,
     is_diffuse: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected albedo, exp(-u) times Ld the corrected
-    shading.
+    """Correction u (N, 3): exp(u) times ``albedo`` (N, 3) is the corrected albedo, exp(-u) times Ld the
+    corrected shading.
 
-    ``region`` (N,) smooth regions, ``predicted`` (N, 3) the network's albedo, ``confidence`` (N,) in [0, 1]
-    of the light, ``is_diffuse`` (N,) where a diffuse albedo is known.
+    ``region`` (N,) smooth regions, ``predicted`` (N, 3) the network's albedo, ``confidence`` (N,) of the
+    light in [0, 1], ``is_diffuse`` (N,) where a diffuse albedo is known.
     """
     log_albedo = np.log(np.clip(albedo.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
     log_network = np.log(np.clip(predicted.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
@@ -86,8 +87,11 @@ def shading_correction(
 def _minimised(
     matrix: sparse.csr_matrix, right: NDArray, blocks: sparse.csr_matrix, start: NDArray
 ) -> NDArray:
-    """Solution (N, 3) by conjugate gradients. The preconditioner adds the exact solution by ``blocks`` (N,
-    K), for smooth corrections over long distances, to the division by the diagonal."""
+    """Solution (N, 3) by conjugate gradients.
+
+    For smooth corrections over long distances, the preconditioner adds the exact solution on ``blocks`` (N,
+    K) to the division by the diagonal.
+    """
     coarse = splu((blocks.T @ matrix @ blocks).tocsc())
     diagonal = matrix.diagonal()
 
@@ -106,7 +110,7 @@ def _minimised(
 
 
 def _blocks(surfels: Surfels) -> sparse.csr_matrix:
-    """Block (N, K) of :data:`_BLOCK` cells along each axis, by side, of each surfel."""
+    """Index of each surfel's block (N, K), of :data:`_BLOCK` cells along each axis, by side."""
     grid = surfels.grid
     shape = -(-grid.shape // _BLOCK)
     coarse = CellGrid(grid.low, _BLOCK * grid.cell_m, shape, grid.surfel)
@@ -118,9 +122,12 @@ def _blocks(surfels: Surfels) -> sparse.csr_matrix:
 def _grouped_spread(
     values: NDArray, weight: NDArray, group: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """By row: centre (N, 3) of its group, standard deviation (N,) from the mean absolute deviation, at most
-    1, and total weight (N,); 0 for groups without weight. The centre is the mean with values clipped at twice
-    the deviation: a median would be one of the two colours of a checkerboard."""
+    """Centre (N, 3), standard deviation (N,) and total weight (N,) of the group of each row.
+
+    The deviation, at most 1, is computed from the mean absolute deviation; the weight is 0 for empty groups.
+    The centre is the mean with values clipped at twice the deviation: the median of a checkerboard would be
+    one of its two colours.
+    """
     order = np.argsort(group, kind="stable")
     keys, first = np.unique(group[order], return_index=True)
     start = np.append(first, len(order)).astype(np.int64)
@@ -139,7 +146,7 @@ def _grouped_spread(
 
 
 def _laplacian(surfels: Surfels) -> sparse.csr_matrix:
-    """Laplacian (N, N) of the graph of adjacent surfels with like normals."""
+    """Laplacian (N, N) of the graph of adjacent surfels with similar normals."""
     num = len(surfels)
     distance, index = near_surfels(surfels, _NEIGHBOURS)
     weight = np.exp(-0.5 * (distance / 2) ** 2)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Lamps that no geometry names: surfels that emit several times what any albedo could reflect of the incident
-light, in nearly all views (mirrors reflect a lamp in some).
+"""Lamps that the geometry does not name: surfels whose emission is several times the light that any albedo
+could reflect, in nearly all views (mirrors reflect a lamp in some views only).
 
-Neighbouring cells of one side are clustered and exported as rectangles across the side's axis, just before
-the surface: the triangles of a ceiling extend beyond its lamp.
+Neighbouring cells of one side are clustered and exported as rectangles across the side's axis, just in front
+of the surface: the triangles of a ceiling extend beyond its lamp.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
 from model.reconstruction.light.rectangles import cover, cut
 
 EXCESS = 2.5
-"""Radiance over that of a white surface from which a surfel shines."""
+"""Minimum radiance of a lamp, relative to a white surface."""
 FAINTEST, MIN_VIEWS = 0.2, 3
-"""Share of the views in which it may be fainter than that, and views that must see it."""
+"""Share of the views in which it may be fainter, and minimum number of views that show it."""
 MIN_PHOTOGRAPHED = 0.5
-"""Share of a surfel's hemisphere that photographs must show: estimates are too dark beside unseen lamps."""
+"""Minimum photographed share of a surfel's hemisphere: near unphotographed lamps, estimates are too dark."""
 MIN_CELLS, MIN_SHARE = 4, 0.003
-"""Cells of the smallest lamp, and what it sends out at least, as a part of what all surfels do."""
+"""Minimum size of a lamp in cells, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
 """Cells along the longest side of a rectangle."""
-_GAP = 0.25  # cells between surface and rectangle
+_GAP = 0.25  # cells between the surface and its rectangle
 
 
 def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
-    """The lamps among the surfels, brightest power first."""
+    """The lamps among the surfels, in decreasing order of power."""
     surfels, grid = lit.surfels, lit.surfels.grid
     sent = luminance(surfels.radiance.astype(np.float64))
     arriving = luminance(lit.diffuse.astype(np.float64))
@@ -48,7 +48,7 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
     side, rest = key % NUM_SIDES, key // NUM_SIDES
     row, z = np.divmod(rest, grid.shape[2])
     cell = np.stack([row // grid.shape[1], row % grid.shape[1], z], axis=1)
-    apart = np.column_stack([cell, side * 4 * int(max(grid.shape))])  # sides are far from each other
+    apart = np.column_stack([cell, side * 4 * int(max(grid.shape))])  # keeps sides far from each other
     pairs = cKDTree(apart).query_pairs(1.5, p=np.inf, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(key),) * 2)
     count, cluster = connected_components(graph, directed=False)
@@ -68,7 +68,7 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
 
 
 def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Luminance (K,) exceeded in all but :data:`FAINTEST` of a surfel's views; 0 where too few see it."""
+    """Luminance (K,) exceeded in all but :data:`FAINTEST` of a surfel's views; 0 if it has too few views."""
     observations = lit.surfels.observations
     found = np.zeros(len(surfels))
     for row, surfel in enumerate(surfels):
@@ -91,7 +91,7 @@ def _patch(cell: NDArray[np.int64], side: int, surfel: NDArray[np.int64], lit: L
     np.add.at(num, tuple(at.T), 1)
     np.add.at(sums, tuple(at.T), surfels.radiance[surfel])
     mean = sums.sum(axis=(0, 1)) / num.sum()
-    # cells that no view sees, between others that shine
+    # cells without observations, between others of a lamp
     mask = ndimage.binary_closing(np.pad(num > 0, 2), np.ones((3, 3)))[2:-2, 2:-2]
     area_m2 = float(mask.sum()) * grid.cell_m**2
     height = float(np.median(surfels.position_m[surfel, axis])) + _GAP * grid.cell_m * (1 if is_upper else -1)

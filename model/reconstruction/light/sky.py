@@ -14,8 +14,10 @@ HEIGHT, WIDTH = 64, 128
 
 
 def sky_image(background: Background) -> NDArray[np.float32]:
-    """Radiance (H, W, 3) by direction of a far ``background``: the mean of a pixel's known bins, else that of
-    the nearest pixel."""
+    """Sky image (H, W, 3) of a far ``background``: radiance by direction.
+
+    Each pixel is the mean of its known bins or, without any, that of the nearest pixel.
+    """
     pixel = directions_of(background.layout.ways(), HEIGHT)[background.is_known]
     radiance = background.radiance[background.is_known].astype(np.float64)
     count = np.bincount(pixel, minlength=HEIGHT * WIDTH)
@@ -30,8 +32,10 @@ def sky_image(background: Background) -> NDArray[np.float32]:
 
 
 def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
-    """Pixel (N,) of an image of ``height`` rows and twice as many columns: the top row looks along +Z, the
-    centre column along +Y, +X is to its right."""
+    """Pixel (N,) of a direction in an image of ``height`` rows and twice as many columns.
+
+    The top row is +Z, the centre column +Y, and +X is to its right.
+    """
     row = np.clip(np.arccos(np.clip(direction[:, 2], -1, 1)) / np.pi * height, 0, height - 1).astype(np.int64)
     turn = 0.5 + np.arctan2(direction[:, 0], direction[:, 1]) / (2 * np.pi)
     column = np.clip(turn * 2 * height, 0, 2 * height - 1).astype(np.int64)
@@ -39,7 +43,7 @@ def directions_of(direction: NDArray, height: int) -> NDArray[np.int64]:
 
 
 def direction_vectors(height: int) -> NDArray[np.float64]:
-    """Unit directions (2 H^2, 3) of the pixels' centres of such an image."""
+    """Unit directions (2 H^2, 3) of the pixel centres of a sky image."""
     row, column = np.divmod(np.arange(2 * height * height), 2 * height)
     polar, turn = (row + 0.5) / height * np.pi, ((column + 0.5) / (2 * height) - 0.5) * 2 * np.pi
     return np.stack([np.sin(polar) * np.sin(turn), np.sin(polar) * np.cos(turn), np.cos(polar)], axis=1)

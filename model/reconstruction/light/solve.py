@@ -7,8 +7,8 @@ albedo of each point follows in closed form from its observations,
     D = mean of (L - S Ls0 - Ls1) / ((1 - S) Ld), clipped to [0, MAX_ALBEDO],
 
 and the cost is the mean of |g(model) - g(L)|, each at most :data:`MAX_RESIDUAL`, with g(x) = ln(1 + 50 x) /
-ln 51 at the capture's exposure, plus priors on the network's S and R. Alternatives are matte, S = 0 and R =
-1, and metal, D = 0 and a coloured S, the median of (L - Ls1) / Ls0.
+ln 51 at the capture's exposure, plus priors on the network's S and R. Alternative hypotheses are matte (S =
+0, R = 1) and metal (D = 0 and a coloured S, the median of (L - Ls1) / Ls0).
 """
 
 from __future__ import annotations
@@ -23,34 +23,37 @@ from datagen.multiview.compiled import compiled
 
 ROUGHNESS_LEVELS = np.array([0.12, 0.25, 0.4, 0.55, 0.75, 1.0], np.float32)
 SPECULAR_LEVELS = np.array([0.0, 0.02, 0.04, 0.06, 0.08], np.float32)
-"""Of dielectrics: 0.02 is water, 0.08 sapphire; more is metal."""
+"""Specular albedos of dielectrics: 0.02 is water, 0.08 sapphire; metals are above."""
 MAX_ALBEDO = 0.95
 MAX_RESIDUAL = 0.2
-"""Of an observation: what counts more is no evidence but a fault of visibility or of the light."""
+"""Maximum residual of an observation: larger ones indicate faulty visibility or light."""
 MIN_METAL = 0.2
-"""Specular albedo, mean over channels, below which nothing is metal."""
+"""Minimum specular albedo of metal, mean over channels."""
 
 
 MIN_EVIDENCE = 0.05
 FULL_TRUST, NO_TRUST = 0.06, 0.12
-"""Residuals up to which a segment has what explains it best, and from which it keeps the network's: its light
-is not what was photographed."""
+"""Limits on a segment's residual: below the first, it has its best hypothesis; above the second, the
+network's, since its light is not the photographed light."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
-"""Differences of costs, as a share of the residual, that make a hypothesis of S and R e times less likely."""
+"""Difference of costs, relative to the residual, that makes a hypothesis of S and R e times less likely."""
 MATTE_TEMPERATURE, MATTE_ALLOWANCE = 0.03, 0.02
-"""S = 0, R = 1 against the best glossy hypothesis, which fits noise a little better: the same, and by how
-much it may explain less and be as likely."""
+"""The same for matte (S = 0, R = 1) against the best glossy hypothesis; and the cost difference at which both
+are equally likely, since glossy hypotheses fit noise slightly better."""
 METAL_SHARE = 0.25
-"""Share of a smooth region's surfels from which metal spreads in it."""
+"""Share of metal among a smooth region's surfels from which it spreads there."""
 METAL_TOLERANCE = 0.005
-"""By how much metal may explain a segment worse than a dielectric does, where it spreads."""
+"""Excess cost over a dielectric at which metal still spreads to a segment."""
 
 
 @dataclass(frozen=True)
 class PriorWeights:
-    """Weights of the squared differences to the network's square root of S, and R; ``metal``: margin by which
-    metal must explain the observations better than a dielectric. Each is multiplied by ``1 / evidence``."""
+    """Weights of the priors, each multiplied by ``1 / evidence``.
+
+    Squared differences to the square root of the network's S, and to its R; ``metal``: margin by which metal
+    must explain the observations better than a dielectric.
+    """
 
     specular_albedo: float = 0.02
     roughness: float = 0.0005
@@ -59,8 +62,11 @@ class PriorWeights:
 
 @dataclass(frozen=True)
 class Costs:
-    """Costs of hypotheses for G segments: ``dielectric`` (G, levels, speculars), ``metal`` (G, levels), and
-    the metals' ``metal_albedo`` (G, levels, 3)."""
+    """Costs of hypotheses for G segments.
+
+    ``dielectric`` (G, levels, speculars), ``metal`` (G, levels), and ``metal_albedo`` (G, levels, 3), the S
+    of each metal hypothesis.
+    """
 
     dielectric: NDArray[np.float32]
     metal: NDArray[np.float32]
@@ -69,8 +75,11 @@ class Costs:
 
 @dataclass(frozen=True)
 class SolvedSegments:
-    """``specular_albedo`` (G, 3), ``roughness`` (G,), ``is_metal`` (G,), ``residual`` (G,) mean cost without
-    priors."""
+    """Materials of G segments.
+
+    ``specular_albedo`` (G, 3), ``roughness`` (G,), ``is_metal`` (G,), and ``residual`` (G,), the mean cost
+    without priors.
+    """
 
     specular_albedo: NDArray[np.float32]
     roughness: NDArray[np.float32]
@@ -89,8 +98,8 @@ def segment_costs(
 ) -> Costs:
     """Costs of segments whose points are ``start[g]`` to ``start[g + 1]`` (G + 1,).
 
-    Of P points with O observations each: ``radiance`` (P, O, 3), ``weight`` (P, O), 0 for none; ``diffuse``
-    (P, 3) their Ld; ``ls0`` and ``ls1`` (P, O, levels, 3).
+    For P points with O observations each: ``radiance`` (P, O, 3), ``weight`` (P, O), 0 for none; ``diffuse``
+    (P, 3), their Ld; ``ls0`` and ``ls1`` (P, O, levels, 3).
     """
     return Costs(
         *_costs(
@@ -116,12 +125,13 @@ def decide(
     size: NDArray,
     weights: PriorWeights,
 ) -> SolvedSegments:
-    """The expected material of each segment. ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the
-    network's, ``evidence`` (G,) in (0, 1], ``group`` (G,) the smooth region and ``size`` (G,) the surfels.
+    """The expected material of each segment.
 
-    A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy hypotheses, weighted by
-    likelihood. Metal has hysteresis: where it holds :data:`METAL_SHARE` of a region, it also takes the
-    region's segments that it explains about as well as a dielectric does.
+    ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's, ``evidence`` (G,) in (0, 1],
+    ``group`` (G,) the smooth region and ``size`` (G,) the number of surfels. A dielectric is the mean of
+    matte (S 0, R 1 by convention) and of the glossy hypotheses, weighted by likelihood. Metal has hysteresis:
+    once :data:`METAL_SHARE` of a region is metal, segments of the region that metal explains about as well as
+    a dielectric become metal too.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
@@ -137,7 +147,7 @@ def decide(
     matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / (MATTE_TEMPERATURE * noise))
     found_s, found_r = (1 - matte) * found_s, matte + (1 - matte) * found_r
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
-    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # a network hardly knows metal; where it does, it counts
+    unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # networks rarely predict metal, but then reliably
     metal = costs.metal + of_r
     metal = np.where(costs.metal_albedo.mean(axis=2) < MIN_METAL, np.inf, metal)
     metal_level = metal.argmin(axis=1)
@@ -157,14 +167,19 @@ def decide(
 
 
 def _expected(cost: NDArray) -> tuple[NDArray, NDArray]:
-    """S and R (G,), means over the hypotheses of ``cost`` (G, levels, speculars but 0), weighted by
-    likelihood: under squared error a mean is better than the likeliest."""
+    """S and R (G,), means over the hypotheses of ``cost`` (G, levels, nonzero speculars), weighted by
+    likelihood.
+
+    The mean has a lower squared error than the most likely hypothesis.
+    """
     weight = softmax(-cost.reshape(len(cost), -1), axis=1).reshape(cost.shape)
     return weight.sum(axis=1) @ SPECULAR_LEVELS[1:], weight.sum(axis=2) @ ROUGHNESS_LEVELS
 
 
 def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:
-    """Minimum (G,) of the parabola through the best level and its neighbours; ``cost`` (G, levels)."""
+    """Position of the minimum (G,) of the parabola through the best level and its neighbours; ``cost`` (G,
+    levels).
+    """
     rows, last = np.arange(len(best)), len(ROUGHNESS_LEVELS) - 1
     inner = (best > 0) & (best < last)
     middle = np.clip(best, 1, last - 1)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The stage between prediction and merge: maps of the views from recorded light.
 
-Surfels and radiance field (``lighting``) → segments → S and R of segments (``points``, ``solve``) → light
-again, with less noise and reflecting metals, and S and R in it → specular part of every observation →
-correction of the shading where light is not photographed (``shading_correction``) → maps of the views
-(``view_maps``), blended with the network's by ``confidence``. See docs/light.md.
+Surfels and radiance field (``lighting``) → segments → S and R of segments (``points``, ``solve``) → in a
+second round, light with less noise and with reflecting metals, and S and R from it → specular part of every
+observation → correction of the shading where light is not photographed (``shading_correction``) → maps of the
+views (``view_maps``), blended with the network's by ``confidence``. See docs/light.md.
 """
 
 from __future__ import annotations
@@ -32,13 +32,16 @@ from model.reconstruction.light.shading_correction import shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
 
-_SEED = 99  # of the specular part of all observations: other samples than the solve's
+_SEED = 99  # seed of the specular part of all observations, other than the solver's
 
 
 @dataclass(frozen=True)
 class LightMaterials:
-    """``maps`` of the views with their ``confidence`` (H, W, 3) of D, S and R; the surfels, their light and
-    their materials: ``solved``, ``albedo`` (N, 3), ``segment`` (N,)."""
+    """Results of the light stage.
+
+    ``maps`` of the views with their ``confidence`` (H, W, 3) of D, S and R; the surfels, their light and
+    their materials: ``solved``, ``albedo`` (N, 3), ``segment`` (N,).
+    """
 
     maps: list[dict[str, NDArray]]
     report: LightReport
@@ -59,12 +62,12 @@ def materials_from_light(
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
     report: LightReport | None = None,
 ) -> LightMaterials:
-    """Materials of ``views`` in their recorded light. ``maps`` are the network's, ``emits`` (M,) the
-    triangles known to emit, ``exposure`` brings bright surfaces to 0.9, ``doubt_at`` gives the uncertain
-    diffuse shading (N,) at positions and normals.
+    """Materials of ``views`` in their recorded light.
 
-    The result does not depend on the order of the views. Raises ValueError where the views see no extended
-    surface.
+    ``maps`` are the network's, ``emits`` (M,) the triangles known to emit, ``exposure`` the factor that
+    scales bright surfaces to 0.9; ``doubt_at`` returns the uncertain diffuse shading (N,) at positions and
+    normals. The result does not depend on the order of the views. Raises ValueError if the views show no
+    extended surface.
     """
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
@@ -152,7 +155,7 @@ def _solved_surfels(
         ones = np.ones_like(albedo)
         return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0]), albedo
     confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
-    is_lit = lit.diffuse.max(axis=1) > 0  # nothing is known where nothing arrives
+    is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
     replaced = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit
     confidence *= replaced[:, None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence of D, S and R at any surface point, from the surfels, in little memory."""
+"""Confidence of D, S and R at any surface point, from the surfels, in a compact form."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ _NEAREST_FIRST = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1),
 
 @dataclass(frozen=True)
 class SurfelConfidence:
-    """``cell`` (N,): cells and sides of the surfels, ascending; ``confidence`` (N, 3) of D, S and R as bytes;
-    ``low``, ``cell_m`` and ``shape`` of the grid."""
+    """Confidence by cell.
+
+    ``cell`` (N,): cells and sides of the surfels, ascending; ``confidence`` (N, 3) of D, S and R as bytes;
+    ``low``, ``cell_m`` and ``shape`` of the grid.
+    """
 
     low: NDArray[np.float64]
     cell_m: float
@@ -34,8 +37,10 @@ class SurfelConfidence:
         return cls(grid.low, grid.cell_m, grid.shape, np.flatnonzero(grid.surfel >= 0), stored)
 
     def at(self, points: NDArray, normals: NDArray) -> NDArray[np.uint8]:
-        """Confidence (..., 3) of surface at ``points`` (..., 3) on the side of ``normals``: that of the
-        surfel there, else of the nearest of the cells around; 0 where there is none."""
+        """Confidence (..., 3) of surface at ``points`` (..., 3) on the side of ``normals``.
+
+        That of the surfel there, else of the nearest of the cells around; 0 without any.
+        """
         flat = points.reshape(-1, 3).astype(np.float64)
         side = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)
         found = _look_up(

@@ -5,7 +5,7 @@ Shading and materials of the surfels around a pixel are interpolated between cel
 
     D = (L - specular part) / ((1 - S) Ld),
 
-clipped to [0, MAX_ALBEDO], or to the albedo of white paint in uncertain light, with the specular part of the
+clipped to [0, MAX_ALBEDO], or in uncertain light to the albedo of white paint, with the specular part of the
 same view. S and R come from surfels of similar reflectance, so that they change with the colour, blended with
 the network's by confidence.
 """
@@ -24,18 +24,21 @@ from datagen.multiview.compiled import compiled
 from model.reconstruction.light.solve import MAX_ALBEDO
 
 SIMILAR = 0.35
-"""Difference of the logarithm of reflectance at which a surfel's S and R count exp(-1/2)."""
+"""Difference in the logarithm of reflectance at which a surfel's S and R have the weight exp(-1/2)."""
 WHITE_PAINT = 0.85
-"""Greatest D where the light is not sure: surfels of the development rooms that come out whiter there are of
+"""Maximum D in uncertain light: surfels of the development rooms that come out whiter there have a true D of
 0.78 to 0.91."""
-_DARK = 1e-12  # keeps 0 / 0 out of the reflectance of a room without light
+_DARK = 1e-12  # avoids 0 / 0 in the reflectance of a room without light
 
 
 @dataclass(frozen=True)
 class SolvedSurfels:
-    """``diffuse`` (N, 3) their Ld, ``specular`` (M, 3) S Ls0 + Ls1 of each observation, ``specular_albedo``
-    (N, 3), ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1], ``replaced``
-    (N,) share of the network's D that is replaced."""
+    """Shading and materials of N surfels with M observations.
+
+    ``diffuse`` (N, 3) Ld, ``specular`` (M, 3) S Ls0 + Ls1 of each observation, ``specular_albedo`` (N, 3),
+    ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1], ``replaced`` (N,)
+    share of the network's D that is replaced.
+    """
 
     diffuse: NDArray[np.float32]
     specular: NDArray[np.float32]
@@ -55,7 +58,10 @@ def view_materials(
     predicted: dict[str, NDArray],
 ) -> dict[str, NDArray[np.float16]]:
     """Maps of view ``index``: ``diffuse_albedo``, ``specular_albedo``, ``roughness``, and ``confidence`` (H,
-    W, 3) of the three. Pixels without surfels keep ``predicted``."""
+    W, 3) of the three.
+
+    Pixels without surfels keep ``predicted``.
+    """
     observations = surfels.observations
     rows = np.flatnonzero(observations.view == index)
     surfel = surfels.surfel_of_observation()[rows]
