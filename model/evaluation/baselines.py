@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps that do not come from a checkpoint, to be merged like those that do."""
+"""Maps from other sources than a checkpoint, merged like predicted ones."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ Given = TextureMethod | ConstantMethod | MapsMethod | OracleMethod
 
 
 def given_maps(method: Given, scene: str, capture: Capture, kept: Path, judged: Sequence[str]) -> GivenMaps:
-    """The maps of a method for the views of ``capture``. Those of ``judged`` views are written to ``kept`` as
-    ``VIEW.exr`` when they are read, to be compared with the truth.
+    """The maps of a method for the views of ``capture``.
 
-    Raises :class:`InputError` listing every view for which ``maps`` has no file, or one of another size.
+    Those of ``judged`` views are written to ``kept`` as ``VIEW.exr`` when they are read, for comparison with
+    the truth. Raises :class:`InputError` listing every view for which ``maps`` has no file, or one of another
+    size.
     """
     identity, read = _source(method, scene, capture)
 
@@ -56,7 +57,7 @@ def _source(method: Given, scene: str, capture: Capture) -> tuple[str, Callable[
 
 
 def _texture(traced: TracedCapture) -> list[Maps]:
-    """The photographs themselves, exposed as for the networks and clipped: merging takes their median."""
+    """The photographs themselves, exposed as for the networks and clipped; merging computes their median."""
     exposure = capture_exposure(traced.statistics)
     maps = []
     for view in traced.views:
@@ -72,9 +73,10 @@ def _constant(view: TracedView, values: dict[str, NDArray]) -> Maps:
 
 
 def maps_files(folder: Path, capture: Capture) -> dict[str, Path]:
-    """``VIEW.exr``, or ``views/VIEW.exr`` as ``materials infer`` writes it, for every view of ``capture``.
+    """Map file of every view of ``capture``: ``VIEW.exr``, or ``views/VIEW.exr`` as written by ``materials
+    infer``.
 
-    Raises :class:`InputError` listing what is missing, damaged, of another size, or outside [0, 1].
+    Raises :class:`InputError` listing files that are missing, damaged, of another size, or outside [0, 1].
     """
     problems, files = [], {}
     for view in capture.views:

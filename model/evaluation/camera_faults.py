@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Photographs as cameras take them, made of rendered ones: what a method loses by each fault, and by all.
+"""Simulated faults of cameras, applied to rendered photographs: what each fault costs a method, alone and
+combined.
 
-In the order of a camera: the lens bends (``distortion``, k1 on normalised coordinates, which calibration left
-over) and darkens the corners (``vignetting_stops``); every image has an exposure that differs from the common
-one by a normal distribution of ``exposure_stops``, which nobody is told; photons (``white_electrons`` at the
-limit) and electronics (``read_electrons``) make noise; what is beyond the limit is clipped, ``clipped_share``
-of all pixels of all images at the common exposure, lamps and windows first; a curve steeper than sRGB's
-(``contrast``) encodes it in ``bits``, and ``jpeg`` of that quality may follow. The reader takes 8 bits for
-sRGB and 14 for linear, as ``materials infer`` does. Cameras are said to stand ``pose_mm`` and ``pose_deg``
-off (standard deviations along each axis, and of the angle about a random one), and the mesh has the errors
-of ``geometry``, where the method names none.
+In the order of a camera's pipeline. The lens distorts (``distortion``, k1 on normalised coordinates, left
+over by calibration) and darkens the corners (``vignetting_stops``). Exposures vary between images by a normal
+distribution of ``exposure_stops``, which methods are not told. Photon noise (``white_electrons`` at the
+limit) and read noise (``read_electrons``) are added. Values beyond the limit are clipped: ``clipped_share``
+of all pixels of all images at the common exposure, which are lamps and windows first. A curve steeper than
+sRGB's (``contrast``) encodes the image in ``bits``, optionally followed by JPEG of quality ``jpeg``. The
+reader assumes sRGB for 8 bits and linear values for 14, as ``materials infer`` does. The poses given to
+methods are off by ``pose_mm`` along each axis and by an angle of ``pose_deg`` about a random one (standard
+deviations), and the mesh has the errors of ``geometry`` unless the method sets its own.
 """
 
 from __future__ import annotations
@@ -32,13 +33,14 @@ from datagen.foundation.random import digest
 from model.evaluation.mesh_errors import GeometryError
 from model.reconstruction.captures.photographs import CLIPPED_LEVEL
 
-_EVERY = 7  # pixels that the common exposure is measured on: one in so many
-_LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve falls again
+_EVERY = 7  # stride of the pixels that determine the common exposure
+_LARGEST_CONTRAST = 0.15  # above 1 / 2 pi the curve is not monotonic
 
 
 class CameraFaults(StrictModel):
-    """How photographs differ from what is there; the module's head says what each field does. ``seed``: of
-    noise, exposures and poses."""
+    """Faults of the photographs; the module's docstring explains each field. ``seed``: of noise, exposures
+    and poses.
+    """
 
     name: Slug
     bits: Literal[8, 14] | None = None
@@ -71,7 +73,8 @@ class CameraFaults(StrictModel):
 
 _MESH = GeometryError(edge_m=0.1, noise_m=0.01, keep_share=0.3, hole_share=0.05)
 _SINGLE: dict[str, dict[str, object]] = {
-    "bits-8": {"bits": 8, "clipped_share": 0.01},  # a lamp at the limit would leave the room black
+    # exposing for a lamp at the limit would leave the room black
+    "bits-8": {"bits": 8, "clipped_share": 0.01},
     "bits-14": {"bits": 14, "clipped_share": 0.001},
     "exposure": {"exposure_stops": 0.5},
     "clipping": {"clipped_share": 0.05},
@@ -116,15 +119,14 @@ PRESETS = {
         "phone-and-mesh": {**_PHONE, "geometry": _MESH},
     }.items()
 }
-"""Every fault by itself, and the three bundles."""
+"""Every fault alone, and three combinations."""
 BUNDLES = ("raw-camera", "phone", "phone-and-mesh")
 EACH = "each"
-"""In a suite: every fault by itself."""
+"""In a suite: every fault alone."""
 
 
 def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, ...]:
-    """Camera faults named by a suite's ``camera``. Raises ``ValueError`` for an unknown name and a name used
-    twice."""
+    """Camera faults named by a suite's ``camera``. Raises ``ValueError`` for an unknown or repeated name."""
     found: list[CameraFaults] = []
     for name in names:
         if isinstance(name, CameraFaults):
@@ -142,7 +144,7 @@ def chosen_cameras(names: Sequence[str | CameraFaults]) -> tuple[CameraFaults, .
 
 
 def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
-    """The capture as such a camera takes it, but for its mesh. Truth is that of the scene."""
+    """The capture with photographs and poses of a camera with ``faults``; its mesh and true maps stay."""
     scale = 1.0 / _limit(capture, faults.clipped_share)
     views = tuple(
         replace(
@@ -156,14 +158,14 @@ def as_taken(capture: Capture, faults: CameraFaults) -> Capture:
 
 
 def _limit(capture: Capture, clipped_share: float) -> float:
-    """The radiance at the sensor's limit: that which ``clipped_share`` of all pixels exceed."""
+    """The radiance at the sensor's limit, which ``clipped_share`` of all pixels exceed."""
     bright = [view.read().color.max(axis=2).ravel()[::_EVERY] for view in capture.views]
     limit = float(np.quantile(np.concatenate(bright), 1.0 - clipped_share))
     return limit if limit > 0 else 1.0
 
 
 def _random(faults: CameraFaults, view: str, purpose: str) -> np.random.Generator:
-    """A generator for one purpose of one view, whatever else is drawn."""
+    """A generator for one purpose of one view, independent of all other draws."""
     return np.random.default_rng(int.from_bytes(digest(faults.seed, view, purpose)[:8], "little"))
 
 
@@ -182,7 +184,7 @@ def _moved(camera: Camera, faults: CameraFaults, view: str) -> Camera:
 
 @dataclass(frozen=True)
 class _Taken:
-    """A view's pixels through a camera with faults. ``true_camera`` is where it really stands."""
+    """A view's pixels from a camera with faults. ``true_camera`` is its actual camera."""
 
     source: ImageSource
     true_camera: Camera
@@ -201,7 +203,7 @@ class _Taken:
 
 
 def photographed(color: NDArray, camera: Camera, faults: CameraFaults, view: str = "") -> NDArray[np.float64]:
-    """An image (H, W, 3), linear with the sensor's limit at 1, as it is read after all faults."""
+    """An image (H, W, 3), linear with the sensor's limit at 1, as read after all faults."""
     random = _random(faults, view, "image")
     if faults.distortion:
         color = _bent(color, camera, faults.distortion)
@@ -231,14 +233,14 @@ def _radius_squared(camera: Camera) -> NDArray[np.float64]:
 
 
 def _bent(color: NDArray, camera: Camera, k1: float) -> NDArray[np.float64]:
-    """The image as a lens with x' = x (1 + k1 r^2) forms it; beyond its border the border is repeated."""
+    """The image formed by a lens with x' = x (1 + k1 r^2); beyond its border, border pixels are repeated."""
     import cv2
 
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
     y = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
     bent_x, bent_y = np.meshgrid(x, y)
     true_x, true_y = bent_x.copy(), bent_y.copy()
-    for _ in range(10):  # a contraction for the strengths that a suite may name
+    for _ in range(10):  # the fixed-point iteration contracts for all strengths that a suite allows
         grow = 1 + k1 * (true_x**2 + true_y**2)
         true_x, true_y = bent_x / grow, bent_y / grow
     columns = (true_x * camera.fx_px + camera.cx_px - 0.5).astype(np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``evaluate`` of ``materials``. Heavy imports happen in it."""
+"""The verb ``evaluate`` of ``materials``. Heavy imports are inside it."""
 
 from __future__ import annotations
 

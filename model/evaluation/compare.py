@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Two runs of a suite side by side: which differences are more than noise.
+"""Comparison of two runs of a suite: which differences exceed the noise.
 
-Scenes and methods are matched by name, views by name. Every figure has the two means over the views that both
-runs judged, their difference and its standard error (``noise``); a difference below two standard errors is
-called none.
+Scenes, methods and views are matched by name. Every figure has its two means over the views judged in both
+runs, their difference and its standard error (``noise``); a difference below two standard errors counts as
+none.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NONE = "none"
 
 
 def read_other(path: Path) -> SuiteResult:
-    """The result of another run: its ``evaluation.json``, or the folder that holds it."""
+    """The result of another run, from its ``evaluation.json`` or the folder that contains it."""
     file = path / "evaluation.json" if path.is_dir() else path
     if not file.is_file():
         expected = "evaluation.json of another run, or its folder"
@@ -36,7 +36,7 @@ def read_other(path: Path) -> SuiteResult:
 def comparison(this: SuiteResult, other: SuiteResult) -> Table:
     """The differences of two runs.
 
-    Raises :class:`InputError` where they share no scene with a method that both judged on two views or more.
+    Raises :class:`InputError` if they have no scene and method in common with at least two judged views.
     """
     rows: list[tuple[Cell, ...]] = []
     earlier = {scene.name: scene for scene in other.scenes}
@@ -73,7 +73,7 @@ def _cells(found: Difference, more_is_better: bool) -> tuple[Cell, ...]:
 
 
 def _differences(other: MethodResult, this: MethodResult) -> Iterator[tuple[str, Difference, bool]]:
-    """Figure, difference, and whether more is better."""
+    """Name of each figure, its difference, and whether higher is better."""
     for stage, words in _STAGES.items():
         rows = [result.map_views.get(stage, {}) for result in (other, this)]
         weights = {view: row["pixels"] for view, row in rows[1].items()}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Test scenes that a recipe draws: a room with things, materials and lights as datasets have them.
+"""Test scenes drawn from a recipe: rooms with objects, materials and lights as in datasets.
 
-The recipe's configuration number ``configuration`` is taken as it is, but for its cameras: they are as many,
-as large and as free as the scene asks, and a walk of novel views is added.
+The recipe's configuration number ``configuration`` is used unchanged except for its cameras: their number,
+resolution and sampling are the scene's, and a walk of novel views is added.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 
 def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
-    """A library of what ``sources`` hold, made once; none where there are no sources."""
+    """A library imported from ``sources`` once; none without sources."""
     if not sources:
         return ()
     if not folder.is_dir():
@@ -39,7 +39,7 @@ def imported(sources: Sequence[Path], folder: Path) -> tuple[Path, ...]:
 
 
 def recipe_library(source: Path, own: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The folders that a recipe draws from, and ``own``."""
+    """The folders of the recipe's library, and ``own``."""
     return (*resolve_library_paths(read_yaml(Recipe, source).library, source.parent), *own)
 
 
@@ -52,8 +52,11 @@ def draw_room(
     num_views: int,
     num_novel: int,
 ) -> Configuration:
-    """Configuration ``index`` of the recipe at ``source``, seen by ``num_views`` cameras view-000 ... and
-    ``num_novel`` more, path-000 ..., of a walk. Raises :class:`InputError`."""
+    """Configuration ``index`` of the recipe at ``source``, with ``num_views`` cameras view-000 ... and
+    ``num_novel`` cameras path-000 ... on a walk.
+
+    Raises :class:`InputError`.
+    """
     changes = {"views": num_views, "resolution": resolution, "cameras": cameras}
     recipe = read_yaml(Recipe, source).model_copy(update=changes)
     if index >= recipe.configurations:

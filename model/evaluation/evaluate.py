@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Runs a suite: scenes, methods, figures. What is in the cache already is not done again.
+"""Runs a suite: scenes, methods, figures. Results in the cache are reused.
 
-CACHE/geometries/               the meshes that methods get, unwrapped
-CACHE/features/                 what LPIPS sees in the truth
+CACHE/geometries/               unwrapped meshes that methods get
+CACHE/features/                 LPIPS features of the truth
 CACHE/<scene>-<key>/            the rendered scene (``room``)
 CACHE/<scene>-<key>/results/
-    predictions-<key>/          maps of a checkpoint, which methods that differ only in what follows share
-    <method>-<key>/             what ``materials infer`` writes, views/ and result-<key>.json
-    renders/<key>/              VIEW.exr, a folder for all that decides the pixels
+    predictions-<key>/          maps of a checkpoint, shared by methods that differ in later stages only
+    <method>-<key>/             output of ``materials infer``, views/ and result-<key>.json
+    renders/<key>/              VIEW.exr, a folder for each set of inputs that affect the pixels
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ from model.reconstruction.predict.sources import CheckpointMaps
 from model.reconstruction.stages import MapSource
 
 _MEASURES = 4
-"""Revision of the figures: those of another are measured anew."""
+"""Revision of the measures: figures of another revision are measured again."""
 _RECONSTRUCTION = 12
-"""Revision of the maps that ``infer`` makes of a capture: those of another are made anew."""
+"""Revision of ``infer``: maps of another revision are computed again."""
 _TAKEN = 1
-"""Revision of what is made of photographs with faults, besides."""
+"""Further revision for photographs with faults."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """``truth``: by scene, its judged views under its own light."""
+    """Result of a suite. ``truth``: for each scene, its judged views under its own light."""
 
     result: SuiteResult
     truth: dict[str, dict[str, JudgedView]]
@@ -72,9 +72,9 @@ class Evaluation:
 def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: None) -> Evaluation:
     """Measure every method on every scene.
 
-    Scenes are imported and held against what checkpoints learnt from before any is rendered. A scene that
-    fails (a bad source, faulty maps, a checkpoint that was trained on it) is among the result's ``failures``
-    with the reason; the figures of the others are whole.
+    Before any is rendered, scenes are imported and compared with the training data of the checkpoints. A
+    scene that fails (a bad source, faulty maps, a checkpoint trained on it) is listed in the result's
+    ``failures`` with the reason; the other scenes are not affected.
     """
     lpips = Lpips(cache / "features")
     failures: dict[str, str] = {}
@@ -115,7 +115,7 @@ def evaluate(suite: Suite, cache: Path, tell: Tell = lambda stage, done, total: 
 
 
 def _opened(suite: Suite, planned: PlannedScene, tell: Tell) -> OpenedScene:
-    """A scene with its photographs and its truth, after faulty maps of other methods were refused."""
+    """A scene with its photographs and its truth, after the maps of given methods were checked."""
     name = planned.recipe.name
     prepared = photograph(planned, lambda stage, done, total: tell(f"{name}: {stage}", done, total))
     scene = open_scene(suite, planned.recipe, prepared, tell)
@@ -136,7 +136,7 @@ def _assert_unknown(suite: Suite, planned: PlannedScene) -> None:
 
 
 def _check_maps(suite: Suite, scene: OpenedScene) -> None:
-    """Refuse faulty maps of other methods before hours are spent on others."""
+    """Check the maps of given methods before hours are spent on others."""
     problems: list[Problem] = []
     for method in suite.methods:
         if isinstance(method, MapsMethod):
@@ -154,7 +154,7 @@ def _check_maps(suite: Suite, scene: OpenedScene) -> None:
 def _judge(
     suite: Suite, scene: OpenedScene, method: Method, camera: CameraFaults | None, lpips: Lpips, tell: Tell
 ) -> MethodResult:
-    """The figures of a method on a scene, from photographs as ``camera`` takes them."""
+    """The figures of a method on a scene, from photographs of ``camera``."""
     name = scene.recipe.name
     base = MethodResult(
         scene=name,
@@ -267,7 +267,7 @@ def _reconstruct(
     folder: Path,
     tell: Tell,
 ) -> tuple[Path, dict[str, Any]]:
-    """The asset of a method, and what ``materials infer`` says of it; made where it is not there."""
+    """The asset of a method and the report of ``materials infer``; computed if missing."""
     error = method.geometry or (camera.geometry if camera else None)
     geometry, seconds = geometry_for(scene.capture.geometry, error, scene.geometries, tell)
     capture = replace(scene.input_capture(), geometry=geometry)
@@ -308,7 +308,7 @@ def _reconstruct(
 
 
 def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
-    """Errors of the maps as they were predicted."""
+    """Errors of the per-view maps as predicted."""
     measures = MapMeasures()
     for name in scene.inputs:
         maps = decode_view(folder / "views" / f"{name}.exr", MATERIAL_MAPS)
@@ -319,7 +319,7 @@ def _per_view(scene: OpenedScene, folder: Path) -> MapMeasures:
 
 
 def _map_results(stage: str, measures: MapMeasures, earlier: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Measurements of the maps of a stage, beside those of ``earlier`` ones."""
+    """Measurements of the maps of a stage, added to the ``earlier`` ones."""
     found = earlier or {}
     return {
         f"maps_{stage}": measures.mse(),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""LPIPS of many methods' images against the same truth: what VGG sees in the truth is computed once.
+"""LPIPS of many methods' images against the same truth, whose VGG features are computed once.
 
-Features lie in half precision in a folder, each file named by the hash of its image: 34 MB for 480 x 288
-pixels. Half precision changes a distance by less than 1e-4.
+Features are stored in half precision in a folder, each file named by the hash of its image: 34 MB for 480 x
+288 pixels. Half precision changes a distance by less than 1e-4.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ _REVISION = 1
 
 
 class Lpips:
-    """LPIPS-VGG where its weights are at hand; ``absence`` says why not. ``folder`` keeps the features of
-    true images; None keeps none."""
+    """LPIPS-VGG, if its weights are available; ``absence`` gives the reason if not.
+
+    ``folder`` stores the features of true images; None stores none.
+    """
 
     def __init__(self, folder: Path | None = None, layers: Sequence[Any] | None = None) -> None:
         from model.training.perceptual import LpipsVgg

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""How far maps are from the truth: errors by map and by kind of surface, levels, and the measures of others.
+"""Errors of maps: by map and by kind of surface, scale errors, and measures of other publications.
 
 All squared errors are of linear values over surface pixels and channels. ``diffuse gain``: the factor for the
-whole scene that makes the squared error of D least; ``region gain``: one such factor for each part of the
-scene, so that what is left is the error within parts. ``level error``: median over surface pixels of
-|ln(mean estimate / mean truth)| of their part's D luminance.
+whole scene that minimises the squared error of D; ``region gain``: one such factor for each region of the
+scene, which leaves the error within regions. ``level error``: median over surface pixels of |ln(mean estimate
+/ mean truth)| of the luminance of D in their region.
 
-``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which FIPT's
-figures are made by, too: 8-bit values, PSNR of every whole view with emitters (and for kd everything that is
-not of roughness 1) at zero in both, mean of the decibels. Our kd is D and a' is (1 - S) D + S; theirs are the
-diffuse colour and the integrated reflectance of Disney's lobe. Emission: pixels where light leaves a surface
-that has no material.
+``kd``, ``a'`` and ``roughness`` follow the public evaluation of IRIS (``utils/metric_brdf.py``), which also
+gives FIPT's figures: 8-bit values, PSNR of every whole view with emitters (and for kd everything of a
+roughness other than 1) at zero in both, mean of the decibels. Our kd is D and a' is (1 - S) D + S; theirs are
+the diffuse colour and the integrated reflectance of Disney's lobe. Emission: pixels of surfaces that emit and
+have no material.
 """
 
 from __future__ import annotations
@@ -27,16 +27,19 @@ from model.evaluation.rendering import JudgedView
 from model.evaluation.surface_kinds import ViewSurfaces
 
 D, S, R = MATERIAL_MAPS
-_FLOOR = 1e-4  # keeps the logarithm of a black part finite
-_MIN_MSE = 1e-10  # 100 dB, where the formula gives infinity; as in the code that is followed
+_FLOOR = 1e-4  # keeps the logarithm of a black region finite
+_MIN_MSE = 1e-10  # 100 dB in place of infinity, as in the published code
 _MIN_ROUGHNESS = 0.2
 QUARTERS = 4
 
 
 @dataclass
 class MapMeasures:
-    """Adds views up; ``mse``, ``figures``, ``by_kind`` and ``calibration`` say what came out. ``views``: mean
-    squared errors of every view by name, and its number of ``pixels``."""
+    """Accumulates errors over views.
+
+    Results: ``mse``, ``figures``, ``by_kind`` and ``calibration``. ``views``: mean squared errors of every
+    view by name, and its number of ``pixels``.
+    """
 
     squared: dict[str, dict[str, float]] = field(default_factory=dict)
     pixels: dict[str, int] = field(default_factory=dict)
@@ -56,8 +59,11 @@ class MapMeasures:
         rendered: JudgedView | None = None,
         confidence: NDArray | None = None,
     ) -> None:
-        """Count a view. ``rendered``: the view of the recovered scene, where the maps come from it: pixels
-        without its surface are not compared, and its emission is. ``confidence`` (H, W, 3) of D, S and R."""
+        """Add a view.
+
+        ``rendered``: the view of the recovered scene, if the maps come from it: pixels without its surface
+        are excluded, and its emission is compared. ``confidence`` (H, W, 3) of D, S and R.
+        """
         mask = truth.surface_mask if rendered is None else truth.surface_mask & rendered.surface_mask
         errors = {n: ((maps[n].astype(np.float64) - truth.maps[n]) ** 2).mean(axis=2) for n in MATERIAL_MAPS}
         for kind, where in {"all": mask, **surfaces.kinds}.items():
@@ -78,7 +84,7 @@ class MapMeasures:
             self._sure.append((confidence[mask].astype(np.float64), stacked))
 
     def figures(self) -> dict[str, float]:
-        """PSNR of maps, D after gains, error of levels, measures of others."""
+        """PSNR of maps, D after gains, level errors, and measures of other publications."""
         found = {f"{name}_psnr_db": psnr_of_mse(mse) for name, mse in self.mse().items()}
         estimate, truth, region = (np.concatenate(part) for part in zip(*self._pairs, strict=True))
         found |= level_figures(estimate, truth, region)
@@ -97,7 +103,7 @@ class MapMeasures:
         return self.pixels.get("all", 0) / max(self.num_surface, 1)
 
     def by_kind(self) -> dict[str, dict[str, float]]:
-        """Mean squared errors by kind of surface, and the kind's ``share`` of all compared pixels."""
+        """Mean squared errors by kind of surface, and each kind's ``share`` of all compared pixels."""
         return {
             kind: {
                 "share": self.pixels[kind] / max(self.pixels["all"], 1),
@@ -108,8 +114,11 @@ class MapMeasures:
         }
 
     def calibration(self) -> dict[str, list[float]]:
-        """By map: rank correlation of confidence and smallness of the error, then the root mean square error
-        of the quarter that is least sure to the quarter that is surest. Empty without confidence."""
+        """By map: rank correlation of confidence and negative error; ratio of the root mean square errors of
+        the least and the most confident quarter.
+
+        Empty without confidence.
+        """
         if not self._sure:
             return {}
         from scipy.stats import spearmanr
@@ -126,8 +135,9 @@ class MapMeasures:
 
 
 def level_figures(estimate: NDArray, truth: NDArray, region: NDArray) -> dict[str, float]:
-    """Of D (N, 3) in regions (N,): the best gain, errors after it and after each region's own, and the error
-    of levels."""
+    """Scale figures of D (N, 3) in regions (N,): the best gain, errors after it and after each region's own,
+    and the level error.
+    """
     gain = _best_gain((estimate * truth).sum(), (estimate**2).sum())
     index = np.unique(region, return_inverse=True)[1]
 
@@ -152,7 +162,7 @@ def _best_gain(product: float, square: float) -> float:
 
 
 def psnr_of_mse(mse: float) -> float:
-    """Of values with a range of 1; at most 100 dB."""
+    """PSNR in dB of values with a range of 1; at most 100 dB."""
     return float(-10.0 * np.log10(max(mse, _MIN_MSE)))
 
 
@@ -163,10 +173,13 @@ def _eight_bits(values: NDArray) -> NDArray[np.float64]:
 def measures_of_others(
     maps: Mapping[str, NDArray], truth: JudgedView, rendered: JudgedView | None = None
 ) -> dict[str, float]:
-    """``kd``, ``a_prime`` and ``roughness`` of one view in dB and, of a rendered one whose truth shows an
-    emitter, IoU of the emitters' pixels and mean squared difference of ln(1 + emission)."""
+    """``kd``, ``a_prime`` and ``roughness`` of one view in dB.
+
+    For a rendered view whose truth shows an emitter, also the IoU of the emitters' pixels and the mean
+    squared difference of ln(1 + emission).
+    """
     lit = truth.emission_mask
-    is_seen = truth.surface_mask | lit  # the background is zero in both
+    is_seen = truth.surface_mask | lit  # the background is zero in both images
     rough = np.clip(_eight_bits(truth.maps[R]), _MIN_ROUGHNESS, 1.0)
     matt = rough[..., 0] >= 1.0
     pairs: dict[str, tuple[NDArray, NDArray, NDArray]] = {

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Tables of what map errors are made of: levels, kinds of surface, the measures of others, confidence, and
-what cameras cost."""
+"""Tables of map errors in detail: scale, kinds of surface, measures of other publications, confidence, and
+costs of camera faults.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +33,11 @@ PUBLISHED_OTHERS = (
     ("FIPT", "8 bits", 15.5, 9.7, 5.0),
     ("IRIS", "8 bits", 22.3, 17.9, 21.4),
 )
-"""Means over the four rooms of FIPT as IRIS has them: kd, a' and roughness in dB."""
+"""Means over the four rooms of FIPT as published by IRIS: kd, a' and roughness in dB."""
 
 
 def measure_tables(result: SuiteResult) -> list[Table]:
-    """The tables that have rows; that of kinds always."""
+    """All tables that have rows, and always that of kinds."""
     tables = [_levels(result), _kinds(result), _others(result), _noise(result)]
     tables += [_calibration(result), _cameras(result)]
     return [table for table in tables if table.rows or table.name == "kinds"]
@@ -120,7 +121,7 @@ def _noise(result: SuiteResult) -> Table:
 
 
 def image_noise(method: MethodResult) -> list[tuple[str, str, Figure]]:
-    """Light, views, and PSNR with its noise."""
+    """Rows of light, views, and PSNR with its noise."""
     found = []
     for light in LIGHTS:
         for views in VIEW_SETS:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Meshes made worse on purpose: how much of a result rests on true geometry.
+"""Meshes with simulated errors, to measure how much a result depends on exact geometry.
 
-Parts keep their order; lamps stay as they are, since what they do to the light is not asked about.
+Parts keep their order; lamps are unchanged, since their effect on the light is not under test.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ from datagen.formats.base import NonNegative, Positive, StrictModel
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.meshes.mesh import Mesh, joined, welded, without_degenerate
 
-_MIN_FACES = 4  # a part of fewer triangles is not reduced
+_MIN_FACES = 4  # parts with fewer triangles are not reduced
 _MAX_HOLES = 10_000
 
 
 class GeometryError(StrictModel):
-    """How the mesh differs from the room. In this order: edges are split to ``edge_m`` at most, vertices
-    moved by a normal distribution of ``noise_m`` along each axis, triangles reduced to ``keep_share`` of
-    them, and round holes of ``hole_radius_m`` cut until ``hole_share`` of the area is gone."""
+    """Errors of a mesh, applied in this order.
+
+    Edges are split to at most ``edge_m``, vertices moved by a normal distribution of ``noise_m`` along each
+    axis, triangles reduced to ``keep_share`` of them, and round holes of ``hole_radius_m`` cut until
+    ``hole_share`` of the area is removed.
+    """
 
     noise_m: NonNegative = 0.0
     keep_share: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -33,7 +36,7 @@ class GeometryError(StrictModel):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
     def describe(self) -> str:
-        """The errors in words."""
+        """The errors as text."""
         said = []
         if self.noise_m:
             said.append(f"noise {self.noise_m * 1000:g} mm")
@@ -45,7 +48,7 @@ class GeometryError(StrictModel):
 
 
 def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeometry:
-    """The geometry with errors, without UVs and normals: a reconstruction has neither."""
+    """The geometry with errors, without UVs and normals, since a reconstruction has neither."""
     random = np.random.default_rng([error.seed, 0x6D657368])
     meshes = []
     for part in geometry.parts:
@@ -61,7 +64,7 @@ def with_errors(geometry: CaptureGeometry, error: GeometryError) -> CaptureGeome
 
 
 def _part_mesh(mesh: Mesh, part: GeometryPart) -> Mesh:
-    """A part by itself, vertices of one place joined, without UVs and normals."""
+    """One part as a mesh: coincident vertices merged, without UVs and normals."""
     bare = Mesh(mesh.positions, mesh.faces[part.first_face : part.first_face + part.num_faces])
     used, compact = np.unique(bare.faces, return_inverse=True)
     return Mesh(bare.positions[used], compact.reshape(-1, 3).astype(np.int32))
@@ -99,7 +102,7 @@ def _reduced(positions: NDArray, faces: NDArray, keep_share: float) -> tuple[NDA
 def _with_holes(
     meshes: list[Mesh], is_lamp: list[bool], error: GeometryError, random: np.random.Generator
 ) -> list[Mesh]:
-    """Triangles whose centres lie in balls around random places on the surface are left out."""
+    """Meshes without the triangles whose centres lie in balls around random points on the surface."""
     owner = np.concatenate([np.full(len(mesh.faces), k) for k, mesh in enumerate(meshes)])
     centres = np.concatenate([mesh.triangles().mean(axis=1) for mesh in meshes])
     areas = np.concatenate([mesh.areas() for mesh in meshes])
@@ -117,6 +120,6 @@ def _with_holes(
     for k, mesh in enumerate(meshes):
         keep = ~gone[owner == k]
         if not keep.any():
-            keep[0] = True  # a part without triangles could not be told from one that was never there
+            keep[0] = True  # a part without triangles would look like a missing one
         result.append(Mesh(mesh.positions, mesh.faces[keep]))
     return result

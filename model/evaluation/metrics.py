@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Figures of merit of images, each with its convention; those of maps are in ``map_measures``.
+"""Image metrics, each with its convention; those of maps are in ``map_measures``.
 
-Images: both are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded; PSNR with data range 1; SSIM
+Both images are multiplied by one exposure, clipped to [0, 1] and sRGB-encoded. PSNR with data range 1; SSIM
 with an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004), mean over channels; DSSIM = 1 - SSIM;
-LPIPS-VGG version 0.1. Each is computed view by view and averaged. With a gain: the rendered images are first
-multiplied by one factor for all views, the median of the ratios of luminance over surface pixels, as a light
-would be turned up or down by hand.
+LPIPS-VGG version 0.1. Each is computed per view and averaged. With a gain, the rendered images are first
+multiplied by one factor for all views, the median ratio of luminance over surface pixels, as if a light were
+dimmed or brightened by hand.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from datagen.foundation.color import exposure_for, luminance, srgb_from_linear
 from model.evaluation.lpips import Lpips
 from model.evaluation.rendering import JudgedView
 
-MAX_PSNR_DB = 99.0  # of equal images, where the formula gives infinity
+MAX_PSNR_DB = 99.0  # for equal images, where the formula gives infinity
 _SSIM_SIGMA = 1.5
 _DARK = 1e-6  # keeps the ratio of two black pixels at 1
 
 
 def common_exposure(views: Sequence[JudgedView]) -> float:
-    """One exposure for all: the 95th percentile of the luminance of their surface pixels goes to 0.9."""
+    """One exposure for all views: it maps the 95th percentile of the luminance of their surface pixels to
+    0.9.
+    """
     return exposure_for(np.concatenate([view.color[view.surface_mask] for view in views]))
 
 
@@ -57,7 +59,7 @@ def ssim(image: NDArray, truth: NDArray) -> float:
 
 
 def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView]) -> float:
-    """The factor that brings most of the rendered surfaces to the true luminance."""
+    """The factor that maps the rendered luminance to the true one, as a median over surface pixels."""
     ratios = []
     for name, view in truth.items():
         mask = view.surface_mask & rendered[name].surface_mask
@@ -70,7 +72,7 @@ def fitted_gain(rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedVi
 def image_figures(
     rendered: Mapping[str, JudgedView], truth: Mapping[str, JudgedView], exposure: float, lpips: Lpips | None
 ) -> dict[str, dict[str, float | None]]:
-    """The figures of every view of ``truth``, by name; without LPIPS where ``lpips`` is None."""
+    """The figures of every view of ``truth``, by name; without LPIPS if ``lpips`` is None."""
     gain = fitted_gain(rendered, truth)
     return {
         name: _figures_of(rendered[name], true_view, exposure, gain, lpips)
@@ -98,7 +100,7 @@ def _figures_of(
 
 
 def means(rows: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Means over views; None where a view has none. Empty without views."""
+    """Means over views; None if a view has no value. Empty without views."""
     found: dict[str, float | None] = {}
     for key in next(iter(rows.values()), {}):
         values = [row[key] for row in rows.values()]

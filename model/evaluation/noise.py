@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""How much of a figure is noise.
+"""Noise of figures.
 
-A figure is a mean over views. Other views would have given another one: its bootstrap over views. Other
-samples of the renderer too: some views are rendered with a second seed. Both add up in squares. Of the
-difference of two methods on the same views, the bootstrap is paired: what makes a view hard for both drops
-out.
+A figure is a mean over views, with noise from the choice of views, estimated by bootstrap, and noise from the
+renderer's samples, estimated by rendering some views with a second seed. Both are added in quadrature. For
+the difference of two methods on the same views, the bootstrap is paired: variation common to both cancels.
 """
 
 from __future__ import annotations
@@ -17,24 +16,28 @@ from numpy.typing import ArrayLike
 
 _RESAMPLES = 2000
 _SEED = 0x6E6F6973
-SURE = 2.0  # standard errors: a smaller difference is none
+SURE = 2.0  # standard errors: smaller differences count as none
 
 
 def bootstrap_error(values: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Standard error of the (weighted) mean of values (V,) by 2,000 resamples of the views; nan for one."""
+    """Standard error of the (weighted) mean of values (V,) by 2,000 resamples of the views; nan for one
+    view.
+    """
     values = np.asarray(values, np.float64)
     if len(values) < 2:
         return float("nan")
     share = np.ones(len(values)) if weights is None else np.asarray(weights, np.float64)
     drawn = np.random.default_rng(_SEED).integers(0, len(values), (_RESAMPLES, len(values)))
     means = (values * share)[drawn].sum(axis=1) / np.maximum(share[drawn].sum(axis=1), 1e-30)
-    return float(means.std() * np.sqrt(len(values) / (len(values) - 1)))  # a resample varies less by that
+    # the variance of a resample is smaller by this factor
+    return float(means.std() * np.sqrt(len(values) / (len(values) - 1)))
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over views, and the standard errors of it by the choice of views and by the renderer's seed (nan
-    and 0 where there is nothing to tell it from)."""
+    """A mean over views, and its standard errors from the choice of views and from the renderer's seed (nan
+    and 0 where unknown).
+    """
 
     mean: float
     by_views: float
@@ -42,21 +45,23 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure with its noise, as people read it."""
+        """The figure with its noise as text."""
         error = np.hypot(self.by_views, self.by_seed)
         return f"{self.mean:.1f}" if np.isnan(error) else f"{self.mean:.1f} ± {error:.1f}"
 
 
 def figure_of(values: Sequence[float], spread: float = 0.0) -> Figure:
-    """Of a figure of every view, and its ``spread`` between two seeds."""
+    """The mean of a figure over views, from its values and its ``spread`` between two seeds."""
     return Figure(float(np.mean(values)), bootstrap_error(values), spread / float(np.sqrt(len(values))))
 
 
 def seed_spread(
     pairs: Sequence[tuple[Mapping[str, float | None], Mapping[str, float | None]]],
 ) -> dict[str, float]:
-    """Standard deviation of each figure of a view, from pairs of the same views with two seeds. Those after a
-    gain are left out: it is fitted to all views, and few are rendered twice."""
+    """Standard deviation of each figure of a view, from pairs of the same views with two seeds.
+
+    Figures after a gain are left out: the gain is fitted to all views, and few are rendered twice.
+    """
     found = {}
     for key in (key for key in pairs[0][0] if "gain" not in key):
         differences = [
@@ -79,7 +84,7 @@ class Difference:
 
     @property
     def is_none(self) -> bool:
-        """Whether it may well be chance."""
+        """Whether it may well be due to chance."""
         return not abs(self.this - self.other) > SURE * self.error
 
 
@@ -89,8 +94,10 @@ def difference(
     spreads: tuple[float, float] = (0.0, 0.0),
     weights: Mapping[str, float] | None = None,
 ) -> Difference | None:
-    """Of the means of two methods' figures over the views that both have; None where they share fewer than
-    two. ``spreads``: of a view's figure by the renderer's noise, of each; ``weights`` of views."""
+    """Difference of two methods' means over the views that both have; None if they share fewer than two.
+
+    ``spreads``: seed spread of a single view's figure, for each method; ``weights`` of the views.
+    """
     names = [name for name in other if name in this]
     if len(names) < 2:
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A test scene as all methods of a suite share it: capture, lights, judged views, the truth."""
+"""A test scene as shared by all methods of a suite: capture, lights, judged views, truth."""
 
 from __future__ import annotations
 
@@ -30,18 +30,21 @@ from model.reconstruction.captures import CaptureOptions, read_capture
 Tell = Callable[[str, int, int], None]
 OWN, MODIFIED, INSERTED = "own", "modified", "inserted"
 RECOVERED = "recovered"
-"""The lights that a method found, in place of the scene's; judged by the truth under its own light."""
-RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's, which is that of the photographs
+"""The lights found by a method, in place of the scene's; compared with the truth under the scene's own light.
+"""
+RENDER_SEED, SECOND_SEED, TRUE_SEED = 1, 2, 3  # added to the scene's seed, which the photographs have
 _REVISION = 2
-"""Of atlases and renderings: others are made anew."""
+"""Revision of atlases and renderings: those of another revision are computed again."""
 
 
 @dataclass
 class OpenedScene:
-    """A scene with its judged views, ``inputs`` and ``novel``. By light: ``sceneries``, ``truth`` (by view),
-    ``exposures``, ``renders`` (folders of true views that the capture does not have). ``root`` is its folder
-    of results; ``figure_views`` are those of the pictures; ``modified_gain`` is that of the scene's own lamps
-    under modified light."""
+    """A scene with its judged views, ``inputs`` and ``novel``.
+
+    By light: ``sceneries``, ``truth`` (by view), ``exposures``, ``renders`` (folders of true views that are
+    not in the capture). ``root`` is the folder of results; ``figure_views`` are the views in the pictures;
+    ``modified_gain`` scales the scene's own lamps under modified light.
+    """
 
     recipe: TestScene
     prepared: PreparedScene
@@ -60,7 +63,7 @@ class OpenedScene:
 
     @property
     def geometries(self) -> Path:
-        """Where unwrapped meshes of all scenes are kept."""
+        """Folder of the unwrapped meshes of all scenes."""
         return self.root.parents[1] / "geometries"
 
     def view(self, name: str) -> CaptureView:
@@ -68,7 +71,7 @@ class OpenedScene:
         return next(view for view in self.capture.views if view.name == name)
 
     def surfaces(self, name: str) -> ViewSurfaces:
-        """The kinds of surface in a judged view, found once."""
+        """The kinds of surface in a judged view, computed once."""
         if name not in self._surfaces:
             if self._finder is None:
                 self._finder = SurfaceFinder(self.capture.geometry, self.capture.lights)
@@ -76,11 +79,11 @@ class OpenedScene:
         return self._surfaces[name]
 
     def views_of(self, light: str) -> tuple[str, ...]:
-        """The views that are rendered under a light."""
+        """The views rendered under a light."""
         return (self.figure_views["input"],) if light == INSERTED else (*self.inputs, *self.novel)
 
     def input_capture(self) -> Capture:
-        """The photographs that methods may use."""
+        """The photographs available to methods."""
         inputs = set(self.prepared.input_names)
         return replace(self.capture, views=tuple(v for v in self.capture.views if v.name in inputs))
 
@@ -93,8 +96,10 @@ class OpenedScene:
         views: tuple[str, ...] | None = None,
         *stopped_by: Any,
     ) -> Rendering:
-        """Views of a scenery (None: all of the light's) with ``seed`` added to its own, in a folder that is
-        named by all that decides the pixels."""
+        """Rendering of views of a scenery (None: all of the light's) with ``seed`` added to the scenery's.
+
+        Its folder is named by everything that affects the pixels.
+        """
         seed += scenery.configuration.seed
         cameras = self.views_of(light)
         seen = scenery.seen_by(cameras).with_seed(seed).configuration
@@ -102,7 +107,7 @@ class OpenedScene:
         return Rendering(seed, views or cameras, self.root / "renders" / key)
 
     def result(self, methods: tuple[MethodResult, ...]) -> SceneResult:
-        """The scene's part of a suite's result."""
+        """The scene's part of the suite's result."""
         samples = [record.render.path_samples for record in ShardReader(self.prepared.capture).records()]
         return SceneResult(
             name=self.recipe.name,
@@ -125,12 +130,12 @@ def key_of(*parts: Any) -> str:
 
 
 def told(tell: Tell, stage: str) -> Callable[[int, int], None]:
-    """A progress of one stage."""
+    """Progress callback of one stage."""
     return lambda done, total: tell(stage, done, total)
 
 
 def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: Tell) -> OpenedScene:
-    """Read what was rendered, and render what is missing of the truth."""
+    """Read the rendered truth, and render its missing parts."""
     select_variant()
     whole = read_capture(
         prepared.capture, CaptureOptions(library=prepared.library, max_width_px=recipe.resolution[0])
@@ -161,7 +166,7 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
     render = suite.truth or recipe.render
     lights = (MODIFIED, *([INSERTED] if INSERTED in scene.sceneries else []))
     for light in lights if suite.truth is None else (OWN, *lights):
-        seed = TRUE_SEED if light == OWN else 0  # the photographs' noise is not to be met again
+        seed = TRUE_SEED if light == OWN else 0  # avoids the seed, and thus the noise, of the photographs
         rendering = scene.rendering(scene.sceneries[light], light, seed, render)
         said = told(tell, f"{recipe.name}: truth, {light}")
         render_scenery(scene.sceneries[light], rendering.views, [rendering], render, tell=said)
@@ -177,7 +182,7 @@ def open_scene(suite: Suite, recipe: TestScene, prepared: PreparedScene, tell: T
 
 
 def _choose_figures(suite: Suite, scene: OpenedScene) -> None:
-    """Views for the pictures, and the place of the inserted object in one of them."""
+    """Choose views for the pictures, and the position of the inserted object in one of them."""
     inserted = suite.inserted[scene.recipe.name]
     package = open_package(Path(inserted.package))
     thing, _ = package_geometry(package, PlacedAsset(name=INSERTED, asset=package.id))

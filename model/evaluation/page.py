@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The page of a suite: what each method makes of each scene, to be looked at; it needs nothing beside it.
+"""Self-contained HTML page of a suite: the results of each method on each scene.
 
 For every scene: the best and the worst view of each method behind a slider between truth and estimate, errors
-of D, S and R of one view in one scale, a chart of errors by kind of surface, all pictures, and the tables.
+of D, S and R of one view on one scale, a chart of errors by kind of surface, all pictures, and the tables.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from model.evaluation.surface_kinds import KINDS
 from model.evaluation.tables import LETTERS, LIGHTS, VIEW_SETS, Table
 
 _JPEG_QUALITY = 88
-_BOUNDS = ("oracle", "truth")  # what no method can be better than
+_BOUNDS = ("oracle", "truth")  # bounds: no method can be better
 _WIDTH_PX = 480
 LARGEST_ERROR = 0.5
-"""Of the error maps: what is shown in the last colour of the scale."""
+"""Error shown in the last colour of the error maps' scale."""
 NOTHING = 0.88
-"""Grey of pixels without an error, in [0, 1]: paler than any colour of the scale."""
+"""Grey of pixels without an error, in [0, 1]; lighter than any colour of the scale."""
 _BAR_PX, _GROUP_GAP_PX, _LABEL_PX, _CHART_PX = 9, 12, 92, 430
 
 
@@ -43,7 +43,7 @@ def page_html(
     rows: Mapping[str, list[Row]],
     truths: Mapping[str, Mapping[str, JudgedView]],
 ) -> str:
-    """The page. ``truths``: by scene, the judged views under its own light."""
+    """The page. ``truths``: for each scene, the judged views under its own light."""
     title = f"Suite {result.suite}"
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     links = "".join(f'<a href="#{s.name}">{html.escape(s.name)}</a>' for s in result.scenes)
@@ -65,7 +65,7 @@ def page_html(
 
 
 def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, JudgedView]) -> str:
-    """A scene's part of the page."""
+    """The part of the page for one scene."""
     methods = [m for m in scene.methods if not m.skipped and m.kind != "truth"]
     views = {method.label: rendered_views(method, "own") for method in methods}
     cards = "".join(_cards(scene, method, views[method.label], truth) for method in methods)
@@ -79,7 +79,7 @@ def scene_html(scene: SceneResult, rows: Sequence[Row], truth: Mapping[str, Judg
 
 
 def _summary(scene: SceneResult) -> str:
-    """The figures that matter most; of each the best of methods that are no bound is bold."""
+    """The main figures; the best of the methods that are no bounds is bold."""
     judged = [method for method in scene.methods if not method.skipped]
     heads = [f"{letter} (MSE)" for letter in LETTERS.values()]
     heads += [f"{light} light, {views} (dB)" for light in LIGHTS for views in VIEW_SETS]
@@ -113,7 +113,9 @@ def _summary(scene: SceneResult) -> str:
 
 
 def best_and_worst(method: MethodResult) -> list[tuple[str, str, float]]:
-    """("best" or "worst", view, PSNR in dB) under the scene's own light; one where there is only one."""
+    """("best" or "worst", view, PSNR in dB) under the scene's own light; a single entry if there is one
+    view.
+    """
     rows = {
         name: row["psnr_srgb_db"] or 0.0
         for views in method.image_views.get("own", {}).values()
@@ -165,7 +167,7 @@ def _error_maps(
     views: Mapping[str, Mapping[str, JudgedView]],
     truth: Mapping[str, JudgedView],
 ) -> str:
-    """A row for each map: the truth, and what every method is off."""
+    """A row for each map: the truth, and the error of every method."""
     name = scene.figure_views["input"]
     judged = [method for method in methods if name in views[method.label]]
     heads = ("", "truth", *(method.label for method in judged))
@@ -275,7 +277,7 @@ def _all_pictures(scene: SceneResult, rows: Sequence[Row]) -> str:
 
 
 def _picture(values: NDArray) -> str:
-    """Values (H, W, 3) in [0, 1] as an image's address."""
+    """Values (H, W, 3) in [0, 1] as a data URL of an image."""
     return _address(small(values, _WIDTH_PX))
 
 

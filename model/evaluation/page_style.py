@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Style and script of the page; they are written into it, so that it needs nothing beside it."""
+"""Style and script of the page, embedded so that it is self-contained."""
 
 STYLE = """
 :root { --ink: #1d2127; --soft: #6a717d; --line: #e3e6ea; --paper: #ffffff; --wash: #f6f7f9; --accent:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Where the photographs of a test scene are taken from, and a walk for novel views.
+"""Camera positions for the photographs of a test scene, and a walk for novel views.
 
-Photographs come from the view sampling of datasets (:mod:`datagen.assembly.views`): free places at the height
-of a held camera, looking at what is in the room, none inside a wall, none like another. The walk leads from
-one photograph's place to another's through free space, both near enough in direction that what is seen on the
-way was photographed.
+Photographs use the view sampling of datasets (:mod:`datagen.assembly.views`): free positions at the height of
+a handheld camera, directed at the contents of the room, none inside a wall, none similar to another. The walk
+leads through free space from one photograph's position to another's, with directions close enough that
+everything visible on the way was photographed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def choose_cameras(
 ) -> tuple[ViewCamera, ...]:
     """``num_views`` cameras view-000 ... of photographs, then ``num_novel`` cameras path-000 ... of a walk.
 
-    Raises :class:`InputError` where the room has too few places, or its own lights reach none of them.
+    Raises :class:`InputError` if the room has too few camera positions, or if none is lit by its own lights.
     """
     geometry = GeometryCache().get(package)
     asset = geometry.asset
@@ -77,16 +77,18 @@ def choose_cameras(
 def walk_between(
     cameras: list[Camera], count: int, room: EnvironmentAsset, rays: RayScene, recipe: CameraRecipe
 ) -> list[Camera]:
-    """A walk of ``count`` cameras between two of ``cameras`` in a furnished room, as for test scenes.
+    """A walk of ``count`` cameras between two of ``cameras`` in a furnished room.
 
-    Raises :class:`InputError` where no two of them have a free way between them.
+    Raises :class:`InputError` if no two of them have a free path between them.
     """
     return _walk(cameras, count, FreeSpace(room, rays, recipe.height_m), recipe.min_distance_m)
 
 
 def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) -> list[Camera]:
-    """``count`` cameras evenly spread between two of ``cameras``, ends excluded: of all pairs with a free way
-    between them and no great turn, the one farthest apart."""
+    """``count`` cameras evenly spaced between two of ``cameras``, ends excluded.
+
+    Of all pairs with a free path and a small angle between them, the one farthest apart is used.
+    """
     if count == 0:
         return []
     for first, last in _pairs(cameras):
@@ -103,7 +105,7 @@ def _walk(cameras: list[Camera], count: int, space: FreeSpace, near_m: float) ->
 
 
 def _pairs(cameras: list[Camera]) -> NDArray[np.int64]:
-    """Pairs (N, 2) of cameras with no great turn between them, farthest apart first."""
+    """Pairs (N, 2) of cameras with a small angle between them, farthest apart first."""
     positions = np.array([camera.position_m for camera in cameras])
     forwards = np.array([camera.forward for camera in cameras])
     apart = np.linalg.norm(positions[:, None] - positions[None], axis=2)

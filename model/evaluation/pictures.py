@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of a scene side by side: what the page shows, and the figure of relighting and insertion."""
+"""Pictures of a scene side by side, for the page and for the figure of relighting and insertion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _INK = (40, 40, 40)
 
 @dataclass(frozen=True)
 class Picture:
-    """8-bit sRGB pixels (H, W, 3) and what they show."""
+    """8-bit sRGB pixels (H, W, 3) and their title."""
 
     title: str
     pixels: NDArray[np.uint8]
@@ -33,7 +33,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Row:
-    """Pictures of the truth or of a method; None where there is none."""
+    """Pictures of the truth or of a method, None for missing ones."""
 
     label: str
     pictures: dict[str, Picture | None]
@@ -55,7 +55,9 @@ RELIGHTING = ("original light", "modified light", "inserted object", "novel view
 
 
 def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
-    """A row for the truth, one for each method. ``stored``: the scene's judged views under its own light."""
+    """A row for the truth, then one for each method. ``stored``: the scene's judged views under its own
+    light.
+    """
     truth = {light: _views(Path(folder)) for light, folder in scene.renders.items()}
     truth["own"] = stored
     if "recovered" in scene.exposures:
@@ -69,7 +71,7 @@ def scene_rows(scene: SceneResult, stored: dict[str, JudgedView]) -> list[Row]:
 
 
 def rendered_views(method: MethodResult, light: str) -> dict[str, JudgedView]:
-    """A method's rendered views under a light; none where it has none."""
+    """A method's rendered views under a light; empty if there are none."""
     return _views(Path(method.renders[light])) if light in method.renders else {}
 
 
@@ -101,7 +103,7 @@ def _row(label: str, scene: SceneResult, by_light: dict[str, dict[str, JudgedVie
 
 
 def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
-    """A map (H, W, 3) as it is shown: D and S sRGB-encoded, R as it is, black where there is no surface."""
+    """A map (H, W, 3) for display: D and S sRGB-encoded, R linear, black without surface."""
     values = view.maps[name]
     encoded = srgb_from_linear(values) if name != "roughness" else values
     pixels = np.where(view.surface_mask[..., None], encoded, 0.0)
@@ -109,7 +111,7 @@ def map_pixels(view: JudgedView, name: str) -> NDArray[np.float64]:
 
 
 def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8]:
-    """At most ``max_width_px`` wide, in 8 bits."""
+    """The image in 8 bits, at most ``max_width_px`` wide."""
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels, np.float32)
     if width > max_width_px:
@@ -119,7 +121,7 @@ def small(pixels: NDArray, max_width_px: int = MAX_WIDTH_PX) -> NDArray[np.uint8
 
 
 def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDArray[np.uint8]:
-    """One image of labelled pictures: a row for each method or, ``is_turned``, for each column's title."""
+    """One image of labelled pictures: a row for each method or, if ``is_turned``, for each column's title."""
     table = [[row.pictures[column] for column in columns] for row in rows]
     across, down = list(columns), [row.label for row in rows]
     if is_turned:
@@ -127,7 +129,7 @@ def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDAr
         across, down = down, across
     sizes = [p.pixels.shape[:2] for line in table for p in line if p is not None]
     height, width = max(s[0] for s in sizes), max(s[1] for s in sizes)
-    zoom = max(1, 240 // width)  # tiny views are shown pixel by pixel
+    zoom = max(1, 240 // width)  # very small views are not interpolated
     height, width = height * zoom, width * zoom
     canvas = np.full(
         (_LABEL_PX + len(down) * (height + _GAP_PX), _LEFT_PX + len(across) * (width + _GAP_PX), 3),
@@ -150,7 +152,7 @@ def sheet(rows: list[Row], columns: tuple[str, ...], *, is_turned: bool) -> NDAr
 
 
 def _write(canvas: NDArray[np.uint8], text: str, at: tuple[int, int], width: int) -> None:
-    """Text that is made as small as it must be to fit ``width``."""
+    """Write text, small enough to fit ``width``."""
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.45
     (needed, _), _ = cv2.getTextSize(text, font, scale, 1)
     if needed > width:

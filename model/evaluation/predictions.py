@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Maps that a checkpoint predicted, shared by the methods that differ only in what follows."""
+"""Maps predicted by a checkpoint, shared by the methods that differ in later stages only."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from model.evaluation.suite import NetworkMethod
 def predictions_folder(
     scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str
 ) -> Path:
-    """Where predictions of ``weights`` (their hash) are kept, named by all that decides them."""
+    """Folder for predictions of ``weights`` (their hash), named by everything that affects them."""
     faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
     names = scene.prepared.input_names
     return scene.root / f"predictions-{key_of(weights, method.is_filtered, names, faults)}"
 
 
 def link_files(source: Path, target: Path) -> None:
-    """Let ``target`` have the files of ``source``, too. Hard links: nothing is stored twice, and whoever
-    replaces a file leaves the other folder's alone."""
+    """Hard-link the files of ``source`` into ``target``.
+
+    Nothing is stored twice, and replacing a file in one folder leaves the other unchanged.
+    """
     if not source.is_dir():
         return
     target.mkdir(parents=True, exist_ok=True)

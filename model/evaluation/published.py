@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Figures of the paper (Prakash, Rainer, Bousseau, Drettakis 2022), for the scenes that it shares with ours.
 
-Its tables do not say which views and which light its re-renderings were judged by, nor how exposure was
-matched; its DSSIM is taken for 1 - SSIM. *Ours Im.* and *No RP* are errors of maps per view, *Ours* of merged
-ones.
+Its tables do not state the views and the light by which its re-renderings were judged, nor how exposure was
+matched; its DSSIM is assumed to be 1 - SSIM. *Ours Im.* and *No RP* are errors of maps per view, *Ours* of
+merged maps.
 """
 
 from __future__ import annotations
@@ -22,14 +22,17 @@ class PublishedMaps:
     mse: tuple[float, float, float]
 
     def by_map(self) -> dict[str, float]:
-        """By the maps' names."""
+        """The errors by name of the map."""
         return dict(zip(MATERIAL_MAPS, self.mse, strict=True))
 
 
 @dataclass(frozen=True)
 class PublishedScene:
-    """``images``: PSNR in dB and DSSIM by method; ``minutes``: statistics, prediction, texturing (one of
-    three maps) on a Xeon 5218 with a Quadro RTX 5000."""
+    """Published figures of a scene.
+
+    ``images``: PSNR in dB and DSSIM by method; ``minutes``: statistics, prediction, texturing (one of three
+    maps) on a Xeon 5218 with a Quadro RTX 5000.
+    """
 
     num_views: int
     maps: tuple[PublishedMaps, ...]
@@ -59,4 +62,4 @@ PUBLISHED = {
         (4.56, 3.26, 1.32),
     ),
 }
-"""By the names of scenes."""
+"""By scene name."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction under the scene's lights, and re-lit from what was found of the room alone."""
+"""Sceneries of a reconstruction: under the scene's lights, and under the lights recovered with it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ Emission = dict[str, tuple[float, float, float]]
 
 
 def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
-    """The reconstruction ``asset`` under each light of the scene, and under the lights that were found, where
-    any were."""
+    """The reconstruction ``asset`` under each light of the scene, and under the recovered lights if there are
+    any.
+    """
     parts = scene.capture.geometry.parts
     sceneries = {}
     for light, truth in scene.sceneries.items():
@@ -32,8 +33,10 @@ def recovered_sceneries(scene: OpenedScene, asset: Path) -> dict[str, Scenery]:
 
 
 def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emission:
-    """Radiance by slot of the lamps of a reconstruction (``export.slots``) as the scene has it: that of the
-    emissive ``parts`` times ``gain``. Surfaces that were only found to shine are off."""
+    """Radiance by slot of the lamps of a reconstruction (``export.slots``), as in the scene.
+
+    That of the emissive ``parts`` times ``gain``; surfaces found to emit are off.
+    """
     true = [part.emission for part in parts if part.emission is not None]
     lamps = {f"lamp-{number}": radiance for number, radiance in enumerate(true)}
     found = {}
@@ -45,7 +48,7 @@ def own_emission(asset: Path, parts: Iterable[GeometryPart], gain: float) -> Emi
 
 
 def relit_scenery(truth: Scenery, asset: Path) -> Scenery:
-    """The reconstruction under the lights of its package alone, seen by the cameras of ``truth``."""
+    """The reconstruction under the lights of its package alone, from the cameras of ``truth``."""
     lights = configuration_of(asset, open_package(asset).sha256).lights
     scenery = recovered_scenery(truth, asset, {})
     return Scenery(scenery.configuration.model_copy(update={"lights": lights}), scenery.library)

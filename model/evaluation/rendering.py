@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Views of a scenery on disk: rendered once, one EXR each, continued where it stopped."""
+"""Views of a scenery on disk: each rendered once, one EXR each, resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -31,9 +31,11 @@ BUFFERS = ("beauty", *MATERIAL_MAPS, "surface_mask", "depth_z_m", "normal_world"
 
 @dataclass(frozen=True)
 class JudgedView:
-    """A view with its maps. ``color`` (H, W, 3) linear; ``maps`` by name (H, W, 3 or 1); ``surface_mask``
-    (H, W): pixels that reflecting surface covers at least half; ``emission_mask`` (H, W): pixels of surface
-    that shines and has no material."""
+    """A view with its maps.
+
+    ``color`` (H, W, 3) linear; ``maps`` by name (H, W, 3 or 1); ``surface_mask`` (H, W): pixels covered by at
+    least half by reflecting surface; ``emission_mask`` (H, W): pixels of emitting surface without a material.
+    """
 
     color: NDArray[np.float32]
     maps: dict[str, NDArray[np.float32]]
@@ -42,7 +44,7 @@ class JudgedView:
 
 
 def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
-    """From stored buffers."""
+    """A judged view from stored buffers."""
     maps = {name: np.clip(buffers[name].astype(np.float32), 0, 1) for name in MATERIAL_MAPS}
     color, surface = buffers["beauty"].astype(np.float32), surface_pixels(buffers)
     shines = ~surface & (buffers["depth_z_m"][..., 0] > 0) & (color.max(axis=2) > 0)
@@ -50,21 +52,24 @@ def judged_view(buffers: dict[str, NDArray]) -> JudgedView:
 
 
 def stored_view(view: CaptureView) -> JudgedView:
-    """A view of a rendered capture as it is stored."""
+    """A view of a rendered capture from its stored buffers."""
     return judged_view(view.source.read_maps(BUFFERS))
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """Some ``views`` of a scenery with a seed, and the ``folder`` that keeps ``VIEW.exr``. Those that are
-    there are not rendered again, so it must be named by all that decides the pixels."""
+    """Some ``views`` of a scenery with a seed, and the ``folder`` of their ``VIEW.exr``.
+
+    Existing views are not rendered again, so that the folder must be named by everything that affects the
+    pixels.
+    """
 
     seed: int
     views: tuple[str, ...]
     folder: Path
 
     def missing(self) -> list[str]:
-        """Views that are not there, or damaged."""
+        """Views that are missing or damaged."""
         return [name for name in self.views if _read(self.folder / f"{name}.exr") is None]
 
     def read(self) -> dict[str, JudgedView]:
@@ -75,14 +80,17 @@ class Rendering:
 
 @dataclass(frozen=True)
 class EnoughOf:
-    """Views stop where the error that is left, by an estimate on quickly denoised halves, is at most
-    ``share`` of their difference from ``truth`` (both relMSE): more samples would not change the figure."""
+    """Stops a view early, when more samples would not change its figure.
+
+    The remaining error, estimated on quickly denoised halves, is at most ``share`` of the difference from
+    ``truth`` (both relMSE).
+    """
 
     truth: Mapping[str, JudgedView]
     share: float
 
     def decides(self, names: Sequence[str]) -> IsEnough:
-        """Requirements of the renderer of ``names``."""
+        """The stopping criterion for views with these ``names``, as argument of the renderer."""
 
         def is_enough(index: int, image: NDArray[np.floating], estimate: ErrorEstimate) -> bool:
             apart = relative_mse(image, self.truth[names[index]].color, exposed=True) - estimate.rel_mse
@@ -99,8 +107,11 @@ def render_scenery(
     enough: EnoughOf | None = None,
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Render what is missing of some renderings. The scene is built once, and what paths learn of it
-    beforehand they learn from all ``cameras``, whatever is missing."""
+    """Render the missing views of some renderings.
+
+    The scene is built once, and irradiance cache and sky guide are estimated from all ``cameras``, whichever
+    views are missing.
+    """
     missing = [(rendering, names) for rendering in renderings if (names := rendering.missing())]
     if not missing:
         return
@@ -134,7 +145,7 @@ def render_scenery(
 
 
 def _read(path: Path) -> JudgedView | None:
-    """A rendered view; None where it is not there or damaged."""
+    """A rendered view; None if it is missing or damaged."""
     if not path.is_file():
         return None
     try:

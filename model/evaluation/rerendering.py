@@ -24,8 +24,11 @@ def renderings_of(
     scenery: Scenery,
     tell: Callable[[int, int], None],
 ) -> tuple[Rendering, Rendering]:
-    """The views under a light, rendered, and some of them with a second seed. No seed is that of the truth,
-    whose noise is not to be met again. The truth itself is rendered to the full."""
+    """The views under a light, rendered, and some of them with a second seed.
+
+    Seeds differ from the truth's, so that the noise is independent. The truth itself is rendered at full
+    quality.
+    """
     enough: EnoughOf | None = None
     stopped_by: list[Any] = []
     if suite.noise_share is not None and not isinstance(method, TruthMethod):
@@ -46,7 +49,7 @@ def spread_of(
     first: dict[str, dict[str, dict[str, float | None]]],
     lpips: Lpips | None,
 ) -> dict[str, float]:
-    """Standard deviation of a view's figures by the renderer's noise: some views are rendered once more."""
+    """Standard deviation of a view's figures due to the renderer's noise, from views rendered twice."""
     if not again.views:
         return {}
     second = figures_of(scene, light, again.views, again.read(), lpips)
@@ -61,6 +64,6 @@ def figures_of(
     rendered: dict[str, JudgedView],
     lpips: Lpips | None,
 ) -> dict[str, dict[str, float | None]]:
-    """The figures of some rendered views; without LPIPS where ``lpips`` is None."""
+    """The figures of rendered views; without LPIPS if ``lpips`` is None."""
     truth = {name: scene.truth[light][name] for name in views}
     return image_figures(rendered, truth, scene.exposures[light], lpips)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Measurements as plain data; one file for every scene and method."""
+"""Measurements as plain data; one file for all scenes and methods."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from datagen.foundation.errors import InputError
 ViewSet = str
 """``input`` or ``novel``."""
 Stage = str
-"""``per_view``, as predicted, or ``merged``, as the views see the atlas."""
+"""``per_view``, as predicted, or ``merged``, the atlas in the views."""
 Figures = dict[str, float | None]
 
 
 class MethodResult(StrictModel):
-    """A method on a scene. ``skipped``: why there are no figures, '' if there are. ``camera``: the faults of
-    its photographs, '' for none.
+    """A method on a scene.
 
+    ``skipped``: reason for missing figures, else ''. ``camera``: the faults of its photographs, '' for none.
     ``maps_per_view`` and ``maps_merged``: mean squared error by map, of the maps as predicted and of the
-    atlas as the views see it; ``map_figures``, ``by_kind`` and ``calibration`` as ``map_measures`` has them,
-    ``map_views`` those errors view by view. ``images``: by light (own, modified) and views (input, novel),
-    see ``metrics.image_figures``; ``image_views`` view by view. ``seed_spread``: by light, standard deviation
-    of a view's figures between two seeds of the renderer. ``seen_share``: share of the atlas that some view
-    sees; ``covered_share``: share of the true surface's pixels where the method has a surface.
-    ``processor_s``: of all cores, for what was not kept from before. ``folder``: where maps and asset are;
+    atlas in the views; ``map_figures``, ``by_kind`` and ``calibration`` as in ``map_measures``, ``map_views``
+    the errors per view. ``images``: by light (own, modified) and views (input, novel), see
+    ``metrics.image_figures``; ``image_views`` per view. ``seed_spread``: by light, standard deviation of a
+    view's figures between two seeds of the renderer. ``seen_share``: share of the atlas visible in at least
+    one view; ``covered_share``: share of the true surface's pixels where the method has a surface.
+    ``processor_s``: time of all cores, without cached results. ``folder``: folder of maps and asset;
     ``renders``: folders of rendered views by light, and ``inserted``.
     """
 
@@ -64,15 +64,18 @@ class MethodResult(StrictModel):
 
     @property
     def label(self) -> str:
-        """Name, camera and geometry, as tables and pictures have them."""
+        """Name, camera and geometry, for tables and pictures."""
         said = [self.camera] if self.camera else []
         said += [self.geometry] if self.geometry != "true" else []
         return f"{self.method} ({', '.join(said)})" if said else self.method
 
 
 class SceneResult(StrictModel):
-    """A scene and its methods. ``exposures`` by light; ``figure_views``: of the pictures, input and novel;
-    ``renders``: folders of the true views by light that are not in the capture."""
+    """A scene and its methods.
+
+    ``exposures`` by light; ``figure_views``: views in the pictures, input and novel; ``renders``: by light,
+    folders of the true views that are not in the capture.
+    """
 
     name: Slug
     num_views: int
@@ -88,7 +91,7 @@ class SceneResult(StrictModel):
 
 
 class SuiteResult(StrictModel):
-    """Everything that ``evaluation.json`` holds. ``failures``: scenes without figures, and why."""
+    """Contents of ``evaluation.json``. ``failures``: scenes without figures, and the reason."""
 
     suite: Slug
     may_be_known: bool
@@ -98,13 +101,13 @@ class SuiteResult(StrictModel):
 
 
 def read_result(path: Path) -> MethodResult | None:
-    """A result; None where there is none that can be read."""
+    """A result; None if there is no readable one."""
     if not path.is_file():
         return None
     try:
         return read_json(MethodResult, path)
     except InputError:
-        return None  # of another version: measured again
+        return None  # written by another version: measured again
 
 
 def write_result(path: Path, result: MethodResult) -> None:

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Test scenes: a room as its author made it, photographed from believable places, with the truth.
+"""Test scenes: a room as published by its author, photographed from plausible positions, with the truth.
 
-A scene comes from a Mitsuba file, is an environment package already, or is a configuration that a recipe
-draws. It is converted to the project's BSDF, keeps its own lights and materials, and is rendered by the
-machinery of datasets as one configuration: ``view-000`` ... are the photographs that a method may use,
-``path-000`` ... lie on a walk between two of them and are for judging novel views only. Everything lies in a
-folder of the cache that is named by what decides its pixels; an interrupted rendering goes on where it
-stopped.
+A scene is a Mitsuba file, an environment package, or a configuration drawn from a recipe. It is converted to
+the project's BSDF, keeps its own lights and materials, and is rendered like one configuration of a dataset:
+``view-000`` ... are the photographs that a method may use, ``path-000`` ... lie on a walk between two of them
+and serve to judge novel views only. Everything is stored in a folder of the cache, named by everything that
+affects its pixels; an interrupted rendering resumes.
 """
 
 from __future__ import annotations
@@ -50,18 +49,18 @@ _SCENE_FILE = "scene.xml"
 
 
 class TestScene(StrictModel):
-    """A scene to judge methods by. ``source``: a Mitsuba file, its folder, an environment package, or a
-    recipe (.yaml), whose configuration number ``configuration`` is the scene; ``imports`` are files and
-    folders whose assets the recipe may draw from.
+    """A test scene.
 
-    ``views`` photographs and ``novel_views`` more on a walk, of ``resolution`` (width, height), by ``render``
-    and ``cameras`` as in recipes. ``seed`` chooses cameras and samples. ``unit_m``: metres in a unit of a
-    Mitsuba file, so that cameras are at a person's height; ``annotations`` mends what the importer finds out
-    about a room (docs/importing.md). ``may_know_shapes``: checkpoints may have seen the rooms and things of a
-    recipe, but none of the materials that it dresses them in.
+    ``source``: a Mitsuba file, its folder, an environment package, or a recipe (.yaml), whose configuration
+    number ``configuration`` is the scene; ``imports`` are files and folders whose assets the recipe may use.
+    ``views`` photographs and ``novel_views`` more on a walk, of ``resolution`` (width, height); ``render``
+    and ``cameras`` as in recipes. ``seed`` chooses cameras and samples. ``unit_m``: metres per unit of a
+    Mitsuba file, for cameras at a person's height; ``annotations`` correct the importer's findings about a
+    room (docs/importing.md). ``may_know_shapes``: checkpoints may have been trained on the rooms and objects
+    of a recipe, but on none of its materials.
     """
 
-    __test__: ClassVar[bool] = False  # no test case, although pytest would take its name for one
+    __test__: ClassVar[bool] = False  # no test class, although pytest would take it for one by its name
 
     name: Slug
     source: Path
@@ -82,17 +81,18 @@ class TestScene(StrictModel):
 
     @property
     def is_drawn(self) -> bool:
-        """Whether a recipe makes the scene."""
+        """Whether the scene is drawn from a recipe."""
         return self.source.suffix in RECIPE_SUFFIXES
 
 
 @dataclass(frozen=True)
 class PreparedScene:
-    """A test scene that is rendered. ``capture`` is a shard for :func:`model.reconstruction.captures.
-    read_capture`, with the true maps of every view; ``library`` the folders that it needs, ``package`` the
-    room with its true materials and lights. ``input_names`` and ``novel_names`` divide the capture's views.
+    """A rendered test scene.
 
-    ``asset_sha256``: of each package that a checkpoint must not know by its id, of each of its files by
+    ``capture`` is a shard for :func:`model.reconstruction.captures.read_capture`, with the true maps of every
+    view; ``library`` its asset folders, ``package`` the room with its true materials and lights.
+    ``input_names`` and ``novel_names`` divide the capture's views. ``asset_sha256``: hashes that must not
+    occur in a checkpoint's training data, of each package by its id and of each of its files by
     ``<id>/<file>``.
     """
 
@@ -107,10 +107,10 @@ class PreparedScene:
 
 @dataclass(frozen=True)
 class PlannedScene:
-    """A test scene whose assets and cameras are known and of which nothing need be rendered yet.
+    """A test scene with known assets and cameras, not yet rendered.
 
-    ``asset_sha256``: of each package that a checkpoint must not know by its id, of each of its files by
-    ``<id>/<file>``.
+    ``asset_sha256``: hashes that must not occur in a checkpoint's training data, of each package by its id
+    and of each of its files by ``<id>/<file>``.
     """
 
     recipe: TestScene
@@ -122,10 +122,9 @@ class PlannedScene:
 
 
 def plan_scene(scene: TestScene, cache: Path) -> PlannedScene:
-    """Import a test scene and choose its cameras; what is in the cache already is not made again.
+    """Import a test scene and choose its cameras; results in the cache are reused.
 
-    Raises :class:`InputError` where the source cannot be imported, and where too few places for cameras are
-    found.
+    Raises :class:`InputError` if the source cannot be imported, or if there are too few camera positions.
     """
     root = cache / f"{scene.name}-{_key(scene)[:8]}"
     paths = _library(scene, root / "library")
@@ -152,7 +151,7 @@ def prepare_scene(
 
 
 def photograph(planned: PlannedScene, progress: Progress = lambda stage, done, total: None) -> PreparedScene:
-    """Render a planned scene where that is not done. Raises :class:`InputError` where rendering fails."""
+    """Render a planned scene unless that is done. Raises :class:`InputError` if rendering fails."""
     folder = planned.folder
     (unit,) = planned.plan.units
     if not folder.is_done(unit):
@@ -173,10 +172,11 @@ def photograph(planned: PlannedScene, progress: Progress = lambda stage, done, t
 
 
 def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointCard) -> None:
-    """Raise :class:`InputError` where a checkpoint has learnt from a test scene, or does not say from what.
+    """Raise :class:`InputError` if a checkpoint was trained on a test scene, or lacks a record of its
+    training data.
 
-    A scene is known by the hashes of its packages and of their files, never by an id: rooms of other people
-    have the same names. The files tell a room that was imported otherwise.
+    A scene is identified by the hashes of its packages and of their files, never by an id, since unrelated
+    rooms may have the same name. The files identify a room that was imported with other options.
     """
     name = scene.name if isinstance(scene, PreparedScene) else scene.recipe.name
     problems = []
@@ -198,9 +198,9 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
 
 
 def _key(scene: TestScene) -> str:
-    """Hash of all that decides the pixels, but the versions of libraries and the source's own files."""
+    """Hash of everything that affects the pixels, except versions of libraries and the source's own files."""
     parts = scene.model_dump(mode="json", exclude={"source", "annotations", "may_know_shapes"})
-    if not scene.is_drawn:  # they say nothing about other scenes
+    if not scene.is_drawn:  # they identify no scene
         del parts["configuration"], parts["imports"]
     else:
         parts["imports"] = [path.name for path in scene.imports]
@@ -215,14 +215,14 @@ def _key(scene: TestScene) -> str:
 
 
 def _file(source: Path) -> Path:
-    """The file that stands for a source."""
+    """The main file of a source."""
     if source.is_dir():
         return source / (_SCENE_FILE if (source / _SCENE_FILE).is_file() else "asset.json")
     return source
 
 
 def _library(scene: TestScene, folder: Path) -> tuple[Path, ...]:
-    """The library of the scene: its package where it is one, else what the importer makes, once."""
+    """The library of the scene: the folder of its package, or else the one that the importer makes, once."""
     if scene.is_drawn:
         return recipe_library(scene.source, imported(scene.imports, folder))
     if is_package(scene.source):
@@ -264,8 +264,10 @@ def _recipe(scene: TestScene) -> Recipe:
 
 
 def _planned(scene: TestScene, library: Library, root: Path) -> Plan:
-    """The plan of the dataset folder; made where there is none. Its only configuration is the room as it is,
-    seen from the chosen cameras."""
+    """The plan of the dataset folder, made if missing.
+
+    Its only configuration is the unchanged room with the chosen cameras.
+    """
     recipe = _recipe(scene)
     folder = start_folder(recipe, library, root)
     if folder.plan_path.is_file():
@@ -312,7 +314,7 @@ def _render(folder: DatasetFolder, progress: Progress) -> None:
 
 
 def _hashes(scene: TestScene, configuration: Configuration, library: Library) -> dict[str, str]:
-    """Of everything that a checkpoint must not have learnt from."""
+    """Hashes of everything that must not occur in a checkpoint's training data."""
     packages = [library.package(asset_id) for asset_id in configuration.assets]
     if scene.may_know_shapes:
         packages = [package for package in packages if isinstance(package.asset, MaterialAsset)]

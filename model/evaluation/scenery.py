@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The scene and what is recovered of it as configurations: same lights, same cameras, other surface.
+"""The true scene and its reconstructions as configurations: same lights, same cameras, other surface.
 
-Own light: the scene's lamps and lights as they are. Modified light: these times a gain, and others.
+Own light: the scene's lamps and lights unchanged. Modified light: these times a gain, and further lights.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from model.evaluation.suite import InsertedObject, ModifiedLight
 CEILING_SIDE_M = 0.6
 _CEILING_RADIANCE = (12.0, 12.0, 12.0)
 _GAP_M = 0.1  # between lamp and ceiling
-_LAMP_HEIGHT_M = 1.0  # above the camera where there is no ceiling
+_LAMP_HEIGHT_M = 1.0  # above the camera, if there is no ceiling
 _LEVEL = 0.95  # cosine to the vertical
-_MARGIN, _GROUND = 0.03, 0.12  # of the image above a thing, and below its middle
-_PICTURED_HEIGHT = 0.35  # of a thing that is put in, in image heights
+_MARGIN, _GROUND = 0.03, 0.12  # margin above an object, and below its middle, in image heights
+_PICTURED_HEIGHT = 0.35  # height of an inserted object, in image heights
 _INSERTED = "inserted"
 
 
@@ -63,7 +63,7 @@ class Scenery:
         return self._with({"lights": lights, "environment": placed[0], "objects": tuple(placed[1:])})
 
     def with_object(self, inserted: InsertedObject, position_m: NDArray) -> Scenery:
-        """The same with a thing in it."""
+        """The same with an inserted object."""
         package = open_package(Path(inserted.package))
         if not isinstance(package.asset, ObjectAsset):
             raise input_error(package.path, "kind", package.asset.kind, "an object package to insert")
@@ -93,16 +93,18 @@ class Scenery:
 
 
 def true_scenery(prepared: PreparedScene) -> Scenery:
-    """The scene with its true materials, seen by all cameras of its capture."""
+    """The scene with its true materials, from all cameras of its capture."""
     return Scenery(ShardReader(prepared.capture).configuration(), prepared.library)
 
 
 def recovered_scenery(
     truth: Scenery, asset: Path, emission: dict[str, tuple[float, float, float]]
 ) -> Scenery:
-    """Recovered surfaces in place of the scene's: ``asset`` is the package of a reconstruction,
-    which holds surface and lamps, these with ``emission`` by slot in place of their own; all other lights are
-    the scene's, and what was put in stays."""
+    """Recovered surfaces in place of the scene's.
+
+    ``asset`` is the package of a reconstruction, with surface and lamps, the latter with ``emission`` by slot
+    in place of their own; all other lights and inserted objects are the scene's.
+    """
     package = open_package(asset)
     configuration = truth.configuration
     inserted = tuple(placed for placed in configuration.objects if placed.name == _INSERTED)
@@ -115,7 +117,7 @@ def recovered_scenery(
 
 
 def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
-    """A placed asset with its lamps times ``gain``."""
+    """A placed asset with the radiance of its lamps times ``gain``."""
     asset = library.package(placed.asset).asset
     assert isinstance(asset, EnvironmentAsset | ObjectAsset)
     emission = {}
@@ -130,7 +132,7 @@ def _dimmed(placed: PlacedAsset, library: Library, gain: float) -> PlacedAsset:
 def added_lights(
     modified: ModifiedLight, geometry: CaptureGeometry, cameras: Sequence[Camera]
 ) -> list[Light]:
-    """The lights of a modified lighting; "ceiling" is placed here."""
+    """The lights of a modified lighting; "ceiling" is positioned here."""
     if modified.lights != "ceiling":
         return list(modified.lights)
     positions = np.array([camera.position_m for camera in cameras])
@@ -144,7 +146,7 @@ def added_lights(
         AreaLight(
             name="ceiling",
             origin_m=(x - half, y - half, z),
-            edge_u_m=(0.0, CEILING_SIDE_M, 0.0),  # v x u: it shines down
+            edge_u_m=(0.0, CEILING_SIDE_M, 0.0),  # v x u: it emits downwards
             edge_v_m=(CEILING_SIDE_M, 0.0, 0.0),
             radiance=_CEILING_RADIANCE,
             is_visible=False,
@@ -163,18 +165,18 @@ def _height_above(geometry: CaptureGeometry, eye: NDArray) -> float | None:
 
 @dataclass(frozen=True)
 class Place:
-    """A place to stand on, and how well it suits a picture: 0 is best."""
+    """A position for an inserted object, and its score for the picture: 0 is best."""
 
     position_m: NDArray[np.float64]
     cost: float
 
 
 def level_place(camera: Camera, depth_z_m: NDArray, normal_world: NDArray, height_m: float) -> Place | None:
-    """A place in front of a camera: level, with level ground about it, near the middle of the lower image
-    half, where a thing of ``height_m`` stands wholly in the image and is a third of its height; None where
-    nothing is level.
+    """A level position in front of a camera, with level surroundings, near the middle of the lower image
+    half.
 
-    ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3).
+    There an object of ``height_m`` is entirely inside the image and a third of its height; None if nothing is
+    level. ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3).
     """
     from scipy.ndimage import minimum_filter
 

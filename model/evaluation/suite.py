@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Suites: which scenes, which methods, what is measured. YAML in ``scenes/suites/``; unknown keys are errors.
+"""Suites: scenes, methods and measurements. YAML in ``scenes/suites/``; unknown keys are errors.
 
-Paths in a suite are relative to its file. docs/evaluation.md says what the figures mean.
+Paths in a suite are relative to its file. docs/evaluation.md explains the figures.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ class _Method(StrictModel):
 
 
 class NetworkMethod(_Method):
-    """A checkpoint. One that is not there is left out of the tables, and they say so. ``weights`` of the
-    medians over views, ``is_leveled`` and ``materials`` as for ``materials infer``."""
+    """A checkpoint. A missing one is left out of the tables, with a note. ``weights`` of the medians over
+    views, ``is_leveled`` and ``materials`` as for ``materials infer``.
+    """
 
     kind: Literal["network"]
     checkpoint: str = BUNDLED
@@ -44,14 +45,17 @@ class NetworkMethod(_Method):
 
 
 class TextureMethod(_Method):
-    """Median colour of all views as the diffuse albedo; nothing specular."""
+    """Median colour of all views as the diffuse albedo; no specular reflection."""
 
     kind: Literal["texture"]
 
 
 class ConstantMethod(_Method):
-    """The same maps everywhere. The defaults are the means over surface pixels of the training views of
-    ``scenes/recipes/learning.yaml`` (every fifth view of every fourth configuration)."""
+    """The same maps everywhere.
+
+    The defaults are the means over surface pixels of the training views of ``scenes/recipes/learning.yaml``
+    (every fifth view of every fourth configuration).
+    """
 
     kind: Literal["constant"]
     diffuse_albedo: tuple[Unit, Unit, Unit] = (0.372, 0.334, 0.279)
@@ -60,20 +64,20 @@ class ConstantMethod(_Method):
 
 
 class MapsMethod(_Method):
-    """Maps that some other method made: ``FOLDER/SCENE/VIEW.exr`` for every input view."""
+    """Maps made by another method: ``FOLDER/SCENE/VIEW.exr`` for every input view."""
 
     kind: Literal["maps"]
     folder: Path
 
 
 class OracleMethod(_Method):
-    """The true maps, merged: what merging and the atlas's resolution lose."""
+    """The true maps, merged: the loss by merging and by the atlas's resolution."""
 
     kind: Literal["oracle"]
 
 
 class TruthMethod(_Method):
-    """The scene itself, rendered anew: what noise costs."""
+    """The scene itself, rendered again: the cost of noise."""
 
     kind: Literal["truth"]
 
@@ -91,16 +95,20 @@ Method = Annotated[
 
 
 class ModifiedLight(StrictModel):
-    """Another light: the scene's own lights times ``own_gain``, and ``lights``. "ceiling" is a downward
-    rectangle of 0.6 m below the ceiling over the camera nearest to the middle of all."""
+    """Another light: the scene's own lights times ``own_gain``, and ``lights``.
+
+    "ceiling" is a downward rectangle of 0.6 m below the ceiling over the camera nearest to the middle of all.
+    """
 
     own_gain: NonNegative = 0.0
     lights: Literal["ceiling"] | tuple[Light, ...] = "ceiling"
 
 
 class InsertedObject(StrictModel):
-    """Object inserted into the scene for the figures: an object package, or ``bundled:ID``. Where
-    ``position_m`` is None, a level place in front of the camera is found; ``scale`` multiplies its size."""
+    """Object inserted into the scene for the figures: an object package, or ``bundled:ID``.
+
+    Without ``position_m``, a level position in front of the camera is found; ``scale`` multiplies its size.
+    """
 
     package: str = "bundled:statuette_torso"
     position_m: Vector3 | None = None
@@ -108,24 +116,24 @@ class InsertedObject(StrictModel):
     scale: Positive = 1.0
 
     def path(self, folder: Path) -> Path:
-        """Where the package lies; relative names are relative to ``folder``."""
+        """Path of the package; relative names are relative to ``folder``."""
         return object_package(self.package, folder)
 
 
 class Suite(StrictModel):
     """Configuration of ``materials evaluate``.
 
-    ``input_views`` and ``novel_views`` of each scene are judged (at most), the former drawn by ``seed`` from
-    those that methods may use. ``render``: what a re-rendered view costs; ``truth``: what a judged view of
-    the truth costs, which is then rendered apart from the photographs, once a scene; None judges by the
-    photographs, and renders other lights as they were. ``seed_views`` of each set and light are rendered
-    with a second seed, which says how much of a figure is noise. ``noise_share``: a view of an estimate needs
-    no more samples where the noise that is left is at most this share of its squared difference from the
-    truth; None renders all to ``render``. ``atlas``: side in texels.
-    ``camera``: every method but the truth is judged on photographs with these faults besides (names of
-    ``camera_faults.PRESETS``, "each" for every fault by itself, or faults of one's own).
-    ``modified_light`` and ``inserted`` by scene; scenes that are not named take the defaults.
-    ``may_be_known``: checkpoints may have been trained on the scenes (a test of the programme, not of them).
+    At most ``input_views`` and ``novel_views`` of each scene are judged, the former drawn by ``seed`` from
+    those available to methods. ``render``: quality of a re-rendered view; ``truth``: quality of a judged view
+    of the truth, which is then rendered separately from the photographs, once per scene; None uses the
+    photographs as truth, and renders other lights at their quality. ``seed_views`` of each set and light are
+    rendered with a second seed, which gives the noise of the figures. ``noise_share``: a view of an estimate
+    needs no more samples once the remaining noise is at most this share of its squared difference from the
+    truth; None renders all with ``render``. ``atlas``: side in texels. ``camera``: every method except the
+    truth is also judged on photographs with these faults (names of ``camera_faults.PRESETS``, "each" for
+    every fault alone, or custom faults). ``modified_light`` and ``inserted`` are given by scene; other scenes
+    use the defaults. ``may_be_known``: checkpoints may have been trained on the scenes (a test of the
+    program, not of the checkpoints).
     """
 
     format: Literal["scene-materials/suite"] = "scene-materials/suite"
@@ -160,15 +168,15 @@ class Suite(StrictModel):
 
     @property
     def cameras(self) -> tuple[CameraFaults, ...]:
-        """The faults that ``camera`` stands for."""
+        """The camera faults selected by ``camera``."""
         return chosen_cameras(self.camera)
 
 
 def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
-    """The suite of a file, or a bundled one by its name, its paths absolute. ``checkpoint`` takes the place
-    of the bundled checkpoint.
+    """The suite of a file, or a bundled one by its name, with absolute paths.
 
-    Raises :class:`InputError` with every fault: of the file, and of what it names and is not there.
+    ``checkpoint`` replaces the bundled checkpoint. Raises :class:`InputError` with every fault of the file
+    and every missing file that it names.
     """
     path = resolve_bundled(path, "suites")
     suite = read_yaml(Suite, path)
@@ -224,7 +232,7 @@ def read_suite(path: Path, checkpoint: Path | None = None) -> Suite:
 
 
 def _missing_folders(path: Path, field: str, maps: Path, suite: Suite) -> list[Problem]:
-    """A folder of maps has one folder a scene."""
+    """Scenes without a subfolder in a folder of maps."""
     if not maps.is_dir():
         return []
     return [

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of surface in the judged views: which pixels show metal, white walls, small things and so on.
+"""Kinds of surface in the judged views: which pixels show metal, white walls, small objects and so on.
 
 By the true maps: ``metal`` S > 0.2; of the rest ``white`` D > 0.7 in every channel, ``glossy`` R < 0.4,
-``matt`` R >= 0.4. By the true mesh: ``small`` pieces that hang together and are less than 0.3 m across, and
-``sunlit`` places that a sun of the scene shines on directly. By the views: ``seldom seen``, by fewer than 4.
-Kinds overlap; one that a scene does not have is left out. A ``region`` is a part of the scene's geometry.
+``matt`` R >= 0.4. By the true mesh: ``small``, connected pieces less than 0.3 m across, and ``sunlit``,
+surface directly lit by a sun of the scene. By the views: ``seldom seen``, in fewer than 4. Kinds overlap;
+kinds that do not occur in a scene are left out. A ``region`` is a part of the scene's geometry.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from model.evaluation.rendering import JudgedView
 KINDS = ("metal", "white", "glossy", "matt", "small", "seldom seen", "sunlit")
 METAL_S, WHITE_D, GLOSSY_R = 0.2, 0.7, 0.4
 SMALL_M, FEW_VIEWS = 0.3, 4
-_LIFT_M = 1e-3  # of a shadow ray above its surface, which would shade itself
+_LIFT_M = 1e-3  # offset of a shadow ray from its surface, to avoid self-shadowing
 
 
 @dataclass(frozen=True)
 class ViewSurfaces:
-    """``kinds`` by name (H, W) bool, on the surface only; ``region`` (H, W), -1 where there is none."""
+    """``kinds`` by name (H, W) bool, on the surface only; ``region`` (H, W), -1 for none."""
 
     kinds: dict[str, NDArray[np.bool_]]
     region: NDArray[np.int32]
 
 
 def kinds_of_maps(truth: JudgedView) -> dict[str, NDArray[np.bool_]]:
-    """The kinds that the true maps tell, (H, W) each."""
+    """The kinds determined by the true maps, (H, W) each."""
     surface = truth.surface_mask
     metal = surface & (truth.maps["specular_albedo"].mean(axis=2) > METAL_S)
     rest = surface & ~metal
@@ -52,7 +52,7 @@ def kinds_of_maps(truth: JudgedView) -> dict[str, NDArray[np.bool_]]:
 
 
 class SurfaceFinder:
-    """Finds the surfaces of views of one scene by rays through their pixels."""
+    """Finds the kinds of surface in views of one scene by rays through their pixels."""
 
     def __init__(self, geometry: CaptureGeometry, lights: Sequence[Light]):
         self._rays = RayScene(geometry.mesh.positions.astype(np.float64), geometry.mesh.faces)
@@ -109,7 +109,7 @@ def small_faces(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def _towards_sun(light: Light) -> NDArray[np.float64] | None:
-    """Unit vector to the sun of a light; None where it has none."""
+    """Unit vector to the sun of a light; None for lights without one."""
     if isinstance(light, DirectionalLight):
         direction = -np.array(light.direction)
     elif isinstance(light, SkyLight) and light.sun_scale > 0:

@@ -20,7 +20,7 @@ Cell = str | float | None
 LETTERS = dict(zip(MATERIAL_MAPS, "DSR", strict=True))
 PAPER = "paper: "
 LIGHTS = ("own", "modified", "recovered")
-"""The scene's own, these changed, and the lights that a method found in place of its own."""
+"""The scene's own lights, these modified, and the lights recovered by a method in place of its own."""
 VIEW_SETS = ("input", "novel")
 _SHOWN = {"psnr_srgb_db": "PSNR sRGB (dB)", "dssim": "DSSIM = 1-SSIM", "lpips_vgg": "LPIPS-VGG"}
 _ALL = {
@@ -37,7 +37,7 @@ _ALL = {
 
 @dataclass(frozen=True)
 class Table:
-    """``rows`` have a cell for each column; None is a cell without a value. ``digits`` by column."""
+    """``rows`` have a cell for each column; None is an empty cell. ``digits`` by column."""
 
     name: str
     title: str
@@ -68,7 +68,7 @@ class Table:
         return stream.getvalue()
 
     def html(self) -> str:
-        """The same for the page."""
+        """The table as HTML for the page."""
         head = "".join(f"<th>{html.escape(column)}</th>" for column in self.columns)
         body = "".join(
             f"<tr{' class=paper' if row[1].startswith(PAPER) else ''}>"
@@ -141,7 +141,7 @@ def _percent(share: float | None) -> float | None:
 
 
 def _summary_table(result: SuiteResult) -> Table:
-    """One row a method: PSNR and DSSIM by light and views."""
+    """One row per method: PSNR and DSSIM by light and views."""
     columns = ["scene", "method"]
     digits = [0, 0]
     for light in LIGHTS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mesh that methods get, with or without errors, unwrapped once for all of them."""
+"""The mesh given to methods, with or without errors, unwrapped once for all of them."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ def geometry_for(
     tell: Callable[[str, int, int], None],
     jobs: int = 2,
 ) -> tuple[CaptureGeometry, float]:
-    """The geometry with UVs fit for an atlas, and the seconds that unwrapping took when it was made. ``root``
-    keeps it, named by mesh and error: other photographs of a room have the same."""
+    """The geometry with UVs suitable for an atlas, and the seconds spent on unwrapping when it was made.
+
+    ``root`` is its cache folder, named by mesh and error: all photographs of a room share it.
+    """
     path = root / f"{_key(true_geometry, error)}.npz"
     if not path.is_file():
         tell("unwrap", 0, 1)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A suite's results as files: ``evaluation.md``, ``.json``, a CSV a table, pictures, and one HTML page that
-needs nothing beside it."""
+"""A suite's results as files: ``evaluation.md``, ``.json``, one CSV per table, pictures, and one
+self-contained HTML page.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ KNOWN_WARNING = (
 
 
 def state_of(result: SuiteResult) -> bytes:
-    """Inputs of a finished folder."""
+    """Inputs that a finished folder depends on."""
     return canonical_json({"revision": _REVISION, "result": sha256_hex(canonical_json(result))})
 
 
@@ -36,8 +37,7 @@ def is_written(result: SuiteResult, out: Path) -> bool:
 
 
 def write_results(result: SuiteResult, stored: dict[str, dict[str, JudgedView]], out: Path) -> list[Path]:
-    """Write everything into ``out``; ``stored`` are the judged views of every scene
-    under its own light."""
+    """Write all results to ``out``; ``stored`` are the judged views of every scene under its own light."""
     out.mkdir(parents=True, exist_ok=True)
     (out / STATE_FILE).unlink(missing_ok=True)
     maps, *others = tables_of(result)

@@ -2,8 +2,8 @@
 """Random viewing and lighting conditions of the rendering loss (method 5), drawn from seeded generators.
 
 Maps are (B, C, H, W). Positions and normals are in camera space (metres; x right, y down, z forward; the
-camera at the origin), so a pixel's original view direction is -position/|position|. Every draw is made per
-image of the batch on the CPU, so that the same seed gives the same conditions on every device.
+camera at the origin), so that a pixel's original view direction is -position/|position|. Every draw is made
+per image of the batch on the CPU, so that the same seed gives the same conditions on every device.
 """
 
 from __future__ import annotations
@@ -39,8 +39,10 @@ class Geometry:
 
 @dataclass(frozen=True)
 class PointCondition:
-    """``view_dir`` (B, 3, H, W), ``light_position`` (B, 3, 1, 1) in metres, ``intensity`` (B, 1, 1, 1) in
-    W/sr."""
+    """A view and a point light.
+
+    ``view_dir`` (B, 3, H, W), ``light_position`` (B, 3, 1, 1) in metres, ``intensity`` (B, 1, 1, 1) in W/sr.
+    """
 
     view_dir: Tensor
     light_position: Tensor
@@ -49,17 +51,17 @@ class PointCondition:
 
 @dataclass(frozen=True)
 class AreaCondition:
-    """``view_dir`` (B, 3, H, W) and K distant lobes."""
+    """A view, ``view_dir`` (B, 3, H, W), and K distant lobes of light."""
 
     view_dir: Tensor
     lights: SphericalGaussians
 
 
 class SampleDraws:
-    """Random numbers of a batch in which each image has its own stream.
+    """Random numbers of a batch, with a separate stream for each image.
 
-    The conditions of an image then depend on its own seed alone, not on the batch, the rank or the order
-    in which it came: two processes with half a batch each draw what one process draws for the whole.
+    The conditions of an image then depend on its own seed alone, not on the batch, the rank or the order: two
+    processes with half a batch each draw the same numbers as one process with the whole batch.
     """
 
     def __init__(self, generators: Sequence[torch.Generator]):
@@ -71,11 +73,11 @@ class SampleDraws:
         return cls([generator_for(seed, _CONDITION_PURPOSE, int(i)) for i in sample_ids])
 
     def uniform(self, *shape: int) -> Tensor:
-        """(B, *shape) in [0, 1), float32 on the CPU."""
+        """Uniform numbers (B, *shape) in [0, 1), float32 on the CPU."""
         return torch.stack([torch.rand(shape, generator=g) for g in self._generators])
 
     def normal(self, *shape: int) -> Tensor:
-        """(B, *shape) of the standard normal distribution, float32 on the CPU."""
+        """Standard normal numbers (B, *shape), float32 on the CPU."""
         return torch.stack([torch.randn(shape, generator=g) for g in self._generators])
 
 
@@ -83,8 +85,9 @@ _CONDITION_PURPOSE = 0xC0
 
 
 def generator_for(*key: int) -> torch.Generator:
-    """A CPU generator seeded by a tuple such as (seed, purpose, step, rank); distinct keys, distinct
-    streams."""
+    """A CPU generator seeded by a tuple such as (seed, purpose, step, rank); distinct keys give distinct
+    streams.
+    """
     state = 0x9E3779B97F4A7C15
     for part in key:  # splitmix64 of the running state: neighbouring keys give unrelated seeds
         state = (state ^ (part & 0xFFFFFFFFFFFFFFFF)) & 0xFFFFFFFFFFFFFFFF
@@ -98,10 +101,11 @@ def generator_for(*key: int) -> torch.Generator:
 
 
 def scene_scale(geometry: Geometry) -> Tensor:
-    """Half the side (B, 1, 1, 1), in metres, of the square whose points spread as the crop's points do.
+    """Unit of light distances (B, 1, 1, 1) in metres: half the side of the square with the same spread as the
+    crop's points.
 
-    The light distances of Deschaintre et al. are in units of a patch on [-1, 1]^2, whose root-mean-square
-    distance from its centre is sqrt(2/3). 1.0 for an empty crop.
+    Deschaintre et al. give light distances in units of a patch on [-1, 1]^2, whose root-mean-square distance
+    from its centre is sqrt(2/3). 1.0 for an empty crop.
     """
     mask = geometry.mask.to(geometry.position.dtype)
     count = mask.sum(dim=(2, 3), keepdim=True)
@@ -114,8 +118,8 @@ def scene_scale(geometry: Geometry) -> Tensor:
 def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
     """One view direction per pixel (B, 3, H, W): a draw per image, cosine-weighted about the original views.
 
-    The draw is a point of a disc in a frame that turns with each pixel's original view direction and keeps
-    the camera's x axis, so the new views vary smoothly over the image as those of one camera would.
+    The draw is a point of a disc in a frame that rotates with each pixel's original view direction and keeps
+    the camera's x axis, so that the new views vary smoothly over the image, like those of one camera.
     """
     original = normalize(-geometry.position)
     uv = draws.uniform(2).to(original)
@@ -131,7 +135,7 @@ def sample_views(geometry: Geometry, draws: SampleDraws) -> Tensor:
 
 
 def _anchor_pixels(geometry: Geometry, draws: SampleDraws) -> Tensor:
-    """Flat index (B,) of a random surface pixel of each image; pixel 0 where an image has none."""
+    """Flat index (B,) of a random surface pixel of each image; pixel 0 for an image without any."""
     weights = geometry.mask.flatten(1).to("cpu", torch.float32)
     u = draws.uniform(1)
     cumulative = weights.cumsum(dim=1)
@@ -150,8 +154,8 @@ def _pick(image: Tensor, index: Tensor) -> Tensor:
 def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondition:
     """A view, and a point light in the mirror direction of that view at a random anchor pixel.
 
-    The light stands at exp N(0.5, 0.75) scene scales from the anchor. Its intensity makes a white Lambertian
-    surface at the anchor that faces it reflect radiance 1, so that exposure does not depend on the distance.
+    The light is exp N(0.5, 0.75) scene scales away from the anchor. Its intensity gives a white Lambertian
+    surface at the anchor that faces it the radiance 1, so that exposure does not depend on the distance.
     """
     view_dir = sample_views(geometry, draws)
     anchor = _anchor_pixels(geometry, draws)
@@ -167,9 +171,9 @@ def sample_point_condition(geometry: Geometry, draws: SampleDraws) -> PointCondi
 
 
 def sample_area_condition(geometry: Geometry, draws: SampleDraws) -> AreaCondition:
-    """A view, and 5 spherical Gaussians uniform on the hemisphere that the camera looks away from.
+    """A view, and 5 spherical Gaussians uniformly distributed on the hemisphere behind the camera.
 
-    Surfaces that a camera sees face it, so light must come from its side (z <= 0). Sharpness is log-uniform
+    Visible surfaces face the camera, so that light must come from its side (z <= 0). Sharpness is log-uniform
     in 2...200 and colours are uniform; the lobes' integrals are scaled to sum, averaged over channels, to pi.
     """
     view_dir = sample_views(geometry, draws)

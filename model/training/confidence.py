@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Training of the confidence networks: the filtered maps against the truth, everything else frozen (method
-6)."""
+"""Training of the confidence networks: the filtered maps are compared with the truth; everything else is
+frozen (method 6).
+"""
 
 from __future__ import annotations
 
@@ -22,11 +23,12 @@ def confidence_loss(
     mask: Tensor,
     solver: SolverConfig,
 ) -> LossTerms:
-    """Mean squared error of the filtered maps over pixels with a surface; gradients reach the nets only.
+    """Mean squared error of the filtered maps over pixels with a surface; gradients reach the confidence nets
+    only.
 
-    ``nets`` is a :class:`model.confidence.ConfidenceNets`, wrapped for several ranks or not.
-    ``image`` (B, 3, H, W) encoded to [-1, 1]; ``predicted`` all three maps of the frozen tracks; ``mask``
-    (B, 1, H, W) bool. The parts also hold the error before filtering, so that the gain is seen.
+    ``nets`` is a :class:`model.confidence.ConfidenceNets`, wrapped for several ranks or not. ``image`` (B, 3,
+    H, W) encoded to [-1, 1]; ``predicted`` all three maps of the frozen tracks; ``mask`` (B, 1, H, W) bool.
+    The parts also contain the error before filtering, which shows the gain.
     """
     frozen = {name: value.detach().float() for name, value in predicted.items()}
     with torch.autocast(image.device.type, enabled=False):

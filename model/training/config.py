@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Configuration of a training run: its presets, and how flags override files.
+"""Configuration of a training run: presets, files and flags.
 
 Precedence is preset < file < flags. Unknown keys are errors. The resolved configuration is saved beside the
 output before work starts.
@@ -37,9 +37,9 @@ class PhaseConfig(StrictModel):
     epochs: int | None = Field(default=None, ge=1)
     steps: int | None = Field(default=None, ge=1)
     learning_rate: float | None = Field(default=None, gt=0)
-    """None takes the run's."""
+    """None uses the run's."""
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """None takes the run's."""
+    """None uses the run's."""
 
     @model_validator(mode="after")
     def _one_length(self) -> PhaseConfig:
@@ -53,51 +53,52 @@ class PerceptualConfig(StrictModel):
 
     kind: Literal["elpips", "gradient_ssim"] = "elpips"
     vgg: Path | None = None
-    """File of VGG16's weights; None looks in the weights folder and in torch hub's cache."""
+    """File of VGG16's weights; None searches the weights folder and torch hub's cache."""
     heads: Path | None = None
-    """File of E-LPIPS' 14 heads; None looks in the weights folder, then takes LPIPS' five."""
+    """File of E-LPIPS' 14 heads; None searches the weights folder, then falls back to LPIPS' five."""
     precision: Literal["float32", "bfloat16"] = "float32"
-    """Of VGG16's activations."""
+    """Precision of VGG16's activations."""
 
 
 class DataConfig(StrictModel):
-    """Options of the batches that are drawn from shards."""
+    """Options of the batches drawn from shards."""
 
     crop_px: int = Field(default=256, ge=16)
     crops_per_view: int = Field(default=7, ge=1)
     flips: bool = True
     exposure_jitter_stops: float = Field(default=0.5, ge=0, le=4)
-    """Each crop's exposure is multiplied by 2^u, u uniform within plus and minus this."""
+    """Each crop's exposure is multiplied by 2^u, with u uniform between minus and plus this."""
     spread_jitter_stops: float = Field(default=0.0, ge=0, le=4)
-    """Each crop's minimum over views is divided, its maximum multiplied by 2^u, a u each, uniform from 0 to
-    this: noise, and errors of cameras and of geometry, only ever move the two apart."""
+    """Each crop's minimum over views is divided, and its maximum multiplied, by 2^u with independent u
+    uniform from 0 to this: noise, and errors of cameras and of geometry, only ever widen this range."""
     light_jitter_stops: float = Field(default=0.0, ge=0, le=4)
-    """Each crop's reflectance and mirror images are multiplied by one 2^u, u uniform within plus and minus
-    this: errors of geometry and exposure scale the light that photographs record."""
+    """Each crop's reflectance and mirror images are multiplied by one 2^u, with u uniform between minus and
+    plus this: errors of geometry and exposure scale the recorded light."""
     noise: float = Field(default=0.0, ge=0, le=1)
-    """Greatest relative deviation of a crop's Gaussian noise in ``beauty`` at an exposed radiance of 1; it
+    """Maximum relative deviation of a crop's Gaussian noise in ``beauty`` at an exposed radiance of 1; it
     grows with the square root of radiance, as photon noise does."""
     block_views: int = Field(default=32, ge=1)
-    """Crops are shuffled within blocks of so many views, each of which is decoded once a loader process."""
+    """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
+    """
     workers: int = Field(default=1, ge=0)
-    """Loader processes a rank; 0 decodes in the training process."""
+    """Loader processes per rank; 0 decodes in the training process."""
     on_bad_view: Literal["refuse", "skip"] = "refuse"
     """``skip`` leaves bad views out of the loss and counts them."""
 
 
 class ValidationConfig(StrictModel):
-    """Options of validation, which judges whole views after each epoch."""
+    """Options of validation, which evaluates whole views after each epoch."""
 
     num_views: int = Field(default=40, ge=0)
-    """At most so many views of the validation split, evenly spread; 0 turns validation off."""
+    """Maximum number of views of the validation split, evenly spaced; 0 turns validation off."""
     num_panels: int = Field(default=4, ge=0)
     """Views shown as image panels."""
     every_steps: int | None = Field(default=None, ge=1)
-    """Also validate after so many steps, where an epoch is long."""
+    """Also validate after this many steps, for long epochs."""
 
 
 class TrainingConfig(StrictModel):
-    """Everything that decides a run, but the data's place and the device."""
+    """All options of a run that affect its result, except the path of the data and the device."""
 
     seed: int = Field(default=0, ge=0, lt=2**31)
     network: NetworkConfig = NetworkConfig()
@@ -107,23 +108,24 @@ class TrainingConfig(StrictModel):
     data: DataConfig = DataConfig()
     phases: tuple[PhaseConfig, ...] = Field(min_length=1)
     batch_size: int = Field(default=8, ge=1)
-    """Crops a rank and micro-batch; an optimiser step sees batch_size x accumulation x ranks."""
+    """Crops per rank and micro-batch; an optimiser step uses batch_size x accumulation x ranks."""
     accumulation: int = Field(default=1, ge=1)
     learning_rate: float = Field(default=2e-5, gt=0)
     final_learning_rate: float | None = Field(default=None, gt=0)
-    """Each phase's rate falls to this along half a cosine; None leaves it as it is."""
+    """Each phase's rate falls to this along half a cosine; None keeps it constant."""
     adam_betas: tuple[float, float] = (0.5, 0.999)
     gradient_clip_norm: float | None = Field(default=None, gt=0)
-    """Gradients of a larger norm, over all weights that a phase trains, are scaled down to it; None leaves
-    them. At a high rate one steep batch can push outputs where tanh is flat and no gradient leads back."""
+    """Gradients with a larger norm, over all weights that a phase trains, are scaled down to it; None: no
+    clipping. At a high rate one steep batch can push outputs into the flat part of tanh, from which no
+    gradient leads back."""
     precision: Literal["float32", "bfloat16"] = "float32"
-    """Of the networks' activations; losses and weights stay float32."""
+    """Precision of the networks' activations; losses and weights stay float32."""
     channels_last: bool = False
     compile: bool = False
     validation: ValidationConfig = ValidationConfig()
     initial_checkpoint: Path | None = None
-    """Start from the weights of this checkpoint. Its network must be the same, but for ``light_inputs`` that
-    it may lack: their weights start at 0."""
+    """Start from the weights of this checkpoint. Its network must be the same, except that it may lack
+    ``light_inputs``: their weights start at 0."""
     checkpoint_every_steps: int = Field(default=500, ge=1)
     log_every_steps: int = Field(default=10, ge=1)
 
@@ -138,8 +140,11 @@ class TrainingConfig(StrictModel):
 
 
 def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """``over`` over ``base``. A network of one's own in ``over`` replaces that of ``base``, settings and all,
-    and its tracks' phases become one, as long as the first."""
+    """Merge ``over`` into ``base``.
+
+    A custom network in ``over`` replaces that of ``base`` with all settings, and the phases of its tracks
+    become one, as long as the first.
+    """
     network = over.get("network")
     if isinstance(network, dict) and network.get("factory") is not None:
         base = {**base, "network": {}}
@@ -150,7 +155,7 @@ def _layered(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 def _joined_phases(phases: Any) -> Any:
     if not isinstance(phases, list) or not all(isinstance(phase, dict) for phase in phases):
-        return phases  # as it is: the schema says what is wrong with it
+        return phases  # unchanged: the schema reports the fault
     rest = [phase for phase in phases if phase.get("name") not in ("diffuse", "specular")]
     if len(rest) < len(phases) and all(phase.get("name") != "joint" for phase in rest):
         rest.insert(0, {**phases[0], "name": "joint"})
@@ -184,8 +189,9 @@ def _read_mapping(path: Path) -> dict[str, Any]:
 def resolve_config(
     preset: str | None = None, file: Path | None = None, overrides: dict[str, Any] | None = None
 ) -> TrainingConfig:
-    """The configuration of a preset (default ``paper``), over it a YAML file, over it nested
-    ``overrides``."""
+    """The configuration of a preset (default ``paper``), overridden by a YAML file, then by nested
+    ``overrides``.
+    """
     preset = preset or "paper"
     if preset not in PRESETS:
         raise input_error("--preset", "", preset, f"one of {', '.join(PRESETS)}", "correct it")
@@ -204,7 +210,7 @@ def resolve_config(
 
 
 def parse_overrides(items: list[str]) -> dict[str, Any]:
-    """``["batch_size=4", "data.workers=2"]`` to nested keys; values are YAML."""
+    """Nested keys from items such as ``["batch_size=4", "data.workers=2"]``; values are YAML."""
     result: dict[str, Any] = {}
     for item in items:
         key, separator, text = item.partition("=")

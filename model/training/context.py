@@ -27,7 +27,7 @@ _INIT_PURPOSE = 0x11
 
 
 class Ranks:
-    """This process among those that train together; one process where ``torchrun`` did not start it."""
+    """This process among those that train together; a single process without ``torchrun``."""
 
     def __init__(self) -> None:
         self.count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -51,13 +51,13 @@ class Ranks:
         return dict(zip(values, stacked.tolist(), strict=True))
 
     def barrier(self) -> None:
-        """Wait for every rank."""
+        """Wait for all ranks."""
         if self.count > 1:
             dist.barrier()
 
 
 class Models(nn.Module):
-    """Everything that is trained, under one state dictionary."""
+    """All trained networks, under one state dictionary."""
 
     def __init__(self, config: TrainingConfig):
         super().__init__()
@@ -84,7 +84,7 @@ class TrainingContext:
         return CropOrder(len(self.data.train), data.crops_per_view, data.block_views, seed), seed
 
     def plan(self, index: int, start: int, stop: int | None = None) -> BatchPlan:
-        """This rank's micro-batches of a phase from step ``start`` on."""
+        """This rank's micro-batches of a phase, starting at step ``start``."""
         config, ranks = self.config, self.ranks
         order, _ = self.order(index)
         return BatchPlan(order, config.batch_size, config.accumulation, ranks.index, ranks.count, start, stop)
@@ -96,7 +96,7 @@ class TrainingContext:
 
 
 def default_device(local_index: int = 0) -> torch.device:
-    """The GPU of this rank where there is one, else the CPU."""
+    """The GPU of this rank if there is one, else the CPU."""
     return torch.device("cuda", local_index) if torch.cuda.is_available() else torch.device("cpu")
 
 
@@ -106,7 +106,7 @@ def make_context(
     device: torch.device | None = None,
     stopwatch: Stopwatch | None = None,
 ) -> TrainingContext:
-    """Models as they are before the first step, and the loss, on ``device``."""
+    """Models before the first step, and the loss, on ``device``."""
     ranks = Ranks()
     device = device or default_device(ranks.local_index)
     perceptual = None
@@ -125,7 +125,7 @@ def make_context(
 
 
 def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, ...]]:
-    """Random weights by the run's seed, or those of ``initial_checkpoint`` and the records of its data."""
+    """Random weights from the run's seed, or those of ``initial_checkpoint`` and the records of its data."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(generator_for(config.seed, _INIT_PURPOSE).initial_seed()))
         models = Models(config)
@@ -149,8 +149,10 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
 
 
 def _widened(network: MaterialNetwork, config: NetworkConfig) -> dict[str, Tensor]:
-    """Weights of ``network`` for the inputs of ``config``; those of further inputs are 0, so that the maps
-    are the same until training changes them."""
+    """Weights of ``network`` extended to the inputs of ``config``.
+
+    Weights of new inputs are 0, so that the maps are unchanged until training changes them.
+    """
     weights = dict(network.state_dict())
     for track in TRACK_OUTPUTS:
         given = set(track_inputs(track, network.config))

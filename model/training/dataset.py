@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Shards to batches: which crop comes when, decoding, checking, cropping and augmenting.
+"""From shards to batches: order of crops, decoding, checks, cropping and augmentation.
 
-The order is a pure function of the seed: an epoch shuffles all views, cuts them into blocks of
-``block_views``, and shuffles the crops of a block among themselves, so that a view's crops fall close
-together and a loader process that keeps the last block decodes each view once. A global batch is the next
-slice of that order; each rank takes its own part of the slice. Any number of ranks and loader processes
-therefore sees every crop of the order exactly once, and training resumes at any batch.
+The order is a pure function of the seed: an epoch shuffles all views, divides them into blocks of
+``block_views``, and shuffles the crops within each block. A view's crops are thus close together, and a
+loader process that keeps the last block decodes each view once. A global batch is the next slice of that
+order; each rank takes its part of the slice. With any number of ranks and loader processes, every crop of the
+order is therefore used exactly once, and training resumes at any batch.
 
 A sample is a dictionary of float32 tensors (C, S, S): ``beauty`` and the statistics (linear),
 ``normal_camera``, ``depth_z_m``, ``position`` (camera space, metres), the true maps, ``mask`` (bool), and
@@ -39,11 +39,11 @@ from model.training.config import DataConfig
 _GEOMETRY_BUFFERS = ("normal_world", "depth_z_m", "surface_mask")
 _REMEDY = "make the shard again, or train with data.on_bad_view: skip"
 _ORDER_PURPOSE, _CROP_PURPOSE = 0x0D, 0xC4
-_RANGE_SLACK = 1e-3  # half floats round 1 - eps up
+_RANGE_SLACK = 1e-3  # half floats round 1 - eps up to 1
 
 
 def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
-    """Buffers that training reads from a view."""
+    """Buffers of a view that training reads."""
     inputs = network_inputs(network)
     stored = (name for name in (*COLOR_STATISTICS, *LIGHT_BUFFERS) if name in inputs)
     return ("beauty", *stored, *MATERIAL_MAPS, *_GEOMETRY_BUFFERS)
@@ -51,7 +51,7 @@ def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class DecodedView:
-    """A checked view: buffers (H, W, C) as stored, its record, and its greatest depth."""
+    """A checked view: buffers (H, W, C) as stored, its record, and its maximum depth."""
 
     record: ViewRecord
     buffers: dict[str, NDArray]
@@ -61,9 +61,9 @@ class DecodedView:
 def load_view(
     place: ViewPlace, names: Sequence[str], min_side_px: int = 1, size_px: tuple[int, int] | None = None
 ) -> DecodedView:
-    """Decode and check one view. ``InputError`` names the shard, the view and everything wrong with it.
+    """Decode and check one view. ``InputError`` names the shard, the view and all its faults.
 
-    ``size_px`` (width, height) is the size that the training set has; None admits any.
+    ``size_px`` (width, height) is the size of the training set's views; None accepts any.
     """
     where = f"{place.shard}:{place.name}"
     try:
@@ -89,7 +89,7 @@ def _problems_of(
     min_side_px: int,
     size_px: tuple[int, int] | None,
 ) -> list[Problem]:
-    """Everything wrong with a decoded view: sizes, NaN, ranges, normals that are none."""
+    """All faults of a decoded view: sizes, NaN, ranges, invalid normals."""
     problems = []
 
     def complain(field: str, got: str, expected: str) -> None:
@@ -132,7 +132,7 @@ def _problems_of(
 
 @dataclass(frozen=True)
 class CropOrder:
-    """The order in which an epoch shows its crops: ids (view * crops_per_view + crop), a permutation."""
+    """The order of crops in an epoch: ids (view * crops_per_view + crop), a permutation."""
 
     num_views: int
     crops_per_view: int
@@ -141,7 +141,7 @@ class CropOrder:
 
     @property
     def epoch_length(self) -> int:
-        """Crops an epoch."""
+        """Number of crops per epoch."""
         return self.num_views * self.crops_per_view
 
     def epoch(self, epoch: int) -> NDArray[np.int64]:
@@ -160,8 +160,8 @@ class BatchPlan(Sampler[list[int]]):
     """Micro-batches of one rank, from optimiser step ``start`` to ``stop``: lists of epoch * length + crop
     id.
 
-    A step takes ``batch_size * accumulation * num_ranks`` crops of the order; what is left at an epoch's
-    end and does not fill a step is left out (at most one step's crops).
+    A step uses ``batch_size * accumulation * num_ranks`` crops of the order; an incomplete step at an epoch's
+    end is dropped.
     """
 
     def __init__(
@@ -233,7 +233,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         return len(self.places) * self.config.crops_per_view
 
     def _view(self, index: int) -> DecodedView | None:
-        """A decoded view, or None for a bad one that is to be skipped."""
+        """A decoded view, or None for a bad one to be skipped."""
         if index in self._cache:
             self._cache.move_to_end(index)
             return self._cache[index]
@@ -273,7 +273,7 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         return sample
 
     def _degrade(self, sample: dict[str, Tensor], generator: torch.Generator) -> None:
-        """Errors of recorded light, and photon noise (``light_jitter_stops``, ``noise``), in place."""
+        """Add errors of recorded light, and photon noise (``light_jitter_stops``, ``noise``), in place."""
         config = self.config
         if config.light_jitter_stops > 0:
             scale = 2.0 ** ((2 * float(torch.rand(1, generator=generator)) - 1) * config.light_jitter_stops)
@@ -291,8 +291,9 @@ class CropDataset(Dataset[dict[str, Tensor]]):
 def view_sample(
     view: DecodedView, sample_id: int, window: tuple[int, int, int, int] | None = None
 ) -> dict[str, Tensor]:
-    """Tensors of a view or of its ``window`` (top, left, height, width), normals and points in camera
-    space."""
+    """Tensors of a view or of its ``window`` (top, left, height, width), with normals and points in camera
+    space.
+    """
     camera = view.record.camera
     top, left, height, width = window or (0, 0, camera.height_px, camera.width_px)
     rows, columns = slice(top, top + height), slice(left, left + width)
@@ -319,7 +320,9 @@ def view_sample(
 
 
 def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) -> dict[str, Tensor]:
-    """The mirror image of the whole scene: pixels move, and x or y of normals and positions change sign."""
+    """The mirror image of the whole scene: pixels are flipped, and x or y of normals and positions changes
+    sign.
+    """
     for axis, component, wanted in ((-1, 0, horizontal), (-2, 1, vertical)):
         if wanted:
             sample = {n: v.flip(axis) if v.dim() == 3 else v for n, v in sample.items()}
@@ -329,7 +332,7 @@ def flip_sample(sample: dict[str, Tensor], *, horizontal: bool, vertical: bool) 
 
 
 def _empty_sample(names: Sequence[str], size: int, sample_id: int) -> dict[str, Tensor]:
-    """Replacement of a bad view: an empty mask, so that it adds nothing to any loss."""
+    """Replacement of a bad view: with an empty mask it does not contribute to any loss."""
     renamed = [n for n in names if n not in ("normal_world", "surface_mask")] + ["normal_camera", "position"]
     channels = {"roughness": 1, "depth_z_m": 1}
     sample = {n: torch.zeros(channels.get(n, input_channels(n)), size, size) for n in renamed}
@@ -352,7 +355,7 @@ def make_loader(
         pin_memory=pin_memory,
         prefetch_factor=4 if workers else None,
         worker_init_fn=_one_thread,
-        generator=torch.Generator(),  # or the loader would draw from the training's own stream
+        generator=torch.Generator(),  # otherwise the loader would draw from the training's own stream
         multiprocessing_context="forkserver" if workers else None,
     )
 

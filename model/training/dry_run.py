@@ -23,7 +23,7 @@ from model.training.stopwatch import Stopwatch
 
 
 def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) -> dict[str, Tensor]:
-    """A batch with every tensor that training reads: smooth images on a plane 2 m away."""
+    """A batch with every tensor that training reads: smooth images of a plane 2 m away."""
     generator = torch.Generator().manual_seed(seed)
 
     def smooth(channels: int) -> Tensor:
@@ -47,7 +47,7 @@ def synthetic_batch(batch: int, size: int, device: torch.device, seed: int = 0) 
 
 
 def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatch) -> float:
-    """Seconds of one optimiser step of a phase on a batch that is there already."""
+    """Seconds of one optimiser step of a phase on a given batch."""
     start = time.perf_counter()
     phase.optimizer.zero_grad(set_to_none=True)
     terms = phase.terms(batch, generator_for(key))
@@ -63,17 +63,18 @@ def timed_step(phase: Phase, batch: dict[str, Tensor], key: int, watch: Stopwatc
 def predicted_step(
     phase: Phase, config: TrainingConfig, device: torch.device, budget_s: float = 3.0
 ) -> tuple[float, int]:
-    """Seconds of a step of a whole batch, and with how many crops they were measured.
+    """Seconds of a step with a whole batch, and the number of crops with which it was measured.
 
-    One crop is timed, then as many as fit ``budget_s`` (at most the batch): what a step costs besides its
-    crops, which one crop alone would count for each, is told apart by the difference.
+    One crop is timed, then as many as fit ``budget_s`` (at most the batch); the difference separates the cost
+    per crop from the fixed cost of a step.
     """
 
     def fastest(crops: int) -> float:
         batch = synthetic_batch(crops, config.data.crop_px, device)
-        return min(timed_step(phase, batch, key, Stopwatch()) for key in (1, 2))  # the least disturbed
+        # the least disturbed measurement
+        return min(timed_step(phase, batch, key, Stopwatch()) for key in (1, 2))
 
-    timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch())  # warms up
+    timed_step(phase, synthetic_batch(1, config.data.crop_px, device), 0, Stopwatch())  # warm-up
     one = fastest(1)
     crops = min(config.batch_size, max(1, int(budget_s / (2 * one))))
     if crops == 1:
@@ -83,7 +84,7 @@ def predicted_step(
 
 
 def saved_bytes(run: Callable[[], Any]) -> int:
-    """Bytes that autograd keeps for the backward pass of ``run``, each storage once."""
+    """Bytes that autograd keeps for the backward pass of ``run``, counting each storage once."""
     seen: dict[int, int] = {}
 
     def pack(tensor: Tensor) -> Tensor:
@@ -97,7 +98,7 @@ def saved_bytes(run: Callable[[], Any]) -> int:
 
 
 def describe_run(config: TrainingConfig, folders: list[Path], device: torch.device | None = None) -> str:
-    """Text for ``--dry-run``. Steps of a few crops are timed a phase and scaled to the whole."""
+    """Text for ``--dry-run``. One step with few crops is timed per phase and scaled to the whole."""
     data = open_data(folders, config.network, config.data.crop_px)
     context = make_context(config, data, device)
     device = context.device

@@ -3,10 +3,9 @@
 
     L = L_E(I) + L_1(I) + sum over the predicted maps M of (L_E(M) + lambda L_1(M)),  lambda = 0.1
 
-I are images of predicted and of true materials under the same random views and lights. Maps are
-dictionaries of (B, C, H, W) by name: ``diffuse_albedo`` D, ``specular_albedo`` S, ``roughness`` R, in [0,
-1]. Where a track does not predict a map, the true one stands in. Pixels without a surface are made equal on
-both sides.
+I are images of predicted and of true materials under the same random views and lights. Maps are dictionaries
+of (B, C, H, W) by name: ``diffuse_albedo`` D, ``specular_albedo`` S, ``roughness`` R, in [0, 1]. Maps that a
+track does not predict are replaced by the true ones. Pixels without a surface are made equal on both sides.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from model.training.conditions import (
 )
 from model.training.stopwatch import Stopwatch
 
-_LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the logarithm finite in the dark
+_LOG_OFFSET = 0.1  # compresses the range of the re-renderings and keeps the logarithm finite at 0
 
 
 class LossConfig(StrictModel):
@@ -42,15 +41,15 @@ class LossConfig(StrictModel):
     num_area_lights: int = Field(default=3, ge=0)
     map_l1_weight: float = Field(default=0.1, ge=0)
     map_l2_weight: float = Field(default=0.0, ge=0)
-    """Of the maps' mean squared errors, which L1 alone does not minimise: where metal is rare, the median of
+    """Weight of the maps' mean squared errors. L1 alone gives medians: where metal is rare, the median of
     specular albedo is that of dielectrics (decision 0015)."""
     perceptual_weight: float = Field(default=1.0, ge=0)
-    """Of every perceptual term; 0 leaves them out."""
+    """Weight of every perceptual term; 0 omits them."""
     num_perceptual_renders: int | None = Field(default=None, ge=0)
-    """Number of re-renderings, the first of a random order, that also enter the perceptual term; None is all.
-    Its expectation is the same, at less cost."""
+    """Number of re-renderings, the first of a random order, that also enter the perceptual term; None: all.
+    Fewer cost less and leave the expectation unchanged."""
     log_maps: bool = False
-    """Compare ln(0.1 + M) instead of M for D and S (an option that the paper's source has commented out)."""
+    """Compare ln(0.1 + M) instead of M for D and S (an option that is commented out in the paper's code)."""
 
 
 def encode_log(image: Tensor) -> Tensor:
@@ -59,7 +58,7 @@ def encode_log(image: Tensor) -> Tensor:
 
 
 def encode_log_unit(image: Tensor) -> Tensor:
-    """(ln(0.1 + I) - ln 0.1) / (ln 1.1 - ln 0.1), clipped to [0, 1], as the perceptual metric wants it."""
+    """(ln(0.1 + I) - ln 0.1) / (ln 1.1 - ln 0.1), clipped to [0, 1], the range of the perceptual metric."""
     span = math.log(1.0 + _LOG_OFFSET) - math.log(_LOG_OFFSET)
     return ((encode_log(image) - math.log(_LOG_OFFSET)) / span).clamp(0.0, 1.0)
 
@@ -68,7 +67,7 @@ Condition = PointCondition | AreaCondition
 
 
 def render(maps: Mapping[str, Tensor], geometry: Geometry, condition: Condition) -> Tensor:
-    """Radiance (B, 3, H, W) of the maps under one condition, always in float32."""
+    """Radiance (B, 3, H, W) of the maps under one condition, always computed in float32."""
     diffuse, specular, roughness = (maps[name].float() for name in MATERIAL_MAPS)
     normal, view = geometry.normal, condition.view_dir
     if isinstance(condition, PointCondition):
@@ -81,7 +80,7 @@ def render(maps: Mapping[str, Tensor], geometry: Geometry, condition: Condition)
 
 @dataclass(frozen=True)
 class LossTerms:
-    """``total`` to minimise and its unweighted parts by name, all scalars."""
+    """``total`` to minimise, and its unweighted parts by name, all scalars."""
 
     total: Tensor
     parts: dict[str, Tensor]
@@ -89,7 +88,8 @@ class LossTerms:
 
 class MaterialLoss(nn.Module):
     """Callable loss of one batch. ``perceptual`` is a distance of :mod:`model.training.perceptual`, or
-    None."""
+    None.
+    """
 
     def __init__(self, config: LossConfig, perceptual: nn.Module | None):
         super().__init__()
@@ -98,7 +98,7 @@ class MaterialLoss(nn.Module):
 
     @property
     def name(self) -> str:
-        """Loss as a checkpoint records it: terms and the perceptual distance used."""
+        """Name of the loss in checkpoints: its terms and the perceptual distance."""
         distance = "none" if self.perceptual is None else str(self.perceptual.name)
         return f"l1+{'l2+' if self.config.map_l2_weight > 0 else ''}{distance}"
 
@@ -113,8 +113,8 @@ class MaterialLoss(nn.Module):
     ) -> LossTerms:
         """Terms of a batch; ``predicted`` may lack maps.
 
-        ``draws`` gives each image its views and lights, the CPU ``generator`` the perceptual metric's
-        transforms. ``stopwatch`` takes the times of ``render`` and ``perceptual``.
+        ``draws`` provides each image's views and lights, the CPU ``generator`` the perceptual metric's
+        transforms. ``stopwatch`` measures ``render`` and ``perceptual``.
         """
         watch = stopwatch or Stopwatch()
         mask = geometry.mask

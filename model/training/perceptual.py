@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Perceptual distances between images (B, 3, H, W) in [0, 1]: E-LPIPS, LPIPS, and one that needs no weights.
+"""Perceptual distances between images (B, 3, H, W) in [0, 1]: E-LPIPS, LPIPS, and one without learned
+weights.
 
-E-LPIPS (Kettunen et al. 2019) is LPIPS seen through random but identical transforms of both images and
-dropout with a shared mask, averaged over draws; one draw a call is its unbiased estimate. Its checkable
-relative, plain LPIPS-VGG, uses the same convolutions: :func:`lpips_check_value` must give 0.3494.
+E-LPIPS (Kettunen et al. 2019) is LPIPS after random but identical transforms of both images and dropout with
+a shared mask, averaged over draws; one draw per call is its unbiased estimate. Plain LPIPS-VGG uses the same
+convolutions and has a published check value: :func:`lpips_check_value` must give 0.3494.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ OFFSET_MAX = 7
 DROPOUT = 0.01
 MIN_SIDE_PER_SCALE = 64
 """Images are downscaled by k only if their shorter side is at least 64 k."""
-_NORM_EPS = 1e-10  # inside the square root: outside, the gradient at a zero feature would be NaN
+_NORM_EPS = 1e-10  # inside the square root; added outside, the gradient at a zero feature would be NaN
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 _POOL_BEFORE = (2, 4, 7, 10)
@@ -36,10 +37,10 @@ _PERMUTATIONS = tuple(permutations(range(3)))
 
 @dataclass(frozen=True)
 class Transform:
-    """One draw: box downscale by ``scale`` after an offset, then per-image shifts, flips, channel mixes,
+    """One draw: box downscaling by ``scale`` after an offset, then per-image shifts, flips, channel mixes,
     gains.
 
-    ``scale`` and ``transpose`` are shared by the batch, the rest is per image.
+    ``scale`` and ``transpose`` are shared by the batch; the rest is per image.
     """
 
     scale: int
@@ -52,7 +53,7 @@ class Transform:
 
 
 def sample_transform(batch: int, height: int, width: int, generator: torch.Generator) -> Transform:
-    """A draw for images of that size; the scale k has probability proportional to 1/k^2."""
+    """A draw for images of this size; the scale k has probability proportional to 1/k^2."""
 
     def integer(high: int) -> int:
         return int(torch.randint(0, high, (1,), generator=generator))
@@ -60,7 +61,7 @@ def sample_transform(batch: int, height: int, width: int, generator: torch.Gener
     levels = max(1, min(height, width) // MIN_SIDE_PER_SCALE)
     probabilities = torch.tensor([1.0 / k**2 for k in range(1, levels + 1)])
     scale = 1 + int(torch.multinomial(probabilities, 1, generator=generator))
-    # stratified over the batch, as published: flips and gains spread evenly over the images
+    # stratified over the batch, as published: flips and gains are evenly distributed over the images
     flips = torch.randperm(-(-batch // 4) * 4, generator=generator)[:batch] % 4
     strata = torch.stack([torch.randperm(batch, generator=generator) for _ in range(3)], dim=1)
     uniform = (strata + torch.rand(batch, 3, generator=generator)) / batch
@@ -77,7 +78,7 @@ def sample_transform(batch: int, height: int, width: int, generator: torch.Gener
 
 
 def apply_transform(images: Tensor, transform: Transform) -> Tensor:
-    """The transformed images; the same transform on both sides of a comparison keeps them comparable."""
+    """The transformed images; the same transform is applied to both sides of a comparison."""
     k = transform.scale
     if k > 1:
         height, width = images.shape[-2:]
@@ -131,8 +132,8 @@ class VggFeatures(nn.Module):
     def dropout_masks(self, images: Tensor, generator: torch.Generator) -> list[Tensor]:
         """Masks that drop 1 % of each convolution's input.
 
-        They hold as many numbers as the network has activations, so they are drawn on the images' device,
-        from a generator seeded by the CPU's.
+        They have as many elements as the network has activations and are therefore drawn on the images'
+        device, by a generator seeded from the CPU's.
         """
         seed = int(torch.randint(0, 2**62, (1,), generator=generator))
         on_device = torch.Generator(device=images.device).manual_seed(seed)
@@ -164,8 +165,9 @@ def _weighted_distance(a: list[Tensor], b: list[Tensor], heads: Heads) -> Tensor
 
 
 class Elpips(nn.Module):
-    """E-LPIPS on VGG16: 14 layers and average pooling with its own heads, 5 and max pooling with LPIPS'
-    heads."""
+    """E-LPIPS on VGG16: 14 layers and average pooling with its own heads, or 5 and max pooling with LPIPS'
+    heads.
+    """
 
     def __init__(self, layers: list[Convolution], heads: Heads, precision: str = "float32"):
         """``precision`` is that of VGG's activations; distances are summed in float32 either way."""
@@ -187,14 +189,16 @@ class Elpips(nn.Module):
 
 
 class LpipsVgg:
-    """Plain LPIPS-VGG with the heads of the ``lpips`` package, in two steps: one image is often compared with
-    many others."""
+    """Plain LPIPS-VGG with the heads of the ``lpips`` package.
+
+    It is split into two steps because one image is often compared with many.
+    """
 
     def __init__(self, layers: list[Convolution]):
         self._network, self._heads = VggFeatures(layers, average_pooling=False), load_lpips_heads()
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """VGG's features of images (B, 3, H, W) in [-1, 1], layer by layer."""
+        """VGG's features of images (B, 3, H, W) in [-1, 1], one tensor per layer."""
         return self._network(image)
 
     def distance(self, image: list[Tensor], reference: list[Tensor]) -> Tensor:
@@ -209,7 +213,7 @@ def lpips_vgg(layers: list[Convolution], image: Tensor, reference: Tensor) -> Te
 
 
 def lpips_check_value(layers: list[Convolution]) -> float:
-    """LPIPS-VGG of the two fixed random batches whose published value is :data:`LPIPS_CHECK_VALUE`."""
+    """LPIPS-VGG of two fixed random batches, with the published value :data:`LPIPS_CHECK_VALUE`."""
     import numpy as np
 
     random = np.random.RandomState(123)
@@ -222,10 +226,10 @@ def lpips_check_value(layers: list[Convolution]) -> float:
 
 
 class GradientSsim(nn.Module):
-    """Stated alternative for machines without VGG weights: multi-scale gradients and structural similarity.
+    """Alternative for machines without VGG weights: multi-scale gradients and structural similarity.
 
-    At scales 1, 1/2 and 1/4: the mean absolute difference of the finite differences along x and y, plus
-    half of 1 - SSIM (Gaussian window 11, sigma 1.5, data range 1). The scales are averaged.
+    At scales 1, 1/2 and 1/4: the mean absolute difference of the finite differences along x and y, plus half
+    of 1 - SSIM (Gaussian window 11, sigma 1.5, data range 1). The scales are averaged.
     """
 
     name = "gradient-ssim-3"
@@ -261,7 +265,7 @@ class GradientSsim(nn.Module):
         for level in range(self.NUM_SCALES):
             if level:
                 image, reference = F.avg_pool2d(image, 2), F.avg_pool2d(reference, 2)
-            if min(image.shape[-2:]) < 11:  # the window no longer fits
+            if min(image.shape[-2:]) < 11:  # the window does not fit any more
                 break
             difference = image - reference
             dx = (difference[..., 1:] - difference[..., :-1]).abs().mean(dim=(1, 2, 3))
@@ -274,8 +278,9 @@ class GradientSsim(nn.Module):
 def make_perceptual(
     kind: str, vgg: Path | None = None, heads: Path | None = None, precision: str = "float32"
 ) -> nn.Module:
-    """``elpips`` or ``gradient_ssim``. ``InputError`` where E-LPIPS' weights are absent: never a silent
-    swap."""
+    """``elpips`` or ``gradient_ssim``. ``InputError`` if E-LPIPS' weights are absent: there is no silent
+    fallback.
+    """
     if kind == "gradient_ssim":
         return GradientSsim()
     return Elpips(find_vgg(vgg), find_heads(heads), precision)

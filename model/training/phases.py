@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One phase of a training, ready to step: its networks, optimiser, data and loss."""
+"""One training phase, ready to run: its networks, optimiser, data and loss."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from model.training.validation import network_predictor
 
 
 class TrackModule(nn.Module):
-    """The tracks that a phase trains, so that only their gradients are exchanged between ranks."""
+    """The tracks that a phase trains, wrapped so that ranks exchange only their gradients."""
 
     def __init__(self, network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str):
         super().__init__()
         self.tracks, self.precision = tracks, precision
         self.trained = nn.ModuleList(network.trained(tracks))
-        self._network = [network]  # in a list, so that the other track does not become a part of this module
+        self._network = [network]  # in a list, so that the other track is not registered as a submodule
 
     def forward(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Maps by name, (B, 3 or 1, S, S)."""
@@ -71,7 +71,7 @@ class Phase:
         )
 
     def learning_rate(self, step: int) -> float:
-        """The rate of a step of the phase, counted from 0: constant, or half a cosine to the final one."""
+        """The rate of a step of the phase, counted from 0: constant, or half a cosine to the final rate."""
         first = self.config.learning_rate or self.context.config.learning_rate
         last = self.config.final_learning_rate or self.context.config.final_learning_rate
         if last is None:
@@ -80,12 +80,13 @@ class Phase:
 
     @property
     def steps_per_epoch(self) -> int:
-        """Optimiser steps that a pass over the data takes."""
+        """Optimiser steps per pass over the data."""
         return self.context.plan(self.index, 0).steps_per_epoch
 
     def batches(self, start: int) -> Iterator[dict[str, Tensor]]:
-        """Batches from step ``start`` to the phase's end. An error of a loader's process comes without its
-        traceback."""
+        """Batches from step ``start`` to the phase's end. Errors of loader processes are raised without their
+        traceback.
+        """
         plan = self.context.plan(self.index, start, self.num_steps)
         workers, pin = self.context.config.data.workers, self.context.device.type == "cuda"
         try:
@@ -98,7 +99,7 @@ class Phase:
             raise InputError(Problem(where, got=rest)) from None
 
     def gradient_sync(self, is_last: bool) -> AbstractContextManager[Any]:
-        """Ranks exchange gradients only in the last micro-batch of a step."""
+        """Context in which ranks exchange gradients only in the last micro-batch of a step."""
         if isinstance(self.module, DistributedDataParallel) and not is_last:
             return self.module.no_sync()
         return nullcontext()

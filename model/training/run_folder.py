@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The folder of a run: claimed by one run, with its state, each phase's best weights, and the final ones."""
+"""The folder of a run: its record, its state, each phase's best weights, and the final ones."""
 
 from __future__ import annotations
 
@@ -30,8 +30,10 @@ FINAL_FILE = "final.safetensors"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """``run.json`` (what the run was started with), ``state.safetensors`` (where it stands),
-    ``best-<phase>.safetensors`` and ``final.safetensors``. All ranks call each method; the first one writes.
+    """``run.json`` (inputs of the run), ``state.safetensors`` (its progress), ``best-<phase>.safetensors``
+    and ``final.safetensors``.
+
+    All ranks call each method; the first rank writes.
     """
 
     path: Path
@@ -39,12 +41,15 @@ class RunFolder:
 
     @property
     def final(self) -> Path:
-        """The weights at the end."""
+        """Path of the final weights."""
         return self.path / FINAL_FILE
 
     def open(self, data: Sequence[Path]) -> tuple[RunProgress, dict[str, Tensor]]:
-        """Start a new run's folder, or continue this run: its progress, and the tensors of its state (none at
-        the start), with the weights among them restored. Raises :class:`InputError` for another run's."""
+        """Start a new run's folder, or resume this run; raises :class:`InputError` for another run's folder.
+
+        Returns the progress and the tensors of the state (empty at the start); the weights among them are
+        restored.
+        """
         context = self.context
         record = RunRecord(
             config=context.config,
@@ -76,11 +81,11 @@ class RunFolder:
         self.context.ranks.barrier()
 
     def save_best(self, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:
-        """Write the best weights of a phase so far; of the first rank alone."""
+        """Write the best weights of a phase so far; on the first rank only."""
         self._save_checkpoint(f"best-{phase}.safetensors", phase, step, metrics)
 
     def save_final(self, step: int, metrics: dict[str, float]) -> None:
-        """Write the weights at the end; of the first rank alone."""
+        """Write the final weights; on the first rank only."""
         self._save_checkpoint(FINAL_FILE, self.context.config.phases[-1].name, step, metrics)
 
     def _save_checkpoint(self, file: str, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:

@@ -27,8 +27,10 @@ _COLUMNS = (
 
 
 class RunLog:
-    """Long-form CSV (one figure a row) and TensorBoard, both cut back to ``step`` when a run resumes
-    there; ``listeners`` hear of the same figures and panels."""
+    """Long-form CSV (one figure per row) and TensorBoard, both truncated to ``step`` when a run resumes.
+
+    ``listeners`` receive the same figures and panels.
+    """
 
     def __init__(
         self, folder: Path, step: int = 0, *, tensorboard: bool = True, listeners: Listeners | None = None
@@ -81,7 +83,7 @@ class RunLog:
             self._board.add_image(name, image, step)
 
     def flush(self) -> None:
-        """Bring everything to disk."""
+        """Write everything to disk."""
         self._file.flush()
         if self._board is not None:
             self._board.flush()
@@ -105,9 +107,9 @@ def read_log(folder: Path, kind: str, name: str, phase: str | None = None) -> li
 
 
 def view_panel(batch: Mapping[str, Tensor], predicted: Mapping[str, Tensor]) -> Tensor:
-    """Panel (3, rows, columns) of one view: the input on top, then predicted, truth and error of each map.
+    """Panel (3, rows, columns) of one view: the input on top, then prediction, truth and error of each map.
 
-    Colours are shown with gamma 2.2, roughness as it is, absolute errors times 2.
+    Colours are shown with gamma 2.2, roughness linearly, absolute errors times 2.
     """
     image = 0.5 * (encode_color(batch["beauty"], batch["exposure"].reshape(-1, 1, 1, 1))[0] + 1.0)
     rows = [torch.cat([image, torch.zeros_like(image), torch.zeros_like(image)], dim=2)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The state of an unfinished run, so that it continues bit for bit, and the record of a batch that broke it.
+"""The state of an unfinished run, from which it resumes bit for bit, and the record of a batch that broke it.
 
-``state.safetensors`` holds the weights and the optimiser's moments; its header says where the run stands. All
-random numbers of a step come from (seed, phase, step, rank), so no generator's state has to be kept.
+``state.safetensors`` holds the weights and the optimiser's moments; its header holds the progress. All random
+numbers of a step derive from (seed, phase, step, rank), so that no generator's state has to be stored.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _REMEDY = "start the run again in another folder"
 
 
 class RunRecord(StrictModel):
-    """``run.json``: what a run was started with. A run resumes only with the same."""
+    """``run.json``: the inputs of a run. A run resumes only with the same inputs."""
 
     config: TrainingConfig
     folders: tuple[str, ...]
@@ -55,7 +55,7 @@ def check_same_run(path: Path, record: RunRecord) -> None:
             for field, then, now in differences(
                 earlier.model_dump(mode="json"), record.model_dump(mode="json")
             )
-            if ".assets" not in field  # the hash of the index stands for them
+            if ".assets" not in field  # the hash of the index covers them
         )
     )
 
@@ -71,7 +71,7 @@ class RunProgress(StrictModel):
     is_finished: bool = False
 
     def after_step(self, num_skipped: int) -> RunProgress:
-        """One step further, with ``num_skipped`` crops of bad views in it."""
+        """The progress after one more step, with ``num_skipped`` crops of bad views in it."""
         return self.model_copy(
             update={
                 "step": self.step + 1,
@@ -81,18 +81,18 @@ class RunProgress(StrictModel):
         )
 
     def after_phase(self) -> RunProgress:
-        """At the first step of the next phase."""
+        """The progress at the first step of the next phase."""
         return self.model_copy(update={"phase": self.phase + 1, "step": 0, "best_score": None})
 
 
 class NonFiniteError(RuntimeError):
-    """Training met a loss or a gradient that is NaN or Inf; the batch was saved."""
+    """A loss or a gradient is NaN or Inf; the batch was saved."""
 
 
 def save_state(
     folder: Path, progress: RunProgress, module: nn.Module, optimizer: torch.optim.Optimizer | None
 ) -> None:
-    """Write the state of a run; it appears whole or not at all."""
+    """Write the state of a run atomically."""
     from safetensors.torch import save
 
     tensors = {f"module.{name}": value for name, value in module.state_dict().items()}
@@ -105,7 +105,7 @@ def save_state(
 
 
 def load_state(folder: Path) -> tuple[RunProgress, dict[str, Tensor]] | None:
-    """Progress and tensors of a run, or None where it has not saved any yet."""
+    """Progress and tensors of a run, or None if none are saved yet."""
     from safetensors import SafetensorError, safe_open
     from safetensors.torch import load_file
 
@@ -144,7 +144,7 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Te
 def save_bad_batch(
     folder: Path, batch: Mapping[str, Tensor], parts: Mapping[str, float], step: int, rank: int
 ) -> Path:
-    """Keep a batch that gave a non-finite loss or gradient, with the loss's terms; returns its file."""
+    """Save a batch that gave a non-finite loss or gradient, with the loss's terms; returns its file."""
     from safetensors.torch import save_file
 
     path = folder / f"bad_batch_step{step}_rank{rank}.safetensors"

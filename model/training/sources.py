@@ -31,7 +31,9 @@ class TrainingData:
 
 
 def validation_note(data: TrainingData, num_views: int) -> str:
-    """Warning for a user who asked for ``num_views`` views of validation without such data; "" otherwise."""
+    """Warning if the user asked for ``num_views`` views of validation but there is no such data; ""
+    otherwise.
+    """
     if data.validation or not num_views:
         return ""
     return (
@@ -44,8 +46,8 @@ def validation_note(data: TrainingData, num_views: int) -> str:
 def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> TrainingData:
     """The views of dataset folders, by the splits in their indices.
 
-    Only tar headers and one JSON are read. ``InputError`` where an index lacks a buffer that the network
-    needs, a shard is missing or damaged, views are smaller than a crop, or nothing is left to train on.
+    Only tar headers and one JSON file are read. ``InputError`` if an index lacks a buffer that the network
+    needs, a shard is missing or damaged, views are smaller than a crop, or no training views remain.
     """
     needed = buffer_names(network)
     places: dict[Split, list[ViewPlace]] = {"train": [], "validation": [], "test": []}
@@ -90,7 +92,7 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
 
 
 def view_size(place: ViewPlace) -> tuple[int, int]:
-    """Width and height of a view by its record."""
+    """Width and height of a view from its record."""
     where = f"{place.shard}:{place.name}"
     try:
         text = json.loads(read_member(place, place.record))
@@ -101,7 +103,7 @@ def view_size(place: ViewPlace) -> tuple[int, int]:
 
 
 def spread(places: Sequence[ViewPlace], count: int) -> list[ViewPlace]:
-    """At most ``count`` views, evenly spread over all."""
+    """At most ``count`` views, evenly spaced over all."""
     if count >= len(places):
         return list(places)
     return [places[k * len(places) // count] for k in range(count)]

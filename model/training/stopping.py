@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Signals that ask a training to stop."""
+"""Signals that stop a training."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 @contextmanager
 def stop_signals(request: Callable[[], None]) -> Iterator[None]:
-    """SIGINT and SIGTERM ask for a stop after the current step; a second SIGINT stops at once."""
+    """On SIGINT or SIGTERM, stop after the current step; on a second SIGINT, at once."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     try:
         earlier = {number: signal.getsignal(number) for number in numbers}
@@ -22,7 +22,7 @@ def stop_signals(request: Callable[[], None]) -> Iterator[None]:
 
         for number in numbers:
             signal.signal(number, handle)
-    except ValueError:  # not the main thread: whoever runs the thread handles signals
+    except ValueError:  # not the main thread: its owner handles signals
         yield
         return
     try:

@@ -11,7 +11,9 @@ import torch
 
 
 class Stopwatch:
-    """Seconds by name. On a GPU every section waits for the device first, so it is for measuring only."""
+    """Seconds by name. On a GPU every section waits for the device first, so that it serves measurements
+    only.
+    """
 
     def __init__(self, device: torch.device | None = None):
         self.seconds: dict[str, float] = {}
@@ -27,7 +29,7 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + self._now() - start
 
     def take(self) -> dict[str, float]:
-        """The seconds since this was last asked for."""
+        """The seconds since the previous call."""
         taken, self.seconds = self.seconds, {}
         return taken
 

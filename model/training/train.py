@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The training loop: phases diffuse, specular, joint and confidence over one order of crops.
 
-A run lives in one folder (``run_folder``), with ``log.csv`` and ``tensorboard/``. Interrupted, it continues
+A run has one folder (``run_folder``), with ``log.csv`` and ``tensorboard/``. After an interruption it resumes
 bit for bit on the same machine. Under ``torchrun`` each process is a rank and the ranks share every step.
 """
 
@@ -32,7 +32,7 @@ _STEP_PURPOSE = 0x57
 
 
 class Trainer:
-    """One run, from an empty or an interrupted folder to ``final.safetensors``."""
+    """One run, from a new or an interrupted folder to ``final.safetensors``."""
 
     def __init__(
         self,
@@ -59,8 +59,8 @@ class Trainer:
     def run(self) -> Path:
         """Train to the end and return the final checkpoint's path.
 
-        Raises ``KeyboardInterrupt`` after saving where SIGINT or SIGTERM asked to stop, and
-        :class:`NonFiniteError` where the loss or a gradient is no number.
+        Raises ``KeyboardInterrupt`` after saving when stopped by SIGINT or SIGTERM, and
+        :class:`NonFiniteError` if the loss or a gradient is NaN or Inf.
         """
         config, context, folder = self.config, self.context, self.folder
         self.progress, restored = folder.open(self.folders)
@@ -89,19 +89,19 @@ class Trainer:
                     step, total_step = self.progress.step, self.progress.total_step
                     epoch, is_last = (step - 1) // phase.steps_per_epoch, step == phase.num_steps
 
-                    # Figures: beside the bar after every step, in the log now and then.
+                    # Figures: beside the bar after every step, in the log at intervals.
                     speed = self._speed()
                     bars.tell("training", total_step, total, self._note(phase, values, speed))
                     if log is not None and (step % config.log_every_steps == 0 or is_last):
                         log.scalars(total_step, phase.config.name, epoch, "train", values)
                         log.scalars(total_step, phase.config.name, epoch, "speed", speed)
 
-                    # Errors on the validation views; the weights with the least are kept.
+                    # Errors on the validation views; the best weights are kept.
                     every = config.validation.every_steps or phase.num_steps
                     if is_last or step % phase.steps_per_epoch == 0 or step % every == 0:
                         self._validate(phase, epoch, log)
 
-                    # The state that the run continues from, also where it is asked to stop.
+                    # The state from which the run resumes, also saved when it is stopped.
                     stops = self._stops()
                     if step % config.checkpoint_every_steps == 0 or stops:
                         if log is not None:
@@ -140,7 +140,7 @@ class Trainer:
                 batch = {name: value.to(context.device, non_blocking=True) for name, value in batch.items()}
             key = (config.seed, _STEP_PURPOSE, phase.index, self.progress.step, micro, self.ranks.index)
             generator = generator_for(*key)
-            torch.manual_seed(int(torch.randint(0, 2**62, (1,), generator=generator)))  # of dropout
+            torch.manual_seed(int(torch.randint(0, 2**62, (1,), generator=generator)))  # seed of dropout
             with phase.gradient_sync(is_last=micro == config.accumulation - 1):
                 terms = phase.terms(batch, generator)
                 with watch.section("backward"):
@@ -149,7 +149,7 @@ class Trainer:
                 sums[name] = sums.get(name, 0.0) + value.detach().float() / config.accumulation
             sums["num_skipped"] = sums.get("num_skipped", 0.0) + batch["is_skipped"].sum() * self.ranks.count
 
-        # The step itself, unless a figure is no number.
+        # The step itself, unless a figure is NaN or Inf.
         with watch.section("optimizer"):
             norm = torch.nn.utils.get_total_norm([p.grad for p in phase.parameters if p.grad is not None])
             values = self.ranks.mean({**sums, "gradient_norm": norm})
@@ -167,7 +167,7 @@ class Trainer:
         raise NonFiniteError(f"{phase.config.name}, step {step}: {what}; the batch is in {path}")
 
     def _speed(self) -> dict[str, float]:
-        """Crops a second over the last step, and the share of it that was spent waiting for data."""
+        """Crops per second over the last step, and the share of it spent waiting for data."""
         seconds = self.context.stopwatch.take()
         crops = self.config.batch_size * self.config.accumulation * self.ranks.count
         return {
@@ -181,7 +181,7 @@ class Trainer:
         return f"{text}, {skipped} crops of bad views skipped" if skipped else text
 
     def _validate(self, phase: Phase, epoch: int, log: RunLog | None) -> None:
-        """Validate, and keep the weights where they are the phase's best so far."""
+        """Validate, and keep the weights if they are the phase's best so far."""
         if log is not None:
             name, step = phase.config.name, self.progress.total_step
             metrics = phase_metrics(self.context, name, self.validation_views, log, step)
@@ -197,7 +197,7 @@ class Trainer:
         self.ranks.barrier()
 
     def request_stop(self) -> None:
-        """Stop after the step that runs, with the state saved."""
+        """Stop after the current step, with the state saved."""
         self.stop_requested = True
 
     def _stops(self) -> bool:

