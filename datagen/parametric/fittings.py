@@ -46,24 +46,28 @@ def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
     return item
 
 
-def curtains(style: Style, draws: Draws, window: float, height: float, floor: float) -> Item:
-    """Two drawn-back curtains on a rail; ``height`` of the rail above the hem, ``floor`` their length."""
+def curtains(style: Style, draws: Draws, window: float, height: float, floor: float, off_wall: float) -> Item:
+    """Two drawn-back curtains on a rail ``off_wall`` metres from the wall; ``height`` of the rail above the
+    hem, ``floor`` their length."""
     item = Item("curtains", hold="wall")
     open_share = draws.uniform(0.16, 0.34)
     half = window / 2 + 0.24
-    item.add("metal", tube([(-half, -0.125, height), (half, -0.125, height)], 0.012, 10))
+    item.add("metal", tube([(-half, -off_wall, height), (half, -off_wall, height)], 0.012, 10))
     for x in (-half, half):
         item.add(
             "metal",
-            cylinder(0.02, 0.03, bevel=0.006, segments=12).turned("y", 90).moved(x - 0.015, -0.125, height),
+            cylinder(0.02, 0.03, bevel=0.006, segments=12)
+            .turned("y", 90)
+            .moved(x - 0.015, -off_wall, height),
         )
     for x in (-half + 0.06, half - 0.06):
-        item.add("metal", tube([(x, -0.0005, height), (x, -0.123, height)], 0.007, 6))
+        item.add("metal", tube([(x, -0.0005, height), (x, 0.002 - off_wall, height)], 0.007, 6))
     for side in (-1, 1):
         width = max(open_share * (window + 0.3), 0.24)
         outer = side * (half - 0.03)
         inner = outer - side * width
-        item.add("curtain", _drape(draws, min(inner, outer), max(inner, outer), height - 0.016, floor))
+        left, right = min(inner, outer), max(inner, outer)
+        item.add("curtain", _drape(draws, left, right, height - 0.016, floor).moved(0, -off_wall, 0))
     return item
 
 
@@ -77,7 +81,7 @@ def _drape(draws: Draws, x0: float, x1: float, top: float, length: float) -> Sha
     depth = (0.024 + 0.012 * (1 - tt)) * np.sin(2 * np.pi * folds * ss + wander)
     points = np.empty((*ss.shape, 3))
     points[..., 0] = x0 + ss * (x1 - x0) + 0.003 * np.sin(4 * np.pi * folds * ss + phase) * tt
-    points[..., 1] = -0.125 - depth
+    points[..., 1] = -depth
     points[..., 2] = top - (1 - tt) * length
     front = grid(points)
     back = points.copy()

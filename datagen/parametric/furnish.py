@@ -22,22 +22,23 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
     pick = draws.unit()
     slatted = draws.chance(0.5)
     for window in room.shell.windows:
+        below: list[Placed] = []
         if window.sill > 0.62 and draws.chance(radiators):
             height = min(0.55, window.sill - 0.28)
             item = fittings.radiator(style, draws, min(window.width, 1.6) * draws.uniform(0.65, 1.0), height)
-            room.hang(item, draws.uniform(0.1, 0.15), [window.wall], window.s, -1.0)
+            radiator = room.before_window(item, window, draws.uniform(0.1, 0.15))
+            below = [radiator] if radiator is not None else []
         if pick < curtains:
             top = min(window.sill + window.height + draws.uniform(0.1, 0.2), room.shell.height - 0.06)
             long = draws.chance(0.7) or window.sill < 0.4
             hem = 0.03 if long else window.sill - 0.2
-            item = fittings.curtains(style, draws, window.width, top - hem, top - hem - 0.02)
-            if room.hang(item, hem, [window.wall], window.s, -1.0) is not None:
+            off_wall = 0.165 if below else 0.125  # in front of a radiator
+            item = fittings.curtains(style, draws, window.width, top - hem, top - hem - 0.02, off_wall)
+            if room.before_window(item, window, hem, below) is not None:
                 continue
         if pick < curtains + blinds:
             make = fittings.slatted_blind if slatted else fittings.roller_blind
-            room.hang(
-                make(style, draws, window.width, window.height), window.sill, [window.wall], window.s, -1.0
-            )
+            room.before_window(make(style, draws, window.width, window.height), window, window.sill)
 
 
 def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:

@@ -20,7 +20,7 @@ from datagen.foundation.random import Draws
 from datagen.parametric.checks import front_zone, meets, overlap, reaches, walkable
 from datagen.parametric.items import Item, Placed, Style, hull_of
 from datagen.parametric.shapes import Floats, rotation
-from datagen.parametric.shell import CASING_M, WALLS, Shell, Wall, swing
+from datagen.parametric.shell import CASING_M, WALLS, Shell, Wall, Window, swing
 
 OFF_WALL_M = 0.03  # behind furniture: the skirting
 _MARGIN_M = 0.02
@@ -135,9 +135,10 @@ class Furnisher:
                     return None
                 continue
             is_near = any(other is n for n in near)
-            if not meets(bounds, b, 0.0 if is_near else _MARGIN_M):
+            is_beside = is_near or (other.item.name == "curtains" and item.hold == "floor")
+            if not meets(bounds, b, 0.0 if is_beside else _MARGIN_M):
                 continue
-            if not is_near or overlap(boxes, of_other) > -0.004:
+            if not is_beside or overlap(boxes, of_other) > -0.004:
                 return None
         for name, zone in self.zones:
             if name not in ignores and not stands_on and item.name != "rug" and meets(bounds, zone):
@@ -321,6 +322,14 @@ class Furnisher:
                 if found is not None:
                     return found
         return None
+
+    def before_window(
+        self, item: Item, window: Window, z: float, near: Sequence[Placed] = ()
+    ) -> Placed | None:
+        """On the wall before a window, above it or below."""
+        passed = [name for name, _ in self.zones if name.startswith("window")]
+        at = (*self.shell.point(window.wall, window.s), z)
+        return self.offer(item, at, self.shell.yaw(window.wall), near=near, ignores=passed)
 
     def over(self, item: Item, host: Placed, z: float) -> Placed | None:
         """On the wall above a host that stands at it."""

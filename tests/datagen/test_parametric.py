@@ -129,6 +129,27 @@ def test_doors_have_switches_and_walls_sockets() -> None:
     assert 0.85 * doors < switches <= doors and sockets > 0.85 * len(KINDS) * len(SEEDS)
 
 
+def test_windows_have_curtains_or_blinds_or_neither() -> None:
+    """And radiators below, with curtains in front of some."""
+    windows, found, both = 0, dict.fromkeys(("curtains", "blind", "radiator"), 0), 0
+    for kind in sorted(KINDS):
+        for seed in SEEDS:
+            room = _room(kind, seed).furnished
+            windows += len(room.shell.windows)
+            places: dict[str, set[tuple[float, ...]]] = {
+                name: {p.at[:2] for p in room.items if p.item.name == name} for name in found
+            }
+            found = {name: count + len(places[name]) for name, count in found.items()}
+            both += len(places["curtains"] & places["radiator"])
+            assert not places["curtains"] & places["blind"], (kind, seed)
+            of_windows = {
+                tuple(round(x, 6) for x in room.shell.point(w.wall, w.s)) for w in room.shell.windows
+            }
+            assert set().union(*places.values()) <= of_windows, (kind, seed)
+    assert min(found["curtains"], found["blind"]) > 0.15 * windows, found
+    assert found["curtains"] + found["blind"] < windows and both >= 3, (found, both)
+
+
 def test_prints_differ() -> None:
     pictures = [print_image(Draws("print", k)) for k in range(60)]
     assert len(set(pictures)) == 60 and pictures[7] == print_image(Draws("print", 7))
