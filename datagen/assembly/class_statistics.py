@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Statistics of the materials of each class in a library: the measurement behind ``CLASS_RANGES``.
+"""Statistics of the materials of each class in a library, from which ``CLASS_RANGES`` was derived.
 
     python -m datagen.assembly.class_statistics LIBRARY [LIBRARY ...]
 
 prints, by main class, the number of materials and the 5th, 50th and 95th percentile of the brightest channel
-of their mean D and of their mean R, beside the limits of variation; and the spread of texels about the
+of their mean D and of their mean R, with the limits of variation; and the spread of texels about the
 material's mean: hue (as a share of a turn), saturation and value as factors, roughness as an offset (medians
 over the materials of the root mean square).
 """

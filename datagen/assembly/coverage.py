@@ -19,10 +19,10 @@ from datagen.formats.configuration import GLOSSY_ROUGHNESS, METAL_SPECULAR, View
 from datagen.foundation.cameras import Camera
 
 PREVIEW_WIDTH_PX = 64
-MIN_SHELL_PIXELS = 0.03  # of the image: less of a wall is not a wall that is seen
+MIN_SHELL_PIXELS = 0.03  # of the image: minimum area for a wall to count as visible
 _WALLS: tuple[Surface, ...] = ("wall", "tiles")
 _POINTS = 400
-_DEPTH_SLACK = 2e-3  # of the distance: the point itself must not hide it
+_DEPTH_SLACK = 2e-3  # of the distance: keeps the point's own surface from occluding it
 _QUADRANTS = 4
 
 
@@ -41,7 +41,7 @@ class Shell:
 
     @cached_property
     def _label_of_face(self) -> NDArray[np.int64]:
-        """0 off the shell, 1 for the ceiling, 2 to 5 for walls by the direction that they face."""
+        """0 for other faces, 1 for the ceiling, 2 to 5 for walls by the direction that they face."""
         scene = self.scene
         parts = scene.geometries[0].asset.parts
         kinds = np.array([self.surfaces.get(part.material, "small") for part in parts])
@@ -53,15 +53,14 @@ class Shell:
         return np.where(kind == "ceiling", 1, np.where(is_wall, 2 + quarter, 0))
 
     def is_room(self, faces: NDArray[np.int64], num_pixels: int) -> bool:
-        """Whether the faces hit by an image's pixels include two walls, or a wall and the ceiling."""
+        """Whether an image shows two walls, or a wall and the ceiling, from the faces hit by its pixels."""
         pixels = np.bincount(self._label_of_face[faces], minlength=2 + _QUADRANTS)[1:]
         seen = pixels >= MIN_SHELL_PIXELS * num_pixels
         return bool(seen[1:].any() and seen.sum() >= 2)
 
 
 def sees(camera: Camera, points: Floats, rays: RayScene) -> NDArray[np.bool_]:
-    """Mask of the points (P, 3) of surfaces that lie inside the camera's image with nothing in front of
-    them."""
+    """Mask of surface points (P, 3) that lie inside the camera's image and are not occluded."""
     pixels, depth = camera.project(points)
     limits = [camera.width_px, camera.height_px]
     with np.errstate(invalid="ignore"):

@@ -124,7 +124,7 @@ def sunsky(
     disc: float,
     directions: Floats,
 ) -> Floats:
-    """Radiance (R, 3) of Mitsuba's ``sunsky`` along directions, the model that is rendered."""
+    """Radiance (R, 3) along directions of Mitsuba's ``sunsky``, the model that is rendered."""
     from mitsuba_plugins.variant import select_variant
 
     select_variant()
@@ -148,7 +148,7 @@ def sunsky(
 
 
 def environment_image(library: Library, asset_id: str) -> str:
-    """The image of an asset that a recipe names as a source of daylight. Raises :class:`InputError`."""
+    """The image of an asset named by a recipe as a source of daylight. Raises :class:`InputError`."""
     asset = library.package(asset_id).asset
     for light in getattr(asset, "lights", ()):
         if (
@@ -171,7 +171,7 @@ def draw_sun_direction(
 ) -> tuple[Floats, bool]:
     """A direction towards the sun (3,), and whether it lights one of ``targets`` (P, 3) through an opening.
 
-    With ``enters``, lines from targets through openings are tried until one is high enough and free.
+    With ``enters``, lines from targets through openings are tried until one is steep enough and unobstructed.
     """
     if enters and openings and len(targets):
         areas = [float(np.linalg.norm(np.cross(o.edge_u_m, o.edge_v_m))) for o in openings]

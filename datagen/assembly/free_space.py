@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Free camera positions: regions of the environment, or the view of its own cameras, less solids."""
+"""Free camera positions: inside regions of the environment or in the view of its own cameras, outside of
+solids.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from datagen.formats.asset import EnvironmentAsset
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
-NUM_FEELERS = 96  # rays that feel around a camera: a gap of 15 degrees between two of them
+NUM_FEELERS = 96  # rays cast around a camera: 15 degrees between neighbours
 _REACH_M = 6.0  # free space without regions extends this far from the environment's own cameras
 _MAX_BACK_SHARE = 0.35
 _MAX_OPEN_SHARE = 0.75
@@ -53,7 +55,7 @@ class FreeSpace:
 
     @cached_property
     def _regions(self) -> list[tuple[Floats, Floats, float]]:
-        """(low, high, weight) of the part of each region that lies in the range of heights."""
+        """(low, high, weight) of the part of each region within the range of camera heights."""
         found = []
         for region in self.environment.camera_regions:
             low, high = np.array(region.minimum_m), np.array(region.maximum_m)
@@ -65,7 +67,7 @@ class FreeSpace:
         return found
 
     def draw(self, draws: Draws) -> Floats | None:
-        """A candidate position (3,); None where the draw has no solution."""
+        """A candidate position (3,); None if the draw has no solution."""
         if self._regions:
             low, high, _ = draws.weighted(self._regions, [w for _, _, w in self._regions])
             return low + draws.units(3) * (high - low)
@@ -86,7 +88,9 @@ class FreeSpace:
 
     @cached_property
     def trusts_winding(self) -> bool:
-        """Whether fronts of triangles face free space, as seen from the room's own cameras or supports."""
+        """Whether the front faces of triangles face free space, judged from the room's own cameras or
+        supports.
+        """
         starts = [np.array(c.asset_from_camera)[:3, 3] for c in self.environment.cameras]
         for s in self.environment.support_surfaces:
             middle = np.array(s.origin_m) + 0.5 * (np.array(s.edge_u_m) + np.array(s.edge_v_m))
@@ -98,7 +102,9 @@ class FreeSpace:
         return bool(self.rays.sees_back(hits, directions).sum() < 0.1 * max(1, hits.hit_mask.sum()))
 
     def fault(self, position: Floats, clearance_m: float) -> str:
-        """The fault of a position: ``too_close``, ``inside_solid`` or ``outside``; '' if it is free."""
+        """The reason to reject a position: ``too_close``, ``inside_solid`` or ``outside``; '' if it is
+        free.
+        """
         directions = fibonacci_sphere(NUM_FEELERS)
         hits = self.rays.cast(position, directions)
         backs = int(self.rays.sees_back(hits, directions).sum())
@@ -111,9 +117,9 @@ class FreeSpace:
         return ""
 
     def points(self, count: int, clearance_m: float, draws: Draws, rejections: Counter[str]) -> Floats:
-        """Up to ``count`` free positions (P, 3), after at most eight times as many draws.
+        """Up to ``count`` free positions (P, 3), from at most eight times as many draws.
 
-        Raises :class:`InputError` where not one is free.
+        Raises :class:`InputError` if none is free.
         """
         found: list[Floats] = []
         for _ in range(8 * count):

@@ -25,14 +25,14 @@ _KEPT_IN_MEMORY = 4
 
 @dataclass(frozen=True)
 class GeneratedRoom:
-    """An environment package, and ``data``, the bytes of its zip."""
+    """An environment package, and the bytes ``data`` of its zip."""
 
     data: bytes
     package: Package
 
     @cached_property
     def bare_slots(self) -> frozenset[tuple[str, str]]:
-        """(asset id, slot) with only a plain colour, which must be dressed."""
+        """(asset id, slot) of slots with only a plain colour, which need a material."""
         asset = self.package.asset
         assert isinstance(asset, EnvironmentAsset)
         return frozenset(
@@ -43,7 +43,7 @@ class GeneratedRoom:
 
 
 def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoom | None:
-    """The room of a configuration; None for one of the library. Other attempts give other rooms."""
+    """The room of a configuration; None if it comes from the library. Other attempts give other rooms."""
     wanted = recipe.environments.parametric
     draws = Draws(recipe.seed, index, "parametric")
     if wanted is None or not draws.chance(wanted.share):
@@ -54,7 +54,7 @@ def generated_room(recipe: Recipe, index: int, attempt: int = 0) -> GeneratedRoo
 
 
 def room_of(recipe: Recipe, configuration: Configuration, num_tries: int) -> GeneratedRoom | None:
-    """The generated room of a configuration; None for one of the library."""
+    """The generated room of a configuration; None if it comes from the library."""
     for attempt in range(num_tries):
         room = generated_room(recipe, configuration.index, attempt)
         if room is None or room.package.id == configuration.environment.asset:

@@ -2,8 +2,8 @@
 """Meshes of assets for assembly: triangles in float64, rays through Embree, exact collision through FCL.
 
 Letters: N vertices, M triangles, R rays. Positions are metres. Embree traces in float32; distances are then
-computed from the triangle's plane in float64, so that what is decided from them does not hang on rounding.
-Neither library depends on a Mitsuba variant: a plan made on a GPU machine equals one made on a CPU.
+computed from the triangle's plane in float64, so that decisions do not depend on rounding. Neither library
+depends on a Mitsuba variant: a plan made on a GPU machine equals one made on a CPU.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from datagen.foundation.meshes.ply import decode_ply
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _MIN_COSINE = (
-    1e-3  # flatter hits take Embree's own distance: the plane equation would divide by almost nothing
+    1e-3  # at flatter angles Embree's own distance is kept: the plane equation would divide by almost nothing
 )
 _MAX_CACHED_TRIANGLES = 6_000_000  # about 1 GB with search trees
 
@@ -44,7 +44,7 @@ class Hits:
 
 
 class RayScene:
-    """Triangles to shoot rays at. ``normals`` (M, 3) are geometric, by the winding."""
+    """Triangles for ray queries. ``normals`` (M, 3) are geometric, by the winding."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -102,7 +102,7 @@ class RayScene:
         return self._embree.run(origins, directions, dists=limits, query="OCCLUDED") != -1
 
     def sees_back(self, hits: Hits, directions: Floats) -> NDArray:
-        """Whether the hit triangle turns its back to the ray, (R,) bool; False for misses."""
+        """Whether a ray hits the back of its triangle, (R,) bool; False for misses."""
         cosine = np.einsum("ij,ij->i", self.normals[np.maximum(hits.face, 0)], directions)
         return hits.hit_mask & (cosine > 0)
 
@@ -111,8 +111,8 @@ class RayScene:
 class AssetGeometry:
     """All parts of an asset as one triangle soup in the asset's frame.
 
-    ``part_of_face`` (M,) indexes ``asset.parts``; ``opaque_part``: whether light stops at a part
-    (constant opacity of at least one half, or a textured one).
+    ``part_of_face`` (M,) indexes ``asset.parts``. ``opaque_part``: whether a part blocks light (constant
+    opacity of at least one half, or a textured one).
     """
 
     asset: ObjectAsset | EnvironmentAsset
@@ -133,7 +133,9 @@ class AssetGeometry:
 
     @cached_property
     def center_of_mass_m(self) -> Floats:
-        """Centroid of the surface, as if made of sheet of uniform weight; single sheets have no volume."""
+        """Centroid of the surface, as if made of sheet of uniform weight, since open surfaces have no
+        volume.
+        """
         corners = self.vertices[self.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(cross, axis=1)
@@ -141,12 +143,12 @@ class AssetGeometry:
 
     @cached_property
     def opaque_faces(self) -> Ints:
-        """Indices of the triangles that stop light."""
+        """Indices of the triangles that block light."""
         return np.flatnonzero(self.opaque_part[self.part_of_face])
 
     @cached_property
     def rays(self) -> RayScene:
-        """All triangles, opaque or not, for questions of touch."""
+        """All triangles, opaque or not, for contact queries."""
         return RayScene(self.vertices, self.faces)
 
 
@@ -197,7 +199,7 @@ def _stops_light(asset: ObjectAsset | EnvironmentAsset, material: str) -> bool:
 
 
 class GeometryCache:
-    """Geometry by package hash, least recently used ones dropped; one a process."""
+    """Least-recently-used cache of geometry by package hash; one per process."""
 
     def __init__(self, max_triangles: int = _MAX_CACHED_TRIANGLES):
         self._max_triangles = max_triangles
@@ -219,7 +221,7 @@ class GeometryCache:
 
 
 class CollisionModel:
-    """A triangle soup that FCL tests exactly, triangle against triangle, after a rigid motion."""
+    """A triangle soup that FCL tests exactly, triangle against triangle, under a rigid motion."""
 
     def __init__(self, vertices: Floats, faces: NDArray):
         import fcl
@@ -234,7 +236,7 @@ class CollisionModel:
         self._fcl = fcl
 
     def at(self, rotation: Floats | None = None, translation: Floats | None = None) -> Any:
-        """An FCL collision object of this model, placed."""
+        """An FCL collision object of this model at a pose."""
         rotation = np.eye(3) if rotation is None else rotation
         translation = np.zeros(3) if translation is None else translation
         return self._fcl.CollisionObject(self._model, self._fcl.Transform(rotation, translation))
@@ -265,8 +267,8 @@ def world_points(world_from_asset: ArrayLike, points: Floats) -> Floats:
 class WorldScene:
     """Environment and placed objects as one set of opaque triangles.
 
-    ``item_of_face`` (M,): 0 is the environment, k the k-th object. ``instance_of_face`` (M,): one number a
-    part of the environment, then one an object. ``num_environment_parts`` tells both ranges apart.
+    ``item_of_face`` (M,): 0 is the environment, k the k-th object. ``instance_of_face`` (M,): one number per
+    part of the environment, then one per object. ``num_environment_parts`` separates the two ranges.
     """
 
     def __init__(self, environment: AssetGeometry, objects: list[tuple[AssetGeometry, NDArray]]):

@@ -3,7 +3,7 @@
 
 The probe gives each group's contribution to the mean irradiance at camera positions; shares are drawn
 log-uniformly, each from its range, and scaled so that their sum is the irradiance drawn from the recipe. A
-light that adds nothing is dropped and counted. Beside panoramas lamps are white-balanced.
+light without contribution is dropped and counted. If the room has a panorama, lamps are white-balanced.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 from datagen.library import Library
 
-_NEGLIGIBLE = 1e-9  # of the strongest group's irradiance at unit intensity: no light arrives
+_NEGLIGIBLE = 1e-9  # of the strongest group's irradiance at unit intensity; below, no light arrives
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """Lights at their final intensities, emission by placed asset, and the probe to look again."""
+    """Lights at their final intensities, emission by placed asset, and the probe for further queries."""
 
     lights: tuple[Light, ...]
     emission: tuple[dict[str, tuple[float, float, float]], ...]
@@ -46,7 +46,7 @@ class Lighting:
     mean_irradiance: float
 
     def shows_light(self, origins: Floats, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
-        """Whether rays (R, 3) see a luminous surface itself: such pixels have no material."""
+        """Whether rays (R, 3) hit a luminous surface directly; such pixels have no material."""
         shown = np.zeros(len(directions), dtype=bool)
         for group, gain in zip(self.probe.groups, self.gains, strict=True):
             if gain > 0 and group.emitters is not None:
@@ -57,7 +57,7 @@ class Lighting:
         return shown
 
     def luminance(self, origins: Floats, directions: Floats, draws: Draws) -> Floats:
-        """Luminance (R,) seen along rays."""
+        """Luminance (R,) along rays."""
         radiance = self.probe.radiance(origins, directions, draws)
         return np.einsum("rgc,g,c->r", radiance, np.array(self.gains), LUMINANCE)
 
@@ -126,7 +126,7 @@ def _named(lights: list[Light]) -> tuple[Light, ...]:
 def _emission(
     room: RoomToLight, groups: list[PlannedGroup], gains: list[float], tint: Tint
 ) -> tuple[dict[str, tuple[float, float, float]], ...]:
-    """Radiance of every emissive slot by placed asset; 0 for those of no group."""
+    """Radiance of every emissive slot by placed asset; 0 for slots that belong to no group."""
     gain_of = {slot: gain for group, gain in zip(groups, gains, strict=True) for slot in group.slots}
     emission = []
     for item, asset in enumerate(room.assets):

@@ -2,9 +2,9 @@
 """A small diffuse path tracer, for exposure and for the rejection of dark views.
 
 Surfaces are diffuse with albedo D (1 - S) + S, the reflectance of the project's BSDF at normal incidence.
-Radiance is returned by light group, so that one run serves all intensities. A few thousand paths take a tenth
-of a second, with an error of about ten percent; the result is a pure function of the arguments. Letters: R
-rays, G groups.
+Radiance is returned per light group, so that one run serves all intensities. A few thousand paths take a
+tenth of a second, with an error of about ten percent; the result is a pure function of the arguments.
+Letters: R rays, G groups.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from datagen.foundation.random import Draws
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 NUM_BOUNCES = 5
 _OFFSET_M = 1e-4  # rays start this far off a surface: float32 positions in a room are good to 1e-6
-_MAX_LIGHTS_A_STEP = 6  # of a larger group one light stands for all
-_MAX_TAIL_ALBEDO = 0.9  # a geometric series of albedos near 1 must not blow up a noisy estimate
+_MAX_LIGHTS_A_STEP = 6  # in larger groups one sampled light represents all
+_MAX_TAIL_ALBEDO = 0.9  # bounds the geometric series of albedos near 1, which would amplify a noisy estimate
 
 EnvironmentMap = Callable[[Floats], Floats]
 """Radiance (R, 3) from unit directions (R, 3)."""
@@ -42,7 +42,7 @@ EnvironmentMap = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Emitters:
-    """Triangles that emit: ``faces`` of the scene and their ``radiance`` (K, 3)."""
+    """Emissive triangles: ``faces`` of the scene and their ``radiance`` (K, 3)."""
 
     faces: NDArray[np.int64]
     radiance: Floats
@@ -72,7 +72,8 @@ class LightProbe:
     def irradiance(self, points: Floats, draws: Draws, rays_per_point: int = 8) -> Floats:
         """Irradiance (P, G, 3) in W/m^2 at free points (P, 3), averaged over the orientation of the receiver.
 
-        That is a quarter of the fluence rate: direct light as it comes, indirect light along random rays.
+        This is a quarter of the fluence rate, sampled by emitters for direct light and by random rays for
+        indirect light.
         """
         count = len(points)
         direct = np.zeros((count, len(self.groups), 3))
@@ -98,7 +99,7 @@ class LightProbe:
             keep, missed = hits.hit_mask, ~hits.hit_mask
             self._add_escaped(total, index[missed], weight[missed], origins[missed], directions[missed])
             if bounce == NUM_BOUNCES:
-                break  # the last segment is for light that is met outside
+                break  # the last segment only collects light from outside
             index, weight, face = index[keep], weight[keep], hits.face[keep]
             if len(index) == 0:
                 break
@@ -131,7 +132,7 @@ class LightProbe:
                 total[index[free], k] += weight[free] * group.sky(directions[free])
 
     def _direct(self, points: Floats, normals: Floats | None, group: LightGroup, draws: Draws) -> Floats:
-        """Irradiance (R, 3) straight from a group, on surfaces, or on all sides (fluence) without normals."""
+        """Irradiance (R, 3) directly from a group: on surfaces or, without normals, as fluence."""
         arriving = np.zeros((len(points), 3))
         lights: list[Light] = [*group.lights, *group.suns]
         share = 1.0
@@ -190,7 +191,9 @@ class LightProbe:
 
 @dataclass(frozen=True)
 class _Sample:
-    """Light towards R points: unit ``directions`` to it, ``distance_m``, ``irradiance`` (R, 3) face on."""
+    """Emitter sample for R points: unit ``directions`` to it, ``distance_m``, ``irradiance`` (R, 3) at normal
+    incidence.
+    """
 
     directions: Floats
     distance_m: Floats
@@ -218,7 +221,7 @@ class Rectangle:
     def is_crossed(
         self, origins: Floats, directions: Floats, limit_m: Floats | float = np.inf
     ) -> NDArray[np.bool_]:
-        """Whether rays (R, 3) run through the rectangle against its normal within the limit, (R,)."""
+        """Whether rays (R, 3) cross the rectangle against its normal within the limit, (R,)."""
         cosine = directions @ self.normal
         height = (self.origin - origins) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -232,7 +235,8 @@ class Rectangle:
 def _from_surface(points: Floats, on_light: Floats, normals: Floats, radiance_area: Floats) -> _Sample:
     """A sample of a one-sided surface; ``radiance_area`` (R, 3) is radiance times area."""
     towards = on_light - points
-    squared = np.maximum((towards * towards).sum(axis=1), 1e-6)  # a light never acts from nearer than 1 mm
+    # bounds the intensity of a light at less than 1 mm
+    squared = np.maximum((towards * towards).sum(axis=1), 1e-6)
     distance = np.sqrt(squared)
     directions = towards / distance[:, None]
     cosine = np.maximum(0.0, -(directions * normals).sum(axis=1))

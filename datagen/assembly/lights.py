@@ -2,7 +2,7 @@
 """Choice and position of lights.
 
 Lights are dimmed in groups: native ones of the assets, each area light, each point light, daylight through
-the openings. Here they get positions and colours; ``light_levels`` sets their brightness.
+the openings. This module gives them positions and colours; ``light_levels`` sets their brightness.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ _DIRECT_SUN_PROBABILITY = 0.6
 _PANEL_DROP_M = 0.03  # a ceiling panel hangs this far below the ceiling
 _PANEL_SIDE_M = (0.3, 1.0)
 _MIN_LIGHT_CLEARANCE_M = 0.05
-_MAX_BACKS = 0.85  # of all directions: from inside a wall, but not from inside a lampshade of one sheet
+_MAX_BACKS = 0.85  # share of all directions: true inside a wall, but not inside a lampshade of one sheet
 _PANEL_TRIES = 60
 
 
 @dataclass(frozen=True)
 class PlannedGroup:
-    """Lights dimmed together; ``slots`` names emissive slots as (item, slot), item 0 the environment.
+    """Lights dimmed together; ``slots`` names emissive slots as (item, slot), item 0 being the environment.
 
-    ``share`` is the range of the group's part in the light, relative to those of the others.
+    ``share`` is the range of the group's share of the light, relative to the other groups'.
     """
 
     name: str
@@ -59,7 +59,7 @@ class PlannedGroup:
 
 @dataclass(frozen=True)
 class RoomToLight:
-    """Input of lighting: the scene, placed assets, their assigned materials, positions of eyes (P, 3)."""
+    """Input of lighting: the scene, placed assets, their assigned materials, and camera positions (P, 3)."""
 
     environment: EnvironmentAsset
     scene: WorldScene
@@ -111,14 +111,16 @@ def plan_lights(
     if not groups:
         groups = plan_panels(room, recipe, 1, Draws(*key, "panel"), rejections)
     if sum(any(is_from_outside(light) for light in g.lights) for g in groups) > 1:
-        groups = [g for g in groups if g.name != "daylight"]  # a scene has one sky: the one that came with it
+        groups = [g for g in groups if g.name != "daylight"]  # a scene has one sky: its own
     return groups
 
 
 def _without_doubles(
     fresh: list[PlannedGroup], groups: list[PlannedGroup], rejections: Counter[str]
 ) -> list[PlannedGroup]:
-    """The new groups without lamps where another is already on (a slot made from a light)."""
+    """The new groups without lamps at a position where another lamp is on (as for a slot derived from a
+    light).
+    """
     kept = []
     for group in fresh:
         others = [light for other in groups for light in other.lights if isinstance(light, AreaLight)]
@@ -130,7 +132,7 @@ def _without_doubles(
 
 
 def _share_a_place(one: AreaLight, other: AreaLight) -> bool:
-    """Whether two flat lights lie in one plane, to 2 cm, and their rectangles overlap."""
+    """Whether two flat lights are coplanar, within 2 cm, and overlap."""
     origin, u, v = (np.array(a) for a in (other.origin_m, other.edge_u_m, other.edge_v_m))
     normal = np.cross(u, v)
     normal /= np.linalg.norm(normal)
@@ -187,7 +189,7 @@ def _area(
 
 
 def _light_in_slot(slot: LightSlot, color: tuple[float, float, float], draws: Draws) -> AreaLight:
-    """A lamp somewhere in a slot, at least half as long and wide, 2 mm in front of it."""
+    """A lamp at a random position in a slot, at least half as long and wide, 2 mm in front of it."""
     u, v = np.array(slot.edge_u_m), np.array(slot.edge_v_m)
     share_u, share_v = draws.uniform(0.5, 1.0), draws.uniform(0.5, 1.0)
     normal = np.cross(u, v)
@@ -208,7 +210,7 @@ def _vector(value: Floats) -> tuple[float, float, float]:
 
 
 def is_blocked(light: AreaLight, rays: RayScene) -> bool:
-    """Whether geometry cuts an area light or stands right in front of more than a quarter of it."""
+    """Whether geometry intersects an area light or is directly in front of more than a quarter of it."""
     origin, u, v = (np.array(a) for a in (light.origin_m, light.edge_u_m, light.edge_v_m))
     normal = np.cross(u, v)
     normal /= np.linalg.norm(normal)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Dresses a room as in real homes: by surface, in one style.
+"""Assigns materials as in real homes: by kind of surface, in one style.
 
 For every slot, the looks of its surface (:data:`datagen.assembly.looks.LOOKS`) are reduced to those that fit
 the room's style and the slot's geometry, and for which a material of the palette can be varied into the
-look's ranges. A look is drawn by weight, then a material, then a point in the ranges. Own materials vary a
-little, within their look if they have one.
+look's ranges. A look is drawn by weight, then a material, then a point in the ranges. A slot's own material
+is varied a little, within its look if it has one.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from datagen.formats.package import Package
 from datagen.formats.recipe import MaterialRecipe
 from datagen.foundation.random import Draws, weighted_item
 
-_DYED_HUE_TURNS = 0.2  # classes whose hue a dye decides may take any
-_MAX_FACTOR = 4.0  # of saturation and value, the most that a configuration holds
+_DYED_HUE_TURNS = 0.2  # dyed classes may have any hue
+_MAX_FACTOR = 4.0  # of saturation and value: the largest factor that a configuration can store
 _GREY = 0.02  # saturation below which a colour has no hue
 _OWN_VALUE, _OWN_SATURATION, _OWN_ROUGHNESS = 1.15, 1.1, 0.05
-"""Small variation of materials that are kept, rather than replaced."""
+"""Limits of the small variation of materials that are kept."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,9 @@ class Reach:
     roughness_offset: Interval
 
     def at(self, where: NDArray[np.float64], strength: float) -> ColorAdjustment:
-        """The adjustment at ``where`` in [0, 1]^4; ``strength`` 0 moves no further than into the range."""
+        """The adjustment at ``where`` in [0, 1]^4; with ``strength`` 0, the smallest one that reaches the
+        range.
+        """
 
         def pick(interval: Interval, at: float, still: float) -> float:
             low, high = interval
@@ -68,7 +70,7 @@ class Reach:
 def reach(look: Look, material: Material, mean: MeanMaterial) -> Reach | None:
     """The variations that bring a material into a look's ranges; None if there are none.
 
-    A material without textures is a tint and takes any colour of its class.
+    A material without textures is a tint and may get any colour of its class.
     """
     limits = CLASS_RANGES[material.classes[0]]
     is_tint = not material.textures() and limits.hue_turns >= _DYED_HUE_TURNS
@@ -104,10 +106,11 @@ def _meet(one: Interval, other: Interval) -> Interval | None:
 
 
 def _scales(wanted: Interval, own: float, stain: float, max_factor: float) -> Interval | None:
-    """Factors that bring ``own`` into ``wanted``: at most ``max_factor``, at least its inverse or that of
-    ``stain``."""
+    """Factors that bring ``own`` into the range ``wanted``, at most ``max_factor`` and at least its inverse
+    or that of ``stain``.
+    """
     if own <= _GREY and _holds(wanted, own):
-        return (1.0, 1.0)  # of black and of grey nothing can be scaled
+        return (1.0, 1.0)  # black and grey cannot be scaled to a colour
     return _meet(
         (wanted[0] / max(own, 1e-9), wanted[1] / max(own, 1e-9)), (1 / max(max_factor, stain), max_factor)
     )
@@ -120,7 +123,7 @@ class _Choice:
 
 
 class LikelyDresser:
-    """Dresses the assets of one configuration in one style."""
+    """Assigns materials to the assets of one configuration in one style."""
 
     def __init__(
         self, style: RoomStyle, palette: list[Package], recipe: MaterialRecipe, means: MeanMaterials
@@ -140,7 +143,7 @@ class LikelyDresser:
         """Assignments for the slots of one placed asset; unchanged slots are absent.
 
         ``surfaces`` is the surface of each slot. A slot among ``foreign_slots`` never keeps its own material.
-        Every slot takes the same number of draws, whatever the palette.
+        Every slot uses the same number of draws, whatever the palette.
         """
         asset = package.asset
         assert isinstance(asset, ObjectAsset | EnvironmentAsset)
@@ -232,7 +235,7 @@ def _kept(
     where: NDArray[np.float64],
     strength: float,
 ) -> ColorAdjustment:
-    """A small variation of an own material, within the first look of its class that it lies in."""
+    """A small variation of a slot's own material, within the first look of its class that contains it."""
     if strength == 0:
         return ColorAdjustment()
     calm = Reach(

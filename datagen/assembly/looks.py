@@ -37,8 +37,8 @@ _ACCENT_WEIGHTS = (
     0.27,
     0.05,
 )
-"""Earth, ochre, green, blue, rose; violet is left to wild rooms."""
-ACCENT_SPREAD = 0.03  # hues of one accent differ by so much of a turn
+"""Earth, ochre, green, blue, rose; violet occurs in wild rooms only."""
+ACCENT_SPREAD = 0.03  # range of hues within one accent, in turns
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ WOOD_STAIN = 2.5
 
 @dataclass(frozen=True)
 class RoomStyle:
-    """Style of a room: tones of wood (furniture, floor), a hue, a metal, joinery."""
+    """Style of a room: tones of wood (furniture, floor), an accent hue, a metal, joinery."""
 
     wood: Wood
     floor: Wood
@@ -76,7 +76,7 @@ class RoomStyle:
 
     @classmethod
     def draw(cls, draws: Draws) -> RoomStyle:
-        """A style; half of the floors are of the furniture's tone."""
+        """Draw a style; half of the floors have the furniture's tone."""
         wood = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         other = draws.weighted(_WOODS, _WOOD_WEIGHTS)
         floor = wood if draws.chance(0.5) else other
@@ -87,13 +87,13 @@ class RoomStyle:
 
 @dataclass(frozen=True)
 class Look:
-    """A class with ranges of means: ``value`` and ``saturation`` of D, its ``hue`` (turns; None: its own),
-    ``roughness`` R, ``specular`` the brightest channel of S and ``tint`` the saturation of S.
+    """A class of material with ranges of means: ``value`` and ``saturation`` of D, its ``hue`` (turns; None:
+    unchanged), ``roughness`` R, ``specular`` the brightest channel of S and ``tint`` the saturation of S.
 
-    ``follows`` takes the ranges of a wood from the style, or the hue from its accent; ``only`` is a
-    choice of the style without which the look does not occur. ``stain``: a textured material may be darkened
-    and its saturation lowered by this factor, if that is more than its class allows. ``is_printed``: its hue
-    is free, whatever its class.
+    ``follows`` takes the ranges of a wood, or the accent hue, from the style. ``only``: choice of the style
+    that the look requires. ``stain``: largest factor by which a textured material may be darkened and its
+    saturation lowered, if above the limit of its class. ``is_printed``: any hue is allowed, whatever the
+    class.
     """
 
     weight: float
@@ -110,7 +110,7 @@ class Look:
     is_printed: bool = False
 
     def in_style(self, style: RoomStyle) -> Look | None:
-        """The look with the style's choices applied; None where the style excludes it."""
+        """The look with the style's choices applied; None if the style excludes it."""
         if self.only is not None and self.only not in (style.finish, style.joinery):
             return None
         plain = replace(self, follows="", only=None)
@@ -162,7 +162,8 @@ def _cloth(weight: float, value: Interval, saturation: Interval, accent: bool = 
 
 
 KEPT: dict[Surface, float] = {"cover": 0.7, "frame": 0.3, "joinery": 0.3}
-"""Share of the replacements that are left out: covers of books are printed each in its own colour."""
+"""Share of slots that keep their material instead of a replacement: book covers, for example, are each
+printed in another colour."""
 LOOKS: dict[Surface, tuple[Look, ...]] = {
     "ceiling": (
         Look(4, "painted", (0.66, 0.88), (0.0, 0.1), (0.6, 1.0)),
@@ -306,4 +307,5 @@ LOOKS: dict[Surface, tuple[Look, ...]] = {
         Look(1, "fabric", (0.02, 0.4), (0.0, 0.5), (0.6, 1.0)),
     ),
 }
-"""Looks by surface, weights relative within a surface. ``small`` has none: any class that suits, calmly."""
+"""Looks by surface, with weights relative within a surface. ``small`` has none: any suitable class with muted
+colours."""

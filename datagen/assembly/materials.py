@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Assignment of materials to slots, by class, and their variation.
 
-A slot names the classes that suit its geometry (``replaceable_by``); only materials whose main class is
-among them are put there (but for the share that a recipe's ``any_class_probability`` names), and only where
-the mesh has the UVs that a texture needs. Variation stays inside what the class is known for:
+A slot names the classes that suit its geometry (``replaceable_by``). Only materials whose main class is among
+them are assigned to it (except for the share given by a recipe's ``any_class_probability``), and only if the
+mesh has the UVs that a texture needs. Variation stays within typical ranges of the class:
 :data:`CLASS_RANGES`.
 """
 
@@ -34,16 +34,16 @@ from datagen.foundation.images import read_image
 from datagen.foundation.random import Draws, weighted_item
 from datagen.library import Library
 
-_MEAN_STRIDE_PX = 512  # a mean colour needs no more texels than this a side
+_MEAN_STRIDE_PX = 512  # texels a side; enough for a mean colour
 
 
 @dataclass(frozen=True)
 class ClassRange:
     """Limits of a class's variation, and ranges for the means of its materials.
 
-    ``hue_turns`` is the largest shift, ``saturation`` and ``value`` the largest factor (its inverse the
-    least), ``roughness_step`` the largest offset; ``value_limits`` bound the mean of the brightest channel
-    of D, ``roughness_limits`` the mean of R. A material that lies outside is never pushed further out.
+    ``hue_turns`` is the largest shift, ``saturation`` and ``value`` the largest factor (the smallest is its
+    inverse), ``roughness_step`` the largest offset. ``value_limits`` bound the mean of the brightest channel
+    of D, ``roughness_limits`` the mean of R. A material outside of the limits is never moved farther away.
     """
 
     hue_turns: float
@@ -71,9 +71,9 @@ CLASS_RANGES: dict[MaterialClass, ClassRange] = {
     "organic": ClassRange(0.02, 1.2, 1.3, 0.1, (0.02, 0.7), (0.3, 1.0)),
     "other": ClassRange(0.03, 1.2, 1.2, 0.1, (0.02, 0.85), (0.05, 1.0)),
 }
-"""Albedos: charcoal to fresh white paint is 0.04 to 0.88 in photometric tables; roughness by the finish that
-the class allows (a glaze is never matt, plaster never glossy). Hue may turn freely only where a dye decides
-it (plastic, paint, fabric); wood, stone, leather and metal keep theirs. See docs/assembly.md."""
+"""Albedos: photometric tables give 0.04 for charcoal to 0.88 for fresh white paint. Roughness: finishes
+possible for the class (a glaze is never matt, plaster never glossy). Hue may change freely only in dyed
+classes (plastic, paint, fabric); wood, stone, leather and metal keep theirs. See docs/assembly.md."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class MeanMaterial:
 
 
 class MeanMaterials:
-    """Averages of materials; each texture of each package is read once a process."""
+    """Averages of materials; each texture of each package is read once per process."""
 
     def __init__(self) -> None:
         self._means: dict[tuple[str, str, bool], tuple[float, float, float]] = {}
@@ -167,7 +167,9 @@ def _held(moved: float, start: float, low: float, high: float) -> float:
 
 
 def suits(material: MaterialAsset, slot: str, asset: ObjectAsset | EnvironmentAsset) -> bool:
-    """Whether a material may go on a slot: right class, opaque, not luminous, tileable where textured."""
+    """Whether a material may be assigned to a slot: right class, opaque, not luminous, tileable if
+    textured.
+    """
     is_right = material.material.classes[0] in asset.materials[slot].replaceable_by
     return is_right and is_assignable(material, slot, asset)
 
@@ -184,7 +186,7 @@ def is_assignable(material: MaterialAsset, slot: str, asset: ObjectAsset | Envir
 
 
 def is_plain(package: Package) -> bool:
-    """Whether a material goes on any slot: constant channels, opaque, not luminous."""
+    """Whether a material can be assigned to any slot: constant channels, opaque, not luminous."""
     asset = package.asset
     if not isinstance(asset, MaterialAsset):
         return False
@@ -193,7 +195,7 @@ def is_plain(package: Package) -> bool:
 
 
 def slots_by_material(asset: ObjectAsset | EnvironmentAsset) -> list[tuple[str, ...]]:
-    """The slots of an asset, those that hold bakes of one material together, in the order of first slots."""
+    """The slots of an asset, grouped if they hold bakes of one material, in the order of first slots."""
     groups: dict[tuple[bool, str], list[str]] = {}
     for slot in sorted(asset.materials):
         origin = asset.materials[slot].baked_from
@@ -213,8 +215,8 @@ def assign_materials(
 
     ``palette`` holds the material packages in a fixed order. A class is drawn first, then one of its
     materials, so that large classes do not dominate. A slot among ``foreign_slots`` (asset id, slot) never
-    keeps its own material: without a fitting one, it gets one without textures. Slots without a fitting class
-    are never replaced otherwise. Bakes of one material (``baked_from``) get one assignment.
+    keeps its own material: if no material of its classes fits, it gets one without textures. All other slots
+    without a fitting class keep theirs. Bakes of one material (``baked_from``) get the same assignment.
     """
     asset = package.asset
     assert isinstance(asset, ObjectAsset | EnvironmentAsset)
@@ -223,7 +225,7 @@ def assign_materials(
         own = [asset.materials[slot] for slot in slots]
         replaces, varies = draws.chance(recipe.replace_probability), draws.chance(recipe.vary_probability)
         pick = draws.units(2)
-        # Only drawn where it may happen: recipes without it keep the configurations that they had.
+        # Drawn only if it can happen, so that recipes without it keep their configurations.
         takes_any = recipe.any_class_probability > 0 and draws.chance(recipe.any_class_probability)
         if any(material.emission is not None for material in own):
             continue
@@ -273,7 +275,7 @@ def mean_of(bakes: list[MeanMaterial]) -> MeanMaterial:
 def _drawn(
     fitting: list[Package], class_weights: Mapping[MaterialClass, float], pick: NDArray[np.float64]
 ) -> Package | None:
-    """One of ``fitting``, its class first, by two numbers in [0, 1); None where no class has a weight."""
+    """One of ``fitting``, its class first, by two numbers in [0, 1); None if no class has a weight."""
     by_class: dict[MaterialClass, list[Package]] = {}
     for package in fitting:
         assert isinstance(package.asset, MaterialAsset)

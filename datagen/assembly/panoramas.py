@@ -19,7 +19,7 @@ OUTSIDE_SHARE: dict[Daytime, tuple[float, float]] = {
     "dusk": (0.02, 0.15),
     "night": (5e-4, 4e-3),
 }
-"""Of light from outside, relative to lamps: at night a street brings a few per mille of theirs."""
+"""Ratio of outside light to that of lamps: at night a street gives a few per mille of theirs."""
 DARK: tuple[Daytime, ...] = ("dusk", "night")
 """Times of day when lamps are on."""
 
@@ -27,8 +27,10 @@ DARK: tuple[Daytime, ...] = ("dusk", "night")
 def draw_daytime(
     assets: tuple[EnvironmentAsset | ObjectAsset, ...], recipe: LightRecipe, draws: Draws
 ) -> Daytime | None:
-    """The time of day outside a room (the first of ``assets``); None where the recipe has none, or the room
-    is closed or has a sky of its own."""
+    """The time of day outside a room (the first of ``assets``).
+
+    None if the recipe has none, or if the room is closed or has its own sky.
+    """
     room = assets[0]
     assert isinstance(room, EnvironmentAsset)
     has_sky = any(is_from_outside(light) for asset in assets for light in asset.lights)

@@ -2,9 +2,9 @@
 """Places objects on surfaces: at rest, clear of each other and of the room, tested on the meshes.
 
 A candidate is an object, a surface, a scale, a yaw and a position. It is dropped: points of its underside are
-cast down onto the room's triangles, and the object rests on the highest hit, even where the declared
-rectangle is a little off. It must be stable (centre of mass above the hull of its contacts), must not
-intersect the room or another object (triangle against triangle, FCL) and must not lie inside one of them.
+cast down onto the room's triangles, and the object rests on the highest hit, even if the declared rectangle
+is slightly off. It must be stable (centre of mass above the hull of its contacts), must not intersect the
+room or another object (triangle against triangle, FCL) and must not lie inside one of them.
 """
 
 from __future__ import annotations
@@ -32,12 +32,14 @@ from datagen.formats.recipe import ObjectRecipe
 from datagen.foundation.errors import input_error
 from datagen.foundation.random import Draws
 
-CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground bear load
-MAX_PENETRATION_M = 5e-4  # coplanar contact counts as a cut in any exact test: it is made this far above
-SURFACE_TOLERANCE_M = 0.02  # how far a declared support may lie off the real surface (a rug, a cloth)
-MIN_CONTACT_MARGIN_M = 2e-3  # a centre of mass nearer to the contact hull's rim would topple
-_MIN_UP = 0.98  # contact normals flatter than 11 degrees
-_WALL_HEIGHT_M = 0.9  # taller floor things tend to stand with their back to a wall
+CONTACT_TOLERANCE_M = 2e-3  # points this close to the ground carry weight
+# objects are placed this far above the surface: exact tests report coplanar contact as a collision
+MAX_PENETRATION_M = 5e-4
+SURFACE_TOLERANCE_M = 0.02  # largest distance of a declared support from the real surface (a rug, a cloth)
+# an object whose centre of mass is nearer to the rim of the contact hull could topple
+MIN_CONTACT_MARGIN_M = 2e-3
+_MIN_UP = 0.98  # contacts with a normal flatter than 11 degrees do not count
+_WALL_HEIGHT_M = 0.9  # floor-standing objects above this height are often placed with their back to a wall
 _WALL_PROBABILITY = 0.65
 _ATTEMPTS_A_SCALE = 12  # a new scale means a new collision tree, half a second for a large mesh
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
@@ -61,14 +63,15 @@ class _Frame:
 
 
 def surfaces_for(asset: ObjectAsset, room: EnvironmentAsset) -> list[SupportSurface]:
-    """Surfaces of a kind that the object stands on and that it could fit at its least scale."""
+    """Surfaces of the right kind for an object on which it could fit at its smallest scale."""
     low = np.array(asset.minimum_m) * asset.scale_range[0]
     high = np.array(asset.maximum_m) * asset.scale_range[0]
     size = np.sort((high - low)[:2])
     fitting = []
     for surface in room.support_surfaces:
         edges = sorted(float(np.linalg.norm(e)) for e in (surface.edge_u_m, surface.edge_v_m))
-        # turned by 45 degrees a thin thing is at most its own diagonal long, so only clear misfits go here
+        # turned by 45 degrees a thin object is at most its own diagonal long, so that only clear misfits are
+        # rejected here
         fits = size[0] <= edges[0] + 1e-9 and size[1] <= math.hypot(*edges)
         if surface.kind in asset.supports and high[2] - low[2] <= surface.clearance_m and fits:
             fitting.append(surface)
@@ -85,7 +88,7 @@ class Placer:
         self.placed: list[PlacedThing] = []
 
     def place(self, thing: Thing, draws: Draws) -> PlacedThing | None:
-        """Try up to ``max_attempts`` candidates of a thing; None if none stands."""
+        """Try up to ``max_attempts`` candidates of an object; None if none can be placed."""
         surfaces = surfaces_for(thing.asset, self.room.asset)
         if not surfaces:
             self.rejections["placement.no_surface"] += 1
@@ -125,7 +128,9 @@ class Placer:
     def _draw_pose(
         self, thing: Thing, surface: SupportSurface, frame: _Frame, scale: float, draws: Draws
     ) -> tuple[float, Floats] | None:
-        """Yaw and place (2,) so that the footprint lies inside the rectangle; None if it is too large."""
+        """Yaw and position (2,) such that the footprint lies inside the rectangle; None if it is too
+        large.
+        """
         height = float(thing.geometry.maximum_m[2]) * scale
         likes_wall = surface.kind == "floor" and height > _WALL_HEIGHT_M
         at_wall = draws.chance(_WALL_PROBABILITY) and likes_wall
@@ -160,7 +165,7 @@ class Placer:
         hits = self.room.rays.cast(start, down, 4 * SURFACE_TOLERANCE_M + 0.1)
         if not hits.hit_mask.any():
             return "no_support"
-        offset = SURFACE_TOLERANCE_M - hits.distance_m  # the ground's height relative to the point
+        offset = SURFACE_TOLERANCE_M - hits.distance_m  # height of the ground relative to the point
         rest = float(offset.max())
         if rest < -SURFACE_TOLERANCE_M or rest > 0.999 * SURFACE_TOLERANCE_M:
             return "off_surface"
@@ -177,7 +182,7 @@ class Placer:
     def _checked(
         self, thing: Thing, surface: SupportSurface, scale: float, yaw: float, position: Floats
     ) -> PlacedThing | str:
-        """The placed object, or the reason of its collision."""
+        """The placed object, or the reason for its rejection by collision."""
         vertices = world_points(pose(scale, yaw, position), thing.geometry.vertices)
         used = vertices[np.unique(thing.geometry.faces)]
         bounds = np.stack([used.min(axis=0), used.max(axis=0)])
@@ -212,7 +217,9 @@ class Placer:
 
 
 def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
-    """Whether, from the centre of ``inner``'s box, ``outer`` is seen along all six axes: a ball in a box."""
+    """Whether rays from the centre of ``inner``'s box along all six axes hit ``outer``, as for a ball in a
+    box.
+    """
     if (inner.bounds_m[0] < outer.bounds_m[0]).any() or (inner.bounds_m[1] > outer.bounds_m[1]).any():
         return False
     center = inner.bounds_m.mean(axis=0)
@@ -220,7 +227,7 @@ def is_enclosed(inner: PlacedThing, outer: PlacedThing) -> bool:
 
 
 def _is_inside_solid(points: Floats, rays: RayScene) -> bool:
-    """Whether most of the points see only backs of triangles: they lie inside a wall or a cushion."""
+    """Whether rays from most of the points hit only backs of triangles, as inside a wall or a cushion."""
     chosen = points[:: max(1, len(points) // 16)][:16]
     origins = np.repeat(chosen, 6, axis=0)
     directions = np.tile(_AXES, (len(chosen), 1))
@@ -240,7 +247,7 @@ def place_things(
     """Choose objects by category weight and place them, large ones first.
 
     ``weight_of_library`` gives the library of each object's id and its weight: the library is drawn first.
-    ``key`` seeds the draws. Raises :class:`InputError` when fewer than ``count[0]`` can be placed.
+    ``key`` seeds the draws. Raises :class:`InputError` if fewer than ``count[0]`` can be placed.
     """
     draws = Draws(*key, "objects")
     target = draws.integer(*recipe.count)
@@ -260,7 +267,7 @@ def place_things(
     for k in order:
         placer.place(chosen[k], Draws(*key, "place", k))
     extra = 0
-    while len(placer.placed) < target and extra < target:  # what found no room is replaced by something else
+    while len(placer.placed) < target and extra < target:  # an object without room is replaced by another
         other = _draw_thing(shelves, draws)
         placer.place(other, Draws(*key, "replace", extra))
         extra += 1
@@ -288,7 +295,9 @@ class _Shelf:
 def _shelves(
     things: list[Thing], recipe: ObjectRecipe, weight_of_library: Mapping[str, tuple[str, float]]
 ) -> list[_Shelf]:
-    """Libraries of positive weight that hold something of positive weight, by name; one without weights."""
+    """Libraries of positive weight with objects of positive weight, by name; a single one if libraries have
+    no weights.
+    """
     libraries: dict[tuple[str, float], dict[str, list[Thing]]] = {}
     for thing in sorted(things, key=lambda t: (t.asset.category, t.asset.id)):
         of_library = libraries.setdefault(weight_of_library.get(thing.asset.id, ("", 1.0)), {})
@@ -302,7 +311,7 @@ def _shelves(
 
 
 def _draw_thing(shelves: list[_Shelf], draws: Draws) -> Thing:
-    """A library where there are several, then a category, then a thing."""
+    """Draw a library if there are several, then a category, then an object."""
     shelf = shelves[0] if len(shelves) == 1 else draws.weighted(shelves, [s.weight for s in shelves])
     return draws.choice(shelf.by_category[draws.weighted(list(shelf.by_category), shelf.category_weights)])
 

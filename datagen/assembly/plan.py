@@ -38,7 +38,7 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.random import Draws, digest
 from datagen.library import Library
 
-NUM_EYES = 384  # places where the light is probed
+NUM_EYES = 384  # positions where the light is probed
 NUM_TRIES = 3
 
 __all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "split_of", "world_of"]
@@ -46,7 +46,7 @@ __all__ = ["assemble", "assemble_all", "check_recipe", "configuration_id", "spli
 
 @dataclass
 class _ProcessCaches:
-    """Data shared by all configurations of a process: a function of package contents alone."""
+    """Data shared by all configurations of a process; depends on package contents only."""
 
     geometry: GeometryCache
     rooms: dict[str, Room]
@@ -55,7 +55,7 @@ class _ProcessCaches:
     surfaces: dict[str, dict[str, Surface]]
 
     def room(self, package: Package) -> Room:
-        """The room of an environment package; only the last few are kept."""
+        """The room of an environment package; only the most recent ones are kept."""
         if package.sha256 not in self.rooms:
             if len(self.rooms) >= 2:
                 self.rooms.pop(next(iter(self.rooms)))
@@ -63,7 +63,7 @@ class _ProcessCaches:
         return self.rooms[package.sha256]
 
     def thing(self, package: Package) -> Thing:
-        """The thing of an object package."""
+        """The object of an object package."""
         if package.sha256 not in self.things:
             if len(self.things) >= 200:
                 self.things.clear()
@@ -94,10 +94,10 @@ def configuration_id(recipe: Recipe, index: int) -> str:
 
 
 def check_recipe(recipe: Recipe, library: Library) -> None:
-    """Find faults that would make some configuration fail, before any is begun.
+    """Find faults that would make some configuration fail, before any is started.
 
-    Raises :class:`InputError` for filters and weights without a match in the library, for splits without a
-    configuration or asset of their own, and for a library without rooms.
+    Raises :class:`InputError` for filters and weights without a match in the library, for splits without
+    configurations or assets, and for a library without rooms.
     """
     problems = recipe_problems(recipe, library)
     if problems:
@@ -107,10 +107,10 @@ def check_recipe(recipe: Recipe, library: Library) -> None:
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
     """The recipe's configuration number ``index``: equal arguments give equal ``canonical_json`` bytes.
 
-    With too few objects or views, objects, lights and cameras are drawn again in the same room, or in another
-    where rooms are generated, at most :data:`NUM_TRIES` times in all; ``rejections`` counts it as
+    With too few objects or views, objects, lights and cameras are drawn again in the same room or, if rooms
+    are generated, in another one, at most :data:`NUM_TRIES` times in all; ``rejections`` counts it as
     ``configuration.retried``. A generated room is not in ``library``: see
-    :func:`datagen.assembly.generated.room_of`. Raises :class:`InputError` where the library cannot meet the
+    :func:`datagen.assembly.generated.room_of`. Raises :class:`InputError` if the library cannot satisfy the
     recipe.
     """
     if not 0 <= index < recipe.configurations:
@@ -136,7 +136,7 @@ def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:
             rejections["configuration.retried"] += 1
             earlier += rejections
             continue
-        total = earlier + rejections  # of positive counts only
+        total = earlier + rejections  # only counts above zero
         return made.model_copy(update={"rejections": {name: total[name] for name in sorted(total)}})
     raise AssertionError("unreachable")
 
@@ -189,7 +189,7 @@ def _assemble_once(
 def assemble_all(
     recipe: Recipe, library: Library, indices: Iterable[int] | None = None
 ) -> Iterator[Configuration]:
-    """Configurations one after the other, all or those of ``indices``, after :func:`check_recipe`."""
+    """Configurations in sequence, all or those of ``indices``, after :func:`check_recipe`."""
     check_recipe(recipe, library)
     for index in range(recipe.configurations) if indices is None else indices:
         yield assemble(recipe, index, library)
@@ -234,7 +234,7 @@ def _dress(
 
 
 def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str, tuple[str, float]]:
-    """Library and weight of each object's id; empty where the recipe weighs none."""
+    """Library and weight of each object's id; empty if the recipe has no weights of libraries."""
     wanted = recipe.objects.library_weights
     if not wanted or len(recipe.library) != len(library.paths):
         return {}
@@ -248,7 +248,7 @@ def _library_weights(recipe: Recipe, library: Library, pools: Pools) -> dict[str
 def _likely_dresser(
     recipe: Recipe, key: tuple[int | str, ...], pools: Pools, caches: _ProcessCaches
 ) -> LikelyDresser | None:
-    """The dresser of a likely configuration; None for a wild one."""
+    """The material assignment of a likely configuration; None for a wild one."""
     weights = recipe.materials.variation
     draws = Draws(*key[:2], "style")
     if not draws.chance(weights.likely / (weights.likely + weights.wild)):
@@ -266,7 +266,7 @@ def _world(geometries: list[AssetGeometry], placed: list[PlacedAsset]) -> WorldS
 
 
 def world_of(configuration: Configuration, library: Library) -> WorldScene:
-    """Room and objects of a configuration, for rays."""
+    """Room and objects of a configuration, for ray queries."""
     placed = [configuration.environment, *configuration.objects]
     geometry = _process_caches().geometry
     return _world([geometry.get(library.package(p.asset)) for p in placed], placed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The error of a configuration with too few objects or views: other draws may do better."""
+"""The error of a configuration with too few objects or views, which other draws may avoid."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from datagen.library import Library
 def rooms_without_sky(recipe: Recipe, library: Library) -> list[str]:
     """User rooms without a sky, and how daylight is added, or why it cannot be.
 
-    Empty where the recipe has no daylight.
+    Empty if the recipe has no daylight.
     """
     lights = recipe.lights
     if not recipe.environments.needs_library or (

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Splits: which configurations are for training, validation and test, and which assets each may use.
 
-Configurations are dealt out evenly along their index (so that any prefix of a dataset has about the right
+Configurations are distributed evenly along their index (so that any prefix of a dataset has about the right
 shares) by exact arithmetic. With ``splits.disjoint`` each pool of assets (environments, objects of one
-category, materials of one main class) is dealt out in the order of a hash of its ids. Nothing leaks under
-another name: rooms and things that share their largest mesh go together, materials that share an image go
-together, and where a room or an object uses an image that belongs to another split, that slot must be dressed
-anew (rooms of one library share their floors and woods; tying them by images would leave one family).
+category, materials of one main class) is distributed in the order of a hash of its ids. To keep assets from
+leaking under another name, rooms and objects that share their largest mesh go to one split, and so do
+materials that share an image. If a room or an object uses an image that belongs to another split, that slot
+must get another material (rooms of one library share their floors and woods; grouping them by images would
+leave one family).
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 
 @dataclass(frozen=True)
 class Pools:
-    """The packages that a split may draw from, each list in the order of ids."""
+    """The packages available to a split, each list in the order of ids."""
 
     environments: list[Package]
     objects: list[Package]
     materials: list[Package]
     foreign_slots: frozenset[tuple[str, str]] = frozenset()
-    """(asset id, slot) whose own material holds an image that belongs to another split."""
+    """(asset id, slot) whose own material contains an image that belongs to another split."""
 
 
 def _shares(recipe: Recipe) -> dict[Split, Fraction]:
@@ -48,7 +49,7 @@ def _shares(recipe: Recipe) -> dict[Split, Fraction]:
 
 
 def _before(share: Fraction, count: int) -> int:
-    """Number of the first ``count`` that are dealt to a share: the nearest integer."""
+    """Number of the first ``count`` that belong to a share: the nearest integer."""
     return (2 * share.numerator * count + share.denominator) // (2 * share.denominator)
 
 
@@ -60,7 +61,7 @@ def split_of(recipe: Recipe, index: int) -> Split:
         return "test"
     if shares["test"] == 1:
         return "test"
-    rank = index - tests  # among those that are not for test
+    rank = index - tests  # among those outside of the test split
     share = shares["validation"] / (1 - shares["test"])
     return "validation" if _before(share, rank + 1) > _before(share, rank) else "train"
 
@@ -76,7 +77,7 @@ def split_counts(recipe: Recipe) -> dict[Split, int]:
 
 
 def splits_in_use(recipe: Recipe) -> list[Split]:
-    """The splits that get configurations."""
+    """The splits with at least one configuration."""
     counts = split_counts(recipe)
     return [split for split in SPLITS if counts[split] > 0]
 
@@ -85,7 +86,7 @@ _POOLS: WeakKeyDictionary[Library, dict[str, dict[Split, Pools]]] = WeakKeyDicti
 
 
 def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
-    """Assets that a split may use. Raises :class:`InputError` as :func:`recipe_problems` lists."""
+    """Assets that a split may use. Raises :class:`InputError` with the faults of :func:`recipe_problems`."""
     per_recipe = _POOLS.setdefault(library, {})
     key = sha256_hex(canonical_json(recipe))
     if key not in per_recipe:
@@ -132,10 +133,10 @@ def _all_pools(recipe: Recipe, library: Library) -> dict[Split, Pools]:
 
 
 def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
-    """The split that each asset belongs to.
+    """The split of each asset.
 
-    Each pool is dealt out so that every split in use gets at least one asset if there are enough, training
-    first. Families (assets that share a file's content) are dealt as one, with their first member's pool.
+    Each pool is distributed so that every split in use gets at least one asset if there are enough, training
+    first. Families (assets that share a file's content) stay together, in the pool of their first member.
     """
     shares = _shares(recipe)
     used = [split for split in SPLITS if shares[split] > 0]
@@ -146,7 +147,7 @@ def partition(recipe: Recipe, pools: Pools) -> dict[str, Split]:
         open_ids = [i for i in ids if i not in home]
         dealt = {split: sum(home.get(i) == split for i in ids) for split in used}
         for family in open_ids:
-            # the split that lacks most; one that has none yet comes first, training before all
+            # the split that lacks most; first any without assets, training before the others
             lack = [(dealt[s] == 0, float(shares[s] * len(ids)) - dealt[s], -k) for k, s in enumerate(used)]
             best = used[max(range(len(used)), key=lambda k: lack[k])]
             home[family] = best
@@ -169,7 +170,9 @@ def _dealing_order(pools: Pools) -> list[list[Package]]:
 
 
 def _families(packages: list[Package]) -> dict[str, str]:
-    """The least id among the assets that share a telling file (:func:`_telling_files`), or in a chain."""
+    """For each asset, the smallest id among those that share an identifying file (:func:`_telling_files`),
+    directly or through others.
+    """
     parent = {p.id: p.id for p in packages}
 
     def root(asset_id: str) -> str:
@@ -187,9 +190,9 @@ def _families(packages: list[Package]) -> dict[str, str]:
 
 
 def _telling_files(package: Package) -> list[str]:
-    """Files by which an asset is recognised: the largest mesh of a room or thing, the images of a material.
+    """Files that identify an asset: the largest mesh of a room or object, the images of a material.
 
-    Small meshes (a quad, a box) may be equal by chance and tie nothing.
+    Small meshes (a quad, a box) may be equal by chance and are ignored.
     """
     names = list(package.names())
     meshes = [name for name in names if name.lower().endswith(".ply")]
@@ -200,9 +203,10 @@ def _telling_files(package: Package) -> list[str]:
 
 
 def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str, str]]:
-    """Slots of rooms and things whose own material shows an image of another split.
+    """Slots of rooms and objects whose own material uses an image of another split.
 
-    An image belongs to the materials that hold it, else to the room or thing of the least id that does.
+    An image belongs to the materials that contain it, else to the room or object with the smallest id that
+    does.
     """
     hashes: dict[tuple[str, str], str] = {}
     owner: dict[str, str] = {}
@@ -217,7 +221,7 @@ def _foreign_slots(pools: Pools, home: dict[str, Split]) -> frozenset[tuple[str,
         (package.id, slot)
         for package in wearers
         for slot, material in _materials(package).items()
-        if material.emission is None  # emitters have no ground truth: nothing to leak
+        if material.emission is None  # emitters have no ground truth that could leak
         and any(home[owner[hashes[package.id, t.texture]]] != home[package.id] for t in material.textures())
     )
 
@@ -231,7 +235,7 @@ def _materials(package: Package) -> dict[str, Material]:
 
 
 def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
-    """Everything in which a recipe and a library do not go together."""
+    """All contradictions between a recipe and a library."""
     where = f"recipe {recipe.name}"
     problems = _name_problems(recipe, library, where)
     pools = _everything(recipe, library)

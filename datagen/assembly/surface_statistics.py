@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Statistics of surfaces in rooms: the measurement behind :data:`datagen.assembly.looks.LOOKS`.
+"""Statistics of surfaces in rooms, from which :data:`datagen.assembly.looks.LOOKS` was derived.
 
     python -m datagen.assembly.surface_statistics LIBRARY [LIBRARY ...]
 
-prints, for what each slot of the environments is (wall, floor, fitting ...), how many slots there are and the
-least, the median by area and the largest value, saturation and hue of their mean D, the brightest channel of
-mean S, and mean R. Hues of greys are left out; emitters and cut-outs are too.
+prints, for each kind of surface (wall, floor, fitting ...) of the environments' slots, the number of slots
+and the minimum, the median by area and the maximum of value, saturation and hue of their mean D, of the
+brightest channel of mean S, and of mean R. Hues of greys, emitters and cut-outs are left out.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def sample_surfaces(library: Library) -> dict[str, list[SurfaceSample]]:
 
 
 def weighted_median(values: list[float], weights: list[float]) -> float:
-    """The value at which half of the weight is reached; NaN where nothing is left without NaN."""
+    """The value at which half of the weight is reached; NaN if all values are NaN."""
     pairs = sorted((v, w) for v, w in zip(values, weights, strict=True) if np.isfinite(v) and w > 0)
     if not pairs:
         return float("nan")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Classification of slots by their surface in a room: a wall, a worktop, a curtain. By its own word, its
-names, its shape, its class.
+"""Classification of slots by their surface in a room (a wall, a worktop, a curtain), from declaration, names,
+shape and class.
 
-A slot without a stated ``surface`` is classified by the words in its name, in the name of the material that
-it holds a bake of and in the names of its parts; in a room then by where its triangles lie (low and level is
-a floor); in a thing by its category; at last by its main class.
+A slot without a declared ``surface`` is classified by the words in its name, in the name of the material of
+which it holds a bake and in the names of its parts; then, in a room, by the position of its triangles (low
+and level is a floor), in an object by its category; finally by its main class.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _WORDS: tuple[tuple[Surface, str], ...] = (
     ("furniture", "furniture chair chairs stool bench bed board seat shelf shelves bookcase bookshelf"),
     ("furniture", "sideboard dresser drawers unit units cupboard cabinet vanity wardrobe nightstand console"),
 )
-"""Words that imply a surface; of several that a name holds, the first line's wins."""
+"""Words that imply a surface; if a name contains several, the first line of the table applies."""
 _SURFACE_OF_WORD: dict[str, Surface] = {word: surface for surface, words in _WORDS for word in words.split()}
 _RANK: dict[Surface, int] = {surface: rank for rank, (surface, _) in reversed(list(enumerate(_WORDS)))}
 _OF_CATEGORY: dict[str, Surface] = {
@@ -58,14 +58,14 @@ _OF_CLASS: dict[MaterialClass, Surface] = {
     "stone": "worktop", "glazed": "vessel", "ceramic": "vessel", "paper": "cover", "plastic": "gadget",
     "painted": "furniture", "plaster": "wall",
 }  # fmt: skip
-_MIN_SHELL_SHARE = 0.04  # of a room's surface: less is a thing in it, not its floor or a wall
+_MIN_SHELL_SHARE = 0.04  # of a room's surface: smaller slots are objects in it, not its floor or a wall
 _LEVEL = 0.7  # |z| of a normal that counts as level
 
 
 def surface_of_words(text: str) -> Surface | None:
-    """The surface that the words of a name imply, None where none does; of several the first in the table.
+    """The surface implied by the words of a name, or None; if several match, the first in the table.
 
-    Words end at anything but letters and where a capital follows a small letter.
+    Words end at anything but letters, and where a capital follows a lower-case letter.
     """
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     words = [word.lower() for word in re.split(r"[^A-Za-z]+", spaced) if word]
@@ -106,8 +106,9 @@ def _of_class(material: SlotMaterial) -> Surface:
 
 
 def _shell(geometry: AssetGeometry) -> dict[str, Surface]:
-    """Floor, ceiling and walls by area and place: large and horizontal at the bottom or the top, or
-    upright."""
+    """Floor, ceiling and walls by area and position: large and horizontal at the bottom or the top, or
+    upright.
+    """
     rays = geometry.rays
     total = float(rays.areas.sum())
     if not total > 0:

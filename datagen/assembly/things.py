@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things and rooms as placement sees them: footprints, undersides, poses, and solidity."""
+"""Objects and rooms as used by placement: footprints, undersides, poses, and solidity."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ _MANY_POINTS = 2000
 
 
 def convex_hull_2d(points: Floats) -> Floats:
-    """Corners of the convex hull of (N, 2) points, counter-clockwise; fewer than 3 where it is degenerate."""
+    """Corners of the convex hull of (N, 2) points, counter-clockwise; fewer than 3 if it is degenerate."""
     unique = np.unique(np.round(points, 9), axis=0)
     if len(unique) < 3:
         return unique
-    if len(unique) > _MANY_POINTS:  # the loop below would take seconds
+    if len(unique) > _MANY_POINTS:  # above this number the loop below would take seconds
         from scipy.spatial import ConvexHull, QhullError
 
-        with contextlib.suppress(QhullError):  # of points on a line
+        with contextlib.suppress(QhullError):  # for points on a line
             unique = np.unique(unique[ConvexHull(unique).vertices], axis=0)
     chains = []
-    for run in (unique.tolist(), unique[::-1].tolist()):  # numbers of Python: the loop is of a plan's hottest
+    # plain Python numbers: this loop is among the hottest of planning
+    for run in (unique.tolist(), unique[::-1].tolist()):
         chain: list[list[float]] = []
         for x, y in run:
             while len(chain) > 1:
@@ -63,14 +64,14 @@ def margin_inside(hull: Floats, point: Floats) -> float:
 
 @dataclass(frozen=True)
 class Thing:
-    """An object asset ready to be placed: what placement needs from its mesh, at scale 1 in its own frame."""
+    """An object asset prepared for placement: geometry from its mesh, at scale 1 in its own frame."""
 
     asset: ObjectAsset
     geometry: AssetGeometry
 
     @cached_property
     def footprint(self) -> Floats:
-        """Convex hull of the mesh seen from above, (K, 2)."""
+        """Convex hull of the mesh projected onto the ground, (K, 2)."""
         used = self.geometry.vertices[np.unique(self.geometry.faces)]
         return convex_hull_2d(used[:, :2])
 
@@ -95,7 +96,7 @@ class Thing:
         return points[on_rim | stride]
 
     def can_stand(self, contact_tolerance_m: float) -> bool:
-        """Whether it would stay upright on level ground, at its least scale."""
+        """Whether it would stay upright on level ground, at its smallest scale."""
         points = self.underside
         low = float(self.geometry.minimum_m[2])
         contact = points[points[:, 2] <= low + contact_tolerance_m / self.asset.scale_range[0]]
@@ -108,7 +109,7 @@ class Thing:
     def collision_at(self, scale: float) -> CollisionModel:
         """The collision model at a scale (FCL moves models rigidly, it does not scale them)."""
         if scale not in self._models:
-            self._models.clear()  # most assets have one scale; others draw a new one for every candidate
+            self._models.clear()  # most assets have one scale; the others draw a new one for every candidate
             self._models[scale] = CollisionModel(self.geometry.vertices * scale, self.geometry.faces)
         return self._models[scale]
 
@@ -125,7 +126,7 @@ def _lattice(corners: Floats) -> Floats:
 
 
 def pose(scale: float, yaw_rad: float, position_m: Floats) -> NDArray[np.float64]:
-    """``world_from_asset`` (4, 4) of a uniformly scaled, upright thing."""
+    """``world_from_asset`` (4, 4) of a uniformly scaled, upright object."""
     matrix = np.eye(4)
     matrix[:3, :3] = scale * rotation_z(yaw_rad)
     matrix[:3, 3] = position_m
@@ -140,7 +141,7 @@ def rotation_z(angle_rad: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class PlacedThing:
-    """A thing at rest. ``bounds_m`` (2, 3) is its box in the world."""
+    """A placed object. ``bounds_m`` (2, 3) is its bounding box in the world."""
 
     thing: Thing
     support: SupportSurface
@@ -156,7 +157,7 @@ class PlacedThing:
 
     @cached_property
     def body(self) -> Any:
-        """FCL object at its place."""
+        """FCL object at its pose."""
         return self.thing.collision_at(self.scale).at(rotation_z(self.yaw_rad), self.position_m)
 
     @cached_property
@@ -167,7 +168,7 @@ class PlacedThing:
 
 
 class Room:
-    """An environment as ground to stand on and obstacle to keep clear of."""
+    """An environment as ground and as obstacle for objects."""
 
     def __init__(self, geometry: AssetGeometry):
         assert isinstance(geometry.asset, EnvironmentAsset)
@@ -180,9 +181,9 @@ class Room:
 
     @cached_property
     def trusts_winding(self) -> bool:
-        """Whether triangles turn their fronts to free space, seen from the room's own support surfaces.
+        """Whether front faces of triangles face free space, judged from the room's own support surfaces.
 
-        Scenes from the wild are often wound at random; then a back face proves nothing.
+        Downloaded scenes often have random winding; back faces then carry no information.
         """
         shown, backs = 0, 0
         for surface in self.asset.support_surfaces:
@@ -197,7 +198,7 @@ class Room:
         return shown > 0 and backs < 0.1 * shown
 
     def triangles_in(self, bounds_m: Floats, surface: SupportSurface) -> Ints:
-        """Triangles whose boxes meet a box (2, 3) that lies in the column above a surface."""
+        """Triangles whose bounding boxes intersect a box (2, 3) within the column above a surface."""
         low, high = self._face_bounds
         if surface.name not in self._near_surface:
             u, v, o = (np.array(x) for x in (surface.edge_u_m, surface.edge_v_m, surface.origin_m))
@@ -209,7 +210,7 @@ class Room:
         return near[((low[near] <= bounds_m[1]) & (high[near] >= bounds_m[0])).all(axis=1)]
 
     def cuts(self, body: Any, bounds_m: Floats, surface: SupportSurface) -> bool:
-        """Whether a placed FCL body meets the room's surfaces."""
+        """Whether a placed FCL body intersects the room's surfaces."""
         near = self.triangles_in(bounds_m, surface)
         if len(near) == 0:
             return False
@@ -217,7 +218,7 @@ class Room:
 
 
 def fibonacci_sphere(count: int) -> Floats:
-    """``count`` directions spread evenly over the sphere, (count, 3); always the same."""
+    """``count`` directions evenly distributed over the sphere, (count, 3); deterministic."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     angle = math.pi * (1 + math.sqrt(5)) * k

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Objects that no configuration of a recipe can hold: reported before work starts, not dropped silently."""
+"""Objects that no configuration of a recipe can contain: reported before work starts, not dropped
+silently.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ class Unplaceable:
 
 
 def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
-    """Objects on offer whose size their category hardly has, in words, in the order of ids."""
+    """Available objects whose size is implausible for their category, as text, in the order of ids."""
     found: dict[str, str] = {}
     for split in splits_in_use(recipe):
         for package in pools_of_split(recipe, library, split).objects:
@@ -43,7 +45,7 @@ def implausible_sizes(recipe: Recipe, library: Library) -> list[str]:
 
 
 def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
-    """The objects that the recipe offers but that can stand in none of its rooms, in the order of ids.
+    """Available objects that fit in none of the recipe's rooms, in the order of ids.
 
     An object counts as placeable if the rooms of any split that offers it have a surface for it.
     """
@@ -61,7 +63,7 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
             if asset.id in placeable:
                 continue
             why = _why_no_surface(asset, rooms)
-            while why and (room := next(more, None)) is not None:  # made only where none before will do
+            while why and (room := next(more, None)) is not None:  # created only if no earlier one fits
                 rooms.append(room)
                 why = _why_no_surface(asset, rooms)
             if not why and not Thing(asset, load_geometry(package)).can_stand(CONTACT_TOLERANCE_M):
@@ -74,7 +76,7 @@ def unplaceable(recipe: Recipe, library: Library) -> list[Unplaceable]:
 
 
 def _why_no_surface(asset: ObjectAsset, rooms: list[EnvironmentAsset]) -> str:
-    """Why no room has a surface for it; "" if one has."""
+    """Reason why no room has a surface for it; "" if one has."""
     if any(surfaces_for(asset, room) for room in rooms):
         return ""
     if not asset.supports:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Cameras: where a person with a camera would stand, looking at what is in the room.
+"""Cameras at positions and directions of a person who photographs a room.
 
-Candidates are drawn in free space, aimed at things, and looked through at low resolution on the real
+Candidates are drawn in free space, aimed at objects, and rendered at low resolution by rays on the real
 triangles. Candidates that are too close, show too little, are too dark or overlap too little with other views
-are rejected and counted. The views are then chosen one by one among the rest: each must share enough with
-those chosen before, and among those that do, the one that differs most in place and direction wins. Letters:
-C candidates, H x W pixels of the low-resolution image, P points.
+are rejected and counted. The views are then chosen one by one among the rest: each must overlap enough with
+those chosen before, and among those that do, the one that differs most in position and direction is chosen.
+Letters: C candidates, H x W pixels of the low-resolution image, P points.
 """
 
 from __future__ import annotations
@@ -28,36 +28,38 @@ from datagen.formats.recipe import CameraRecipe
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.random import Draws
 
-MAX_NEAR_PIXELS = 0.02  # share of the image that may be nearer than min_distance_m
-MAX_OPEN_PIXELS = 0.4  # share of the image that may show nothing, or a light itself
-MIN_THING_PIXELS = 0.04  # share of the image that things (not walls and floor) must fill
-MAX_THREE_PLANES_PIXELS = 0.92  # of what is seen: a corner of the room, the side of a cupboard
-MAX_PLANE_PIXELS = 0.72  # share of the image that a single plane may fill: a bare wall is no picture
-_MIN_INSTANCE_PIXELS = 0.0015  # an instance that covers less is not "seen"
+MAX_NEAR_PIXELS = 0.02  # largest share of the image nearer than min_distance_m
+MAX_OPEN_PIXELS = 0.4  # largest share of the image without surface, or directly on a light
+MIN_THING_PIXELS = 0.04  # minimum share of the image covered by objects (not walls and floor)
+# largest share of one object in the visible surface: otherwise a corner of the room, the side of a cupboard
+MAX_THREE_PLANES_PIXELS = 0.92
+MAX_PLANE_PIXELS = 0.72  # largest share of the image covered by a single plane, such as a bare wall
+_MIN_INSTANCE_PIXELS = 0.0015  # smallest share of the image for an instance to count as visible
 _BATCH = 16
 _LUMINANCE_GRID = (18, 10)
 _LUMINANCE_SAMPLES = 4
 _MAX_PITCH_RAD = math.radians(38.0)
-_ROLL_RAD = math.radians(1.2)  # a hand is not a tripod
-_SHELL_SPAN = 0.7  # a part this long compared with the room is wall, floor or ceiling
+_ROLL_RAD = math.radians(1.2)  # handheld cameras are not exactly level
+_SHELL_SPAN = 0.7  # a part of at least this length relative to the room is wall, floor or ceiling
 _OVERLAP_POINTS = 400
-_NUM_COMPARED = 12  # eligible candidates among which the most different one is taken
+_NUM_COMPARED = 12  # number of eligible candidates among which the most different one is chosen
 _MIN_NOVELTY = 0.04
 _NUM_HEADINGS = 24
 _FARTHEST_M = 8.0
-_WINDOW_DEPTH_M = 1.0  # a window counts as a wall so near: few views are of windows
-_DEPTH_POWER = 3  # how much more often the deep direction is looked into than a wall
+_WINDOW_DEPTH_M = 1.0  # windows this near count as walls, so that few views show only a window
+_DEPTH_POWER = 3  # preference for the direction of greatest depth over one towards a wall
 _ROOM_PITCH_RAD, _ROOM_PITCH_SPREAD_RAD = math.radians(-7.0), math.radians(5.0)
-_ENOUGH_OVERLAP = 0.42  # more of it makes views alike: then the one that differs most is worth most
+# overlap above this does not count, since views would be alike; then the most different one scores best
+_ENOUGH_OVERLAP = 0.42
 _NOVELTY_WORTH, _ENOUGH_NOVELTY = 0.5, 0.6
-_ROOM_SHARE = 0.75  # of the chosen views that show the room itself, where there are enough
+_ROOM_SHARE = 0.75  # share of the chosen views that show the room itself, if there are enough
 
 
 @dataclass
 class Candidate:
     """A camera that passed the single-view checks, with its view at low resolution.
 
-    ``distance_m`` (H, W) along the ray, inf where nothing is hit; ``points`` (P, 3) of seen surface.
+    ``distance_m`` (H, W) along the ray, inf where nothing is hit; ``points`` (P, 3) of visible surface.
     """
 
     camera: Camera
@@ -79,7 +81,7 @@ class Subject:
 
     @classmethod
     def of(cls, scene: WorldScene) -> Subject:
-        """Find the things of a scene; shells (walls, floor, ceiling) are told by their size."""
+        """Find the objects of a scene; shells (walls, floor, ceiling) are recognised by their size."""
         order = np.argsort(scene.instance_of_face, kind="stable")
         instances, starts = np.unique(scene.instance_of_face[order], return_index=True)
         corners = scene.rays.corners[order]
@@ -96,7 +98,7 @@ class Subject:
         return cls(scene, centers, furniture, is_thing)
 
     def draw(self, draws: Draws) -> Floats:
-        """A point (3,) to look at."""
+        """A target point (3,)."""
         pick, u = draws.unit(), draws.units(3)
         if len(self.thing_centers) and (pick < 0.65 or not self.furniture_faces):
             return self.thing_centers[int(u[0] * len(self.thing_centers))]
@@ -123,7 +125,7 @@ class ViewFinder:
     num_drawn: int = field(default=0, init=False)
 
     def find(self, count: int) -> list[Camera]:
-        """``count`` cameras. Raises :class:`InputError` with all counts where there are too few."""
+        """``count`` cameras. Raises :class:`InputError` with all counts if there are too few."""
         self.space.check()
         subject = Subject.of(self.scene)
         limit = count * self.recipe.max_attempts
@@ -131,7 +133,7 @@ class ViewFinder:
         overlap = np.zeros((0, 0))
         wanted = count + max(8, count // 2)
         if self.recipe.subject == "room":
-            wanted = 2 * count + 8  # to choose among
+            wanted = 2 * count + 8  # candidates to choose from
         while True:
             pool += self._extend(subject, wanted, limit)
             overlap = overlap_matrix(pool, self.scene.rays, overlap)
@@ -196,7 +198,7 @@ class ViewFinder:
         return fresh
 
     def _look(self, subject: Subject, draws: Draws) -> Candidate | str:
-        """One candidate, or why not."""
+        """One candidate, or the reason for its rejection."""
         position = self.space.draw(draws)
         if position is None:
             return "no_floor"
@@ -245,7 +247,9 @@ class ViewFinder:
         return int(pixels[subject.thing_instances].sum()) >= MIN_THING_PIXELS * num_pixels
 
     def _planes(self, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Pixels of every plane seen, most first; planes are told apart by normal and offset, roughly."""
+        """Pixels of every visible plane, largest first; planes are distinguished roughly, by normal and
+        offset.
+        """
         normals = self.scene.rays.normals[faces]
         offsets = (normals * self.scene.rays.corners[faces, 0]).sum(axis=1)
         planes = np.round(np.column_stack([normals, offsets]) * 10).astype(np.int64) + 1000
@@ -253,7 +257,7 @@ class ViewFinder:
         return np.sort(np.unique(keys, return_counts=True)[1])[::-1]
 
     def _aim(self, position: Floats, target: Floats, draws: Draws) -> Camera:
-        """A camera at ``position`` with the target somewhere in the middle of its image, held level."""
+        """A level camera at ``position`` with the target somewhere in the middle of its image."""
         width, height = self.resolution
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         offset = target - position
@@ -264,12 +268,13 @@ class ViewFinder:
         return self._held(position, fov, azimuth, pitch, draws)
 
     def _aim_across(self, position: Floats, draws: Draws) -> Camera:
-        """A camera that looks into the depth of the room, as a person does who shows it, a little down."""
+        """A camera that looks across the longest extent of the room, a little down."""
         fov = math.radians(draws.uniform(*self.recipe.fov_x_deg))
         headings = draws.unit() * 2 * math.pi + np.arange(_NUM_HEADINGS) * 2 * math.pi / _NUM_HEADINGS
         level = np.stack([np.cos(headings), np.sin(headings), np.zeros(_NUM_HEADINGS)], axis=1)
         reach = np.minimum(self.scene.rays.cast(position, level).distance_m, _FARTHEST_M)
-        for opening in self.space.environment.openings:  # what lies behind a window is not the room's depth
+        # surface behind a window is not part of the room's depth
+        for opening in self.space.environment.openings:
             origins = np.broadcast_to(position, level.shape)
             reach[Rectangle.of(opening).is_crossed(origins, level, reach)] = _WINDOW_DEPTH_M
         window = np.cos(np.subtract.outer(headings, headings)) >= math.cos(0.5 * fov)
@@ -317,9 +322,9 @@ class ViewFinder:
 
 
 def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None = None) -> Floats:
-    """Share of the points of view i that view j sees too, by traced rays, (C, C); the diagonal is 0.
+    """Share of the points of view i that are visible in view j, by traced rays, (C, C); the diagonal is 0.
 
-    ``known`` (K, K) is kept for the first K views.
+    ``known`` (K, K) is reused for the first K views.
     """
     count = len(pool)
     start = 0 if known is None else len(known)
@@ -340,11 +345,12 @@ def overlap_matrix(pool: list[Candidate], rays: RayScene, known: Floats | None =
 def choose_views(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float, draws: Draws
 ) -> tuple[list[int], int]:
-    """Indices of up to ``count`` views, and how many of the pool overlap too little with the chosen ones.
+    """Indices of up to ``count`` views, and the number of views of the pool that overlap too little with
+    them.
 
     ``overlap`` is the pool's :func:`overlap_matrix`. Every chosen view shares at least ``min_overlap`` of its
     points with one chosen before it (the first with the second). Views that nearly repeat a chosen one are
-    passed over.
+    skipped.
     """
     if count == 1:
         return ([0] if pool else []), 0
@@ -374,10 +380,11 @@ def choose_views(
 def choose_overlapping(
     pool: list[Candidate], overlap: Floats, count: int, min_overlap: float
 ) -> tuple[list[int], int]:
-    """As :func:`choose_views`, for views that show a room: each next one is seen most by those chosen.
+    """As :func:`choose_views`, for views that show a room: each next view is the one that overlaps most with
+    those chosen.
 
-    A view's worth is the mean overlap with the chosen ones, both ways, and a little for being different;
-    views that show no walls are taken once :data:`_ROOM_SHARE` of the others stand.
+    The score of a view is its mean overlap with the chosen ones in both directions, plus a small bonus for
+    being different; views without walls are used once :data:`_ROOM_SHARE` of the others are chosen.
     """
     if count == 1 or len(pool) < 2:
         return choose_views(pool, overlap, count, min_overlap, Draws("one"))

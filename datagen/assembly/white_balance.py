@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""White balance of lamps beside panoramas.
+"""White balance of lamps in rooms with panoramas.
 
-A panorama is a photograph and already balanced; lamps have the colour that a camera with automatic white
-balance gives them. It takes the mean light of the room, walls included, for that of a black body and shifts
-it most of the way to white, so that lamps by night are slightly warm, and orange where daylight prevails.
+A panorama is a photograph and already balanced; lamps get the colour that a camera with automatic white
+balance would give them. Such a camera treats the mean light of the room, walls included, as light of a black
+body and shifts it most of the way to white, so that lamps by night are slightly warm, and orange where
+daylight prevails.
 """
 
 from __future__ import annotations
@@ -17,15 +18,16 @@ from datagen.foundation.color import color_of_temperature
 
 ADAPTATION = 0.7  # share of the way to white, in reciprocal temperature: cameras keep lamps warm
 _WHITE_MIRED = 1e6 / 6500
-_MIREDS = np.linspace(_WHITE_MIRED, 1e6 / 2000, 64)  # warmer than white, where a camera's range ends
+# warmest light that is corrected, at the end of a camera's range
+_MIREDS = np.linspace(_WHITE_MIRED, 1e6 / 2000, 64)
 Tint = tuple[float, float, float]
 NO_TINT: Tint = (1.0, 1.0, 1.0)
 
 
 def tint_of_lamps(irradiance: Floats) -> Tint:
-    """Factors on lamps' red, green and blue in light of mean ``irradiance`` (3,); 1 in white or bluish light.
+    """Factors on lamps' red, green and blue for mean ``irradiance`` (3,); 1 in white or bluish light.
 
-    Light of the black body that is seen keeps its luminance.
+    The luminance of the light that the black body represents is preserved.
     """
     red, _, blue = irradiance.tolist()
     if red <= 0 or blue <= 0:

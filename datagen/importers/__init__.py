@@ -1,2 +1,4 @@
 # SPDX-License-Identifier: MIT
-"""Importers: other people's files become asset packages. ``dispatch.import_asset`` is the door."""
+"""Importers convert files of other programs to asset packages. ``dispatch.import_asset`` is the entry
+point.
+"""

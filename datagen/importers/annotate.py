@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Finds, in the bare triangles of a room, where things may stand, cameras may be and lamps may hang.
+"""Derives, from the bare triangles of a room, support surfaces, camera regions and positions of ceiling
+lamps.
 
 The heuristics are set out in docs/importing.md; a YAML file of :class:`Annotations` overrides each of them.
-Frame: metres, Z up. Surfaces are rastered in small squares of side ``square_m``.
+Frame: metres, Z up. Surfaces are rasterised in squares of side ``square_m``.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from datagen.foundation.findings import Findings
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.importers.room_grid import MIN_CELL_M, RoomGrid, rectangles, short_vector, surface_points
 
-_STANDING_ROOM_M = 0.12  # a support needs this much free height
+_STANDING_ROOM_M = 0.12  # minimum free height above a support
 _LEVEL_M = 0.012  # horizontal triangles within this height belong to one surface
 _MIN_SIDE_M = 0.15
 _MAX_SURFACES = 40
@@ -52,7 +53,7 @@ class Annotations(StrictModel):
     replaceable_by: dict[str, tuple[MaterialClass, ...]] = {}
 
     def over(self, places: RoomPlaces, openings: tuple[Opening, ...]) -> dict[str, Any]:
-        """Annotation fields of an environment: every list that is given, else the derived one."""
+        """Annotation fields of an environment: the given lists, else the derived ones."""
         derived = {
             "support_surfaces": places.support_surfaces,
             "camera_regions": places.camera_regions,
@@ -71,7 +72,8 @@ def read_annotations(path: Path | None) -> Annotations:
 @dataclass(frozen=True)
 class RoomPlaces:
     """Annotations of a room; ``floor_m`` is the height of the main floor, None if there is no enclosed
-    space."""
+    space.
+    """
 
     floor_m: float | None
     support_surfaces: tuple[SupportSurface, ...] = ()
@@ -85,9 +87,9 @@ def find_places(
     seat_classes: set[int],
     seeds: NDArray[np.float64],
 ) -> RoomPlaces:
-    """Places in a room of ``triangles`` (M, 3, 3).
+    """Annotations of a room of ``triangles`` (M, 3, 3).
 
-    ``classes`` (M,) is an index a triangle, those in ``seat_classes`` are upholstery; ``seeds`` (K, 3) are
+    ``classes`` (M,) is one index per triangle, those in ``seat_classes`` are upholstery; ``seeds`` (K, 3) are
     points known to be inside (cameras), and may be empty.
     """
     points, owner, spacing = surface_points(triangles)
@@ -110,7 +112,9 @@ def places_of_parts(
     cameras: Sequence[AssetCamera],
     findings: Findings,
 ) -> RoomPlaces:
-    """:func:`find_places` for the parts of an environment; upholstered ones are seats, cameras are inside."""
+    """:func:`find_places` for the parts of an environment; upholstered parts are seats, cameras are
+    inside.
+    """
     triangles = [mesh.triangles() for mesh in meshes]
     owners = np.repeat(np.arange(len(meshes)), [len(t) for t in triangles])
     seats = {k for k, p in enumerate(parts) if slots[p.material].classes[0] in ("fabric", "leather")}
@@ -129,7 +133,7 @@ def is_window_sized(opening: Opening | AreaLight, min_area_m2: float) -> bool:
 
 
 def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
-    """Upright area lights of window size: scenes stand them into windows and doors. They point inwards."""
+    """Upright area lights of window size, which scenes place in windows and doors. They point inwards."""
     found = []
     for light in lights:
         if isinstance(light, AreaLight) and light.shape == "rectangle" and is_window_sized(light, 0.4):
@@ -139,7 +143,7 @@ def openings_of(lights: tuple[Light, ...]) -> tuple[Opening, ...]:
 
 
 def slots_of(lights: tuple[Light, ...]) -> tuple[LightSlot, ...]:
-    """A slot for every area light that came with the scene."""
+    """A slot for every area light of the imported scene."""
     return tuple(
         LightSlot(
             name=light.name,
@@ -213,15 +217,15 @@ def _is_same(
     other_origin: NDArray,
     other_size: NDArray,
 ) -> bool:
-    """Whether two rectangles are layers of one surface (a floor and its tiles) and cover each other."""
+    """Whether two rectangles are overlapping layers of one surface (a floor and its tiles)."""
     common = np.minimum(origin + size, other_origin + other_size) - np.maximum(origin, other_origin)
     return abs(height - other_height) < 0.05 and bool((common > 0.1).all())
 
 
 def without_stairs(surfaces: list[SupportSurface]) -> list[SupportSurface]:
-    """The surfaces less treads: those with a neighbour one step above and one step below beside them.
+    """The surfaces without treads: surfaces with one neighbour a step above and one a step below beside them.
 
-    Shelves have such neighbours too, but over and under them.
+    Shelves have such neighbours too, but directly above and below them.
     """
 
     def is_step(low: SupportSurface, high: SupportSurface) -> bool:
@@ -260,7 +264,8 @@ def _levels(triangles: NDArray[np.float64], grid: RoomGrid) -> list[float]:
     """Heights at which horizontal triangles of the room add up to a surface, by area, largest first."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = 0.5 * np.linalg.norm(cross, axis=1)
-    flat = (area > 1e-9) & (np.abs(cross[:, 2]) > 0.995 * 2 * area)  # either side: windings are unreliable
+    # on either side, since windings are unreliable
+    flat = (area > 1e-9) & (np.abs(cross[:, 2]) > 0.995 * 2 * area)
     heights, areas = triangles[flat][:, :, 2].mean(axis=1), area[flat]
     inside = (heights > grid.floor_m - 0.1) & (heights < grid.floor_m + 2.2)
     heights, areas = heights[inside], areas[inside]
@@ -286,7 +291,7 @@ def _raster(
 
 
 def opening_of(mesh: Mesh, name: str, inside_m: NDArray[np.float64]) -> Opening:
-    """The upright rectangle that frames a mesh (a window pane), pointing to the side of ``inside_m``."""
+    """The upright rectangle that frames a mesh (a window pane), facing ``inside_m``."""
     points = mesh.positions.astype(np.float64)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     flat = points[:, :2] - points[:, :2].mean(axis=0)

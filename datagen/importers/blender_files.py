@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Files that Blender reads (FBX, USD, .blend, glTF with Draco): its module makes glTF of them, in a process
-of its own, and that is imported. Its output is charged to the same budget as any other glTF file.
+"""Files that Blender reads (FBX, USD, .blend, glTF with Draco), converted to glTF by its module in a separate
+process and then imported. The converted file counts against the same budget as any glTF file.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ _MARK = "to_gltf: "
 
 
 def uses_draco(path: Path) -> bool:
-    """Whether a glTF file needs Draco, and Blender's module is there to decode it; False for damaged
-    files."""
+    """Whether a glTF file needs Draco and Blender's module is available to decode it; False for damaged
+    files.
+    """
     if importlib.util.find_spec("bpy") is None or path.stat().st_size > MAX_TEXT_BYTES:
         return False
     with path.open("rb") as file:
@@ -35,9 +36,11 @@ def uses_draco(path: Path) -> bool:
 def import_by_blender(
     path: Path, out_library: Path, options: ImportOptions | None = None, *, split: bool = False
 ) -> list[ImportedAsset]:
-    """Convert a file that Blender reads to packages below ``out_library``. Images outside of the file's own
-    folder and ``options.allowed`` are left out. Raises :class:`InputError` where Blender's module is not
-    installed or cannot read the file, and as :func:`import_gltf` does."""
+    """Convert a file that Blender reads to packages below ``out_library``.
+
+    Images outside of the file's own folder and ``options.allowed`` are left out. Raises :class:`InputError`
+    if Blender's module is not installed or cannot read the file, and as :func:`import_gltf` does.
+    """
     options = options or ImportOptions()
     if importlib.util.find_spec("bpy") is None:
         remedy = (
@@ -70,5 +73,5 @@ def import_by_blender(
             findings.note(
                 f"{path.stem}: procedural materials are lost on the way; python -m blender_addon bakes them"
             )
-        turned = replace(options, up="y")  # glTF's own, whatever the file's was
+        turned = replace(options, up="y")  # that of glTF, whatever the file's was
         return import_gltf(converted, out_library, turned, split=split, origin=path, findings=findings)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Material channels on their way into a package: constants stay constants, plain images pass through
-unchanged, and only what must be computed is baked, texel by texel.
+unchanged, and only computed values are baked, texel by texel.
 
-A *value* is a constant (float or colour), an :class:`ImageSource` (an image as it is) or a
-:class:`BakedSource` (pixels that were computed).
+A *value* is a constant (float or colour), an :class:`ImageSource` (an unchanged image) or a
+:class:`BakedSource` (computed pixels).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.images import IMAGE_SUFFIXES, encode_png, image_size, read_image
 from datagen.foundation.naming import slug
 
-MAX_CHANNEL_SPREAD = 0.5 / 255  # a baked channel that varies less than half an 8-bit step is a constant
+MAX_CHANNEL_SPREAD = 0.5 / 255  # a baked channel that varies by less than half an 8-bit step is a constant
 _HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 ChannelName = Literal["rgb", "r", "g", "b", "a"]
 
@@ -68,7 +68,7 @@ def is_constant(value: Value) -> bool:
 
 
 class ImageCache:
-    """Decoded images of one import: a texture that several materials use is read once."""
+    """Decoded images of one import: a texture used by several materials is read once."""
 
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
@@ -92,7 +92,7 @@ class ImageCache:
 
 
 def num_pixels(file: Path) -> int:
-    """Pixels that an image's header claims; 0 where it cannot be read, which its decoder reports."""
+    """Number of pixels stated in an image's header; 0 if it is unreadable, which the decoder reports."""
     if file.suffix.lower() in (".hdr", ".pic"):
         with file.open("rb") as stream:
             match = _HDR_SIZE.search(stream.read(4096))
@@ -105,7 +105,7 @@ def num_pixels(file: Path) -> int:
 
 
 def read_any_image(file: Path) -> NDArray:
-    """Like :func:`read_image`, also for BMP, TGA, TIFF and HDR, which packages do not hold."""
+    """Like :func:`read_image`, and also for BMP, TGA, TIFF and HDR, which packages do not support."""
     if file.suffix.lower() in IMAGE_SUFFIXES:
         return read_image(file)
     import cv2
@@ -127,8 +127,8 @@ def combine(
 ) -> Value:
     """``function`` of channel values, at the resolution of the largest image among them.
 
-    ``inputs`` are (value, is_scalar) pairs; scalars reach ``function`` as (..., 1) where the result is a
-    colour. Constants give a constant; an image that turns out constant gives a constant too.
+    ``inputs`` are (value, is_scalar) pairs; scalars are passed to ``function`` as (..., 1) if the result is a
+    colour. Constants give a constant, and so does an image that turns out to be constant.
     """
     arrays = [cache.values(value, scalar) for value, scalar in inputs]
     images = [a for (v, _), a in zip(inputs, arrays, strict=True) if not is_constant(v)]
@@ -163,7 +163,7 @@ def _resized(array: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.fl
 
 
 class TextureFiles:
-    """The texture files of a package under construction: each image once, under a readable name."""
+    """The texture files of a package under construction, each image once, under a readable name."""
 
     def __init__(self, cache: ImageCache) -> None:
         self.files: dict[str, FileSource] = {}
@@ -180,7 +180,9 @@ class TextureFiles:
         return name
 
     def add_file(self, file: Path) -> str:
-        """Name in the package of an image file; formats that packages do not hold become PNG or EXR."""
+        """Name in the package of an image file; formats that packages do not support are converted to PNG or
+        EXR.
+        """
         key = file.resolve()
         if key not in self._names:
             suffix = file.suffix.lower()

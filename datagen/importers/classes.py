@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Guesses of material classes and object categories from names; the table of docs/importing.md.
+"""Guesses of material classes and object categories from names; the table is in docs/importing.md.
 
-The first word of a name that is known decides, later words of a compound winning over earlier ones
+The first name with a known word decides; within a compound, later words take precedence over earlier ones
 (``WoodFloor`` is wood, ``marble_table`` stone, ``FloorTiles`` ceramic).
 """
 
@@ -42,7 +42,7 @@ _STRONG = {
     "lacquered",
     "glazed",
     "wallpaper",
-}  # a finish hides what is below
+}  # a finish hides the material below
 
 _CATEGORY_WORDS = {
     "seat": "sofa couch chair stool armchair bench ottoman seat recliner puff pouf pouffe futon stroller "
@@ -121,7 +121,7 @@ def words_of(name: str) -> list[str]:
 
 
 def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass:
-    """Material class by the names of material, mesh and file, the first name that implies one decides."""
+    """Material class from the names of material, mesh and file; the first name that implies one decides."""
     for name in names:
         words = words_of(name)
         for word in words:
@@ -135,8 +135,11 @@ def guess_class(*names: str, fallback: MaterialClass = "other") -> MaterialClass
 
 
 def guess_category(*names: str) -> str:
-    """Object category by names; '' if none is known. Words after ``with`` do not count (``chair with
-    cushion`` is a seat); of several words the last says what it is (``table lamp``)."""
+    """Object category from names; '' if none is known.
+
+    Words after ``with`` are ignored (``chair with cushion`` is a seat); of several words the last one decides
+    (``table lamp``).
+    """
     for name in names:
         words = words_of(name)
         if "with" in words[1:]:
@@ -148,10 +151,10 @@ def guess_category(*names: str) -> str:
 
 
 def guess_supports(category: str, height_m: float, width_m: float) -> tuple[SupportKind, ...]:
-    """Supports of an object: furniture and large things stand on the floor, small ones on furniture.
+    """Supports of an object: furniture and large objects stand on the floor, small ones on furniture.
 
-    Objects larger than 40 cm stand on a table only if their category does so at that size (a vase, a lamp);
-    a thing of unknown kind may be a stool.
+    Objects above 40 cm stand on a table only if that is usual for their category (a vase, a lamp); an object
+    of unknown category may also stand on the floor.
     """
     if category in _FLOOR_CATEGORIES or height_m > 0.6 or width_m > 0.8:
         return ("floor",)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``datagen import``. Heavy imports happen in the verb."""
+"""The verb ``datagen import``. Heavy imports are inside it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ImportWords:
-    """The options of an import as they are written; :class:`ImportOptions` checks their values."""
+    """The options of an import as strings; :class:`ImportOptions` checks their values."""
 
     kind: Annotated[str, typer.Option(help="auto, environment, object or material.")] = "auto"
     asset_id: Annotated[str, typer.Option("--id", help="Id of the asset; from its name if left out.")] = ""
@@ -62,7 +62,7 @@ class ImportWords:
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace assets of the same id.")] = False
 
     def parse(self) -> ImportOptions:
-        """Types and choices checked. Raises :class:`InputError` with every fault."""
+        """Options with checked types and choices. Raises :class:`InputError` with every fault."""
         from pydantic import TypeAdapter, ValidationError
 
         from datagen.foundation.errors import InputError, Problem

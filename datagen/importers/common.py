@@ -39,7 +39,7 @@ _LICENSE_PATTERNS = (
     (re.compile(r"creativecommons\.org/licenses/by-nc/4\.0", re.I), "CC-BY-NC-4.0"),
 )
 _PUBLISHERS = {"ambientcg": ("CC0-1.0", "ambientCG", "https://ambientcg.com")}
-"""Publishers all of whose assets carry one licence, as ``creator`` of an ``info.json`` names them."""
+"""Publishers that use one licence for all assets, by their ``creator`` name in ``info.json``."""
 _TITLE = re.compile(r"version of '(?P<title>[^']+)' by (?P<author>[^,\n]+), downloaded", re.I)
 _SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", re.I)
 
@@ -48,13 +48,13 @@ _SOURCE = re.compile(r"original file may be obtained here:\s*(?P<source>\S+)", r
 class ImportOptions:
     """Options of an import.
 
-    ``dielectric``: see-through materials are refused, or replaced: flat panes and thin dielectrics are left
-    out, bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent files are
-    refused, or replaced by a grey or left out. ``unit_scale``: metres in a unit of the file; None is one, or
-    for formats without a unit what is plausible. ``defines`` are
-    values for ``$names`` of a Mitsuba scene. Empty strings are detected or derived. ``allowed`` are folders
-    besides the source's own that it may name files in; ``limits``, by default those of the environment, hold
-    for each source.
+    ``dielectric``: transparent materials are refused, or replaced: flat panes and thin dielectrics are
+    removed, solid bodies become opal glass; ``dielectric_as`` chooses by material name. ``missing``: absent
+    files are refused, or replaced by grey or omitted. ``unit_scale``: metres per unit of the file; None is
+    one, or a plausible unit for formats without one. ``defines`` are values for ``$names`` of a Mitsuba
+    scene. Empty strings are detected or derived. ``allowed`` are folders, in addition to the source's own,
+    from which it may read files; ``limits``, by default those of the environment variables, apply to each
+    source.
     """
 
     kind: ImportKind = "auto"
@@ -81,17 +81,17 @@ class ImportOptions:
 
     @property
     def unit_m(self) -> float:
-        """Metres in a unit of a format that has one."""
+        """Metres per unit of a format that has one."""
         return 1.0 if self.unit_scale is None else self.unit_scale
 
 
 @dataclass(frozen=True)
 class ImportedAsset:
-    """The record of one import: where the package lies, and all that differs from the source.
+    """The record of one import: the path of the package, and all differences from the source.
 
     ``approximations`` name content that is represented only roughly, ``notes`` the importer's decisions and
-    remarks. Both are sentences that begin with the name of their subject. ``contents`` states its size and
-    its parts.
+    remarks. Both are sentences that begin with the name of their subject. ``contents`` gives its size and its
+    parts.
     """
 
     asset_id: str
@@ -106,7 +106,7 @@ class ImportedAsset:
 
 @dataclass(frozen=True)
 class Origin:
-    """Licence and authorship as the files beside a source state them; '' without one."""
+    """Licence and authorship as stated by files beside a source; '' if missing."""
 
     license: str = ""
     title: str = ""
@@ -150,8 +150,8 @@ def provenance(
 ) -> tuple[Provenance, str]:
     """Provenance of an import and its title ('' if unknown).
 
-    Raises :class:`InputError` where the licence is neither given nor stated beside the source: it is never
-    made up.
+    Raises :class:`InputError` if the licence is neither given nor stated beside the source: it is never
+    guessed.
     """
     origin = detect_origin(folder)
     license_id = options.license or origin.license

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""One door for every importer: the kind of source decides (``datagen import PATH --library DIR``)."""
+"""Common entry point of the importers, chosen by the kind of source (``datagen import PATH --library
+DIR``).
+"""
 
 from __future__ import annotations
 
@@ -26,16 +28,16 @@ _SCENE_FILES = ("scene.xml", "scene_v3.xml")
 
 @dataclass(frozen=True)
 class Source:
-    """Something that can be imported: ``kind`` is ``mitsuba``, ``gltf``, ``mesh``, ``blender``,
-    ``sweet_home`` or ``material``."""
+    """An importable source: ``kind`` is ``mitsuba``, ``gltf``, ``mesh``, ``blender``, ``sweet_home`` or
+    ``material``.
+    """
 
     path: Path
     kind: str
 
 
 def find_sources(path: Path) -> list[Source]:
-    """Kind of a source path: a scene, a glTF file, a furniture library, a texture folder, or a folder of
-    these.
+    """Sources at a path: a scene, a glTF file, a furniture library, a texture folder, or a folder of these.
 
     Raises :class:`InputError` if no importer reads any of it.
     """
@@ -108,11 +110,11 @@ def import_asset(
     on_done: Callable[[ImportedAsset], None] | None = None,
     watch: ImportWatch | None = None,
 ) -> list[ImportedAsset]:
-    """Import everything that a path holds into a library folder.
+    """Import all sources at a path into a library folder.
 
-    ``split`` makes an object of each separate thing in a glTF file; ``on_done`` is called after each asset,
-    ``watch`` for each piece of a furniture library instead. An ``asset_id`` goes with a single source only.
-    With several sources, the good ones are imported, then one :class:`InputError` lists the others.
+    ``split`` makes an object of each separate group in a glTF file; ``on_done`` is called after each asset,
+    ``watch`` for each piece of a furniture library instead. An ``asset_id`` is allowed with a single source
+    only. With several sources, the valid ones are imported, then one :class:`InputError` lists the others.
     """
     options = options or ImportOptions()
     sources = find_sources(Path(path))

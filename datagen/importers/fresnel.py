@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Fresnel reflectances and lobe widths for turning other renderers' materials into D, S and R.
+"""Fresnel reflectances and lobe widths for converting other renderers' materials to D, S and R.
 
-F0 is the reflectance at normal incidence, in air. ``ALPHA_BECKMANN_PER_GGX`` is the ratio of lobe widths for
+F0 is the reflectance at normal incidence, in air. ``ALPHA_BECKMANN_PER_GGX`` is the ratio of lobe widths at
 which a Beckmann lobe differs least from a GGX lobe in total variation: with x = tan^2(theta_h) / alpha^2 the
 cosine-weighted densities are 1 / (1 + x)^2 and exp(-x / s) / s, and s = 1.3123 gives the least distance,
 0.180 (0.204 at equal alpha). Equal peaks would need 1, equal medians 1.2011.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 ALPHA_BECKMANN_PER_GGX = 1.1456
 AIR_IOR = 1.000277
 DIFFUSE_SHEEN = 0.0047
-"""Hemispherical albedo that Schlick's rise gives a surface with S = 0 and R = 1 (Monte Carlo, +-2e-5)."""
+"""Hemispherical albedo of a surface with S = 0 and R = 1, from Schlick's rise alone (Monte Carlo, +-2e-5)."""
 
 _NAMED_IOR = {
     "vacuum": 1.0, "air": AIR_IOR, "water": 1.3330, "acetone": 1.36, "ethanol": 1.361, "bk7": 1.5046,
@@ -62,7 +62,7 @@ def schlick_s_of_mean(mean: NDArray) -> NDArray[np.float64]:
     """S for which Schlick's curve has this mean under diffuse light: mean = S + (1 - S) / 21, clamped at 0.
 
     A metal dimmed to r times its reflectance stays dim at grazing angles, where Schlick's curve rises to 1
-    whatever S is; equal means keep the light of a room right, equal S at normal incidence do not.
+    for any S; equal means preserve the light of a room, equal S at normal incidence does not.
     """
     return np.clip((np.asarray(mean, dtype=np.float64) - 1 / 21) * 21 / 20, 0.0, 1.0)
 
@@ -72,7 +72,8 @@ def dielectric_fresnel(cos_i: NDArray, ior: float) -> NDArray[np.float64]:
     cos_i = np.asarray(cos_i, dtype=np.float64)
     sin2_t = (1 - cos_i**2) / ior**2
     cos_t = np.sqrt(np.maximum(0.0, 1 - sin2_t))
-    parallel = (ior * cos_i - cos_t) / np.maximum(ior * cos_i + cos_t, 1e-30)  # 0 / 0 at grazing with ior 1
+    # 0 / 0 at grazing angles with ior 1
+    parallel = (ior * cos_i - cos_t) / np.maximum(ior * cos_i + cos_t, 1e-30)
     across = (cos_i - ior * cos_t) / np.maximum(cos_i + ior * cos_t, 1e-30)
     return np.where(sin2_t >= 1, 1.0, 0.5 * (parallel**2 + across**2))
 
@@ -84,7 +85,7 @@ def diffuse_fresnel(ior: float) -> float:
 
 
 def perceptual_roughness(alpha: float | NDArray, distribution: str) -> NDArray[np.float64]:
-    """R = sqrt(alpha), alpha being widened from GGX to the nearest Beckmann lobe; clamped to [0, 1]."""
+    """R = sqrt(alpha), with alpha widened from GGX to the nearest Beckmann lobe; clamped to [0, 1]."""
     factor = ALPHA_BECKMANN_PER_GGX if distribution == "ggx" else 1.0
     return np.sqrt(np.clip(np.asarray(alpha, dtype=np.float64) * factor, 0.0, 1.0))
 

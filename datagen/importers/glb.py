@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes and plain materials as a binary glTF file, for formats that are imported by way of it."""
+"""Meshes and plain materials as a binary glTF file, for formats that are imported through glTF."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ class GlbMaterial:
 
 
 def encode_glb(surfaces: Sequence[tuple[str, Mesh]], materials: Mapping[str, GlbMaterial]) -> bytes:
-    """A .glb file with a node for each (material name, mesh); v of texture coordinates upwards here."""
+    """A .glb file with a node for each (material name, mesh); v of the input's texture coordinates
+    points up.
+    """
     return _Writer(materials).encode(surfaces)
 
 

@@ -2,7 +2,7 @@
 """glTF 2.0 files as object or environment packages: metres, Z up, D, S and R.
 
 glTF is Y up with its front along +Z, which becomes Z up with the front along -Y. An object is centred on the
-origin and put on the plane z = 0. Texture coordinates are turned so that v runs upwards.
+origin and put on the plane z = 0. Texture coordinates are flipped so that v points up.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ from datagen.importers.mitsuba_shapes import transformed_uv
 from datagen.importers.packaging import finish
 
 LUMENS_PER_WATT = 683.0
-"""glTF lights are photometric; Blender and others convert with this factor, and so it is undone."""
+"""glTF lights are photometric; Blender and other exporters convert with this factor, which is inverted here.
+"""
 _ROOM_SIDE_M, _ROOM_HEIGHT_M = 2.5, 2.0
 _TOUCH_M = 0.005
 DRACO_REMEDY = "export it without, or install Blender's module, which decodes it (extra `blender`)"
@@ -75,11 +76,12 @@ def import_gltf(
     findings: Findings | None = None,
 ) -> list[ImportedAsset]:
     """Convert a .gltf or .glb file to packages below ``out_library``: one, or with ``split`` one for each
-    group of root nodes that touch each other.
+    group of touching root nodes.
 
-    ``origin`` is the file of another format that it was made of, whose licence holds and of which errors
-    speak; ``findings`` are those of the conversion. Raises :class:`InputError` with every problem: unknown
-    extensions, missing files, see-through materials where the policy is to refuse, an unknown licence.
+    ``origin`` is the file of another format from which it was converted, which provides the licence and the
+    name in errors; ``findings`` are those of the conversion. Raises :class:`InputError` with every problem:
+    unknown extensions, missing files, transparent materials if the policy is to refuse them, an unknown
+    licence.
     """
     options = options or ImportOptions()
     budget = Budget(origin or path, options.limits)
@@ -159,7 +161,7 @@ class _GltfImporter:
         if abs(np.linalg.det(matrix[:3, :3])) < 1e-15:
             self.findings.approximate(f"{label}: scaled to nothing, left out")
             return None
-        if np.linalg.det(matrix[:3, :3]) < 0:  # a mirroring node turns the winding round
+        if np.linalg.det(matrix[:3, :3]) < 0:  # a mirroring node reverses the winding
             mesh = replace(mesh, faces=mesh.faces[:, ::-1].copy())
         mesh = mesh.transformed(matrix)
         faults = inspect_mesh(mesh)
@@ -195,7 +197,7 @@ class _GltfImporter:
             if num_mended:
                 self.num_mended.append(num_mended)
             return mesh
-        return flat_shaded(Mesh(positions, faces, None, uv))  # as the format asks where normals are absent
+        return flat_shaded(Mesh(positions, faces, None, uv))  # required by the format if normals are absent
 
     def groups(self) -> list[list[_Piece]]:
         """Pieces by root node; roots whose bounding boxes touch (a pot and its lid) stay together."""
@@ -361,7 +363,7 @@ class _GltfImporter:
         return tuple(found)
 
     def _lights(self) -> list[Light]:
-        """KHR_lights_punctual: candela and lux become W/sr and W/m^2 by 683 lm/W; they shine along -Z."""
+        """KHR_lights_punctual: candela and lux become W/sr and W/m^2 by 683 lm/W; lights emit along -Z."""
         entries = self.file.json.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
         found: list[Light] = []
         names: set[str] = set()

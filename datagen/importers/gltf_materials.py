@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""glTF materials to D, S and R; other properties are approximated or refused by name."""
+"""glTF materials as D, S and R; other properties are approximated or refused by name."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LEFT_OUT = (
     "KHR_materials_clearcoat", "KHR_materials_sheen", "KHR_materials_iridescence", "KHR_materials_anisotropy",
     "KHR_materials_volume", "KHR_materials_dispersion",
 )  # fmt: skip
-_OPAL = 0.7  # about what clear glass shows of a bright room behind it
+_OPAL = 0.7  # roughly the radiance of a bright room behind clear glass
 
 
 @dataclass
@@ -78,7 +78,9 @@ class GltfMaterialConverter:
         self.problems.append(Problem(self.file.path, field_, got, expected, remedy))
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
-        """Material ``index`` (None: glTF's default); ``hints`` are names that may imply its class."""
+        """Material ``index`` (None: glTF's default); ``hints`` are names from which its class may be
+        guessed.
+        """
         key = -1 if index is None else index
         if key not in self._done:
             entry = {} if index is None else self.file.item("materials", index, "primitive.material")
@@ -271,7 +273,7 @@ class GltfMaterialConverter:
         encoding: str,
         instead: str = "its factor stands alone",
     ) -> ImageSource | None:
-        """The image of a texture reference, or None; notes its UV set and transform."""
+        """The image of a texture reference, or None; records its UV set and transform."""
         if info is None:
             return None
         texture = self.file.item("textures", info.get("index"), f"material {name!r}")

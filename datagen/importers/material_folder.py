@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PBR texture folders in the naming of ambientCG and Poly Haven as material packages.
+"""PBR texture folders with the file names of ambientCG or Poly Haven as material packages.
 
 ``Wood051_1K_Color.jpg``, ``Wood051_1K-JPG_NormalGL.jpg``; ``oak_diff_1k.jpg``, ``oak_arm_1k.jpg``.
 """
@@ -47,7 +47,7 @@ DEFAULT_TILE_M = 1.0
 
 
 def role_of(name: str) -> str:
-    """Kind of map that an image's file name states; '' if it states none."""
+    """Kind of map stated by an image's file name, or ''."""
     stem = _RESOLUTION.sub("", Path(name).stem).lower().replace("-", "_")
     words = stem.split("_")
     for length in (2, 1):
@@ -58,7 +58,7 @@ def role_of(name: str) -> str:
 
 
 def find_maps(folder: Path) -> dict[str, list[Path]]:
-    """Images of a folder by role; links among them are followed by whoever reads them."""
+    """Images of a folder by role; symbolic links are not resolved here."""
     maps: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in _IMAGES and (path.is_file() or path.is_symlink()):
@@ -69,7 +69,7 @@ def find_maps(folder: Path) -> dict[str, list[Path]]:
 
 
 def is_material_folder(folder: Path) -> bool:
-    """Whether a folder holds a colour map and at least one other map that its name tells."""
+    """Whether a folder contains a colour map and at least one other map, recognised by name."""
     maps = find_maps(folder) if folder.is_dir() else {}
     return "color" in maps and len(maps) > 1
 
@@ -172,7 +172,7 @@ class _MaterialImporter:
         return _Scalars(roughness, metallic)
 
     def normal(self) -> Texture | None:
-        """The normal map in OpenGL orientation; DirectX maps have their green channel turned round."""
+        """The normal map in OpenGL orientation; the green channel of DirectX maps is inverted."""
         up, down, unknown = self.one("normal_gl"), self.one("normal_dx"), self.one("normal")
         path = up or down or unknown
         if path is None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""OBJ (with MTL), PLY and STL files: brought into the form of glTF, then imported like it.
+"""OBJ (with MTL), PLY and STL files, converted to glTF in memory and imported like it.
 
-Such files state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL (``--up``); the
-unit is a metre where the size is plausible for that, else the first of centimetre, millimetre and inch that
-makes it so, and the import reports it (``--unit-scale``).
+Such files state neither unit nor up axis. Y is up in OBJ, Z in PLY and STL (``--up``). The unit is a metre if
+the size is plausible for that, else the first of centimetre, millimetre and inch that makes it so, and the
+import reports it (``--unit-scale``).
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from datagen.importers.obj_model import creased, read_obj_model
 
 _IMAGE_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 _UNITS_M = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
-_USUAL_M = (0.02, 20.0)  # the longest side of a thing, or of a room, of a category that is not known
+_USUAL_M = (0.02, 20.0)  # longest plausible side of an object, or of a room, of unknown category
 _STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 _MAX_EXPONENT = 1000.0
-"""Of a Phong lobe in MTL files, which counts as smooth; Blender's exporter writes 1000 (1 - R)^2."""
+"""Phong exponent in MTL files that counts as perfectly smooth; Blender's exporter writes 1000 (1 - R)^2."""
 
 
 @dataclass(frozen=True)
 class MeshSource:
-    """Content of a mesh file: surfaces with the name of each one's material, and the materials."""
+    """Content of a mesh file: surfaces with their material names, and the materials."""
 
     surfaces: list[tuple[str, Mesh]]
     materials: dict[str, GlbMaterial]
@@ -53,8 +53,8 @@ def import_mesh_file(
 ) -> list[ImportedAsset]:
     """Convert an OBJ, PLY or STL file to a package below ``out_library``.
 
-    Raises :class:`InputError` for damaged files, for files that it names and that are not there or lie
-    elsewhere, and for an unknown licence.
+    Raises :class:`InputError` for damaged files, for named files that are missing or outside of the allowed
+    folders, and for an unknown licence.
     """
     options = options or ImportOptions()
     findings, suffix = Findings(), path.suffix.lower()
@@ -69,7 +69,7 @@ def import_mesh_file(
 
 
 def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, findings: Findings) -> float:
-    """Metres in a unit of the file."""
+    """Metres per unit of the file."""
     points = [mesh.positions for _, mesh in source.surfaces]
     low, high = np.min([p.min(0) for p in points], 0), np.max([p.max(0) for p in points], 0)
     longest = float((high - low).max())
@@ -112,7 +112,7 @@ def _read_obj(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 def _material_of(
     name: str, phong: PhongMaterial, path: Path, options: ImportOptions, findings: Findings, budget: Budget
 ) -> GlbMaterial:
-    """An MTL material as metal and roughness: R from the exponent, mirrors (``illum`` 3) as metals."""
+    """An MTL material as metalness and roughness: R from the exponent, mirrors (``illum`` 3) as metals."""
     image: tuple[str, bytes] | None = None
     for keyword, text in phong.maps.items():
         if keyword != "map_kd":
@@ -176,7 +176,7 @@ def _read_stl(path: Path, options: ImportOptions, findings: Findings, budget: Bu
 
 
 def _smoothed(mesh: Mesh, budget: Budget) -> Mesh:
-    """Vertices of one place joined; normals smooth across edges of less than 60 degrees."""
+    """The mesh with coincident vertices merged and normals smooth across edges of less than 60 degrees."""
     positions, joined = welded(mesh)
     faces = joined[mesh.faces]
     points = positions.astype(np.float64)

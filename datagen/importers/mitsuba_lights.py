@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Mitsuba emitters and sensors as lights and cameras of a package.
 
-``A`` below is ``asset_from_source``: the rotation to Z up times the unit scale s. Radiance is unchanged by
-scale; intensities (W/sr) grow by s^2.
+``A`` below is ``asset_from_source``: the rotation to Z up times the unit scale s. Radiance does not change
+with scale; intensities (W/sr) grow by s^2.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class LightConverter:
         return _color(emitters[0].get("radiance", 1.0))
 
     def add(self, node: SceneNode) -> None:
-        """Convert an emitter that stands by itself."""
+        """Convert an emitter without a shape."""
         method = getattr(self, f"_{node.type}", None)
         if method is None:
             expected = "area, constant, envmap, point, spot, directional, sky, sun or sunsky"
@@ -209,7 +209,7 @@ def emitter_shape_light(
 ) -> Light | None:
     """The light of an emitting rectangle, disk or sphere; None for other shapes, which stay emissive parts.
 
-    A rectangle or disk emits along its local +Z; where the transform mirrors, the edges trade places so that
+    A rectangle or disk emits along its local +Z; if the transform mirrors, the edges are swapped so that
     edge_u x edge_v still points there.
     """
     linear, center = asset_from_shape[:3, :3], asset_from_shape[:3, 3]

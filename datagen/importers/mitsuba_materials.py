@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba BSDFs to D, S and R. The mapping and its errors are set out in docs/importing.md.
+"""Mitsuba BSDFs as D, S and R. The mapping and its errors are set out in docs/importing.md.
 
-A BSDF first becomes a :class:`Draft`, which names the visible channels and their sources; the
-drafts of see-through BSDFs carry their kind, so that the scene importer can apply the policy that the user
-chose. BSDFs without a mapping are refused by name.
+A BSDF first becomes a :class:`Draft`, which names the visible channels and their sources; drafts of
+transparent BSDFs carry their kind, so that the scene importer can apply the policy chosen by the user. BSDFs
+without a mapping are refused by name.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from datagen.importers.mitsuba_values import NodeValues
 class Draft:
     """A material before its files are written. ``uv_matrix`` (3, 3) acts on Mitsuba's (u, v), v downwards.
 
-    ``transparency``: ``thin`` passes light straight, ``body`` refracts, ``null`` is not there at all.
-    ``height`` is a bump map in scene units per texel value.
+    ``transparency``: ``thin`` transmits light straight, ``body`` refracts, ``null`` is invisible. ``height``
+    is a bump map in scene units per texel value.
     """
 
     name: str
@@ -113,7 +113,7 @@ class MaterialConverter(NodeValues):
     # opaque BSDFs
 
     def _diffuse(self, node: SceneNode, name: str) -> Draft:
-        """S = 0, R = 1; D is lowered by the sheen that Schlick's curve has even so: equal albedo."""
+        """S = 0, R = 1; D is lowered by the sheen that Schlick's curve adds even then, for equal albedo."""
         reflectance = self.color(node, "reflectance", 0.5)
         if isinstance(reflectance, ImageSource):
             return Draft(name, diffuse=replace(reflectance, offset=-fresnel.DIFFUSE_SHEEN))
@@ -222,7 +222,7 @@ class MaterialConverter(NodeValues):
             draft = replace(draft, transparency="body")
         return draft
 
-    # see-through BSDFs: what stands in for them is decided per shape
+    # transparent BSDFs: their replacement is decided per shape
 
     def _dielectric(self, node: SceneNode, name: str) -> Draft:
         return self._glass(node, name, "body", 0.0)
@@ -240,7 +240,7 @@ class MaterialConverter(NodeValues):
         self, node: SceneNode, name: str, kind: Literal["thin", "body"], roughness: ScalarValue
     ) -> Draft:
         f0 = fresnel.dielectric_f0(self.ior(node))
-        opal = 0.7  # about what clear glass shows of a bright room behind it
+        opal = 0.7  # roughly the radiance of a bright room behind clear glass
         return Draft(name, (opal,) * 3, (f0,) * 3, roughness, transparency=kind, fallback_class="glass")
 
     # wrappers
@@ -281,7 +281,7 @@ class MaterialConverter(NodeValues):
         return replace(draft, normal=replace(source, encoding="linear"))
 
     def _blendbsdf(self, node: SceneNode, name: str) -> Draft:
-        """Channels blended by the weight; alpha, not R, is what is blended."""
+        """Channels blended by the weight; roughness is blended as alpha, not as R."""
         first, second = self._nested(node, name, 0), self._nested(node, name, 1)
         weight = self.scalar(node, "weight", 0.5)
         if (

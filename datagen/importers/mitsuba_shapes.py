@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba shapes as meshes in their own frame, with texture coordinates whose v runs upwards.
+"""Mitsuba shapes as meshes in their own frame, with texture coordinates whose v points up.
 
-Mitsuba looks images up with v downwards. Its OBJ loader flips v by default, its PLY loader does not,
-and its analytic shapes have v downwards: all of that is undone here.
+Mitsuba looks up images with v downwards. Its OBJ loader flips v by default, its PLY loader does not, and its
+analytic shapes have v downwards: all of that is reversed here.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ _ROUND_SEGMENTS = 64
 
 
 def shape_mesh(node: SceneNode, file: Path | None, budget: Budget) -> tuple[Mesh, int]:
-    """Mesh of a shape before its ``to_world`` and how many of its normals were mended.
+    """Mesh of a shape before its ``to_world``, and the number of its normals that were repaired.
 
-    ``file`` is the mesh file of ``obj`` and ``ply`` shapes.
-
-    Normals are always present: those of the file, smooth ones where it has none, flat ones for
-    ``face_normals``. Raises :class:`InputError` for an unreadable file.
+    ``file`` is the mesh file of ``obj`` and ``ply`` shapes. Normals are always present: those of the file,
+    smooth ones if it has none, flat ones for ``face_normals``. Raises :class:`InputError` for an unreadable
+    file.
     """
     if node.type in FILE_SHAPES:
         if file is None:
@@ -59,7 +58,7 @@ def local_transform(node: SceneNode) -> NDArray[np.float64]:
 
 
 def transformed_uv(uv: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:
-    """UVs (v upwards) under a texture transform (3, 3) that is meant for v downwards."""
+    """UVs (v upwards) under a texture transform (3, 3) defined for v downwards."""
     down = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1).astype(np.float64)
     moved = down @ matrix[:2, :2].T + matrix[:2, 2]
     return np.stack([moved[:, 0], 1 - moved[:, 1]], axis=1).astype(np.float32)
@@ -76,7 +75,7 @@ def _rectangle(_: SceneNode) -> Mesh:
 
 
 def _disk(_: SceneNode) -> Mesh:
-    """Mitsuba's UVs of a disk are (radius, angle / 2 pi)."""
+    """A disk with Mitsuba's UVs, (radius, angle / 2 pi)."""
     angle = np.arange(_ROUND_SEGMENTS + 1) / _ROUND_SEGMENTS * 2 * math.pi
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     positions = _f32(np.concatenate([rim, np.zeros((_ROUND_SEGMENTS, 3))]))
@@ -88,7 +87,7 @@ def _disk(_: SceneNode) -> Mesh:
     return Mesh(positions, faces, _f32([[0, 0, 1]] * len(positions)), uv)
 
 
-_CUBE_CORNERS = (  # Mitsuba's own order, since its UVs go with it
+_CUBE_CORNERS = (  # Mitsuba's own order, which its UVs require
     (1, -1, -1), (1, -1, 1), (-1, -1, 1), (-1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, 1, 1), (1, 1, 1),
     (1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1), (-1, -1, 1),
     (-1, -1, 1), (-1, 1, 1), (-1, 1, -1), (-1, -1, -1), (1, 1, -1), (1, -1, -1), (-1, -1, -1), (-1, 1, -1),
@@ -128,7 +127,7 @@ def _sphere(node: SceneNode) -> Mesh:
 def _cylinder(node: SceneNode) -> Mesh:
     start, end = np.asarray(node.get("p0", (0, 0, 0.0))), np.asarray(node.get("p1", (0, 0, 1.0)))
     axis = (end - start) / np.linalg.norm(end - start)
-    # Mitsuba's frame around an axis (Duff et al. 2017), which its UVs start from
+    # Mitsuba's frame around an axis (Duff et al. 2017), on which its UVs are based
     sign = 1.0 if axis[2] >= 0 else -1.0
     a = -1.0 / (sign + axis[2])
     side = np.array([1 + sign * axis[0] ** 2 * a, sign * axis[0] * axis[1] * a, -sign * axis[0]])

@@ -37,7 +37,7 @@ _DEFAULT_INT_IOR, _DEFAULT_EXT_IOR = "bk7", "air"
 
 @dataclass
 class _Textures:
-    """Texture look-ups of one BSDF, with their UV transforms."""
+    """Texture references of one BSDF, with their UV transforms."""
 
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
     has_plain: bool = False
@@ -55,7 +55,7 @@ class NodeValues:
         self.start_material()
 
     def start_material(self) -> None:
-        """Forget UV transforms and notes of the material before."""
+        """Forget UV transforms and notes of the previous material."""
         self._textures = _Textures()
         self.notes: list[str] = []
 
@@ -116,7 +116,7 @@ class NodeValues:
         return (float(value),) * 3
 
     def scalar(self, node: SceneNode, key: str, default: float) -> ScalarValue:
-        """A scalar parameter or its texture; colours count by their luminance."""
+        """A scalar parameter or its texture; colours are converted to luminance."""
         texture = node.child(key)
         if texture is None:
             value = node.get(key, default)
@@ -133,7 +133,7 @@ class NodeValues:
         return found
 
     def texture(self, node: SceneNode) -> Value:
-        """A texture node as a value; its transform is noted for the material."""
+        """A texture node as a value; its transform is recorded for the material."""
         if node.type == "bitmap":
             return self._bitmap(node)
         if node.type == "checkerboard":
@@ -183,7 +183,7 @@ class NodeValues:
             self._textures.matrices.append(flat)
 
     def common_matrix(self, node: SceneNode) -> NDArray[np.float64] | None:
-        """The UV transform (3, 3) of all textures of the material; None where no texture has one."""
+        """The UV transform (3, 3) shared by all textures of the material; None without any."""
         matrices = self._textures.matrices
         if not matrices:
             return None

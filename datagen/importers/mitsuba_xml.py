@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A Mitsuba 3 scene (XML) as an environment package: one part a shape, metres, Z up.
+"""A Mitsuba 3 scene (XML) as an environment package: one part per shape, metres, Z up.
 
-docs/importing.md lists the conversions and their errors. Nothing is dropped or replaced silently: it is
-refused by name, or replaced by option and listed in the record of the import.
+docs/importing.md lists the conversions and their errors. Nothing is dropped or replaced silently: content
+without a conversion is refused by name, or replaced by option and listed in the record of the import.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from datagen.importers.mitsuba_shapes import (
 from datagen.importers.mitsuba_values import COPY_IT, INSIDE_SCENE, normal_from_height
 from datagen.importers.packaging import finish
 
-_PANE_RATIO = 0.05  # a see-through part thinner than this share of its second extent is a pane
+_PANE_RATIO = 0.05  # a transparent part thinner than this share of its second extent is a pane
 
 
 _SlotKey = tuple[int, tuple[float, float, float] | None]  # BSDF, emission
@@ -79,8 +79,8 @@ def import_mitsuba_scene(
 ) -> ImportedAsset:
     """Convert a scene file to an environment package in ``out_library/environments/<id>``.
 
-    Raises :class:`InputError` with every problem: unknown plugins, missing files, see-through materials where
-    the policy is to refuse, an unknown licence.
+    Raises :class:`InputError` with every problem: unknown plugins, missing files, transparent materials if
+    the policy is to refuse them, an unknown licence.
     """
     return _SceneImporter(path, options or ImportOptions()).run(out_library)
 
@@ -209,7 +209,9 @@ class _SceneImporter:
         shapes.append(_Shape(node, label, mesh, file, transform, draft, emission, bsdf))
 
     def mesh_of(self, node: SceneNode, file: Path | None) -> tuple[Mesh, int]:
-        """The mesh of a shape; one that several shapes name is read once, and counts each time."""
+        """The mesh of a shape; one shared by several shapes is read once, but counts against the budget each
+        time.
+        """
         key = _source_of(node, file)
         if key in self.meshes:
             self.budget.spend("triangles", self.meshes[key][0].weight, node.where)
@@ -218,7 +220,7 @@ class _SceneImporter:
         return self.meshes[key]
 
     def apply_dielectric_policy(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Refuse transmissive materials, or remove panes and turn bodies into opal glass, by option."""
+        """Refuse transmissive materials or, by option, remove panes and turn bodies into opal glass."""
         kept: list[_Shape] = []
         refused: dict[str, str] = {}
         removed: dict[str, int] = {}
@@ -256,7 +258,9 @@ class _SceneImporter:
         return kept
 
     def take_out_lights(self, shapes: list[_Shape]) -> list[_Shape]:
-        """Emitting rectangles, disks and spheres become lights of the package; other emitters stay parts."""
+        """Convert emitting rectangles, disks and spheres to lights of the package; other emitters stay
+        parts.
+        """
         kept = []
         for shape in shapes:
             light = None
@@ -274,7 +278,8 @@ class _SceneImporter:
     def build_parts(self, shapes: list[_Shape]) -> tuple[list[Part], list[Mesh]]:
         """Parts with their mesh files, and every part's mesh in the asset's frame.
 
-        A mesh that several shapes share is stored once, in its own frame; others are stored in place.
+        A mesh shared by several shapes is stored once, in its own frame; others are stored in the asset's
+        frame.
         """
         parts: list[Part] = []
         placed: list[Mesh] = []
@@ -408,7 +413,7 @@ def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
 
 
 def is_pane(mesh: Mesh) -> bool:
-    """Whether every separate piece of a mesh is flat: thin against its second-largest extent."""
+    """Whether every separate piece of a mesh is flat: thin relative to its second-largest extent."""
     from datagen.foundation.meshes.mesh import welded
 
     points, index = welded(mesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Material libraries of Wavefront OBJ files (.mtl), as they state it."""
+"""Material libraries of Wavefront OBJ files (.mtl), without conversion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 
 @dataclass
 class PhongMaterial:
-    """A material as an MTL file states it: display colours, ``maps`` by keyword (``map_kd``)."""
+    """A material of an MTL file: display colours, and ``maps`` by keyword (``map_kd``)."""
 
     diffuse: tuple[float, float, float] = (0.8, 0.8, 0.8)
     specular: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -25,7 +25,7 @@ class PhongMaterial:
 
 
 def read_mtl(data: bytes, where: str | Path) -> dict[str, PhongMaterial]:
-    """Materials of an MTL file by name. Raises :class:`InputError` for numbers that are none."""
+    """Materials of an MTL file by name. Raises :class:`InputError` for invalid numbers."""
     found: dict[str, PhongMaterial] = {}
     current = PhongMaterial()
     for raw in data.decode("utf-8", "replace").splitlines():

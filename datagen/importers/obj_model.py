@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""OBJ models with their materials: one mesh a material, polygons cut into triangles, normals made up where
-the file has none.
+"""OBJ models with their materials: one mesh per material, polygons triangulated, normals computed if the file
+has none.
 
-Letters: C corners of polygons, P polygons, M triangles. v of a texture coordinate runs upwards.
+Letters: C corners of polygons, P polygons, M triangles. v of a texture coordinate points up.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from datagen.foundation.meshes.obj import corner_indices
 CREASE_COSINE = 0.5
 """Edges of less than 60 degrees are smooth within a smoothing group."""
 MIRROR_GROUP = "sweethome3d_window_mirror"
-_BLOCK = 1 << 16  # lines turned into numbers at once: words take ten times their file
-_MAX_PAIRS = 1 << 22  # corner pairs held at once
-_NORMAL_DIGITS = 5  # equal normals of shared corners must be equal bits, or no vertex would be shared
+# lines are converted to numbers at once: as strings they take ten times the memory of the file
+_BLOCK = 1 << 16
+_MAX_PAIRS = 1 << 22  # corner pairs in memory at once
+_NORMAL_DIGITS = 5  # equal normals of shared corners must be bit-identical for vertices to be shared
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,7 +32,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Surface:
-    """The faces of one material; ``is_mirror`` where the model marks them as a mirror."""
+    """The faces of one material; ``is_mirror`` if the model marks them as a mirror."""
 
     material: str
     is_mirror: bool
@@ -62,7 +63,7 @@ class _Statements:
 
 
 def read_obj_model(data: bytes, where: str | Path, budget: Budget) -> ObjModel:
-    """Parse an OBJ file. Lines and points are passed over. Raises :class:`InputError` where it is damaged."""
+    """Parse an OBJ file. Lines and points are ignored. Raises :class:`InputError` if it is damaged."""
     found = _sort_lines(data, budget)
     budget.spend("triangles", max(sum(found.counts) - 2 * len(found.counts), len(found.positions) // 3))
     try:
@@ -108,7 +109,7 @@ def _sort_lines(data: bytes, budget: Budget) -> _Statements:
             if owner < 0:
                 owner = found.keys.setdefault((material, is_mirror), len(found.keys))
             corners = line.split()
-            if len(corners) > 3:  # some files hold faces of two corners, which have no surface
+            if len(corners) > 3:  # some files have faces of two corners, without a surface
                 found.corners += corners[1:]
                 found.counts.append(len(corners) - 1)
                 if len(found.corners) > most:
@@ -148,7 +149,9 @@ def _block(lines: list[bytes], width: int) -> Floats:
 
 
 def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, Ints]:
-    """Triangles as corner numbers (M, 3) and the polygon of each (M,). ``points`` (C, 3) are the corners'."""
+    """Triangles as corner numbers (M, 3) and the polygon of each (M,). ``points`` (C, 3) are the positions of
+    the corners.
+    """
     starts = np.cumsum(counts) - counts
     threes, fours = np.flatnonzero(counts == 3), np.flatnonzero(counts == 4)
     parts = [starts[threes][:, None] + [0, 1, 2]]
@@ -175,13 +178,13 @@ def _triangulated(points: Floats, counts: Ints, budget: Budget) -> tuple[Ints, I
 
 
 def triangulate(points: Floats, budget: Budget) -> Ints:
-    """Triangles (K - 2, 3) of a plane polygon (K, 3) without holes, in its own winding, by cutting ears."""
+    """Triangles (K - 2, 3) of a planar polygon (K, 3) without holes, in its own winding, by ear clipping."""
     ring = np.arange(len(points))
     turned = np.roll(points, -1, axis=0)
     normal = np.cross(points - points[0], turned - points[0]).sum(axis=0)  # Newell
     axis = int(np.abs(normal).argmax())
     flat = np.delete(points, axis, axis=1)
-    if (normal[axis] < 0) != (axis == 1):  # seen along -axis, and x-z is mirrored against z-x
+    if (normal[axis] < 0) != (axis == 1):  # projected along -axis; x-z is mirrored relative to z-x
         flat = flat * [1.0, -1.0]
     before, after = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -191,7 +194,7 @@ def triangulate(points: Floats, budget: Budget) -> Ints:
     ears: list[tuple[int, int, int]] = []
     while len(ring) > 3:
         cut = next((k for k in range(len(ring)) if _is_ear(flat, ring, k, budget)), None)
-        if cut is None:  # a ring that crosses itself has none: what is left becomes a fan
+        if cut is None:  # a self-intersecting ring has none: the rest becomes a fan
             break
         ears.append((ring[cut - 1], ring[cut], ring[(cut + 1) % len(ring)]))
         ring = np.delete(ring, cut)
@@ -218,9 +221,10 @@ def _normal(triangles: Floats) -> Floats:
 
 
 def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
-    """Mask (M,) of triangles that do not repeat an earlier one, whichever way round.
+    """Mask (M,) of triangles that do not repeat an earlier one in either winding.
 
-    Models hold faces twice to be seen from both sides, which every surface of the project is anyway.
+    Models contain faces twice to make them visible from both sides, which every surface of the project is
+    anyway.
     """
     keys = np.sort(faces, axis=1)
     order = np.lexsort(keys.T)
@@ -232,7 +236,7 @@ def _first_of_each(faces: Ints) -> NDArray[np.bool_]:
 def _corner_normals(
     positions: Floats, normals: Floats, corner: Ints, smoothing: Ints, budget: Budget
 ) -> Floats:
-    """Unit normals (M, 3, 3): the file's where a corner names one, else smooth within a smoothing group."""
+    """Unit normals (M, 3, 3): the file's if a corner refers to one, else smooth within a smoothing group."""
     cross = _normal(positions[corner[:, :, 0]])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     unit = np.where(length > 0, cross / np.maximum(length, 1e-300), 0.0)
@@ -251,8 +255,9 @@ def _corner_normals(
 
 
 def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budget: Budget) -> Floats:
-    """Normals (M, 3, 3): at each corner the angle-weighted mean of the faces there that lie within 60 degrees
-    and in the same smoothing group; group 0 is flat."""
+    """Normals (M, 3, 3): at each corner the angle-weighted mean of the adjacent faces within 60 degrees and
+    in the same smoothing group; group 0 is flat.
+    """
     made = np.repeat(unit[:, None], 3, axis=1)
     chosen = np.flatnonzero(smoothing > 0)
     if not len(chosen):
@@ -292,7 +297,7 @@ def creased(positions: Floats, faces: Ints, unit: Floats, smoothing: Ints, budge
 
 
 def _mesh(positions: Floats, uvs: Floats, corner: Ints, normals: Floats) -> Mesh:
-    """One surface; texture coordinates only where every corner has them, and they are finite."""
+    """One surface; with texture coordinates only if every corner has finite ones."""
     flat = corner.reshape(-1, 3)
     uv = None
     if len(uvs) and (flat[:, 1] >= 0).all():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The last step of every import: the package is written, checked as a whole, and recorded.
+"""The last step of every import: write the package, check it as a whole, and record the import.
 
-``import.json`` beside ``asset.json`` keeps what the importer approximated and noticed; it is no part of the
-asset's hash.
+``import.json`` beside ``asset.json`` holds the approximations and remarks of the importer; it does not enter
+the asset's hash.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def finish(
     options: ImportOptions,
     findings: Findings,
 ) -> ImportedAsset:
-    """Write ``folder/<id>`` (or ``.zip``). Faults of the package are refused, warnings become notes."""
+    """Write ``folder/<id>`` (or ``.zip``). Faults of the package are errors; warnings become notes."""
     record: dict[str, Any] = {
         "approximations": list(findings.approximations),
         "notes": list(findings.notes),
@@ -59,7 +59,7 @@ def finish(
 
 
 def _contents(asset: AnyAsset) -> str:
-    """Size, parts and materials in a few words."""
+    """Short text with size, parts and materials."""
     if isinstance(asset, PanoramaAsset):
         return asset.daytime
     if isinstance(asset, MaterialAsset):

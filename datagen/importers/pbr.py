@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Metallic-roughness materials (glTF, texture folders) to D, S and R:
+"""Metallic-roughness materials (glTF, texture folders) as D, S and R:
 
 D = base (1 - metallic),  S = F0 (1 - metallic) + base metallic,  R = roughness    (method 1)
 
-A channel that one plain image gives is passed through; only true products of images are baked.
+A channel given by one plain image is passed through; only true products of images are baked.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from datagen.importers.channels import (
 )
 
 DEFAULT_F0 = 0.04
-_MIN_AGREEMENT = 0.2  # correlation of normals and height; made from each other they reach 0.3 to 0.96
-_END_TOLERANCE = 0.02  # JPEG noise in a metalness image that is meant to be all 0 or all 1
+_MIN_AGREEMENT = 0.2  # correlation of normals and height; matching pairs reach 0.3 to 0.96
+_END_TOLERANCE = 0.02  # JPEG noise in a metalness image intended to be all 0 or all 1
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def metallic_roughness(
     roughness: ScalarValue,
     f0: ColorValue = (DEFAULT_F0,) * 3,
 ) -> PbrChannels:
-    """D, S and R; ``label`` names baked files. A metalness image that is constant counts as a constant."""
+    """D, S and R; ``label`` names baked files. A constant metalness image counts as a constant."""
     metallic = settled(cache, metallic)
     if metallic == 0.0:
         return PbrChannels(base, f0, roughness)
@@ -71,7 +71,7 @@ def metallic_roughness(
 
 
 def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
-    """A scalar, as a constant where its image stays within 2 % of 0 or of 1."""
+    """A scalar; replaced by a constant if its image stays within 2 % of 0 or of 1."""
     if is_constant(value):
         return value
     pixels = cache.values(value, is_scalar=True)
@@ -83,19 +83,19 @@ def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
 
 
 def green_points_up(pixels: NDArray, height: NDArray | None = None) -> bool:
-    """Whether a tangent-space normal image has +Y up (OpenGL) rather than down (DirectX), by its pixels.
+    """Whether a tangent-space normal image has +Y up (OpenGL) rather than down (DirectX), judged by its
+    pixels.
 
-    Where a ``height`` image of the same size goes with it and agrees with the normals at all, its slope
-    along v decides. Else the curl does:
-
-    Slopes p = nx / nz and q = ny / nz of a height field have no curl: dp/dv = dq/du. With v upwards and rows
-    downwards that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow - dq/dcolumn = 0 for DirectX; whichever
-    leaves less is right. Columns and rows wrap around.
+    If there is a ``height`` image of the same size that correlates with the normals, its slope along v
+    decides. Otherwise the curl does: slopes p = nx / nz and q = ny / nz of a height field have none, dp/dv =
+    dq/du. With v upwards and rows downwards that is dp/drow + dq/dcolumn = 0 for OpenGL and dp/drow -
+    dq/dcolumn = 0 for DirectX; the convention with the smaller residual is assumed. Columns and rows wrap
+    around.
     """
     values = pixels[..., :3].astype(np.float64) / np.iinfo(pixels.dtype).max * 2 - 1
     if height is not None and height.shape[:2] == pixels.shape[:2]:
         rise = height[..., 0].astype(np.float64)
-        slope_v = np.roll(rise, 1, axis=0) - np.roll(rise, -1, axis=0)  # v runs against the rows
+        slope_v = np.roll(rise, 1, axis=0) - np.roll(rise, -1, axis=0)  # v is opposite to the rows
         if slope_v.std() > 0 and values[..., 1].std() > 0:
             agreement = float(np.corrcoef(values[..., 1].ravel(), -slope_v.ravel())[0, 1])
             if abs(agreement) > _MIN_AGREEMENT:

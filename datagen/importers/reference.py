@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Holds an imported scene against its original: the same camera, Mitsuba's own BSDFs or the converted ones.
+"""Compares an imported scene with its original: the same camera, with Mitsuba's own BSDFs or the converted
+ones.
 
 Images are (H, W, 3) float32, scene-linear. The Mitsuba variant must have been selected before rendering.
 """
@@ -28,11 +29,11 @@ if TYPE_CHECKING:
     from datagen.library import Library
 
 BLUR_SHARE = 0.01  # sigma of the comparison's blur, as a share of the image's width
-_DARK_SHARE = 0.01  # pixels below this share of the mean say nothing about a ratio
+_DARK_SHARE = 0.01  # pixels below this share of the mean are too dark for a ratio
 
 
 def load_original(path: Path, *, optimize: bool = False) -> Any:
-    """The scene as Mitsuba loads it, with its own BSDFs; ``optimize=False`` keeps one mesh a shape."""
+    """The scene as loaded by Mitsuba, with its own BSDFs; ``optimize=False`` keeps one mesh per shape."""
     import mitsuba as mi
 
     file = path / "scene.xml" if path.is_dir() else path
@@ -52,7 +53,7 @@ def camera_at(camera: AssetCamera, width_px: int, height_px: int | None = None) 
     """An asset's camera at another width; its aspect is kept to the nearest pixel unless a height is given.
 
     Another aspect keeps the horizontal field of view and the vertical centre: some reference images are
-    square where their scene is wide.
+    square although their scene is wide.
     """
     if height_px is not None:
         scale = width_px / camera.width_px
@@ -78,7 +79,7 @@ def render_original(
     seed: int = 0,
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
-    """The original from its own camera, by Mitsuba's path tracer, with a box filter."""
+    """The original from its own camera, rendered by Mitsuba's path tracer with a box filter."""
     import mitsuba as mi
 
     scene = load_original(path, optimize=True)
@@ -108,7 +109,7 @@ def render_original(
 def native_configuration(
     package: Package, width_px: int, seed: int = 0, height_px: int | None = None
 ) -> Configuration:
-    """An environment by itself, under its own lights, from its own cameras."""
+    """An environment alone, under its own lights, from its own cameras."""
     asset = package.asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
         raise input_error(package.path, "cameras", "none", "an environment with a camera of its own")
@@ -174,10 +175,10 @@ class Agreement:
 
 
 def agreement(image: NDArray, reference: NDArray) -> Agreement:
-    """Compare two images of any sizes but one aspect; the reference is brought to the image's size by area.
+    """Compare two images of the same aspect; the reference is resampled by area to the image's size.
 
     Luminance is blurred with a Gaussian of ``BLUR_SHARE`` of the width; then both images are clipped at the
-    99th percentile of the reference's, so that the few pixels of a visible lamp do not decide alone.
+    99th percentile of the reference's, so that the few pixels of a visible lamp do not dominate.
     """
     import cv2
     from scipy.ndimage import gaussian_filter

@@ -18,9 +18,9 @@ from datagen.formats.base import Vector3, quantized
 
 SQUARE_M = 0.025
 MIN_CELL_M = 0.06
-_MAX_POINTS = 6_000_000  # sampled surface points; coarser sampling beyond keeps the memory below 100 MB
+_MAX_POINTS = 6_000_000  # sampled surface points; above this, coarser sampling keeps the memory below 100 MB
 _MAX_GRID_CELLS = 6_000_000
-_CAMERA_BAND_M = (0.7, 1.9)  # heights above the floor that a camera region must be free in
+_CAMERA_BAND_M = (0.7, 1.9)  # heights above the floor at which a camera region must be free
 _CAMERA_MARGIN_M = 0.2
 _SLOT_SIDE_M = 0.6
 
@@ -33,9 +33,10 @@ def short_vector(values: NDArray | list[float]) -> Vector3:
 def surface_points(
     triangles: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], float]:
-    """Points spread over the triangles (P, 3), their triangles (P,), and the distance that none exceeds.
+    """Points distributed over the triangles (P, 3), their triangles (P,), and an upper bound on their
+    distance.
 
-    The distance is ``0.8 * SQUARE_M``, more where that would give too many points.
+    The bound is ``0.8 * SQUARE_M``, or more if that would give too many points.
     """
     lengths = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)  # edge k: corner k to k + 1
     turn = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
@@ -76,9 +77,9 @@ class RoomGrid:
     def build(
         cls, points: NDArray[np.float32], seeds: NDArray[np.float64], min_cell_m: float
     ) -> RoomGrid | None:
-        """The grid of the room that holds most seeds (or is largest); None if no space is enclosed.
+        """The grid of the room that contains most seeds (or is largest); None if no space is enclosed.
 
-        ``min_cell_m`` must exceed the distance between points, else walls have holes.
+        ``min_cell_m`` must exceed the distance between points, otherwise walls have holes.
         """
         from scipy import ndimage
 
@@ -96,7 +97,7 @@ class RoomGrid:
             walls += np.flip(np.logical_or.accumulate(np.flip(occupied, axis), axis=axis), axis)
         inside = ((seeds - origin) / cell).astype(np.int64) if len(seeds) else np.zeros((0, 3), np.int64)
         inside = inside[((inside >= 0) & (inside < shape)).all(axis=1)]
-        for num_sides in (5, 4):  # of six; film sets lack a wall, or a wall and the ceiling
+        for num_sides in (5, 4):  # of six sides; film sets lack a wall, or a wall and the ceiling
             labels, count = ndimage.label(~occupied & (walls >= num_sides))
             hits = labels[tuple(inside.T)]
             hits = hits[hits > 0]
@@ -112,7 +113,7 @@ class RoomGrid:
         floor_cell = int(levels.argmax())
         edge = origin[2] + floor_cell * cell
         near = points[np.abs(points[:, 2] - edge) < 1.5 * cell][:, 2]
-        if len(near):  # the height that most points share, rather than the edge of a cube
+        if len(near):  # the height shared by most points, rather than the edge of a cube
             bins = np.round(near / 0.005).astype(np.int64)
             values, counts = np.unique(bins, return_counts=True)
             edge = float(near[bins == values[counts.argmax()]].mean())
@@ -130,7 +131,7 @@ class RoomGrid:
         return int(np.clip((height_m - self.origin_m[2]) / self.cell_m, 0, self.interior.shape[2] - 1))
 
     def camera_regions(self) -> Iterator[Box]:
-        """Up to four boxes that are free from knee to head height, standing on the floor."""
+        """Up to four boxes that are free from knee to head height above the floor."""
         from scipy import ndimage
 
         low, high = (
@@ -174,7 +175,7 @@ class RoomGrid:
 
 
 def rectangles(mask: NDArray[np.bool_], count: int, min_side: int) -> Iterator[tuple[int, int, int, int]]:
-    """Largest free rectangles (x0, x1, y0, y1), one after the other, none overlapping another."""
+    """Largest free rectangles (x0, x1, y0, y1), one after the other, without overlap."""
     mask = mask.copy()
     for _ in range(count):
         x0, x1, y0, y1 = largest_rectangle(mask, min_side)

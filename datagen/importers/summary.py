@@ -13,7 +13,7 @@ _NAMED, _LINES = 3, 6
 
 
 def summary_lines(asset: ImportedAsset) -> list[str]:
-    """Lines for a terminal; the whole of it is in the package's ``import.json``."""
+    """Lines for a terminal; the package's ``import.json`` has all details."""
     lines = [f"{asset.kind} {asset.asset_id} ({asset.license}): {asset.contents}; {asset.path}"]
     for label, sentences in (("approximated", asset.approximations), ("note", asset.notes)):
         grouped = group_sentences(sentences)
@@ -25,9 +25,9 @@ def summary_lines(asset: ImportedAsset) -> list[str]:
 
 
 def group_sentences(sentences: Sequence[str]) -> list[str]:
-    """Sentences ``name: what`` that say the same of many names as one, the most frequent first.
+    """Merge sentences ``name: what`` with the same text for many names, the most frequent first.
 
-    Figures may differ among them; those of the first stand, and the sentence says that others differ.
+    Figures may differ among them; those of the first are shown, and the sentence states that others differ.
     """
     groups: dict[tuple[bool, str], list[tuple[str, str]]] = {}
     for sentence in sentences:

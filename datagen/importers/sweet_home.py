@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Sweet Home 3D furniture libraries (.sh3f) as object packages: hundreds of objects by one command.
 
-A model is turned by its catalogue's rotation, stretched to the catalogue's width, depth and height, put
-upright (the file's +Y is up, its +Z the front, which becomes -Y) and on z = 0. Pieces that cannot be imported
-are refused by name, the others are imported; packages that are there already are kept, so that an interrupted
-import goes on where it stopped.
+A model is rotated by its catalogue's rotation, scaled to the catalogue's width, depth and height, oriented
+upright (the file's +Y is up, its +Z the front, which becomes -Y) and put on z = 0. Pieces that cannot be
+imported are refused by name, the others are imported. Existing packages are kept, so that an interrupted
+import resumes.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from datagen.importers.sweet_home_catalogue import Catalogue, Piece, open_catalo
 from datagen.importers.sweet_home_materials import ConvertedMaterial, PhongConverter
 
 _IMAGE_SUFFIXES = (*IMAGE_SUFFIXES, ".bmp", ".tga", ".tif", ".tiff")
-_OUTER = 0.02  # share of an extent by which a pane must reach beyond the rest to stay
-_STRETCH = 1.05  # a model whose sides are scaled more unequally than this is said to be stretched
+_OUTER = 0.02  # share of an extent by which a pane must exceed the rest to be kept
+_STRETCH = 1.05  # models scaled more unequally than this are reported as stretched
 _FLAT = 1e-9  # a side without extent cannot be scaled to any size
 _Surface = tuple[str, ConvertedMaterial, Mesh]  # part name, material, mesh in the asset's frame
 _CREDIT = re.compile(r'"[^"\n]+" by (?P<author>[^\n]+)|Created by (?P<maker>[^\n]+)')
@@ -53,12 +53,12 @@ _CATEGORIES = {
     "doors and windows": "door",
     "staircases": "stairs",
 }
-"""Catalogue categories that name the kind of object; the others (kitchen, office) only name its room."""
+"""Catalogue categories that name the kind of object; the others (kitchen, office) name only its room."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One piece of a catalogue that is done: ``imported``, ``kept`` from an earlier run, or ``refused``."""
+    """One finished piece of a catalogue: ``imported``, ``kept`` from an earlier run, or ``refused``."""
 
     name: str
     outcome: Literal["imported", "kept", "refused"]
@@ -68,7 +68,7 @@ class Step:
 
 
 StepObserver = Callable[[Step, int], None]
-"""Told of each step and of how many there are in the catalogue."""
+"""Called with each step and the number of pieces in the catalogue."""
 
 
 def import_sweet_home(
@@ -77,9 +77,9 @@ def import_sweet_home(
     options: ImportOptions | None = None,
     on_step: StepObserver | None = None,
 ) -> list[ImportedAsset]:
-    """Import every piece of a .sh3f file that can be; the records are of those imported now or kept.
+    """Import every possible piece of a .sh3f file; returns the records of those imported now or kept.
 
-    Raises :class:`InputError` where the file is no catalogue, and at the end with all that was refused.
+    Raises :class:`InputError` if the file is no catalogue, and at the end with all refused pieces.
     """
     options = options or ImportOptions()
     _check_options(path, options)
@@ -100,7 +100,7 @@ def import_sweet_home(
 
 
 def _check_options(path: Path, options: ImportOptions) -> None:
-    """Refuse what only makes sense for a single asset, or contradicts the catalogue."""
+    """Refuse options that apply to a single asset only, or contradict the catalogue."""
     problems = []
     if options.kind not in ("auto", "object"):
         expected = "object, which is what furniture becomes"
@@ -119,7 +119,7 @@ def _check_options(path: Path, options: ImportOptions) -> None:
 
 
 class _SweetHomeImporter:
-    """One catalogue on its way into a library."""
+    """Imports one catalogue into a library."""
 
     def __init__(self, catalogue: Catalogue, out_library: Path, options: ImportOptions):
         self.catalogue, self.options = catalogue, options
@@ -127,7 +127,7 @@ class _SweetHomeImporter:
         self.known = read_annotations(options.annotations)
 
     def steps(self) -> Any:
-        """Import piece after piece; yields a :class:`Step` for each."""
+        """Import the pieces in order; yields a :class:`Step` for each."""
         for name, error in self.catalogue.problems.items():
             yield Step(name, "refused", problems=error.problems)
         taken: set[str] = set()
@@ -154,7 +154,9 @@ class _SweetHomeImporter:
         return ", ".join(part for part in (origin.provider, origin.id, piece.id) if part)
 
     def _kept(self, piece: Piece, asset_id: str) -> ImportedAsset | None:
-        """The package that an earlier run made of this very piece, or None. Another's package is an error."""
+        """The package made of the same piece by an earlier run, or None. A package of another piece is an
+        error.
+        """
         path = self.folder / (f"{asset_id}.zip" if self.options.as_zip else asset_id)
         if not path.exists():
             return None
@@ -168,7 +170,8 @@ class _SweetHomeImporter:
     def _import(self, piece: Piece, asset_id: str, category: str) -> ImportedAsset:
         findings = Findings()
         source = self._provenance(piece)
-        budget = Budget(self._label(piece), self.options.limits)  # a piece is gone when the next one begins
+        # a piece is released when the next one begins
+        budget = Budget(self._label(piece), self.options.limits)
         budget.hold(self.catalogue.size_in_archive(piece.model))
         data = self.catalogue.read(piece.model)
         model = read_obj_model(data, f"{self.catalogue.path}/{piece.model}", budget)
@@ -216,11 +219,13 @@ class _SweetHomeImporter:
             return finish(asset, files, self.folder, self.options, findings)
 
     def _hints(self, piece: Piece, model: ObjModel) -> tuple[str, ...]:
-        """Names of the piece imply a material's class only where it has one or two materials."""
+        """Names of the piece, from which a material's class is guessed only if it has one or two
+        materials.
+        """
         return (piece.name, *piece.tags) if len({s.material for s in model.surfaces}) <= 2 else ()
 
     def _provenance(self, piece: Piece) -> Provenance:
-        """Licence, creator and rights holder of a piece, with the page it was taken from if that is named."""
+        """Licence, creator and rights holder of a piece, with its source page if that is named."""
         origin = self.catalogue.origin
         license_id = self.options.license or piece.license or origin.license
         if not license_id:
@@ -252,7 +257,7 @@ class _SweetHomeImporter:
         )
 
     def _phong_materials(self, piece: Piece, model: ObjModel, findings: Findings) -> dict[str, PhongMaterial]:
-        """Materials of the MTL files that the model names."""
+        """Materials of the MTL files named by the model."""
         beside = self.catalogue.beside(piece.model)
         found: dict[str, PhongMaterial] = {}
         absent = []
@@ -319,7 +324,7 @@ class _SweetHomeImporter:
         return [(name, material, mesh.transformed(shift)) for name, material, mesh in pieces]
 
     def _asset_from_model(self, piece: Piece, model: ObjModel, findings: Findings) -> NDArray[np.float64]:
-        """(4, 4): the catalogue's rotation, its size, and +Y up to +Z up."""
+        """Transform (4, 4) by the catalogue's rotation and size, and from +Y up to +Z up."""
         turn = np.eye(3) if piece.rotation is None else piece.rotation
         points = np.concatenate([s.mesh.positions for s in model.surfaces]).astype(np.float64) @ turn.T
         extent = points.max(axis=0) - points.min(axis=0)
@@ -351,7 +356,7 @@ class _SweetHomeImporter:
 
 
 class _ImageFinder:
-    """Images of a model's folder by lower-case name, unpacked into ``scratch`` when first asked for."""
+    """Images of a model's folder by lower-case name, unpacked into ``scratch`` on first use."""
 
     def __init__(self, catalogue: Catalogue, piece: Piece, scratch: Path):
         self.catalogue, self.scratch = catalogue, scratch
@@ -368,8 +373,9 @@ class _ImageFinder:
 
 
 def guess_piece_category(piece: Piece) -> str:
-    """Category of a piece: by its catalogue category where that names a kind of object, else by name, then
-    tags."""
+    """Category of a piece: from its catalogue category if that names a kind of object, else from its name,
+    then from tags.
+    """
     tags = {t.lower() for t in piece.tags}
     if piece.is_door_or_window or piece.is_stairs:
         return "stairs" if piece.is_stairs else "door"
@@ -384,8 +390,11 @@ def guess_piece_category(piece: Piece) -> str:
 
 
 def _with_outer_panes(pieces: list[_Surface], panes: list[_Surface]) -> tuple[list[_Surface], list[_Surface]]:
-    """Parts that stay and panes that are left out. A pane that reaches beyond everything else (a table top, a
-    plate of glass) makes the thing what it is: it stays, as opal."""
+    """Parts to keep, and panes to leave out.
+
+    A pane that extends beyond everything else (a table top, a plate of glass) is the object itself: it is
+    kept, as opal glass.
+    """
     if not pieces or not panes:
         return panes + pieces, []
     low, high = _bounds([mesh for _, _, mesh in pieces])

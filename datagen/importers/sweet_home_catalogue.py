@@ -21,7 +21,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem, input_error
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
-MAX_SIDE_CM = 20_000.0  # a ship is less than 200 m long; more is a slip of the unit
+MAX_SIDE_CM = 20_000.0  # longer than any ship: a wrong unit
 _KEY = re.compile(r"(?P<name>[A-Za-z]+)#(?P<number>\d+)$")
 _ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.S)
 _LICENSES = (
@@ -40,8 +40,8 @@ _HOLDER = re.compile(r"(?:Copyright\s*)?(?:©|\(C\))\s*(?:Copyrights?\s*)?(?P<ho
 class Piece:
     """One entry of a catalogue. ``size_m`` is width, depth, height in metres; ``rotation`` (3, 3) or None.
 
-    ``elevation_m``: height above the floor at which it is put first; above zero it hangs. ``is_back_shown``:
-    the faces are meant to be seen from behind too.
+    ``elevation_m``: initial height above the floor; above zero the object hangs. ``is_back_shown``: the faces
+    are meant to be visible from behind too.
     """
 
     id: str
@@ -72,7 +72,7 @@ class Origin:
 
 @dataclass
 class Catalogue:
-    """An opened catalogue; ``problems`` are of entries that cannot be read, by name."""
+    """An opened catalogue; ``problems`` list unreadable entries by name."""
 
     path: Path
     archive: zipfile.ZipFile
@@ -88,7 +88,7 @@ class Catalogue:
         self.archive.close()
 
     def read(self, member: str) -> bytes:
-        """Content of a member. Raises :class:`InputError` where it is missing or damaged."""
+        """Content of a member. Raises :class:`InputError` if it is missing or damaged."""
         where = f"{self.path}/{member}"
         try:
             return self.archive.read(member)
@@ -112,7 +112,7 @@ class Catalogue:
         return self._folders.get(PurePosixPath(model).parent, {})
 
     def size_in_archive(self, member: str) -> int:
-        """Bytes that a member takes in the archive; 0 where it is missing."""
+        """Compressed size of a member in bytes; 0 if it is missing."""
         try:
             return self.archive.getinfo(member).compress_size
         except KeyError:
@@ -120,8 +120,10 @@ class Catalogue:
 
 
 def open_catalogue(path: Path, budget: Budget) -> Catalogue:
-    """Open a .sh3f file and read its pieces; ``budget`` is of the whole file. Raises :class:`InputError`
-    where it is no catalogue."""
+    """Open a .sh3f file and read its pieces; ``budget`` applies to the whole file.
+
+    Raises :class:`InputError` if it is no catalogue.
+    """
     expected = f"a Sweet Home 3D furniture library: a zip that holds {CATALOGUE_FILE}"
     try:
         archive = zipfile.ZipFile(path)
@@ -182,7 +184,7 @@ def _unescaped(text: str) -> str:
 
 
 def spdx_license(text: str) -> str:
-    """SPDX identifier that a licence text names; '' where it names none or several."""
+    """SPDX identifier named by a licence text; '' if it names none or several."""
     found = set()
     for pattern, name in _LICENSES:
         for match in pattern.finditer(text):

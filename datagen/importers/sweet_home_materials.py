@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Phong materials (MTL) to D, S and R. Colours are display values, as Sweet Home 3D shows them: sRGB.
+"""Phong materials (MTL) as D, S and R. Colours are display values, as in Sweet Home 3D: sRGB.
 
-D is ``Kd``, or ``map_Kd`` alone where there is one, as the program's own photographs have it. Phong has no
-F0, which comes from convention: see ``phong_channels`` and docs/importing.md.
+D is ``Kd``, or ``map_Kd`` alone if there is one, as in the program's own renderings. Phong has no F0, which
+follows from a convention: see ``phong_channels`` and docs/importing.md.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from datagen.importers.obj_materials import PhongMaterial
 F0_PER_SPECULAR = 0.08
 """F0 of a non-metal at Ks = 1; half of it, the slider's middle in Blender and Disney's model, is 0.04."""
 MIN_F0, MAX_ALBEDO = 0.02, 0.9
-_METAL_F0 = (0.3, 0.95)  # below the first a "metal" is painted; above the second none reflects
-_INVISIBLE = 0.02  # a surface of less opacity serves the program as a marker and is not seen
+_METAL_F0 = (0.3, 0.95)  # below the first a "metal" is painted; above the second no metal reflects
+_INVISIBLE = 0.02  # surfaces with less opacity are invisible markers of the program
 _OPAQUE = 0.999
-_OPAL = 0.7  # about what clear glass shows of a bright room behind it
+_OPAL = 0.7  # roughly the radiance of a bright room behind clear glass
 _MIRROR_F0 = 0.9
 _LEFT_OUT = (
     "map_ks",
@@ -62,7 +62,7 @@ class PhongChannels:
 
 @dataclass
 class ConvertedMaterial:
-    """``stand_in``: treatment of a transparent surface; ``pane``: left out if flat, else kept."""
+    """``stand_in``: replacement of a transparent surface; ``pane``: left out if flat, else kept."""
 
     slot: str
     material: SlotMaterial
@@ -71,15 +71,15 @@ class ConvertedMaterial:
 
 
 def phong_roughness(exponent: float) -> float:
-    """R of a Blinn-Phong lobe: the Beckmann lobe with an equally high peak, alpha^2 = 2 / (Ns + 2)."""
+    """R of a Blinn-Phong lobe: that of the Beckmann lobe with an equal peak, alpha^2 = 2 / (Ns + 2)."""
     return float(perceptual_roughness(np.sqrt(2 / (max(exponent, 0.0) + 2)), "beckmann"))
 
 
 def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False) -> PhongChannels:
     """Channels of a material without textures.
 
-    Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, 1 without a highlight.
-    Metals: D = 0, S = Kd + Ks (at most 0.95); below 0.3 the metal counts as painted, a non-metal.
+    Non-metals: D = Kd (at most 0.9), S = 0.08 Ks (at least 0.02), R from Ns, 1 without a highlight. Metals: D
+    = 0, S = Kd + Ks (at most 0.95); below 0.3 the metal counts as painted, which is a non-metal.
     """
     kd = linear_from_srgb(np.clip(phong.diffuse, 0.0, 1.0))
     ks = np.clip(phong.specular, 0.0, 1.0)
@@ -95,9 +95,11 @@ def phong_channels(phong: PhongMaterial, is_metal: bool, is_mirror: bool = False
 
 
 class PhongConverter:
-    """Materials of one model. ``find_file`` gives the path of an image by its lower-case base name, or None.
+    """Converts the materials of one model. ``find_file`` returns the path of an image by its lower-case base
+    name, or None.
 
-    ``hints`` are names that may imply a material's class. Problems are collected for the caller to raise.
+    ``hints`` are names from which a material's class may be guessed. Problems are collected for the caller to
+    raise.
     """
 
     def __init__(
@@ -174,15 +176,15 @@ class PhongConverter:
         guess = guess_class(slot, stem)
         if guess == "other" and self.hints:
             by_name = guess_class(*self.hints)
-            guess = by_name if by_name != "glass" else guess  # a glass table is glass in one part only
+            guess = by_name if by_name != "glass" else guess  # a glass table has one part of glass only
         return (guess,)
 
     def _image(self, slot: str, statement: str | None) -> ImageSource | None:
-        """The image of a map statement: options before it are passed over, folders of other machines too."""
+        """The image of a map statement; options and folders in front of its name are ignored."""
         if not statement:
             return None
         name = _file_name(statement)
-        # Sweet Home 3D takes the last word of a name with blanks, and some models rely on that
+        # Sweet Home 3D uses the last word of a name with blanks, and some models rely on that
         for candidate in (name, name.split()[-1]):
             file = self.find_file(candidate.lower())
             if file is not None:
@@ -197,7 +199,7 @@ class PhongConverter:
         return None
 
     def _cut_out(self, image: ImageSource, phong: PhongMaterial, slot: str) -> ScalarValue | None:
-        """The alpha of the colour image, or the image of ``map_d``, where it hides anything."""
+        """The alpha of the colour image, or the image of ``map_d``, if any of it is transparent."""
         mask: ImageSource | None = None
         pixels = self.cache.pixels(image.file)
         if pixels.shape[2] in (2, 4):
@@ -212,8 +214,9 @@ class PhongConverter:
         return None if float(values.min()) >= _OPAQUE else mask
 
     def _stand_in(self, slot: str, phong: PhongMaterial) -> StandIn:
-        """Treatment of a surface of uniform transparency: refused by name, or converted as the options
-        say."""
+        """Replacement of a surface of uniform transparency: refused by name, or converted according to the
+        options.
+        """
         if phong.opacity >= _OPAQUE:
             return "opaque"
         if phong.opacity < _INVISIBLE:
@@ -245,8 +248,11 @@ class PhongConverter:
 
 
 def _file_name(statement: str) -> str:
-    """The last component of a map's path. Options come first; a name may hold blanks, so it is what follows
-    the last option and its numbers."""
+    """The last component of a map's path.
+
+    Options come first, and a name may contain blanks, so that it is everything after the last option and its
+    numbers.
+    """
     words = statement.replace("\\", "/").split()
     while len(words) > 1 and words[0].startswith("-"):
         words = words[1:]

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 class ImportWatch:
-    """A progress bar for each catalogue and a summary of all of them when the import ends, however it ends.
+    """A progress bar for each catalogue, and a summary of all of them at the end of the import, also after an
+    error.
 
     Nothing is shown, and rich is not loaded, until the first step is reported.
     """
@@ -41,7 +42,7 @@ class ImportWatch:
             print("interrupted; the same command goes on where it stopped")
 
     def step(self, path: Path, step: Step, total: int) -> None:
-        """One piece of the catalogue at ``path``, which has ``total``, is done."""
+        """Report one finished piece of the catalogue at ``path``, which has ``total`` pieces."""
         if self._bars is None:
             from datagen.foundation.progress import Bars
 
