@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 10
 """Raised whenever a change of the code changes the bytes of a dataset, its configurations aside."""
-PLAN_REVISION = 1
+PLAN_REVISION = 2
 """Raised whenever a change of the code changes the configurations or generated rooms of a recipe."""
 _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 

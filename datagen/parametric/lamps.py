@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Lamps: luminous bodies of real size, colour temperature and flux, with shades that throw shadows."""
+"""Lamps: luminous bodies of real size, colour temperature and flux.
+
+Most shades are translucent: a shade of cloth or paper is the luminous body, which photographs show, in place
+of a bulb. The others are opaque and hide their bulb from most cameras.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +18,48 @@ from datagen.parametric.shapes import ball, box, cylinder, lathe, rounded_box, t
 _WARM = (2500.0, 3100.0)  # incandescent, halogen and warm LED
 _COOL = (3500.0, 5000.0)  # offices and workshops
 _THIN = 0.0025
+_TRANSLUCENT = 0.75
+"""Share of translucent shades."""
+_TRANSMITTED = 0.7
+"""Share of a bulb's flux that leaves a translucent shade."""
 
 
 def _bulb(
-    item: Item, slot: str, at: tuple[float, float, float], kelvin: float, lumen: float, radius: float = 0.03
+    item: Item, slot: str, at: tuple[float, float, float], kelvin: float, lumen: float, radius: float
 ) -> None:
     item.add(slot, ball(radius, (at[0], at[1], at[2] - radius), 12))
     item.lamps.append(Lamp(slot, kelvin, lumen, 4 * math.pi * radius**2))
 
 
-def _shade(item: Item, at: tuple[float, float, float], low: float, high: float, height: float) -> None:
-    """An open shade whose lower rim is at ``at``: radii ``low`` below and ``high`` above."""
+def _shade(
+    item: Item, slot: str, at: tuple[float, float, float], low: float, high: float, height: float
+) -> None:
+    """An open shade of material ``slot`` whose lower rim is at ``at``: radii ``low`` below and ``high``
+    above."""
     t = _THIN
     profile = [(low, 0), (high, height), (high - t, height), (low - t, 0), (low, 0)]
-    item.add("shade", lathe(profile, at, 32))
+    item.add(slot, lathe(profile, at, 32))
+
+
+def _shaded(
+    item: Item,
+    draws: Draws,
+    slot: str,
+    shade: tuple[tuple[float, float, float], float, float, float],
+    bulb: tuple[tuple[float, float, float], float],
+    kelvin: float,
+    lumen: float,
+) -> None:
+    """A luminous translucent ``shade`` (arguments of :func:`_shade`), or an opaque one over a ``bulb``
+    (place, radius)."""
+    if not draws.chance(_TRANSLUCENT):
+        _shade(item, "shade", *shade)
+        _bulb(item, slot, bulb[0], kelvin, lumen, bulb[1])
+        return
+    _, low, high, height = shade
+    _shade(item, slot, *shade)
+    both_sides = 2 * math.pi * (low + high) * math.hypot(low - high, height)
+    item.lamps.append(Lamp(slot, kelvin, _TRANSMITTED * lumen, both_sides))
 
 
 def ceiling_disc(draws: Draws, slot: str) -> Item:
@@ -68,8 +100,8 @@ def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Ite
             item.add("metal", tube([(0, 0, -drop + h - 0.03), end], 0.002, 4))
     else:
         item.add("metal", cylinder(high + 0.003, 0.01, (0, 0, -drop + h - 0.004), 20))
-    _shade(item, (0, 0, -drop), low, high, h)
-    _bulb(item, slot, (0, 0, -drop + h - 0.105), kelvin, draws.uniform(700, 1300))
+    bulb = ((0, 0, -drop + h - 0.105), 0.03)
+    _shaded(item, draws, slot, ((0, 0, -drop), low, high, h), bulb, kelvin, draws.uniform(700, 1300))
     item.places.append(LampPlace((0, 0, -drop + 0.03), (0.9 * low, 0.9 * low)))
     return item
 
@@ -155,8 +187,8 @@ def floor_lamp(draws: Draws, slot: str) -> Item:
                 4,
             ),
         )
-    _shade(item, (0, c, h - 0.28), low, high, 0.28)
-    _bulb(item, slot, (0, c, h - 0.11), draws.uniform(*_WARM), draws.uniform(500, 900))
+    kelvin, lumen = draws.uniform(*_WARM), draws.uniform(500, 900)
+    _shaded(item, draws, slot, ((0, c, h - 0.28), low, high, 0.28), ((0, c, h - 0.11), 0.03), kelvin, lumen)
     item.places.append(LampPlace((0, c, h - 0.04)))
     return item
 
@@ -199,8 +231,9 @@ def table_lamp(draws: Draws, slot: str) -> Item:
                 4,
             ),
         )
-    _shade(item, (0, c, 0.58 * h), low, high, 0.42 * h)
-    _bulb(item, slot, (0, c, 0.78 * h), draws.uniform(*_WARM), draws.uniform(250, 500), 0.024)
+    kelvin, lumen = draws.uniform(*_WARM), draws.uniform(250, 500)
+    shade = ((0, c, 0.58 * h), low, high, 0.42 * h)
+    _shaded(item, draws, slot, shade, ((0, c, 0.78 * h), 0.024), kelvin, lumen)
     item.places.append(LampPlace((0, c, 0.93 * h)))
     return item
 

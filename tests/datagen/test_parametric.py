@@ -25,7 +25,7 @@ from datagen.formats.package import open_package
 from datagen.formats.recipe import RoomKind
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, lying_normals
 from datagen.foundation.random import Draws
-from datagen.parametric import shapes
+from datagen.parametric import lamps, shapes
 from datagen.parametric.checks import Furnished, faults_of, meets, swing
 from datagen.parametric.items import Item, Placed, hull_of
 from datagen.parametric.kinds import KINDS
@@ -109,6 +109,29 @@ def test_slots_are_of_metal_in_their_share_of_rooms() -> None:
     spread = np.sqrt(sum(p * (1 - p) for p in expected))
     assert len(found) >= 8 and abs(sum(drawn) - sum(expected)) < 3 * spread
     assert in_metal("legs").surface == "fitting" and in_metal("worktop").surface == "worktop"
+
+
+def test_three_shades_in_four_are_the_luminous_body() -> None:
+    makers = {
+        "pendant": lambda draws: lamps.pendant(draws, "glow_0", 0.6),
+        "floor lamp": lambda draws: lamps.floor_lamp(draws, "glow_0"),
+        "table lamp": lambda draws: lamps.table_lamp(draws, "glow_0"),
+    }
+    for name, make in makers.items():
+        luminous = 0
+        for seed in range(120):
+            item = make(Draws("lamp", name, str(seed)))
+            (lamp,) = item.lamps
+            shape = shapes.joined([shape for slot, shape in item.shapes if slot == "glow_0"])
+            corners = shape.points[shape.faces]
+            cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            area = 0.5 * float(np.linalg.norm(cross, axis=1).sum())
+            assert lamp.area_m2 == pytest.approx(area, rel=0.12)  # polygons in place of circles, and rims
+            is_luminous = all(slot != "shade" for slot, _ in item.shapes)
+            if is_luminous:  # its side is in sight from eye level
+                assert np.ptp(shape.points[:, 2]) > 0.1 and lamp.area_m2 > 0.05
+            luminous += is_luminous
+        assert 0.6 < luminous / 120 < 0.88, name
 
 
 def test_doors_have_switches_and_walls_sockets() -> None:
