@@ -22,12 +22,11 @@ def collect(
     on_removed: Callable[[Path], object] = lambda path: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> DatasetIndex:
-    """Write ``index.json`` from the units that are done, and return it.
+    """Write ``index.json`` from the finished units, and return it.
 
-    Remains of killed attempts are removed, and passed to ``on_removed``; ``progress(done, total)`` counts
-    units.
-    ``deep`` hashes every shard again and raises :class:`InputError` naming those that differ. Units that are
-    not done are listed in ``missing``; the index is complete when there are none.
+    Remains of killed attempts are removed and passed to ``on_removed``; ``progress(done, total)`` counts
+    units. ``deep`` hashes every shard again and raises :class:`InputError` naming those that differ.
+    Unfinished units are listed in ``missing``; the index is complete if there are none.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
@@ -67,7 +66,7 @@ def collect(
     progress(len(plan.units), len(plan.units))
     if problems:
         raise InputError(*problems)
-    # Where the library lies on the machine that made the dataset is nobody's business.
+    # The library's path on the machine that made the dataset stays private.
     library = tuple(Path(path).name for path in recipe.library)
     index = DatasetIndex(
         recipe=recipe.model_copy(update={"library": library}),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs of ``datagen farm``; heavy imports happen in the verbs."""
+"""The verbs of ``datagen farm``; heavy imports are inside them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def submit(
     ] = True,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only write the job scripts.")] = False,
 ) -> None:
-    """Write readable job scripts for the units that are not done, and submit them.
+    """Write readable job scripts for the unfinished units, and submit them.
 
     Example: datagen farm submit paper --engine slurm --cpus 8 --setup "source .venv/bin/activate"
     """
@@ -64,7 +64,7 @@ def farm_status(
 
 @farm.command()
 def retry(folder: FolderArgument) -> None:
-    """Forget the failures that were set aside, so that the next submit or run tries them again.
+    """Clear recorded failures, so that the next submit or run tries these units again.
 
     Example: datagen farm retry paper && datagen farm submit paper
     """

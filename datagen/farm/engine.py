@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Interface of a queue for ``datagen farm``: make scripts, send them, find and stop jobs.
+"""Interface of a queue for ``datagen farm``: write scripts, submit them, find and stop jobs.
 
-An engine is a module with a class that fulfils :class:`Engine`, and a line in ``submission.ENGINES``.
-Whatever a queue does (run twice, requeue, forget), the output protocol of ``work_unit`` gives exactly once.
+An engine is a module with a class that implements :class:`Engine`, and a line in ``submission.ENGINES``.
+Whatever a queue does (run twice, requeue, forget), the output protocol of ``work_unit`` gives each result
+exactly once.
 """
 
 from __future__ import annotations
@@ -21,14 +22,16 @@ from datagen.foundation.errors import input_error
 
 @dataclass(frozen=True)
 class Script:
-    """A job's script: its name in ``jobs/`` of the dataset folder, and its text."""
+    """A job script: its name in ``jobs/`` of the dataset folder, and its text."""
 
     name: str
     text: str
 
 
 class Engine(Protocol):
-    """A queue. ``program`` is what submits, "" where nothing does and scripts are for the user."""
+    """A queue. ``program`` is the command that submits; "" if nothing is submitted and the scripts are for
+    the user.
+    """
 
     program: str
 
@@ -36,23 +39,25 @@ class Engine(Protocol):
         """Raise :class:`InputError` for options that the queue's scripts cannot express."""
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
-        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index (ascending), again after 75."""
+        """Scripts that run ``datagen run FOLDER --unit INDEX`` for each index (ascending), and again after
+        exit code 75.
+        """
 
     def collect(self, root: Path, options: SlurmOptions) -> Script | None:
-        """The script that collects, verifies and reports when the units have ended."""
+        """The script that collects, verifies and reports after the units have ended."""
 
     def send(self, script: Path, after: Sequence[str]) -> str:
-        """Submit a script to start when the jobs ``after`` have ended; returns its job's id."""
+        """Submit a script that starts after the jobs ``after`` have ended; returns its job's id."""
 
     def jobs(self, root: Path) -> list[str]:
         """Ids of this folder's jobs in the queue, pending or running."""
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
-        """Cancel them."""
+        """Cancel these jobs."""
 
 
 def job_name(root: Path) -> str:
-    """Name that all jobs of a dataset folder share; found again by the queue's commands."""
+    """Name shared by all jobs of a dataset folder, by which the queue's commands find them."""
     return f"datagen-{sha256_hex(str(root.resolve()).encode())[:10]}"
 
 
@@ -63,7 +68,7 @@ def with_setup(options: SlurmOptions, root: Path) -> str:
 
 
 def collect_commands(options: SlurmOptions) -> str:
-    """Commands of every collecting job; it exits with the code of the last step that failed."""
+    """Commands of every collecting job; its exit code is that of the last failed step."""
     return f"""code=0
 datagen farm status "$folder" || code=$?
 datagen run "$folder" --only index --deep || code=$?
@@ -74,8 +79,7 @@ exit "$code"
 
 
 def ask(where: Path, expected: str, *command: str) -> str:
-    """Standard output of a queue's command. Raises :class:`InputError` with its error output when it
-    fails."""
+    """Standard output of a queue's command. If it fails, raises :class:`InputError` with its error output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         what = " ".join(done.stderr.split()) or f"exit code {done.returncode}"

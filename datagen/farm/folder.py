@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""The dataset folder: where the plan, the work in progress, the shards and the markers are.
+"""The dataset folder: plan, work in progress, shards and markers.
 
     recipe.yaml                   the resolved recipe
-    dataset.json                  what the folder was started with (recipe, library, versions)
+    dataset.json                  inputs of the folder (recipe, library, versions)
     configurations/<id>.json      one configuration each
-    rooms/<id>.zip                environment packages that were made for this dataset (parametric rooms)
+    rooms/<id>.zip                environment packages made for this dataset (parametric rooms)
     plan.json                     the immutable list of units; written last, so its presence means "planned"
     work/<id>-<key>/rendered/     finished views before statistics (EXR + JSON)
     work/<id>-<key>/complete/     finished views with statistics
     shards/<id>-<sha>.tar         committed shards
     units/<key>.json              manifests: a unit is done if and only if its manifest exists
     sheets/<id>.png               contact sheets
-    failed/<id>.json, logs/       units set aside, and what their processes printed
+    failed/<id>.json, logs/       units that failed, and the output of their processes
     index.json                    the index, written by collecting the manifests
 
-No other state exists: any process that sees this folder can go on with it.
+No other state exists: any process with access to this folder can continue the work.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.paths import inside
 
 _NEITHER_LINKS_NOR_PIPES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-"""Flags by which a link is not followed and a pipe not waited for; Windows has neither."""
+"""Flags for opening files without following links or waiting for pipes; Windows has neither."""
 
 
 class FolderRecord(StrictModel):
-    """``dataset.json``. A folder never mixes recipes, libraries or versions."""
+    """``dataset.json``: a folder never mixes recipes, libraries or versions."""
 
     format: Literal["scene-materials/folder"] = "scene-materials/folder"
     version: Literal[1] = 1
@@ -59,7 +59,7 @@ class FolderRecord(StrictModel):
 
 
 class PlannedUnit(StrictModel):
-    """A unit of work: one configuration. ``key`` hashes all that decides its bytes."""
+    """A unit of work: one configuration. ``key`` hashes everything that affects its bytes."""
 
     index: Annotated[int, Field(ge=0)]
     id: Slug
@@ -71,7 +71,7 @@ class PlannedUnit(StrictModel):
 
 
 class Plan(StrictModel):
-    """``plan.json``."""
+    """``plan.json``, the list of units."""
 
     format: Literal["scene-materials/plan"] = "scene-materials/plan"
     version: Literal[1] = 1
@@ -82,14 +82,14 @@ class Plan(StrictModel):
 
 
 class ViewTiming(StrictModel):
-    """Seconds that one view took, by stage."""
+    """Seconds spent on one view, by stage."""
 
     view: str
     seconds: dict[str, float]
 
 
 class UnitManifest(StrictModel):
-    """``units/<key>.json``: the proof that a unit is done, and where its shard is."""
+    """``units/<key>.json``: marks a unit as done, and names its shard."""
 
     format: Literal["scene-materials/unit"] = "scene-materials/unit"
     version: Literal[1] = 1
@@ -107,7 +107,7 @@ class UnitManifest(StrictModel):
 
 
 class FailureRecord(StrictModel):
-    """``failed/<id>.json``: a unit that was set aside."""
+    """``failed/<id>.json``: a unit that failed too often."""
 
     id: Slug
     index: int
@@ -119,7 +119,7 @@ class FailureRecord(StrictModel):
 
 @dataclass(frozen=True)
 class DatasetFolder:
-    """Paths inside a dataset folder, and reading of what is there."""
+    """Paths inside a dataset folder, and reading of its files."""
 
     root: Path
 
@@ -163,7 +163,7 @@ class DatasetFolder:
         return self.rooms_path / f"{asset_id}.zip"
 
     def library_paths(self) -> list[Path]:
-        """The library that the folder was started with, and the rooms that were made for it."""
+        """Folders of the library with which the dataset was started, and of its generated rooms."""
         return [*map(Path, self.read_record().library_paths), *rooms_of(self.root)]
 
     def configuration_path(self, unit_id: str) -> Path:
@@ -182,7 +182,7 @@ class DatasetFolder:
         return read_json(FolderRecord, inside(self.root, self.record_path))
 
     def read_plan(self) -> Plan:
-        """The plan; raises :class:`InputError` where the folder has none."""
+        """The plan; raises :class:`InputError` if the folder has none."""
         if not self.plan_path.is_file():
             raise input_error(
                 self.plan_path, "", "no plan here", "a planned dataset folder", "run `datagen plan` first"
@@ -193,8 +193,10 @@ class DatasetFolder:
         return read_json(Configuration, inside(self.root, self.configuration_path(unit.id)))
 
     def read_manifest(self, unit: PlannedUnit) -> UnitManifest | None:
-        """The unit's manifest, or None while it is not done. The file is opened, not merely looked up:
-        network file systems cache negative look-ups."""
+        """The unit's manifest, or None while it is not done.
+
+        The file is opened, not merely looked up: network file systems cache negative look-ups.
+        """
         path = self.manifest_path(unit)
         try:
             os.close(os.open(path, os.O_RDONLY | _NEITHER_LINKS_NOR_PIPES))
@@ -210,11 +212,11 @@ class DatasetFolder:
         return manifest
 
     def read_failure(self, unit_id: str) -> FailureRecord:
-        """Record of a unit that was set aside."""
+        """Record of a failed unit."""
         return read_json(FailureRecord, inside(self.root, self.failed_path / f"{unit_id}.json"))
 
     def is_done(self, unit: PlannedUnit) -> bool:
-        """Whether the unit's manifest and its shard, of the stated size, are there."""
+        """Whether the unit's manifest exists, and its shard with the recorded size."""
         try:
             manifest = self.read_manifest(unit)
         except InputError:
@@ -228,8 +230,9 @@ class DatasetFolder:
         return stat.S_ISREG(status.st_mode) and status.st_size == manifest.num_bytes
 
     def check_same_start(self, recipe: Recipe, record: FolderRecord) -> None:
-        """Raise :class:`InputError` where the folder was started from something else than ``recipe`` and
-        ``record``, or is in use for something else."""
+        """Raise :class:`InputError` if the folder belongs to another ``recipe`` and ``record``, or serves
+        another purpose.
+        """
         if not self.record_path.exists():
             if any(not path.name.startswith(".") for path in self.root.iterdir()):
                 expected = "a new or empty folder, or a dataset folder"
@@ -260,7 +263,7 @@ class DatasetFolder:
 
 
 def unit_key(configuration: Configuration, recipe: Recipe, variant: str, versions: dict[str, str]) -> str:
-    """SHA-256 over all that decides a unit's bytes."""
+    """SHA-256 over everything that affects a unit's bytes."""
     parts = {
         "configuration": configuration.model_dump(mode="json"),
         "render": recipe.render.model_dump(mode="json"),
@@ -273,13 +276,13 @@ def unit_key(configuration: Configuration, recipe: Recipe, variant: str, version
 
 
 def rooms_of(path: Path) -> list[Path]:
-    """The folder of rooms that were generated for a dataset folder; none where there are none."""
+    """The folder of rooms generated for a dataset folder; empty if it has none."""
     rooms = DatasetFolder(path).rooms_path
     return [rooms] if rooms.is_dir() else []
 
 
 def library_of(path: Path) -> list[Path] | None:
-    """Library folders that a dataset folder was made from, or None where they are not there any more."""
+    """Library folders from which a dataset folder was made, or None if they no longer exist."""
     try:
         paths = DatasetFolder(path).library_paths()
     except InputError:

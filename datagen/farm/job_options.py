@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Resource requests of job scripts, checked before a script is written.
 
-A script is read twice: by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. User input is
-therefore either of a known form, or free of characters that end a line, a quotation or a comment.
+A script is read twice: by Slurm, line by line, for its ``#SBATCH`` directives, and by bash. User input must
+therefore have a known form, or be free of characters that end a line, a quotation or a comment.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _UNSPEAKABLE = {"Cc", "Cs", "Zl", "Zp"}  # control characters, halves of surroga
 _NAMES = re.compile(r"[\w.@+][\w.@+-]*(,[\w.@+][\w.@+-]*)*")
 _MAIL_TYPES = re.compile(r"[A-Za-z_0-9]+(,[A-Za-z_0-9]+)*")
 
-# As sbatch takes them: minutes, or hours and days with colons and a dash; megabytes, or with a unit.
+# Syntax of sbatch: minutes, or hours and days with colons and a dash; megabytes, or with a unit.
 _FORMS: dict[str, tuple[re.Pattern[str], str]] = {
     "time_limit": (re.compile(r"\d+|\d+:\d\d(:\d\d)?|\d+-\d+(:\d\d){0,2}", re.ASCII), "04:00:00 or 1-12"),
     "memory": (re.compile(r"\d+[KMGT]?", re.ASCII), "8G or 8000M"),
@@ -43,20 +43,20 @@ _OURS = {
     "time", "mem", "cpus-per-task", "gres", "partition", "account", "qos", "constraint", "exclude",
     "mail-user", "mail-type",
 }  # fmt: skip
-"""Options of sbatch that the scripts rest on, or that have an option of their own here."""
+"""Options of sbatch that the scripts set themselves, or that have their own option here."""
 
 
 @dataclass(frozen=True)
 class SlurmOptions:
-    """Resource requests of the job scripts. ``time_limit`` and ``memory`` as Slurm has them; ``throttle`` 0:
+    """Resource requests of the job scripts. ``time_limit`` and ``memory`` in Slurm's syntax; ``throttle`` 0:
     none.
 
-    ``notice_s`` before the time limit the unit is told to finish its view and is requeued.
-    ``setup`` is shell code that makes ``datagen`` callable on a node (``source .venv/bin/activate``).
-    ``max_array`` is the cluster's MaxArraySize: longer plans become several array jobs.
-    ``sbatch_options`` and ``collect_options`` are further options of sbatch, NAME or NAME=VALUE: of the
-    units, and of the job that collects, which has a size of its own and takes account, qos, exclude and mail
-    from the units, the partition too unless it has one. Raises :class:`InputError` with all that is wrong.
+    ``notice_s`` before the time limit the unit is told to finish its view, then requeued. ``setup`` is shell
+    code that makes ``datagen`` callable on a node (``source .venv/bin/activate``). ``max_array`` is the
+    cluster's MaxArraySize: longer plans become several array jobs. ``sbatch_options`` and ``collect_options``
+    are further options of sbatch, NAME or NAME=VALUE, for the units and for the collecting job. The latter
+    has its own size, and inherits account, qos, exclude, mail and, unless it sets one, the partition. Raises
+    :class:`InputError` with all faults.
     """
 
     time_limit: Annotated[str, typer.Option("--time", help="Time limit of a unit.")] = "04:00:00"
@@ -125,7 +125,7 @@ class SlurmOptions:
 
 
 def seconds_of(time_limit: str) -> int:
-    """Seconds of a time as Slurm writes it: minutes, M:S, H:M:S, D-H, D-H:M or D-H:M:S."""
+    """Seconds of a time in Slurm's syntax: minutes, M:S, H:M:S, D-H, D-H:M or D-H:M:S."""
     days, dash, rest = time_limit.rpartition("-")
     parts = [int(part) for part in rest.split(":")]
     if dash:
@@ -143,7 +143,7 @@ def option_name(field: str) -> str:
 
 
 def _wrong_setup(setup: str) -> list[Problem]:
-    """Code that bash does not take as whole commands would swallow the lines after it."""
+    """Fault of setup code: incomplete commands would swallow the lines after it."""
     if not setup.strip():
         return []
     remedy = "give whole commands of bash, as in: source .venv/bin/activate"
@@ -151,7 +151,7 @@ def _wrong_setup(setup: str) -> list[Problem]:
     if bad is not None:
         return [Problem(_WHERE, "--setup", f"{bad!r} in {setup!r}", "lines of text", remedy)]
     checked = subprocess.run(["bash", "-n"], input=setup, text=True, capture_output=True)
-    what = " ".join(checked.stderr.split())  # also where it only warns: of a here-document without an end
+    what = " ".join(checked.stderr.split())  # also if bash only warns, as for an unterminated here-document
     if (len(setup) - len(setup.rstrip("\\"))) % 2:
         what = "a backslash at its end, which joins it with what follows"
     if checked.returncode != 0 or what:
@@ -178,20 +178,22 @@ def _wrong_option(option: str, text: str) -> list[Problem]:
 
 
 def is_one_line(text: str) -> bool:
-    """Whether a text is one line that a file can hold, for a comment or one command a line."""
+    """Whether a text is a single line that a file can hold, as needed for a comment or for one command per
+    line.
+    """
     return not any(unicodedata.category(character) in _UNSPEAKABLE for character in text)
 
 
 def can_be_directive(text: str) -> bool:
-    """Whether a text, between double quotes, comes out of Slurm's reader of directives as it is.
+    """Whether Slurm's reader of directives returns a double-quoted text unchanged.
 
-    A backslash escapes there, and in file names it ends the replacement of ``%a``.
+    It treats a backslash as an escape, and in file names a backslash ends the replacement of ``%a``.
     """
     return is_one_line(text) and '"' not in text and "\\" not in text
 
 
 def check_folder(root: Path, engine: str) -> None:
-    """Raise :class:`InputError` for a folder whose path a script of this engine cannot name."""
+    """Raise :class:`InputError` for a folder whose path cannot be written in a script of this engine."""
     path = str(root.resolve())
     remedy = "rename the folder, or reach it by another path"
     if not is_one_line(path):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Remains of killed attempts in a dataset folder: nothing refers to them, and they take space.
+"""Remains of killed attempts in a dataset folder, which nothing refers to and which take up space.
 
-A crash between a shard's rename and its marker leaves a tar that no marker names, one before it a part of
-a tar. A second process on the same unit may go on writing views after the first has committed it.
+A crash between a shard's rename and its marker leaves a tar that no marker names; an earlier crash leaves
+part of a tar. A second process on the same unit may continue to write views after the first has committed it.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ _PARTIAL_MARKER = re.compile(r"\.+(?P<key>[0-9a-f]{64})\.json\.[0-9a-f]{12}\.par
 
 
 def find_leftovers(root: Path) -> list[Path]:
-    """Files and folders of planned units that nothing rests on, sorted; none of units in progress.
+    """Unneeded files and folders of planned units, sorted; units in progress are left out.
 
-    Only names that the project gives are looked at: other files are nobody's business here. Raises
-    :class:`InputError` where there is no plan.
+    Only names of the project's own scheme are considered. Raises :class:`InputError` if there is no plan.
     """
     folder = DatasetFolder(root)
     units = folder.read_plan().units
@@ -57,7 +56,7 @@ def remove_leftovers(root: Path) -> list[Path]:
     removed = []
     for path in find_leftovers(root):
         if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)  # a slow attempt may write into it at this moment
+            shutil.rmtree(path, ignore_errors=True)  # a slow attempt may be writing into it
         else:
             path.unlink(missing_ok=True)
         if not os.path.lexists(path):
@@ -75,16 +74,16 @@ def _names(folder: Path) -> list[str]:
 
 
 def _is_needed(folder: DatasetFolder, unit: PlannedUnit, name: str, now: float) -> bool:
-    """Whether a file is the unit's shard, or may become it: the marker comes after the shard."""
+    """Whether a file is the unit's shard, or may become it: the marker is written after the shard."""
     if age_of_attempt(folder.work_path(unit), now) < RUNNING_AGE_S:
         return True
     try:
         manifest = folder.read_manifest(unit)
     except InputError:
-        return True  # a damaged marker says nothing of its shard; it is made again
+        return True  # a damaged marker does not identify its shard; the unit is made again
     return manifest is not None and Path(manifest.shard).name == name
 
 
 def _is_over(folder: DatasetFolder, unit: PlannedUnit, now: float) -> bool:
-    """Whether the unit is done and nothing works on it any more."""
+    """Whether the unit is done and no process works on it any more."""
     return folder.is_done(unit) and age_of_attempt(folder.work_path(unit), now) >= RUNNING_AGE_S

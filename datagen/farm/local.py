@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Runs units on this machine: worker processes that may die without taking anything else with them.
+"""Runs units on this machine, in worker processes whose crashes affect nothing else.
 
-The parent hands out unit indices over pipes and never imports mitsuba. A worker that dies costs its unit
-only; the unit is tried again in a fresh process, then set aside with its log and the command that
-reproduces it. Workers are replaced after a number of units or when their memory has grown.
+The parent hands out unit indices over pipes and never imports mitsuba. If a worker dies, only its unit is
+lost; the unit is tried again in a new process, then recorded as failed with its log and the command that
+reproduces the failure. Workers are replaced after a number of units or when their memory has grown.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ GRACE_S = 20.0
 
 @dataclass(frozen=True)
 class LocalOptions:
-    """Options of a local run. ``max_growth_mb`` is memory above that after a worker's first unit."""
+    """Options of a local run. ``max_growth_mb`` limits memory growth after a worker's first unit."""
 
     workers: int = 1
     attempts: int = 3
@@ -43,18 +43,19 @@ class LocalOptions:
 
 @dataclass
 class RunSummary:
-    """Outcome of a run: ids of units by outcome, and the records of those that were set aside."""
+    """Outcome of a run: ids of units by outcome, and the records of those that failed."""
 
     done: list[str] = field(default_factory=list)
     already_done: int = 0
     failures: list[FailureRecord] = field(default_factory=list)
     interrupted: bool = False
     disk_full: str = ""
-    """Why the run stopped, where there was no room; no attempt is counted and no unit set aside for it."""
+    """Message about a full disk that stopped the run, or ""; it counts as no attempt, and no unit is recorded
+    as failed."""
 
     @property
     def set_aside(self) -> list[str]:
-        """Ids of the units that were set aside."""
+        """Ids of the units that failed."""
         return [failure.id for failure in self.failures]
 
 
@@ -80,11 +81,11 @@ class _Worker:
 
     def give(self, unit: PlannedUnit, log: Path) -> None:
         self.unit, self.log = unit, log
-        with suppress(OSError):  # it may have died before it was given work; the parent sees its sentinel
+        with suppress(OSError):  # it may have died before it got work; the parent's sentinel notices
             self.connection.send((unit.index, str(log)))
 
     def is_spent(self, memory_mb: float, options: LocalOptions) -> bool:
-        """Whether the worker has done its share or has grown too much."""
+        """Whether the worker has run its number of units or has grown too much."""
         if self.num_units == 1:
             self.first_memory_mb = memory_mb
         grown = memory_mb - self.first_memory_mb
@@ -92,7 +93,7 @@ class _Worker:
 
     def dismiss(self) -> None:
         """Let an idle worker end."""
-        with suppress(OSError):  # it may be gone already
+        with suppress(OSError):  # it may already have ended
             self.connection.send(None)
         self.process.join(GRACE_S)
         self.kill()
@@ -107,11 +108,11 @@ class _Worker:
 def run_local(
     root: Path, options: LocalOptions, on_event: Callable[[Event], None] = lambda event: None
 ) -> RunSummary:
-    """Run every unit of the plan that is not done, with ``options.workers`` processes.
+    """Run every unfinished unit of the plan, with ``options.workers`` processes.
 
-    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop; so does a full disk,
-    at its first word. Returns what happened; units that failed ``attempts`` times are in ``set_aside`` and
-    under ``failed/``.
+    SIGINT, SIGTERM and SIGUSR1 let views in progress finish (at most 20 s), then stop; a full disk stops the
+    run as soon as it is noticed. Units that failed ``attempts`` times are in ``set_aside`` and under
+    ``failed/``.
     """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
@@ -141,7 +142,7 @@ class _LocalRun:
     workers: list[_Worker] = field(default_factory=list)
 
     def finish(self) -> None:
-        """Work on the queue until it is empty, a signal arrives or the disk is full."""
+        """Process the queue until it is empty, a signal arrives or the disk is full."""
         stop = {"asked": False}
         previous = {
             number: signal.signal(number, lambda *_: stop.update(asked=True)) for number in STOP_SIGNALS
@@ -175,7 +176,7 @@ class _LocalRun:
                 worker.give(unit, self.folder.logs_path / f"{unit.id}.{self.attempts[unit.id]}.log")
 
     def _handle(self, worker: _Worker) -> None:
-        """Take a worker's message, or its death."""
+        """Handle a worker's message, or its death."""
         unit = worker.unit
         try:
             message = worker.connection.recv() if worker.connection.poll() else None
@@ -208,7 +209,7 @@ class _LocalRun:
             self.summary.disk_full = self.summary.disk_full or reason
         elif outcome == "failed":
             self._fail(unit, reason, worker.log)
-        else:  # the worker was stopped from outside: the unit is simply tried again
+        else:  # the worker was stopped from outside: its unit is tried again
             self.attempts[unit.id] -= 1
             self.todo.append(unit)
         if outcome == "failed" or worker.is_spent(memory_mb, self.options):
@@ -216,7 +217,7 @@ class _LocalRun:
             worker.dismiss()
 
     def _fail(self, unit: PlannedUnit, reason: str, log: Path | None) -> None:
-        """Queue the unit again, or set it aside once its attempts are used up."""
+        """Queue the unit again, or record it as failed once its attempts are used up."""
         root, used = self.folder.root, self.attempts[unit.id]
         if used < self.options.attempts:
             self.todo.append(unit)
@@ -231,7 +232,7 @@ class _LocalRun:
             command=f"datagen run {shlex.quote(str(root.resolve()))} --unit {unit.index} --attempts 0",
         )
         self.summary.failures.append(record)
-        # A full disk fails units and their records alike; the caller has them in the summary.
+        # A full disk prevents units and their records alike; the caller has them in the summary.
         with suppress(OSError):
             self.folder.failed_path.mkdir(exist_ok=True)
             write_bytes_atomically(self.folder.failed_path / f"{unit.id}.json", canonical_json(record))
@@ -239,7 +240,7 @@ class _LocalRun:
 
 
 def _ready(workers: list[_Worker]) -> list[_Worker]:
-    """Workers with a message or an end to report, waiting at most a second so that signals are noticed."""
+    """Workers with a message or an end to report, waiting at most a second, so that signals are noticed."""
     handles: dict[object, _Worker] = {}
     for worker in workers:
         handles[worker.connection] = worker

@@ -31,7 +31,7 @@ render: {{quality: {quality}}}  # draft, standard or reference
 
 @recipe.callback()
 def _recipe() -> None:
-    """Recipes: the description of a dataset."""
+    """The group ``recipe``: descriptions of datasets."""
 
 
 @recipe.command()
@@ -43,7 +43,7 @@ def new(
     quality: Annotated[str | None, typer.Option(help="draft, standard or reference.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed: another one, other rooms.")] = 0,
 ) -> None:
-    """Ask four questions and write a recipe; options answer them beforehand.
+    """Ask four questions and write a recipe; options answer them in advance.
 
     Example: datagen recipe new rooms.yaml --configurations 4 --views 8 --resolution 320x192 --quality draft
     """
@@ -62,7 +62,7 @@ def new(
 def write_recipe(
     file: Path, configurations: int, views: int, resolution: str, quality: str, seed: int = 0
 ) -> Path:
-    """Write a recipe and the schema beside it. Raises :class:`InputError` for answers that cannot be."""
+    """Write a recipe, with the schema beside it. Raises :class:`InputError` for impossible answers."""
     import yaml
 
     from datagen.formats.base import parse_model, write_bytes_atomically

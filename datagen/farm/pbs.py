@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Runs a plan on PBS (OpenPBS, PBS Professional): array jobs that look their unit up in a list.
+"""Runs a plan on PBS (OpenPBS, PBS Professional): array jobs whose members look up their unit in a list.
 
-PBS arrays have no gaps and at least two members, so that the members' units stand in the script. PBS gives no
-notice before a time limit; the script does. Unfinished units then submit themselves again.
+PBS arrays have no gaps and at least two members, so that the script lists the units of its members. PBS gives
+no notice before a time limit; the script does. Unfinished units then submit themselves again.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _directives(root: Path, options: SlurmOptions, select: str, time_limit: str,
         *([f"-q {queue}"] if queue else []),
         *([f"-A {options.account}"] if options.account else []),
         *([f"-M {options.mail_user}", "-m ae"] if options.mail_user else ["-m n"]),
-        # The script writes its log itself: a directive cannot hold every folder's name.
+        # The script redirects its log itself: a directive cannot contain every folder's name.
         "-j oe",
         "-o /dev/null",
         "-r y",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From a recipe to a planned dataset folder: every configuration on disk, then the list of units."""
+"""From a recipe to a planned dataset folder: all configurations on disk, then the list of units."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mitsuba_plugins.variant import check_variant, resolve_variant
 
 
 def check_start(recipe: Recipe, library: Library) -> None:
-    """Raise :class:`InputError` for faults that would make every process fail: recipe, library, LLVM."""
+    """Raise :class:`InputError` for faults of recipe, library or LLVM that would make every process fail."""
     check_recipe(recipe, library)
     check_variant(recipe.render.variant)
 
@@ -77,13 +77,13 @@ def create_plan(
     report: Callable[[int, int], None] = lambda done, total: None,
     tell: Callable[[str], None] = lambda note: None,
 ) -> Plan:
-    """Assemble the configurations that are not on disk yet and write the plan; a finished one is read.
+    """Assemble the missing configurations and write the plan; an existing plan is only read.
 
-    ``report(done, total)`` is called as configurations are finished, ``tell`` with each of
-    :func:`notes_before`, once nothing stops the work. Raises :class:`InputError`.
+    ``report(done, total)`` is called for each finished configuration, ``tell`` with each of
+    :func:`notes_before` after the checks. Raises :class:`InputError`.
     """
     if not DatasetFolder(root).plan_path.exists():
-        check_start(recipe, library)  # before anything is written
+        check_start(recipe, library)  # before any file is written
     for note in notes_before(recipe, library):
         tell(note)
     folder = start_folder(recipe, library, root)
@@ -109,7 +109,7 @@ def create_plan(
 
 
 def notes_before(recipe: Recipe, library: Library) -> list[str]:
-    """Remarks on a plan before it is made: nothing is wrong, but the user should know."""
+    """Remarks on a plan before it is made, about facts that are valid but that the user should know."""
     return [
         *map(str, unplaceable(recipe, library)),
         *implausible_sizes(recipe, library),
@@ -133,11 +133,11 @@ def _is_assembled(folder: DatasetFolder, recipe: Recipe, library: Library, index
         room = configuration.environment.asset
         return configuration.index == index and (room in library or folder.room_path(room).exists())
     except InputError:
-        return False  # damaged: it is assembled again
+        return False  # damaged: assembled again
 
 
 def write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
-    """Write the plan over the configurations that are on disk; nothing is planned before this."""
+    """Write the plan from the configurations on disk, which completes planning."""
     versions = pixel_versions()
     variant = resolve_variant(recipe.render.variant)
     units = []

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Runs a plan on Slurm, or on any queue that can call one command a unit.
+"""Runs a plan on Slurm, or on any queue that can call one command per unit.
 
-Slurm does not give exactly-once: a killed node's job is requeued while its old process may run to its end.
-The output protocol of ``work_unit`` does. Nothing is ever keyed on a job id: a restarted controller reuses
-them.
+Slurm does not guarantee exactly one run: a killed node's job is requeued while its old process may still be
+running. The output protocol of ``work_unit`` does. Nothing is ever identified by a job id, since a restarted
+controller reuses them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from datagen.foundation.errors import input_error
 
 
 def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> str:
-    """``#SBATCH`` lines; None is an option without a value. Values between double quotes are read as they are
-    (without them, a ``#`` would begin a comment)."""
+    """``#SBATCH`` lines; None marks an option without a value.
+
+    Values are double-quoted, which keeps them unchanged (otherwise a ``#`` would begin a comment).
+    """
     lines = []
     for name, value in [*directives.items(), *map(split_option, options)]:
         if value == "":
@@ -37,7 +39,7 @@ def _directives(directives: dict[str, str | None], options: tuple[str, ...]) -> 
 
 
 def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | None]:
-    """Directives of both kinds of job."""
+    """Directives shared by both kinds of job."""
     return {
         "job-name": job_name(root),
         "account": options.account,
@@ -50,7 +52,7 @@ def _shared_directives(root: Path, options: SlurmOptions) -> dict[str, str | Non
 
 
 def array_script(root: Path, options: SlurmOptions, offset: int, indices: list[int]) -> str:
-    """The array job's script. Task i works on unit ``offset + i``, since arrays have a largest index."""
+    """The array job's script. Task i runs unit ``offset + i``, since array indices are limited."""
     check_folder(root, "slurm")
     throttle = f"%{options.throttle}" if options.throttle else ""
     directives: dict[str, str | None] = {
@@ -93,8 +95,10 @@ exit "$code"
 
 
 def collect_script(root: Path, options: SlurmOptions) -> str:
-    """The dependent job's script: status, index, verification, report. It requests no GPU, and exits with the
-    code of the last step that failed."""
+    """The dependent job's script: status, index, verification, report.
+
+    It requests no GPU; its exit code is that of the last failed step.
+    """
     check_folder(root, "slurm")
     directives: dict[str, str | None] = {
         **_shared_directives(root, options),
@@ -112,7 +116,7 @@ def collect_script(root: Path, options: SlurmOptions) -> str:
 
 
 def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
-    """One command a line, for any other queue (GNU parallel, xargs, SGE, HTCondor, ...)."""
+    """One command per line, for any other queue (GNU parallel, xargs, SGE, HTCondor, ...)."""
     check_folder(root, "shell")
     folder = shlex.quote(str(root.resolve()))
     lines = [f"datagen run {folder} --unit {index} --attempts {options.attempts}" for index in indices]
@@ -120,7 +124,7 @@ def shell_script(root: Path, indices: list[int], options: SlurmOptions) -> str:
 
 
 def _escaped(path: Path) -> str:
-    """A path as Slurm's file name patterns take it."""
+    """A path, escaped for Slurm's file name patterns."""
     return str(path).replace("%", "%%")
 
 
@@ -144,13 +148,13 @@ class SlurmEngine:
         return Script("collect.sbatch", collect_script(root, options))
 
     def send(self, script: Path, after: Sequence[str]) -> str:
-        # afterok would wait for ever on one failed task.
+        # afterok would wait for ever after one failed task.
         wait = [f"--dependency=afterany:{':'.join(after)}"] if after else []
         answer = ask(script, "an accepted job", "sbatch", "--parsable", *wait, str(script.resolve()))
         return answer.strip().split(";")[0]
 
     def jobs(self, root: Path) -> list[str]:
-        """Arrays as one."""
+        """Ids of this folder's jobs; an array counts as one."""
         name = f"--name={job_name(root)}"
         return sorted(
             set(ask(root, "an answer from Slurm", "squeue", "--noheader", "--format=%A", name).split())
@@ -181,4 +185,4 @@ class ShellEngine:
         return []
 
     def stop(self, root: Path, ids: Sequence[str]) -> None:
-        """There are no jobs."""
+        """Nothing to do: there are no jobs."""

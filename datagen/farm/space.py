@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Free space on a disk against the need of the remaining units, estimated before work starts."""
+"""Free disk space compared with the need of the remaining units, estimated before work starts."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from datagen.foundation.buffers import BUFFERS, LIGHT_BUFFERS
 from datagen.foundation.errors import input_error
 
 VIEW_BYTES_WHILE_WORKING = 16 * 4 * 2
-"""Upper bound a pixel: uncompressed and complete view side by side."""
+"""Upper bound in bytes per pixel: uncompressed and complete view side by side."""
 _PACKED_SHARE = 0.37
-"""Size of a packed view as a share of all buffers' bytes: measured with the bundled library (`datagen run
+"""Size of a packed view relative to all buffers' bytes, measured with the bundled library (`datagen run
 smoke.yaml`)."""
 
 
 @dataclass(frozen=True)
 class SpaceNeed:
-    """Bytes for the shards of ``num_units`` units that are not done, and for those in progress meanwhile."""
+    """Bytes for the shards of ``num_units`` unfinished units, and for the units in progress meanwhile."""
 
     num_units: int
     shard_bytes: float
@@ -31,7 +31,7 @@ class SpaceNeed:
 
 
 def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
-    """Space that the remaining units need: from the shards that exist, or from the size of the views."""
+    """Space needed by the remaining units, from the existing shards or from the size of the views."""
     plan, recipe = folder.read_plan(), folder.read_recipe()
     pixels = recipe.resolution[0] * recipe.resolution[1]
     manifests = [folder.read_manifest(unit) for unit in plan.units if folder.is_done(unit)]
@@ -50,7 +50,7 @@ def needed_space(folder: DatasetFolder, workers: int) -> SpaceNeed:
 
 
 def check_space(folder: DatasetFolder, workers: int) -> None:
-    """Raise :class:`InputError` where the disk has less space than the remaining units are likely to need."""
+    """Raise :class:`InputError` if the remaining units are likely to need more than the free disk space."""
     need = needed_space(folder, workers)
     free = shutil.disk_usage(folder.root).free
     if need.total_bytes > free:

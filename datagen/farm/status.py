@@ -15,13 +15,16 @@ from datagen.foundation.errors import InputError
 from datagen.foundation.paths import inside
 
 RUNNING_AGE_S = 600.0
-"""A unit whose heartbeat is younger counts as running."""
+"""A unit with a younger heartbeat counts as running."""
 
 
 @dataclass(frozen=True)
 class FarmStatus:
-    """Counts and rates of a plan. ``core_seconds`` sums the time of finished units; ``array_spec`` names the
-    units that are not done, as Slurm's ``--array`` takes it."""
+    """Counts and rates of a plan.
+
+    ``core_seconds`` sums the time of finished units; ``array_spec`` lists the unfinished units in the syntax
+    of Slurm's ``--array``.
+    """
 
     total: int
     done: int
@@ -60,8 +63,11 @@ def _names(folder: Path) -> set[str]:
 
 
 def read_status(root: Path) -> FarmStatus:
-    """Look at a planned folder. One listing each of markers, shards, work and failures; each manifest is read
-    once. Raises :class:`InputError` where there is no plan."""
+    """State of a planned folder.
+
+    Markers, shards, work and failures are listed once each, and each manifest is read once. Raises
+    :class:`InputError` if there is no plan.
+    """
     folder = DatasetFolder(root)
     plan = folder.read_plan()
     markers = _names(folder.units_path)
@@ -76,7 +82,7 @@ def read_status(root: Path) -> FarmStatus:
             try:
                 manifest = folder.read_manifest(unit)
             except InputError:
-                manifest = None  # a damaged marker proves nothing: the unit is made again
+                manifest = None  # a damaged marker is invalid: the unit is made again
         if manifest is None or manifest.shard not in shards:
             undone.append(unit)
             continue
@@ -104,22 +110,22 @@ def read_status(root: Path) -> FarmStatus:
 
 
 def file_system_now(folder: DatasetFolder) -> float:
-    """The file system's own clock: hosts disagree, so ages are judged against a file written just now."""
+    """The file system's own clock, from a file written just now: the clocks of hosts differ."""
     probe = folder.root / f".clock.{os.getpid()}"
     try:
         probe.touch()
         return probe.stat().st_mtime
     except OSError:
-        return time.time()  # a read-only folder can still be looked at
+        return time.time()  # status also works on a read-only folder
     finally:
-        with suppress(OSError):  # read-only: nothing was written either
+        with suppress(OSError):  # read-only: no heartbeat was written either
             probe.unlink(missing_ok=True)
 
 
 def age_of_attempt(work: Path, now: float) -> float:
-    """Seconds since an attempt at the unit last showed that it is alive; infinite where none is."""
+    """Seconds since the last heartbeat of an attempt at the unit; infinite without any."""
     try:
-        return abs(now - (work / "running").stat().st_mtime)  # a clock may have been set back meanwhile
+        return abs(now - (work / "running").stat().st_mtime)  # the clock may have been set back meanwhile
     except OSError:
         return float("inf")
 
@@ -132,12 +138,12 @@ def _failures(folder: DatasetFolder, undone: list[PlannedUnit]) -> list[FailureR
             try:
                 records.append(folder.read_failure(unit.id))
             except InputError:
-                continue  # being written at this moment
+                continue  # may be half written
     return records
 
 
 def _rate_per_hour(times: list[float], now: float) -> float | None:
-    """Units finished per hour over the last hour, or since the first one where that is less."""
+    """Units finished per hour over the last hour, or since the first one if that is shorter."""
     recent = [t for t in times if now - t <= 3600]
     if len(recent) < 2:
         return None
@@ -146,7 +152,7 @@ def _rate_per_hour(times: list[float], now: float) -> float | None:
 
 
 def forget_failures(root: Path) -> list[str]:
-    """Remove the records of units that were set aside; returns their ids."""
+    """Remove the records of failed units; returns their ids."""
     folder = DatasetFolder(root)
     forgotten = []
     for unit in folder.read_plan().units:
@@ -158,7 +164,7 @@ def forget_failures(root: Path) -> list[str]:
 
 
 def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
-    """The last lines of a log of the folder, read from its end; none where no log was kept."""
+    """The last lines of a log of the folder, read from its end; empty without a log."""
     if not log:
         return []
     try:
@@ -171,7 +177,7 @@ def last_lines(root: Path, log: str, count: int = 5) -> list[str]:
 
 
 def print_status(root: Path, cost_per_core_hour: float = 0.0) -> FarmStatus:
-    """Print the status for people; returns it."""
+    """Print the status as text and return it."""
     status = read_status(root)
     hours = status.core_seconds / 3600
     print(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sends what is left of a plan to a queue, whichever engine it has."""
+"""Submits the rest of a plan to a queue, by any engine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.errors import input_error
 
 ENGINES: dict[str, Engine] = {"slurm": SlurmEngine(), "pbs": PbsEngine(), "shell": ShellEngine()}
-"""Queues by the name that ``--engine`` takes."""
+"""Queues by their name in ``--engine``."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ def submit(
     dry_run: bool = False,
     is_space_checked: bool = True,
 ) -> Submission:
-    """Write job scripts for the units that are not done, and submit them unless ``dry_run``.
+    """Write job scripts for the unfinished units, and submit them unless ``dry_run``.
 
-    Raises :class:`InputError`, also where the disk has no room for the shards and for the views of
-    ``throttle`` units at work, or of one where the queue decides how many.
+    Raises :class:`InputError`, also if the disk lacks space for the shards and for the views of ``throttle``
+    units in progress (of one unit if the queue decides how many run).
     """
     folder, queue = DatasetFolder(root), engine_of(engine)
     indices = [unit.index for unit in folder.read_plan().units if not folder.is_done(unit)]

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""One unit of work, from its configuration to its committed shard; can be stopped and continued anywhere.
+"""One unit of work, from its configuration to its committed shard; can be interrupted and resumed at any
+point.
 
-Stages talk through files only: ``render`` leaves finished views, ``stats`` leaves views with statistics,
-``pack`` leaves the shard and its manifest. Every file appears whole or not at all, the manifest last and by
-``os.link``, so that of two processes on the same unit the first wins and the second changes nothing.
+Stages communicate through files only: ``render`` writes finished views, ``stats`` writes views with
+statistics, ``pack`` writes the shard and its manifest. Every file appears whole or not at all, and the
+manifest last by ``os.link``: of two processes on the same unit, the first to finish commits it and the second
+changes nothing.
 """
 
 from __future__ import annotations
@@ -48,14 +50,14 @@ if TYPE_CHECKING:
 
 
 class Interrupted(Exception):
-    """The unit was asked to stop; everything finished so far is on disk."""
+    """The unit was asked to stop; all finished views are on disk."""
 
 
 @dataclass
 class UnitRun:
     """State of one attempt at a unit. ``report(stage, done, total)`` is called as work proceeds.
 
-    ``should_stop`` is asked between views; a True raises :class:`Interrupted`.
+    ``should_stop`` is called between views; True raises :class:`Interrupted`.
     """
 
     folder: DatasetFolder
@@ -82,11 +84,11 @@ class UnitRun:
 
     @property
     def heartbeat_path(self) -> Path:
-        """Touched while an attempt works; only `status` looks at it."""
+        """File touched while an attempt works; read by `status` only."""
         return self.work / "running"
 
     def progress(self, stage: str, done: int, total: int) -> None:
-        """Report, and show that the unit is alive."""
+        """Report progress and touch the heartbeat."""
         self.heartbeat_path.touch()
         self.report(stage, done, total)
 
@@ -98,19 +100,19 @@ class UnitRun:
     # ------------------------------------------------------------------ views on disk
 
     def read_record(self, folder: Path, view: str) -> ViewRecord | None:
-        """Record of a finished view, or None where it is missing or its EXR does not match it."""
+        """Record of a finished view, or None if it is missing or does not match its EXR."""
         try:
             record = read_json(ViewRecord, folder / f"{view}.json")
             if sha256_file(folder / f"{view}.exr") == record.exr_sha256:
                 return record
         except (InputError, OSError):
-            pass  # an unfinished or damaged view is simply made again
+            pass  # an unfinished or damaged view is made again
         return None
 
     def publish(
         self, folder: Path, record: ViewRecord, buffers: dict[str, NDArray], compression: str
     ) -> None:
-        """Write a view's EXR, then its JSON that vouches for it."""
+        """Write a view's EXR, then the JSON that marks it as complete."""
         data = encode_view(buffers, compression)
         write_bytes_atomically(folder / f"{record.name}.exr", data)
         record = record.model_copy(update={"exr_sha256": sha256_hex(data), "buffers": tuple(sorted(buffers))})
@@ -118,9 +120,9 @@ class UnitRun:
 
 
 def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) -> bool:
-    """Bring a unit through ``stages``; returns False where it was already committed.
+    """Run the ``stages`` of a unit; returns False if it was already committed.
 
-    Raises :class:`Interrupted`, :class:`InputError`, or whatever the renderer raises; finished views stay.
+    Raises :class:`Interrupted`, :class:`InputError`, or any error of the renderer; finished views are kept.
     """
     if run.folder.is_done(run.unit):
         return False
@@ -131,19 +133,19 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
         for stage in stages:
             _STAGES[stage](run, configuration)
     except (OSError, InputError):
-        if run.folder.is_done(run.unit):  # another process committed it and tidied up meanwhile
+        if run.folder.is_done(run.unit):  # another process has committed it and cleaned up meanwhile
             return False
         raise
     finally:
         run.heartbeat_path.unlink(missing_ok=True)
-        # Also after another process's commit: it may have tidied up while this one was still writing.
+        # Also after another process's commit: this one may have written files since it cleaned up.
         if run.folder.is_done(run.unit):
             shutil.rmtree(run.work, ignore_errors=True)
     return True
 
 
 def _check_planned(run: UnitRun, configuration: Configuration) -> None:
-    """Refuse files that changed since the plan, and software that makes other pixels."""
+    """Refuse files that changed since the plan, and software versions that would give other pixels."""
     where = run.folder.configuration_path(run.unit.id)
     if run.versions != pixel_versions():
         differing = {name for name, _ in set(run.versions.items()) ^ set(pixel_versions().items())}
@@ -158,7 +160,7 @@ def _check_planned(run: UnitRun, configuration: Configuration) -> None:
 
 
 def _render(run: UnitRun, configuration: Configuration) -> None:
-    """Render the views that are not there yet and publish each as soon as it is finished."""
+    """Render the missing views and publish each as soon as it is finished."""
     start = time.perf_counter()
     names = [camera.name for camera in configuration.cameras]
     run.rendered_path.mkdir(parents=True, exist_ok=True)
@@ -251,8 +253,9 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
 
 
 def light_of_views(run: UnitRun, configuration: Configuration, views: Sequence[StatisticsView]) -> ViewLight:
-    """The light that the views record, from the inputs of a reconstruction of the room: images, cameras and
-    mesh."""
+    """The light recorded by the views, from the inputs of a reconstruction of the room: images, cameras and
+    mesh.
+    """
     from datagen.geometry.traced import TracedGeometry
     from datagen.geometry.views import TracedView
     from datagen.light.view_light import ViewLight
@@ -306,7 +309,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         digest = sha256_file(partial)
         shard = run.folder.shards_path / f"{configuration.id}-{digest[:16]}.tar"
         num_bytes = partial.stat().st_size
-        run.heartbeat_path.touch()  # until the marker is there, nothing else says whose shard this is
+        run.heartbeat_path.touch()  # before the marker exists, only the name identifies the shard's unit
         publish(partial, shard)
     except BaseException as error:
         partial.unlink(missing_ok=True)
@@ -318,7 +321,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
         try:
             timings.append(read_json(ViewTiming, run.rendered_path / f"{name}.timing"))
         except InputError:
-            timings.append(ViewTiming(view=name, seconds={}))  # lost in an earlier attempt's kill
+            timings.append(ViewTiming(view=name, seconds={}))  # lost when an earlier attempt was killed
     run.seconds["pack"] = round(time.perf_counter() - start, 3)
     manifest = UnitManifest(
         key=run.unit.key,
@@ -337,7 +340,7 @@ def _pack(run: UnitRun, configuration: Configuration) -> None:
 
 
 def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
-    """Make the manifest appear under its name if no other attempt's is there; the first wins."""
+    """Publish the manifest under its name, unless another attempt was first."""
     path = run.folder.manifest_path(run.unit)
     partial = path.with_name(f".{path.name}.{run.attempt}.partial")
     write_bytes_atomically(partial, canonical_json(manifest))
@@ -349,7 +352,7 @@ def commit_manifest(run: UnitRun, manifest: UnitManifest) -> None:
         except InputError:
             winner = None
         lies = winner is not None and winner.shard == manifest.shard and winner.sha256 != manifest.sha256
-        if winner is None or lies or not run.folder.is_done(run.unit):  # damaged, or its shard was lost
+        if winner is None or lies or not run.folder.is_done(run.unit):  # damaged, or without its shard
             publish(partial, path)
         elif winner.shard != manifest.shard:
             (run.folder.root / manifest.shard).unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A worker process: runs units that its parent hands out over a pipe, or one unit in this process.
+"""A worker process: runs units that its parent sends over a pipe, or one unit in this process.
 
-A signal to stop ends a unit at its next view; its views so far are kept.
+A signal to stop ends a unit after its current view; finished views are kept.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ EXIT_INTERRUPTED = 75
 """Exit code of a unit that was asked to stop (EX_TEMPFAIL): run it again."""
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1") if hasattr(signal, name)
-)  # Windows has no SIGUSR1
+)  # missing on Windows
 
 
 def available_cpus() -> int:
-    """Processors that this process may use; a queue may grant fewer than the machine has."""
+    """Number of processors that this process may use; a queue may grant fewer than the machine has."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_writable(root: Path) -> None:
-    """Raise :class:`InputError` where nothing can be written below ``root``."""
+    """Raise :class:`InputError` if nothing can be written below ``root``."""
     probe = root / f".writable.{os.getpid()}"
     try:
         probe.touch()
@@ -45,14 +45,14 @@ def check_writable(root: Path) -> None:
 
 
 def planned_unit(plan: Plan, root: Path, index: int) -> PlannedUnit:
-    """The unit of an index; raises :class:`InputError` where the plan has none."""
+    """The unit with an index; raises :class:`InputError` if the plan has none."""
     if not 0 <= index < len(plan.units):
         raise input_error(root, "unit", index, f"0 to {len(plan.units) - 1}", "correct the index")
     return plan.units[index]
 
 
 def worker_main(connection: Connection, root: str, threads: int, stages: tuple[str, ...]) -> None:
-    """Loop of a worker process: receive an index, run the unit, send what happened."""
+    """Loop of a worker process: receive an index, run the unit, send the outcome."""
     stop = {"asked": False}
     parent = os.getppid()
 
@@ -70,7 +70,7 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
         try:
             message = connection.recv()
         except (EOFError, OSError):
-            return  # the parent is gone
+            return  # the parent has ended
         if message is None:
             return
         index, log = message
@@ -79,7 +79,7 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
                 outcome = _run_one(
                     context, index, stages, connection, lambda: stop["asked"] or _orphan(parent)
                 )
-        except OSError as error:  # no room for a log
+        except OSError as error:  # no space for a log
             outcome = "failed", f"{type(error).__name__}: {error}"
             if error.errno in DISK_FULL:
                 outcome = "full", _full(error, folder.root)
@@ -91,7 +91,7 @@ def worker_main(connection: Connection, root: str, threads: int, stages: tuple[s
 
 
 def _full(error: OSError, root: Path) -> str:
-    """One sentence about a full disk: further attempts would only fill the time."""
+    """Message about a full disk, for which no further attempts are made."""
     return str(Problem(error.filename or root, "", (error.strerror or str(error)).lower()))
 
 
@@ -100,7 +100,7 @@ def _orphan(parent: int) -> bool:
 
 
 class _redirected_output:
-    """Sends the process's stdout and stderr, also those of native code, to the end of a log file."""
+    """Redirects the process's stdout and stderr, including those of native code, to the end of a log file."""
 
     def __init__(self, log: Path):
         self.log = log
@@ -124,8 +124,10 @@ class _redirected_output:
 
 
 class _WorkerContext:
-    """Recipe, library and options that a process needs to run units, loaded once. ``threads`` None leaves
-    Dr.Jit's choice."""
+    """Recipe, library and options for running units, loaded once per process.
+
+    ``threads`` None keeps Dr.Jit's choice.
+    """
 
     def __init__(self, folder: DatasetFolder, threads: int | None):
         from datagen.library import Library
@@ -187,7 +189,7 @@ def _run_one(
         reason = _full(error, context.folder.root)
         print(reason, file=sys.stderr)
         return "full", reason
-    except Exception as error:  # a worker must outlive whatever a unit raises; the trace is in its log
+    except Exception as error:  # a worker must survive any exception of a unit; the trace is in its log
         traceback.print_exc()
         return "failed", f"{type(error).__name__}: {error}"
 

@@ -2,9 +2,9 @@
 """Asset packages: rooms, objects, materials and panoramas on disk (``asset.json`` in a folder or a zip).
 
 Frames: metres, right-handed, Z up. An object's frame has its resting plane at z = 0 and its footprint around
-the origin; its front looks along -Y. Meshes are binary little-endian PLY with vertex positions (x y z),
-normals (nx ny nz) and, where a texture needs them, texture coordinates (u v, v upwards: row 0 of an image is
-at v = 1). Textures are PNG, JPEG or EXR files.
+the origin; its front faces -Y. Meshes are binary little-endian PLY with vertex positions (x y z), normals (nx
+ny nz) and, if a texture needs them, texture coordinates (u v, v upwards: row 0 of an image is at v = 1).
+Textures are PNG, JPEG or EXR files.
 """
 
 from __future__ import annotations
@@ -54,9 +54,8 @@ SupportKind = Literal["floor", "table", "shelf", "seat", "bed", "sill", "counter
 class Texture(StrictModel):
     """A channel read from an image.
 
-    ``encoding``: ``srgb`` is decoded to linear, ``linear`` is taken as stored. ``channel`` picks one
-    component where the material's channel is scalar. The value is ``scale * texel + offset``, clamped
-    to [0, 1].
+    ``encoding``: ``srgb`` is decoded to linear, ``linear`` is used as stored. ``channel`` selects one
+    component for a scalar channel of a material. The value is ``scale * texel + offset``, clamped to [0, 1].
     """
 
     texture: RelativePath
@@ -77,11 +76,11 @@ MATERIAL_CHANNELS = (*MATERIAL_MAPS, "opacity", "normal")
 class Material(StrictModel):
     """The three channels of the project's BSDF, opacity, normal map and emission (method 1).
 
-    ``classes``: the class first in the list is the main one. ``tile_size_m``: side of the square that one
-    UV unit covers on a surface, for materials that may be put on any object; None for unique UV layouts.
-    ``normal``: tangent-space normal texture (linear, OpenGL convention, +Y up). ``opacity``: 1 = opaque.
-    ``emission``: radiance in W/(m^2 sr); an emitter has no ground-truth channels and is masked.
-    ``approximations``: what an importer or exporter could not represent, in words.
+    ``classes``: the first one is the main class. ``tile_size_m``: side of the square that one UV unit covers
+    on a surface, for materials that may be assigned to any object; None for unique UV layouts. ``normal``:
+    tangent-space normal texture (linear, OpenGL convention, +Y up). ``opacity``: 1 = opaque. ``emission``:
+    radiance in W/(m^2 sr); an emitter has no ground-truth channels and is masked. ``approximations``:
+    sentences about properties that an importer or exporter could not represent.
     """
 
     classes: Annotated[tuple[MaterialClass, ...], Field(min_length=1)] = ("other",)
@@ -103,10 +102,10 @@ class Material(StrictModel):
 class SlotMaterial(Material):
     """A material inside an object or environment. Its name is its slot.
 
-    ``replaceable_by``: classes of material that suit the geometry and may take its place; empty = fixed.
-    ``baked_from``: the material of which this slot holds a bake for one mesh; slots of one origin are one
-    material and are varied and replaced together. None where the slot is the whole material.
-    ``surface``: the slot's role in a room; None leaves it to names and shape.
+    ``replaceable_by``: classes of material that suit the geometry and may replace it; empty = fixed.
+    ``baked_from``: the material of which this slot holds a bake for one mesh; slots with the same origin are
+    one material and are varied and replaced together. None if the slot is the whole material. ``surface``:
+    the slot's role in a room; None: derived from names and shape.
     """
 
     replaceable_by: tuple[MaterialClass, ...] = ()
@@ -115,7 +114,7 @@ class SlotMaterial(Material):
 
 
 class Part(StrictModel):
-    """One mesh with one material; ``asset_from_part`` instances the same mesh file at several places.
+    """One mesh with one material; ``asset_from_part`` instances the same mesh file at several positions.
 
     ``uv_per_m``: median UV units per metre over the mesh, None without UVs; scales tiled materials.
     """
@@ -142,7 +141,7 @@ class SupportSurface(StrictModel):
 
 
 class LightSlot(StrictModel):
-    """A place where a luminaire may be: a rectangle that would emit along edge_u x edge_v, or a point."""
+    """A possible position of a lamp: a rectangle that would emit along edge_u x edge_v, or a point."""
 
     name: str
     kind: Literal["area", "point"]
@@ -174,7 +173,7 @@ class Box(StrictModel):
 
 
 class AssetCamera(StrictModel):
-    """A camera that came with the asset (see ``datagen.foundation.cameras`` for the conventions)."""
+    """A camera of the source of an asset (see ``datagen.foundation.cameras`` for the conventions)."""
 
     name: str
     width_px: Annotated[int, Field(gt=0, le=65536)]
@@ -187,7 +186,7 @@ class AssetCamera(StrictModel):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """The same as a :class:`datagen.foundation.cameras.Camera`, in the asset's frame."""
+        """As a :class:`datagen.foundation.cameras.Camera` in the asset's frame."""
         return Camera.of(self, self.asset_from_camera)
 
 
@@ -209,9 +208,9 @@ class _AssetBase(StrictModel):
 
 
 class MaterialAsset(_AssetBase):
-    """A material that can be put on any slot of a suitable class.
+    """A material that can be assigned to any slot of a suitable class.
 
-    ``surfaces``: where it is usually found; empty where its class alone decides.
+    ``surfaces``: where it is usually found; empty if its class alone decides.
     """
 
     kind: Literal["material"] = "material"
@@ -239,11 +238,11 @@ class _GeometryAsset(_AssetBase):
 
 
 class ObjectAsset(_GeometryAsset):
-    """A thing that can be placed in a room.
+    """An object that can be placed in a room.
 
     ``minimum_m`` and ``maximum_m`` bound the meshes (z from 0); the footprint is their x-y rectangle unless
     ``footprint_m`` gives a convex polygon. Scale and yaw are drawn within the ranges given here. ``supports``
-    is empty for what hangs or is built in: no plan places it.
+    is empty for hanging or built-in objects, which are never placed.
     """
 
     kind: Literal["object"] = "object"
@@ -257,7 +256,7 @@ class ObjectAsset(_GeometryAsset):
 
 
 class EnvironmentAsset(_GeometryAsset):
-    """A room: geometry, its own lights, and the places where things, lights and cameras may be."""
+    """A room: geometry, its own lights, and possible positions of objects, lights and cameras."""
 
     kind: Literal["environment"] = "environment"
     support_surfaces: tuple[SupportSurface, ...] = ()
@@ -270,7 +269,7 @@ class EnvironmentAsset(_GeometryAsset):
 class PanoramaAsset(_AssetBase):
     """The surroundings of a room: an equirectangular EXR ``image`` of relative radiance, linear Rec.709.
 
-    Its centre column looks along +Y and its top row along +Z. ``daytime`` is when it was taken, ``overcast``
+    Its centre column is +Y and its top row +Z. ``daytime`` is the time of day of the photograph, ``overcast``
     a day without shadows.
     """
 

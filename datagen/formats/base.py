@@ -22,9 +22,9 @@ from datagen.formats.yaml_places import YamlPlaces, syntax_error
 from datagen.foundation.durable import publish
 from datagen.foundation.errors import InputError, Problem
 
-MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file is not one of ours
-_MAX_YAML_BYTES = 512 * 1024  # people write these; the parser takes 5 s for as much
-_MAX_SLUG = 200  # with a suffix it is still a file name
+MAX_TEXT_BYTES = 256 * 1024 * 1024  # a larger JSON or YAML file cannot be one of ours
+_MAX_YAML_BYTES = 512 * 1024  # such files are hand-written; the parser takes 5 s for this size
+_MAX_SLUG = 200  # leaves room for a suffix in a file name
 
 
 class StrictModel(BaseModel):
@@ -45,7 +45,7 @@ def _check_slug(value: str) -> str:
 def _check_relative_path(value: str) -> str:
     parts = value.replace("\\", "/").split("/")
     if (
-        not value.isprintable()  # a zero byte ends a name for the system, not for Python
+        not value.isprintable()  # a zero byte ends a name for the system, but not for Python
         or value.startswith(("/", "\\"))
         or ":" in value
         or any(p in ("", ".", "..") for p in parts)
@@ -61,7 +61,7 @@ def _check_rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...]
 
 
 Slug = Annotated[str, AfterValidator(_check_slug)]
-"""Identifier that is safe as a file name on any system."""
+"""Identifier that is a valid file name on any system."""
 RelativePath = Annotated[str, AfterValidator(_check_relative_path)]
 """Path inside a package, '/'-separated; never leaves the package."""
 Unit = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -69,7 +69,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 Vector3 = tuple[float, float, float]
 UnitColor = tuple[Unit, Unit, Unit]
-"""Linear Rec.709, each in [0, 1]."""
+"""Linear Rec.709, each component in [0, 1]."""
 
 
 def _check_clip(limits: tuple[float, float] | None) -> tuple[float, float] | None:
@@ -85,7 +85,7 @@ ClipRange = Annotated[
 ]
 """Near and far clipping distance of a camera in metres, along its optical axis; None = everything in front.
 
-None is not written, so that files without limits keep the bytes that they had before there were any."""
+None is not written, so that files without limits have the same bytes as before this field existed."""
 Radiometric3 = tuple[NonNegative, NonNegative, NonNegative]
 """Linear Rec.709 radiance, intensity or irradiance."""
 _Row = tuple[float, float, float, float]
@@ -95,7 +95,7 @@ IDENTITY4: Matrix4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 Location = tuple[int | str, ...]
-"""Keys and indices that lead to a field."""
+"""Keys and indices of a field."""
 
 
 # Bounded: the repr of a small file with nested aliases could fill the memory.
@@ -111,7 +111,9 @@ def _field_path(location: tuple[int | str, ...]) -> str:
 
 
 def problems_of(where: str | Path | Callable[[Location], str], error: ValidationError) -> list[Problem]:
-    """A model's errors in words; ``where`` is a file, or tells the position of each field."""
+    """A model's errors as text; ``where`` is a file, or a function that returns the position of each
+    field.
+    """
     problems = []
     for entry in error.errors(include_url=False):
         place = where(entry["loc"]) if callable(where) else where
@@ -120,7 +122,7 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
         expected = expected[0].lower() + expected[1:]
         expected = expected.removeprefix("expected ").removeprefix("input should be ")
         if entry["loc"] == ("format",) and entry["type"] == "literal_error":
-            # A file of another kind: what else differs says nothing.
+            # A file of another kind: further differences are meaningless.
             return [Problem(place, "format", got, expected, "this is another kind of file; check the path")]
         if entry["type"] == "extra_forbidden":
             expected, remedy = "no such key", "correct its spelling or remove it"
@@ -135,7 +137,7 @@ def problems_of(where: str | Path | Callable[[Location], str], error: Validation
 
 
 def parse_model(model: type[ModelT], data: Any, where: str | Path) -> ModelT:
-    """Validate ``data`` as ``model``; raises :class:`InputError` with every problem that was found."""
+    """Validate ``data`` as ``model``; raises :class:`InputError` with every problem."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -147,7 +149,7 @@ def _read_text(path: Path) -> str:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError
-        if not stat.S_ISREG(status.st_mode):  # a pipe would wait for ever, a device never end
+        if not stat.S_ISREG(status.st_mode):  # a pipe would block for ever, a device never ends
             raise InputError(Problem(path, "", "a pipe or a device", "a text file", "check the path"))
         if status.st_size > MAX_TEXT_BYTES:
             raise InputError(Problem(path, "", "a file of over 256 MB", "a text file", "check the path"))
@@ -241,7 +243,9 @@ def _sha(file: Any) -> str:  # Python 3.10 has no hashlib.file_digest
 
 
 def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it appears whole or not at all, also after a power cut: beside, flush, rename."""
+    """Write a file so that it appears whole or not at all, even after a power failure: temporary file, flush,
+    rename.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         temporary.write_bytes(data)
@@ -249,7 +253,7 @@ def write_bytes_atomically(path: Path, data: bytes) -> None:
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.filename is None:
-            error.filename = str(path)  # a write or a flush does not know it
+            error.filename = str(path)  # write and flush errors do not contain it
         raise
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Captures: the one form for the views of a rendered configuration and of a room that was photographed.
+"""Captures: one representation for the views of a rendered configuration and of a photographed room.
 
 A capture is cameras, images and geometry. In memory it is a :class:`Capture`, whose images are read on
 demand; on disk ``capture.json`` (:class:`CaptureFile`) names images, cameras with their distortion, and the
-mesh. World: metres, right-handed, Z up; ``foundation.cameras`` fixes the rest. Images are (H, W, 3), linear
-Rec.709, row 0 at the top, all views of a capture under one exposure.
+mesh. World: metres, right-handed, Z up; ``foundation.cameras`` defines the other conventions. Images are (H,
+W, 3), linear Rec.709, row 0 at the top, all views of a capture under one exposure.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Distortion(StrictModel):
     """Lens distortion in OpenCV's form, on normalised image coordinates.
 
     ``brown``: k1 k2 p1 p2 k3 k4 k5 k6, missing ones 0; ``polynomial``: k1 k2 p1 p2 k3 k4 without a
-    denominator, k4 for r^8, as RealityCapture and Metashape have it; ``fisheye``: k1 k2 k3 k4.
+    denominator, k4 for r^8, as in RealityCapture and Metashape; ``fisheye``: k1 k2 k3 k4.
     """
 
     model: Literal["brown", "polynomial", "fisheye"]
@@ -48,7 +48,7 @@ class Distortion(StrictModel):
 
 
 class PhotographRecord(StrictModel):
-    """One photograph: its camera as it was calibrated, before distortion is undone.
+    """One photograph: its calibrated camera, before undistortion.
 
     ``image`` is absolute or relative to ``capture.json``. ``exposure_scale`` multiplies the linear image and
     brings all views to one exposure.
@@ -68,9 +68,12 @@ class MeshRecord(StrictModel):
 
 
 class CaptureFile(StrictModel):
-    """``capture.json``. ``encoding`` of the images' values: ``auto`` is sRGB for integer images (PNG, JPEG,
-    TIFF) and linear for EXR; ``gamma22`` is what the paper takes photographs for. ``lights``, where they are
-    known, are used when the result is rendered."""
+    """``capture.json``.
+
+    ``encoding`` of the images' values: ``auto`` is sRGB for integer images (PNG, JPEG, TIFF) and linear for
+    EXR; ``gamma22`` is the paper's assumption for photographs. ``lights``, if known, are used when the result
+    is rendered.
+    """
 
     format: Literal["scene-materials/capture"] = "scene-materials/capture"
     version: Literal[1] = 1
@@ -90,9 +93,12 @@ class CaptureFile(StrictModel):
 
 @dataclass(frozen=True)
 class ColorImage:
-    """``color`` (H, W, 3) float32 linear; ``valid_mask`` (H, W): False where undoing the distortion left
-    nothing; ``clipped_mask`` (H, W, 3): True where a channel is at the sensor's ``limit``, a radiance, so
-    that ``color`` is a lower bound; None where no limit is known."""
+    """An image and its masks.
+
+    ``color`` (H, W, 3) float32 linear; ``valid_mask`` (H, W): False where undistortion left no value;
+    ``clipped_mask`` (H, W, 3): True where a channel is at the sensor's ``limit``, a radiance, so that
+    ``color`` is a lower bound; None if no limit is known.
+    """
 
     color: NDArray[np.float32]
     valid_mask: NDArray[np.bool_]
@@ -104,8 +110,7 @@ class ImageSource(Protocol):
     """Source of a view's pixels."""
 
     def read(self, camera: Camera) -> ColorImage:
-        """The image as the undistorted ``camera`` has it. Raises :class:`InputError` where it cannot be
-        read."""
+        """The image of the undistorted ``camera``. Raises :class:`InputError` if it cannot be read."""
 
     def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
         """Stored ground truth by buffer name; empty for photographs."""
@@ -113,7 +118,7 @@ class ImageSource(Protocol):
 
 @dataclass(frozen=True)
 class CaptureView:
-    """One view. ``camera`` has no distortion and the size at which the view is worked on."""
+    """One view. ``camera`` has no distortion, and the resolution at which the view is processed."""
 
     name: str
     camera: Camera
@@ -126,7 +131,9 @@ class CaptureView:
 
 @dataclass(frozen=True)
 class GeometryPart:
-    """Triangles ``first_face`` ... ``first_face + num_faces - 1``; ``emission`` is the radiance of a lamp."""
+    """Part of a mesh: triangles ``first_face`` ... ``first_face + num_faces - 1``; ``emission`` is the
+    radiance of a lamp.
+    """
 
     name: str
     first_face: int
@@ -136,8 +143,7 @@ class GeometryPart:
 
 @dataclass(frozen=True)
 class CaptureGeometry:
-    """One mesh in the world, v of its UVs upwards, and the parts it is joined of, in the order of its
-    faces."""
+    """One mesh in world space, v of its UVs upwards, and its parts in the order of its faces."""
 
     mesh: Mesh
     parts: tuple[GeometryPart, ...]
@@ -147,7 +153,7 @@ class CaptureGeometry:
             raise ValueError("expected the parts to hold every face once")
 
     def emitter_mask(self) -> NDArray[np.bool_]:
-        """(M,): True where a triangle emits."""
+        """Mask (M,) of emitting triangles."""
         mask = np.zeros(len(self.mesh.faces), dtype=bool)
         for part in self.parts:
             mask[part.first_face : part.first_face + part.num_faces] = part.emission is not None
@@ -156,8 +162,11 @@ class CaptureGeometry:
 
 @dataclass(frozen=True)
 class Capture:
-    """Cameras, images and geometry. ``lights`` are known for rendered captures only; ``notes`` are decisions
-    of the reader in words; ``mesh_up`` is the axis of the mesh's file that was taken for up."""
+    """Cameras, images and geometry.
+
+    ``lights`` are known for rendered captures only; ``notes`` are the reader's decisions as sentences;
+    ``mesh_up`` is the axis of the mesh file that was assumed to be up.
+    """
 
     name: str
     views: tuple[CaptureView, ...]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Usual lengths of the things of a category, to find a wrong unit."""
+"""Usual sizes of objects by category, to detect a wrong unit."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ CATEGORY_SIZES_M: dict[str, tuple[float, float]] = {
     "cup": (0.03, 0.3), "mug": (0.03, 0.3), "plate": (0.05, 0.6), "seat": (0.25, 3.5), "chair": (0.25, 1.6),
     "sofa": (0.6, 4.0), "table": (0.2, 4.0), "bed": (0.5, 2.6),
 }  # fmt: skip
-"""Longest side of things by category, least and most: generous, to find a wrong unit and not an odd vase."""
+"""Minimum and maximum of the longest side by category; generous, to detect a wrong unit rather than an odd
+vase."""
 
 
 def size_fault(asset: ObjectAsset) -> str:
-    """Remark on an object's unlikely longest side; "" if it is likely, or the category is unknown."""
+    """Remark on an object's implausible longest side; "" if it is plausible, or the category is unknown."""
     limits = CATEGORY_SIZES_M.get(asset.category)
     if limits is None:
         return ""

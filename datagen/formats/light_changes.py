@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Lights moved with their asset and dimmed: every kind of light, by the units that it is given in."""
+"""Transforms and dimming of lights of every kind, in their respective units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from datagen.formats.lights import (
 
 
 def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Light:
-    """A light of an asset in the world; intensities stay, sizes and places follow the transform."""
+    """A light of an asset in world space; intensities stay, sizes and positions follow the transform."""
     matrix = np.array(world_from_asset, dtype=np.float64)
     linear = matrix[:3, :3]
     scale = float(np.cbrt(abs(np.linalg.det(linear))))
@@ -66,7 +66,9 @@ def moved_light(light: Light, world_from_asset: ArrayLike, asset_id: str) -> Lig
 
 
 def scaled(light: Light, gain: float, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Light:
-    """The light with all its power multiplied by ``gain``, and that of a lamp by ``tint``: not of skies."""
+    """The light with all its power multiplied by ``gain``, and that of lamps, not of skies, also by
+    ``tint``.
+    """
 
     def times(color: tuple[float, float, float]) -> tuple[float, float, float]:
         red, green, blue = (quantized(gain * t * c, 6) for t, c in zip(tint, color, strict=True))

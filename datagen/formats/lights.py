@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Lights as data: what assets bring and what configurations use. Radiometric units, linear Rec.709.
+"""Lights as data, in assets and in configurations. Radiometric units, linear Rec.709.
 
-Positions are metres in the frame of the file that holds them (asset or world); directions are unit vectors
-along which light travels, away from the emitter.
+Positions are metres in the frame of the containing file (asset or world); directions are unit vectors along
+which light travels, away from the emitter.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from datagen.formats.base import (
 
 
 class PointLight(StrictModel):
-    """Isotropic point. ``intensity`` in W/sr."""
+    """Isotropic point light. ``intensity`` in W/sr."""
 
     type: Literal["point"] = "point"
     name: str
@@ -34,7 +34,8 @@ class PointLight(StrictModel):
 
 
 class SpotLight(StrictModel):
-    """Spot. ``intensity`` on the axis in W/sr; full intensity inside ``beam_width_rad``, none outside cutoff.
+    """Spotlight. ``intensity`` on the axis in W/sr; full intensity inside ``beam_width_rad``, none outside
+    ``cutoff_rad``.
 
     Both angles are half angles from the axis.
     """
@@ -49,7 +50,7 @@ class SpotLight(StrictModel):
 
 
 class DirectionalLight(StrictModel):
-    """Sun. ``irradiance`` in W/m^2 on a plane across ``direction``; diameter 0 = sharp shadows."""
+    """Sun. ``irradiance`` in W/m^2 on a plane perpendicular to ``direction``; diameter 0 = sharp shadows."""
 
     type: Literal["directional"] = "directional"
     name: str
@@ -88,9 +89,9 @@ class SphereLight(StrictModel):
 class EnvironmentLight(StrictModel):
     """Light from infinity: constant ``radiance``, or an equirectangular image times ``scale``.
 
-    ``image`` is relative to the asset package named by ``asset`` (to the package that holds this light where
-    ``asset`` is None). The image's centre column looks along +Y of the environment frame and its top row
-    along +Z; ``world_from_environment`` rotates it. The bitmap is linear Rec.709 (EXR).
+    ``image`` is relative to the asset package named by ``asset`` (None: the package that contains this
+    light). The image's centre column is +Y of the environment frame and its top row +Z;
+    ``world_from_environment`` rotates it. The bitmap is linear Rec.709 (EXR).
     """
 
     type: Literal["environment"] = "environment"
@@ -103,7 +104,7 @@ class EnvironmentLight(StrictModel):
 
 
 class SkyLight(StrictModel):
-    """Daylight computed by Mitsuba's ``sunsky``: no image file needed.
+    """Daylight computed by Mitsuba's ``sunsky``, without an image file.
 
     ``sun_direction`` points towards the sun (world). Scales multiply the model's physical radiances.
     """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Asset packages as containers: a folder or a zip with ``asset.json`` and the files that it names.
 
-Opening a package reads ``asset.json`` and looks that the named files are there; pixels and vertices are
-looked at by ``datagen.asset_check``. Zips are read in place, never unpacked wholesale; members that would
-leave the package, links, devices, encrypted members and bombs are refused.
+Opening a package reads ``asset.json`` and checks that the named files exist; pixels and vertices are checked
+by ``datagen.asset_check``. Zips are read in place, never unpacked completely; links, devices, encrypted
+members, zip bombs and members with paths outside of the package are refused.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _MODELS: dict[str, type[AnyAsset]] = {
     "panorama": PanoramaAsset,
 }
 ZIP_SUFFIX = ".zip"
-_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold: equal content, equal bytes
+_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the earliest time that a zip can store: equal content, equal bytes
 _MESH_SUFFIXES = (".ply",)
 _TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
@@ -85,7 +85,7 @@ class Package:
     def local_file(self, name: str) -> Path:
         """A path on disk for a file of the package; members of a zip are unpacked one by one, on demand.
 
-        Unpacked members live until :meth:`close`.
+        Unpacked members exist until :meth:`close`.
         """
         if self._archive is None:
             return self.path / name
@@ -121,7 +121,7 @@ class Package:
     def sha256(self) -> str:
         """Hash of the content: ``asset.json`` (whatever its layout) and every file that it names.
 
-        A folder and its zip hash alike; files that the asset does not refer to do not count.
+        A folder and its zip have the same hash; files that the asset does not name are ignored.
         """
         lines = [f"{sha256_hex(canonical_json(self._data))}  {ASSET_FILE}\n"]
         for name in self.names():
@@ -133,7 +133,7 @@ class Package:
         return sha256_hex("".join(lines).encode())
 
     def close(self) -> None:
-        """Close the zip and remove what was unpacked. Harmless on a folder and when repeated."""
+        """Close the zip and remove unpacked files. Without effect on a folder and when repeated."""
         if self._unpacked is not None:
             shutil.rmtree(self._unpacked, ignore_errors=True)
             self._unpacked = None
@@ -168,9 +168,8 @@ def referenced_files(asset: AnyAsset) -> list[tuple[str, str]]:
 def open_package(path: str | Path, budget: Budget | None = None) -> Package:
     """Open an asset package: a folder, a zip, or the ``asset.json`` inside a folder.
 
-    ``budget`` is of the import that it is part of, if it is. Checks the schema and that every named file is
-    present, inside the package and of a known format. Raises :class:`InputError` with all problems that were
-    found.
+    ``budget`` is that of the enclosing import, if any. Checks the schema and that every named file is
+    present, inside the package and of a known format. Raises :class:`InputError` with all problems.
     """
     path = Path(path)
     if path.name == ASSET_FILE:
@@ -185,7 +184,7 @@ def open_package(path: str | Path, budget: Budget | None = None) -> Package:
 
 
 def is_package(path: Path) -> bool:
-    """Whether a path looks like a package: a folder with ``asset.json``, or a zip that holds one."""
+    """Whether a path looks like a package: a folder with ``asset.json``, or a zip that contains one."""
     if path.is_dir():
         return (path / ASSET_FILE).is_file()
     if path.suffix.lower() != ZIP_SUFFIX or not path.is_file():
@@ -248,7 +247,7 @@ def _open_folder(folder: Path) -> Package:
 
 
 def _folder_fault(folder: Path, name: str) -> str:
-    """Why a member of a folder is refused; '' if it is a plain file reached without links."""
+    """Reason to refuse a member of a folder; '' if it is a plain file reached without links."""
     real, fault = fault_of(folder, name)
     if real is None:
         return fault
@@ -258,7 +257,7 @@ def _folder_fault(folder: Path, name: str) -> str:
 
 
 def _find_prefix(names: list[str]) -> str | None:
-    """'' or 'folder/' in front of asset.json; None where there is none or several."""
+    """'' or 'folder/' in front of asset.json; None if there is no asset.json or several."""
     hits = [n for n in names if n == ASSET_FILE or (n.endswith("/" + ASSET_FILE) and n.count("/") == 1)]
     return hits[0].removesuffix(ASSET_FILE) if len(hits) == 1 else None
 
@@ -302,9 +301,10 @@ FileSource = bytes | Path
 
 
 def package_in_memory(asset: AnyAsset, files: Mapping[str, bytes]) -> tuple[bytes, Package]:
-    """The bytes of a zip with an asset and its files, and the package opened from them, without a file.
+    """The bytes of a zip with an asset and its files, and the package opened from them, without a file on
+    disk.
 
-    The zip's bytes depend on content alone; written to disk they are a package like any other.
+    The zip's bytes depend on content alone; written to disk they are a regular package.
     """
     sink = io.BytesIO()
     _write_zip(sink, {ASSET_FILE: canonical_json(asset), **files})
@@ -328,10 +328,11 @@ def write_package(
 ) -> Package:
     """Write a package, whole or not at all, and open it. A path that ends in ``.zip`` makes a zip.
 
-    ``files`` maps names inside the package to bytes or to files on disk; it must hold every file that the
-    asset names and may hold more (a licence text, a preview). ``validate`` sees the package before it takes
-    its final place and may raise. Zip bytes depend on content alone. Raises :class:`InputError` if the target
-    exists and ``overwrite`` is not set, or if a named file is missing from ``files``.
+    ``files`` maps names inside the package to bytes or to files on disk; it must contain every file that the
+    asset names and may contain more (a licence text, a preview). ``validate`` is called with the package
+    before it gets its final path, and may raise. Zip bytes depend on content alone. Raises
+    :class:`InputError` if the target exists and ``overwrite`` is not set, or if a named file is missing from
+    ``files``.
     """
     path = Path(path)
     if path.exists() and not overwrite:
@@ -380,7 +381,7 @@ def write_package(
 
 
 def _renamed(problem: Problem, partial: Path, path: Path) -> Problem:
-    """A problem of the temporary package, told of the path that the user asked for."""
+    """A problem of the temporary package, reported with the path that the user asked for."""
     return replace(problem, where=str(problem.where).replace(str(partial), str(path)))
 
 
@@ -403,8 +404,8 @@ def _write_zip(target: Path | io.BytesIO, content: Mapping[str, FileSource]) -> 
         for name in sorted(content):
             info = zipfile.ZipInfo(name, _ZIP_TIME)
             info.external_attr = (stat.S_IFREG | 0o644) << 16
-            info.create_system = 3  # Unix: the field otherwise tells on which system the zip was made
-            # images are compressed already; deflating them again costs time and gains nothing
+            info.create_system = 3  # Unix: otherwise the field depends on the system that made the zip
+            # images are compressed already; deflating them again takes time without gain
             stored = name.lower().endswith(_TEXTURE_SUFFIXES)
             info.compress_type = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED
             source = content[name]
@@ -422,7 +423,7 @@ def _remove(path: Path) -> None:
 
 
 def _replace(partial: Path, path: Path) -> None:
-    """Put ``partial`` in the place of ``path``; a folder cannot be renamed over a full one."""
+    """Move ``partial`` to ``path``; a folder cannot be renamed onto a non-empty one."""
     if path.is_dir() and not path.is_symlink():
         old = path.with_name(f".{path.name}.{os.getpid()}.old")
         _remove(old)

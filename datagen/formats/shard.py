@@ -2,9 +2,9 @@
 """Shards: WebDataset tar files with deterministic bytes, one configuration each, and the dataset's index.
 
 A shard holds ``<configuration>/<view>.exr`` and ``<configuration>/<view>.json`` for each view, in order,
-after ``__meta__/configuration``: WebDataset skips names in such folders, Hugging Face's `datasets` names
-without a suffix. Headers are USTAR with fixed owner, mode and time. Before result revision 8 that member was
-called ``__meta__/configuration.json``; such shards are read, too.
+after ``__meta__/configuration``: WebDataset skips names in such folders, Hugging Face's `datasets` skips
+names without a suffix. Headers are USTAR with fixed owner, mode and time. Before result revision 8 that
+member was called ``__meta__/configuration.json``; such shards can still be read.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from datagen.foundation.paths import inside
 
 CONFIGURATION_MEMBER = "__meta__/configuration"
 CONFIGURATION_MEMBERS = (CONFIGURATION_MEMBER, "__meta__/configuration.json")
-"""The member as it is written, and as older shards have it."""
+"""The member's current name, and its name in older shards."""
 INDEX_FILE = "index.json"
 MAX_MEMBER_BYTES = 2 << 30
 _REMEDY = "make the shard again (remove it and rerun), or restore the file"
 
 
 class AssetRecord(StrictModel):
-    """An asset that the dataset used: kind, content hash, licence, author and source."""
+    """An asset used by the dataset: kind, content hash, licence, author and source."""
 
     kind: Literal["environment", "object", "material", "panorama"]
     sha256: str
@@ -95,16 +95,16 @@ def write_shard(stream: BinaryIO, configuration: bytes, members: Iterable[tuple[
 
 @dataclass(frozen=True)
 class View:
-    """A view as read: its record and its buffers, name to (H, W, C) array as stored."""
+    """A view: its record, and its buffers from name to (H, W, C) array as stored."""
 
     record: ViewRecord
     buffers: dict[str, NDArray]
 
 
 class ShardReader:
-    """Reads one shard. Iterating yields :class:`View`; ``names`` selects buffers, None = all that are there.
+    """Reads one shard. Iterating yields :class:`View`; ``names`` selects buffers, None = all.
 
-    Raises :class:`InputError` where the tar or a member is damaged or a requested buffer is missing.
+    Raises :class:`InputError` if the tar or a member is damaged or a requested buffer is missing.
     """
 
     def __init__(self, path: Path, names: Iterable[str] | None = None):
@@ -118,7 +118,7 @@ class ShardReader:
         try:
             with tarfile.open(self.path, mode="r:") as tar:
                 for info in tar:
-                    # `isreg` holds for sparse members too, of which a few bytes stand for any number
+                    # `isreg` is true for sparse members too, whose few bytes may expand to any size
                     if not info.isreg() or info.issparse() or info.size > MAX_MEMBER_BYTES:
                         what = f"{info.name!r}, type {info.type!r}, {info.size} bytes"
                         raise InputError(Problem(self.path, "member", what, "a regular file", _REMEDY))
@@ -137,7 +137,7 @@ class ShardReader:
             raise InputError(Problem(self.path, "", str(error), "an intact tar file", _REMEDY)) from None
 
     def configuration(self) -> Configuration:
-        """The configuration that the shard was made from."""
+        """The configuration from which the shard was made."""
         for name, data in self.members():
             if name in CONFIGURATION_MEMBERS:
                 return parse_model(Configuration, _json(data, f"{self.path}:{name}"), f"{self.path}:{name}")
@@ -186,8 +186,10 @@ class Dataset:
         self.index = read_json(DatasetIndex, inside(self.folder, self.folder / INDEX_FILE))
 
     def shard_paths(self, split: Split | None = None) -> list[Path]:
-        """Paths of the shards of ``split`` (None = all), in the index's order. Raises :class:`InputError`
-        for one that leads out of the folder."""
+        """Paths of the shards of ``split`` (None = all), in the index's order.
+
+        Raises :class:`InputError` for a path that leads out of the folder.
+        """
         shards = [s for s in self.index.shards if split is None or s.split == split]
         return [inside(self.folder, self.folder / s.file) for s in shards]
 

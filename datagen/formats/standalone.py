@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 
 
 def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Configuration:
-    """The package alone as a configuration; cameras keep their order and are named ``view_000`` on."""
+    """The package alone as a configuration; cameras keep their order and are named ``view_000`` onwards."""
     asset = open_package(package_path).asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
         raise input_error(
@@ -38,7 +38,7 @@ def configuration_of(package_path: Path, content_hash: str, seed: int = 0) -> Co
 
 
 def _located(light: Light, asset_id: str) -> Light:
-    """An image of the package's own light is looked up by the package's id."""
+    """A light whose image is looked up by the package's id."""
     if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:
         return light.model_copy(update={"asset": asset_id})
     return light

@@ -15,8 +15,8 @@ from datagen.foundation.images import normalized
 def texture_values(texture: Texture, pixels: NDArray, is_scalar: bool) -> NDArray[np.float32]:
     """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
 
-    ``pixels`` as :func:`read_image` returns them. Gives (H, W) where ``is_scalar``, else (H, W, 3). A scalar
-    channel that names ``rgb`` takes the luminance, as Mitsuba does.
+    ``pixels`` as returned by :func:`read_image`. Returns (H, W) if ``is_scalar``, else (H, W, 3). A scalar
+    channel that names ``rgb`` uses the luminance, as Mitsuba does.
     """
     values = normalized(pixels)
     num_channels = values.shape[2]
@@ -25,7 +25,7 @@ def texture_values(texture: Texture, pixels: NDArray, is_scalar: bool) -> NDArra
     else:
         index = "rgba".index(texture.channel)
         if num_channels < 3 and index < 3:
-            index = 0  # grey images hold their value once
+            index = 0  # grey images store their value once
         elif num_channels == 2 and index == 3:
             index = 1
         if index >= num_channels:

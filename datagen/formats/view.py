@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The JSON that goes with each view's EXR: camera, buffers, ids, and how it was made.
+"""The JSON beside each view's EXR: camera, buffers, ids, and how it was made.
 
-It holds nothing that depends on the machine's speed or the clock, so that the same view has the same bytes
+It contains nothing that depends on the machine's speed or the clock, so that a view has the same bytes
 wherever it is made; timings are in the unit's manifest.
 """
 
@@ -16,7 +16,7 @@ from datagen.formats.configuration import Split, ViewCamera
 
 
 def _names_from_file(value: Any) -> Any:
-    """A file's list of ids and names as a dictionary; files of version 1 hold the dictionary itself."""
+    """A file's list of ids and names as a dictionary, which files of version 1 contain directly."""
     if not isinstance(value, list | tuple):
         return value
     names: dict[str, str] = {}
@@ -45,24 +45,25 @@ NamesOfIds = Annotated[
     PlainSerializer(_names_to_file),
     WithJsonSchema({"items": _NAMED_ID, "type": "array"}),
 ]
-"""Id to name. In files a list of ``{"id": 1, "name": "..."}``, so that all views have one type, whatever ids
-they hold: libraries of columns (Arrow, on which Hugging Face's `datasets` stand) take keys as columns."""
+"""Id to name.
+
+In files a list of ``{"id": 1, "name": "..."}``, so that all views have one type, whatever their ids: column
+libraries (Arrow, used by Hugging Face's `datasets`) turn keys into columns."""
 _T = TypeVar("_T")
 _IfAny = Annotated[_T | None, Field(exclude_if=lambda value: value is None)]
-"""A value that is not written where there is none: a column that begins with nulls would have no type."""
+"""A value that is not written if it is None: a column that begins with nulls would have no type."""
 
 
 class RenderRecord(StrictModel):
     """Record of a view's rendering. ``clipped_pixels`` exceeded the range of half floats.
 
-    ``path_samples`` light paths a pixel were traced, as a mean over the image. Where they followed from a
-    target, ``most_path_samples`` is the largest number of a pixel, ``estimated_rel_mse`` the error that was
-    estimated from independent halves (exposed relMSE of the beauty image), and ``at_ceiling`` says that the
-    samples ran out before the target was met. ``firefly_clamp_radiance`` is the
-    most that a path could bring by two or more reflections, ``clamped_energy`` the share of the luminance
-    that this took away. ``max_energy_left`` bounds the share of the light that paths longer than
-    ``max_depth`` would have brought. ``irradiance_cell_m``: side of the cells whose cached irradiance ended
-    paths; none where all light was traced.
+    ``path_samples``: mean number of light paths per pixel. If they followed from a target,
+    ``most_path_samples`` is the maximum of a pixel, ``estimated_rel_mse`` the error estimated from
+    independent halves (exposed relMSE of the beauty image), and ``at_ceiling`` tells that the sample limit
+    was reached before the target. ``firefly_clamp_radiance`` is the maximum radiance of a path by two or more
+    bounces, ``clamped_energy`` the share of the luminance removed by it. ``max_energy_left`` bounds the share
+    of the light on paths longer than ``max_depth``. ``irradiance_cell_m``: side of the cells in whose cached
+    irradiance paths ended; None if all light was traced.
     """
 
     variant: str
@@ -83,7 +84,7 @@ class RenderRecord(StrictModel):
 
 
 class StatisticsRecord(StrictModel):
-    """Record of a view's statistics; ``light``: with the light that the views record."""
+    """Record of a view's statistics; ``light``: whether they include the light that the views record."""
 
     num_views: int
     best_views: int
@@ -93,12 +94,12 @@ class StatisticsRecord(StrictModel):
 
 
 class ViewRecord(StrictModel):
-    """``<view>.json``: everything about a view but its pixels.
+    """``<view>.json``: all metadata of a view.
 
     ``instances`` and ``materials`` map the ids of the id buffers to names (``object/part``, ``slot`` or
     material id). ``exposure`` brings the 95th percentile of luminance to 0.9. ``exr_sha256`` is the hash of
-    the view's EXR file; ``versions`` those of the software that decides pixels. Version 1, whose names of
-    ids were dictionaries, is read too.
+    the view's EXR file; ``versions`` those of the software that affects pixels. Version 1, in which names of
+    ids were dictionaries, can be read too.
     """
 
     format: Literal["scene-materials/view"] = "scene-materials/view"

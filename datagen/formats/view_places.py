@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Index of the views in a shard's tar: any view is read without those before it."""
+"""Index of the views in a shard's tar, for random access to views."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ViewPlace:
 
 
 def index_shard(path: Path) -> list[ViewPlace]:
-    """The views of a shard, from the tar's headers alone. ``InputError`` where the tar is damaged."""
+    """The views of a shard, from the tar's headers alone. ``InputError`` if the tar is damaged."""
     members: dict[str, dict[str, tuple[int, int]]] = {}
     try:
         with tarfile.open(path, mode="r:") as tar:

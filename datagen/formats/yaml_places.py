@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Positions of fields in a YAML file: line and column, as editors open them."""
+"""Positions of fields in a YAML file as line and column."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ _MERGE = "<<"
 
 
 class YamlPlaces:
-    """Places of the fields of one document, by the paths that a model's errors have."""
+    """Positions of the fields of one document, by the paths in a model's errors."""
 
     def __init__(self, path: Path, text: str):
         self.path = path
         self._root: Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
 
     def __call__(self, location: tuple[int | str, ...]) -> str:
-        """``FILE:LINE:COLUMN`` of a field; that of its parent where it is missing.
+        """``FILE:LINE:COLUMN`` of a field, or of its parent if it is missing.
 
-        A part that names no key is passed over: models put the kind of a choice into their paths.
+        A part that is no key is skipped: models put the kind of a choice into their paths.
         """
         mark, node = (self._root.start_mark if self._root is not None else None), self._root
         for part in location:
@@ -33,7 +33,7 @@ class YamlPlaces:
 
 
 def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
-    """(where, what) of a file that is no YAML."""
+    """(where, what) of a YAML syntax error."""
     mark = getattr(error, "problem_mark", None)
     what = getattr(error, "problem", None)
     if mark is None or what is None:
@@ -43,7 +43,7 @@ def syntax_error(path: Path, error: yaml.YAMLError) -> tuple[str, str]:
 
 
 def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
-    """Position at which an entry begins (a key, an item), and its value."""
+    """Position at which an entry (a key, an item) begins, and its value."""
     if isinstance(node, SequenceNode):
         if isinstance(part, int) and 0 <= part < len(node.value):
             return node.value[part].start_mark, node.value[part]
@@ -61,7 +61,7 @@ def _entry(node: Node | None, part: int | str) -> tuple[yaml.Mark, Node] | None:
 
 
 def _merged(node: MappingNode) -> Iterator[Node]:
-    """The mappings that ``<<`` brings in."""
+    """The mappings merged by ``<<``."""
     for key, value in node.value:
         if key.value == _MERGE:
             yield from value.value if isinstance(value, SequenceNode) else (value,)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Zips from elsewhere: limits on their members, checked before any is unpacked."""
+"""Zip files from other sources: limits on their members, checked before any is unpacked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, Problem
 
-# All that zipfile raises on damaged archives; each was seen with fuzzed ones.
+# All exceptions of zipfile for damaged archives; each was seen with fuzzed ones.
 ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -27,8 +27,11 @@ _REMEDY = "do not use this file"
 
 
 def check_archive(archive: zipfile.ZipFile, path: Path, budget: Budget) -> None:
-    """Refuse members that would leave the archive's folder, links, devices, encrypted ones, compressions that
-    are not usual, and more members or bytes than the ``budget`` has. Raises :class:`InputError`."""
+    """Refuse members outside of the archive's folder, links, devices, encrypted members, unusual
+    compressions, and more members or bytes than the ``budget``.
+
+    Raises :class:`InputError`.
+    """
     budget.hold_file(path)
     members = archive.infolist()
     budget.spend("nodes", len(members), "members")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Axes and units of other people's files: their frames in metres with Z up."""
+"""Axes and units of foreign files, converted to metres with Z up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from datagen.foundation.errors import input_error
 Z_UP_FROM_Y_UP = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""Rotation that turns +Y up into +Z up: (x, y, z) becomes (x, -z, y)."""
+"""Rotation from +Y up to +Z up: (x, y, z) becomes (x, -z, y)."""
 
 
 def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:

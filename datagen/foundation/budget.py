@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Limits of untrusted files: one budget per import, charged by every reader.
 
-A small file can stand for a great deal: references that fan out, a mesh that is placed a million times, zeros
-that were compressed. Each limit is on what comes out; what a file really holds raises it, so that large files
-are not refused for being large. The defaults keep what a small file costs below 10 s and 1 GB. Users who
-trust a file raise a limit:
+A small file can expand to a large amount of data: references that fan out, a mesh placed a million times,
+compressed zeros. Each limit applies to the expanded data and grows with the actual size of the file, so that
+large files are not refused for being large. The defaults keep the cost of a small file below 10 s and 1 GB.
+Users who trust a file can raise a limit:
 
     SCENE_MATERIALS_LIMITS=instances=50000,triangles=8000000 datagen import forest.gltf --library my-library
 """
@@ -20,17 +20,17 @@ from typing import Literal
 from datagen.foundation.errors import InputError, Problem, input_error
 
 LIMITS_VARIABLE = "SCENE_MATERIALS_LIMITS"
-"""Environment variable of limits, ``NAME=NUMBER`` with commas between."""
+"""Environment variable with limits, ``NAME=NUMBER`` separated by commas."""
 LimitName = Literal[
     "nodes", "depth", "references", "instances", "triangles", "pairs", "pixels", "bytes", "values",
     "frames",
 ]  # fmt: skip
-_MAX_DEPTH = 2000  # a level takes up to four calls, and the interpreter's own stack ends some time
+_MAX_DEPTH = 2000  # each level takes up to four calls of the interpreter's limited stack
 _CALLS_PER_LEVEL = 4
 _USUAL_CALLS = 1000
 _PER_BYTE: dict[LimitName, float] = {"triangles": 1 / 8, "pairs": 20.0, "pixels": 8.0, "bytes": 20.0}
-"""Allowance per byte of the input files that is added to a limit: no format holds more triangles in as many
-bytes, and hardly a picture more pixels or an archive more bytes."""
+"""Allowance per byte of the input files that is added to a limit: no format stores more triangles per byte,
+and pictures or archives rarely store more pixels or bytes."""
 _NOUNS: dict[LimitName, str] = {
     "nodes": "elements or nodes, each counted as often as it is referred to",
     "depth": "levels of elements, nodes or references inside each other",
@@ -47,8 +47,10 @@ _NOUNS: dict[LimitName, str] = {
 
 @dataclass(frozen=True)
 class Limits:
-    """The most that an import may come to; see ``_NOUNS`` for what each counts. Three vertices count as a
-    triangle where a mesh has more of them."""
+    """Limits of an import; ``_NOUNS`` explains each count.
+
+    If a mesh has more vertices than corners of triangles, every three vertices count as a triangle.
+    """
 
     nodes: int = 200_000
     depth: int = 128
@@ -87,7 +89,7 @@ class Limits:
 
 
 class Budget:
-    """Consumption of an import's limits. ``where`` is the file that is imported.
+    """Consumption of an import's limits. ``where`` is the imported file.
 
     Readers declare a file's size (:meth:`hold`) and charge their output before they allocate it
     (:meth:`spend`), which raises :class:`InputError` beyond the limit.
@@ -99,41 +101,41 @@ class Budget:
         self._spent: dict[LimitName, int] = {}
         self._held = 0
         self._files: set[Path] = set()
-        if self.limits.depth > Limits.depth:  # readers of nested things call themselves
+        if self.limits.depth > Limits.depth:  # readers of nested data are recursive
             calls = _USUAL_CALLS + _CALLS_PER_LEVEL * self.limits.depth
             sys.setrecursionlimit(max(sys.getrecursionlimit(), calls))
 
     def hold(self, num_bytes: int) -> None:
-        """Bytes that there are: they raise the limits of what is made of them."""
+        """Add the size of existing input, which raises the limits of the data made from it."""
         self._held += num_bytes
 
     def hold_file(self, path: Path) -> None:
-        """The bytes of a file that exists; each file counts once."""
+        """Add the size of an existing file; each file counts once."""
         real = path.resolve()
         if real not in self._files:
             self._files.add(real)
             self.hold(real.stat().st_size)
 
     def allowed(self, what: LimitName) -> int:
-        """The most of ``what`` that there may be."""
+        """The current limit of ``what``."""
         return int(getattr(self.limits, what) + _PER_BYTE.get(what, 0.0) * self._held)
 
     def spend(self, what: LimitName, amount: int = 1, at: str = "") -> None:
-        """Count ``amount`` more of ``what``; ``at`` is the place in the file. Raises beyond the limit."""
+        """Charge ``amount`` of ``what``; ``at`` is the position in the file. Raises beyond the limit."""
         total = self._spent.get(what, 0) + amount
         self._spent[what] = total
         if total > self.allowed(what):
             raise self.exceeded(what, total, at)
 
     def check_depth(self, depth: int, at: str = "") -> None:
-        """Raise where things are nested deeper than the limit."""
+        """Raise if the nesting is deeper than the limit."""
         if depth > self.limits.depth:
             raise self.exceeded("depth", depth, at)
 
     def exceeded(self, what: LimitName, amount: int, at: str = "") -> InputError:
-        """The error of a limit that would be passed; ``amount`` is what there is at least."""
+        """The error for a limit that would be exceeded; ``amount`` is a lower bound of the actual amount."""
         base, limit = getattr(self.limits, what), self.allowed(what)
-        # one and a half times what was seen: counting stops at the limit, so there may be more
+        # one and a half times the counted amount: counting stops at the limit, so that there may be more
         needed = amount + amount // 2 - (limit - base)
         share = f" ({base} and what the size of the files adds)" if limit > base else ""
         remedy = f"if you trust the file, raise it by the environment: {LIMITS_VARIABLE}={what}={needed}"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The registry of buffers: every per-pixel quantity a view can hold, looked up by name, never by index.
+"""The registry of buffers: every per-pixel quantity of a view, looked up by name, never by index.
 
-Renderer, shards, loader, validator and viewer all read this one table. Arrays are (H, W, C) with C the number
+Renderer, shards, loader, validator and viewer all use this one table. Arrays are (H, W, C) with C the number
 of channels, row 0 at the top of the image.
 """
 
@@ -20,7 +20,7 @@ Stage = Literal["radiance", "ground_truth", "statistics"]
 
 
 class MaterialMaps(NamedTuple):
-    """Names of D, S and R, in this order wherever the three stand together."""
+    """Names of D, S and R, in their common order."""
 
     diffuse_albedo: str
     specular_albedo: str
@@ -34,8 +34,8 @@ MATERIAL_MAPS = MaterialMaps("diffuse_albedo", "specular_albedo", "roughness")
 class Buffer:
     """One buffer: its name, EXR channel suffixes, storage type, unit, closed valid range and fill value.
 
-    ``invalid`` is what a pixel holds where the quantity does not exist (background, emitters).
-    ``stage`` is what makes it: path tracing, the ground truth of the first hit, or statistics over views.
+    ``invalid`` fills pixels in which the quantity does not exist (background, emitters). ``stage`` is its
+    origin: path tracing, the ground truth of the first hit, or statistics over views.
     """
 
     name: str
@@ -200,15 +200,16 @@ STATISTICS_BUFFERS = _names("statistics")
 VIEW_BUFFERS = RENDERED_BUFFERS + STATISTICS_BUFFERS
 """Buffers of a complete view; ``beauty_noisy`` and :data:`LIGHT_BUFFERS` are optional."""
 LIGHT_BUFFERS = ("reflectance", "known_share", "mirror_sharp", "mirror_broad")
-"""Light that the views of a configuration record, where the recipe asks for it (``statistics.light``)."""
+"""Light that the views of a configuration record, if the recipe asks for it (``statistics.light``)."""
 MIRROR_ROUGHNESS = {"mirror_sharp": 0.2, "mirror_broad": 0.5}
 """Perceptual roughness of the mirror images."""
 MIN_COVERAGE = 0.5
-"""Least ``surface_mask`` of a pixel that counts as surface; below, its colour is mostly something else's."""
+"""Minimum ``surface_mask`` of a pixel that counts as surface; below it, most of its colour comes from
+elsewhere."""
 
 
 def get_buffer(name: str) -> Buffer:
-    """The registered buffer of that name; ``KeyError`` names the known ones."""
+    """The registered buffer with that name; ``KeyError`` lists the known ones."""
     try:
         return BUFFERS[name]
     except KeyError:
@@ -216,7 +217,7 @@ def get_buffer(name: str) -> Buffer:
 
 
 def surface_pixels(view: Mapping[str, NDArray]) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that are counted."""
+    """Mask (H, W) of the pixels that count as surface."""
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)
     if "depth_z_m" in view:

@@ -15,7 +15,7 @@ BundledKind = Literal["recipes", "suites"]
 
 
 def bundled_folder() -> Path:
-    """The folder of the bundled data. Raises :class:`InputError` where the installation left it out."""
+    """The folder of the bundled data. Raises :class:`InputError` if the installation lacks it."""
     installed, checkout = _places()
     if (installed / "library").is_dir():
         return installed
@@ -32,7 +32,7 @@ def _places() -> tuple[Path, Path]:
 
 
 def is_bundled(package: Path) -> bool:
-    """Whether an asset package is of the bundled library, of a copy of the sources too."""
+    """Whether an asset package belongs to the bundled library, also in a copy of the sources."""
     return any(package.resolve().is_relative_to((place / "library").resolve()) for place in _places())
 
 
@@ -47,9 +47,9 @@ def bundled_names(kind: BundledKind) -> list[str]:
 
 
 def resolve_bundled(path: Path, kind: BundledKind) -> Path:
-    """A file as a command names it: ``path`` itself, or the bundled one whose name alone it is.
+    """A file named in a command: ``path`` itself, or the bundled file with that name.
 
-    Raises :class:`InputError` that lists the bundled ones where it is neither.
+    Raises :class:`InputError` with the bundled names if it is neither.
     """
     if path.exists():
         return path
@@ -62,6 +62,6 @@ def resolve_bundled(path: Path, kind: BundledKind) -> Path:
 
 
 def object_package(name: str, folder: Path) -> Path:
-    """The object package that ``name`` means: ``bundled:ID``, or a path relative to ``folder``."""
+    """The object package of ``name``: ``bundled:ID``, or a path relative to ``folder``."""
     kind, _, asset_id = name.partition(":")
     return bundled_library() / "objects" / asset_id if kind == "bundled" else folder / name

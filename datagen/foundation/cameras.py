@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class PinholeRecord(Protocol):
-    """A camera as a file holds it, but for its pose."""
+    """The intrinsics of a camera in a file."""
 
     width_px: int
     height_px: int
@@ -30,7 +30,7 @@ class PinholeRecord(Protocol):
 class Camera:
     """A pinhole camera without distortion. ``world_from_camera`` is a rigid (4, 4) float64 matrix.
 
-    ``clip_m``: it sees what lies between these two depths along its optical axis; None = everything in front.
+    ``clip_m``: range of visible depths along its optical axis; None = everything in front.
     """
 
     width_px: int
@@ -135,7 +135,7 @@ def look_at(
 ) -> NDArray[np.float64]:
     """``world_from_camera`` (4, 4) of a camera at ``position_m`` that looks at ``target_m``.
 
-    Raises ``ValueError`` where both coincide; where the view is along ``up``, another axis sets the roll.
+    Raises ``ValueError`` if both coincide; if the view is along ``up``, another axis defines the roll.
     """
     position, target = np.asarray(position_m, dtype=np.float64), np.asarray(target_m, dtype=np.float64)
     forward = target - position

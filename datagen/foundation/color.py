@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LUMINANCE_WEIGHTS = np.array([0.212671, 0.715160, 0.072169])
-"""Rec.709 luminance of a linear RGB colour, the weights that Mitsuba uses."""
+"""Rec.709 luminance weights of linear RGB, as used by Mitsuba."""
 
 _LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; part of the network's input encoding (method 3)
 
@@ -45,9 +45,9 @@ def linear_from_log(encoded: NDArray) -> NDArray:
 
 
 def exposure_for(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> float:
-    """Factor that brings the 95th percentile of an image's luminance to 0.9 (method 3).
+    """Factor that maps the 95th percentile of an image's luminance to 0.9 (method 3).
 
-    ``linear_rgb`` (..., 3); ``valid_mask`` (...) leaves pixels out. 1.0 for a black or empty image.
+    ``linear_rgb`` (..., 3); ``valid_mask`` (...) excludes pixels. 1.0 for a black or empty image.
     """
     values = luminance(np.asarray(linear_rgb, dtype=np.float64))
     if valid_mask is not None:
@@ -60,17 +60,18 @@ def exposure_for(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> floa
 
 
 MAX_CLIPPED_SHARE = 0.025
-MIN_MEDIAN = 0.1  # luminance of the median pixel under which an image looks dark; middle grey is 0.18
-MAX_DARK_CLIPPED_SHARE = 0.1  # of an image that would look dark otherwise
+MIN_MEDIAN = 0.1  # luminance of the median pixel below which an image looks dark; middle grey is 0.18
+MAX_DARK_CLIPPED_SHARE = 0.1  # for images that would look dark otherwise
 
 
 def photographic_exposure(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> float:
-    """Factor by which a photographer shows an image: that of :func:`exposure_for`, but less where more than
-    :data:`MAX_CLIPPED_SHARE` of the pixels would have a channel above 1, as under a warm lamp or in the sun.
+    """Exposure as a photographer would choose it, for display.
 
-    Where that leaves the median luminance below :data:`MIN_MEDIAN`, as in a room whose blinds and window sill
-    are lit by the sky, it is raised to this, but to at most :data:`MAX_DARK_CLIPPED_SHARE` of clipped pixels.
-    ``linear_rgb`` (..., 3); ``valid_mask`` (...) leaves pixels out, as lamps and windows.
+    That of :func:`exposure_for`, but lower if more than :data:`MAX_CLIPPED_SHARE` of the pixels would have a
+    channel above 1, as under a warm lamp or in the sun. If the median luminance is then below
+    :data:`MIN_MEDIAN`, as in a room with sky-lit blinds and window sill, the exposure is raised to reach it,
+    with at most :data:`MAX_DARK_CLIPPED_SHARE` of clipped pixels. ``linear_rgb`` (..., 3); ``valid_mask``
+    (...) excludes pixels, such as lamps and windows.
     """
     exposure = exposure_for(linear_rgb, valid_mask)
     colors = np.asarray(linear_rgb, dtype=np.float64)
@@ -87,8 +88,9 @@ def photographic_exposure(linear_rgb: NDArray, valid_mask: NDArray | None = None
 
 
 def clipped_share(linear_rgb: NDArray, exposure: float, valid_mask: NDArray | None = None) -> float:
-    """Share of the pixels of ``linear_rgb`` (..., 3), of those in ``valid_mask`` (...), of which a channel is
-    above 1 at an exposure; 0 of none."""
+    """Share of the pixels of ``linear_rgb`` (..., 3) in ``valid_mask`` (...) with a channel above 1 at an
+    exposure; 0 if there are none.
+    """
     brightest = np.asarray(linear_rgb, dtype=np.float64).max(axis=-1)
     chosen = brightest[valid_mask] if valid_mask is not None else brightest
     return float((chosen * exposure > 1).mean()) if chosen.size else 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The colour map of everything that is one number a pixel."""
+"""The colour map of all scalar images."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def cividis() -> list[list[int]]:
-    """256 sRGB colours from 0 to 1: colour-blind readers see them as others do."""
+    """256 sRGB colours from 0 to 1 that look alike to readers with and without colour blindness."""
     from matplotlib import colormaps
 
     colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Common parts of the commands: options declared as dataclasses, removed verbs, and exit codes.
 
-An option is stated once, as an annotated field of a dataclass: its type, default and help. A verb takes the
-dataclass as a parameter, and :func:`with_options` shows the command line its fields instead.
+An option is declared once, as an annotated field of a dataclass: its type, default and help. A verb has the
+dataclass as a parameter, and :func:`with_options` turns its fields into command-line options.
 """
 
 from __future__ import annotations
@@ -45,13 +45,16 @@ VersionOption = Annotated[
     bool,
     typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version and stop."),
 ]
-"""Of the commands themselves."""
+"""``--version`` of the commands."""
 QuietOption = Annotated[bool, typer.Option("--quiet", help="No progress.")]
 
 
 def run_command(app: Callable[[], object]) -> None:
-    """Run a command. Bad input ends with its message and code 2, a full disk with code 1, a broken pipe in
-    silence; files and folders that the system refuses count as bad input."""
+    """Run a command.
+
+    Bad input ends with its message and code 2, a full disk with code 1, a broken pipe silently; access errors
+    of files and folders count as bad input.
+    """
     from datagen.foundation.errors import DISK_FULL, InputError, Problem
 
     try:
@@ -74,17 +77,17 @@ def run_command(app: Callable[[], object]) -> None:
 
 
 def run_function(function: Callable[..., None]) -> None:
-    """Run a module's function as a command of its own: ``python -m`` with the options that it takes."""
+    """Run a module's function as its own command: ``python -m`` with options from its parameters."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.command()(function)
     run_command(app)
 
 
 def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
-    """The class of a command whose verbs of before end with code 2 and name what is in their place."""
+    """Command class for a group with removed verbs: each ends with code 2 and names its replacement."""
 
     class Group(TyperGroup):
-        """Verbs, and where those of before have gone."""
+        """Verbs, and the replacements of removed ones."""
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             from datagen.foundation.errors import input_error
@@ -145,7 +148,7 @@ def _options_of(kind: type) -> list[tuple[str, Any, Any]]:
 
 
 def declared_options(kind: type) -> dict[str, tuple[str, float | None]]:
-    """Of each option of a dataclass, by field: its name on the command line, and the least value if any."""
+    """For each field of a dataclass of options: its name on the command line, and its minimum if any."""
     found = {}
     for name, hint, _ in _options_of(kind):
         (option,) = (extra for extra in get_args(hint)[1:] if isinstance(extra, OptionInfo))
@@ -160,7 +163,7 @@ def _is_repeatable(hint: Any) -> bool:
 
 
 def _shown(name: str, hint: Any, default: Any) -> inspect.Parameter:
-    """The parameter that typer reads: lists for tuples of any length, text for values with a parser."""
+    """The parameter as typer reads it: lists for tuples of any length, text for values with a parser."""
     if get_origin(hint) is Annotated:
         kind, *extras = get_args(hint)
         if any(isinstance(extra, ParameterInfo) and extra.parser is not None for extra in extras):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""JSON and XML from elsewhere as trees, counted before they take memory."""
+"""JSON and XML from untrusted sources as trees, counted before they take memory."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ _OPENING = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{\]}]', re.S)
 
 
 def parse_json(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
-    """A JSON document. Raises :class:`InputError` where it is none, holds too many values or nests them too
-    deep."""
-    # every value but the first follows one of these, also inside of strings: an upper bound
+    """A JSON document. Raises :class:`InputError` for invalid JSON, too many values or too deep nesting."""
+    # every value except the first follows one of these, also inside strings: an upper bound
     count = 1 + text.count(",") + text.count("[") + text.count("{")
     budget.spend("values", count, "document")
     try:
@@ -38,7 +37,7 @@ def _depth(text: str) -> int:
 
 
 class _Counter(ElementTree.TreeBuilder):
-    """Builds the tree, and counts elements and levels while it does."""
+    """Builds the tree and counts elements and levels."""
 
     def __init__(self, budget: Budget):
         super().__init__()
@@ -56,8 +55,10 @@ class _Counter(ElementTree.TreeBuilder):
 
 
 def parse_xml(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
-    """The root element of an XML document. Raises :class:`InputError` where it is none, has a DOCTYPE or
-    entities, too many elements, or nests them too deep."""
+    """The root element of an XML document.
+
+    Raises :class:`InputError` for invalid XML, a DOCTYPE or entities, too many elements, or too deep nesting.
+    """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can read other files or fill the memory
         raise input_error(where, "", "a DOCTYPE or ENTITY", "plain XML", "remove it")
     try:

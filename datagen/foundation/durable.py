@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Files that are whole or absent, also after a power cut: first the content, then the name, then the folder.
+"""Files that are whole or absent, even after a power failure: first the content, then the name, then the
+folder.
 
 A rename alone survives a crash of the process, not of the machine: a file system may keep the new name and
-lose the content, or forget the name although a later file that rests on it is there.
+lose the content, or lose the name although a later file that depends on it exists.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ import os
 from pathlib import Path
 
 _CANNOT_SYNC_FOLDERS = {errno.EINVAL, errno.ENOTSUP}  # some network and FUSE file systems
-_IS_WINDOWS = os.name == "nt"  # flushes only what is open for writing, and no folders
+_IS_WINDOWS = os.name == "nt"  # Windows flushes only files open for writing, and no folders
 
 
 def sync_file(path: Path) -> None:
-    """Wait until a file's content is on the disk, whoever wrote it."""
+    """Wait until a file's content is on disk, whichever process wrote it."""
     descriptor = os.open(path, os.O_RDWR if _IS_WINDOWS else os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -25,7 +26,7 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until a folder's names are on the disk, where the file system can."""
+    """Wait until a folder's names are on disk, if the file system can."""
     if _IS_WINDOWS:
         return
     try:
@@ -36,7 +37,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_tree(root: Path) -> None:
-    """Wait for everything below a folder, and for the folder itself."""
+    """Wait until everything below a folder, and the folder itself, is on disk."""
     for folder, _, names in os.walk(root):
         for name in names:
             sync_file(Path(folder, name))
@@ -44,7 +45,7 @@ def sync_tree(root: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and those above it where they are not there; the new names are on the disk after."""
+    """Create a folder and its missing parents, and wait until their names are on disk."""
     if folder.is_dir():
         return
     make_folder(folder.parent)
@@ -53,7 +54,9 @@ def make_folder(folder: Path) -> None:
 
 
 def publish(partial: Path, target: Path) -> None:
-    """Give a finished file or folder its name, in place of a file that has it; both are on the disk after."""
+    """Rename a finished file or folder to its final name, replacing an existing file, and wait until it is on
+    disk.
+    """
     if partial.is_dir():
         sync_tree(partial)
     else:
@@ -63,7 +66,7 @@ def publish(partial: Path, target: Path) -> None:
 
 
 def publish_first(partial: Path, target: Path) -> None:
-    """Give a finished file a second name; raises ``FileExistsError`` where something has that name."""
+    """Link a finished file to a second name; raises ``FileExistsError`` if that name exists."""
     sync_file(partial)
     os.link(partial, target)
     sync_folder(target.parent)

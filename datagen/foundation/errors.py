@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The one error that bad input raises: what, where, got, expected, remedy."""
+"""The error type for bad input: what, where, got, expected, remedy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Error numbers of a full disk or an exhausted quota."""
-_MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can hold a million faults of any length
+_MAX_CHARACTERS, _MAX_LISTED = 500, 100  # a small file can contain a million faults of any length
 
 
 def _shortened(text: str) -> str:
@@ -20,8 +20,8 @@ def _shortened(text: str) -> str:
 class Problem:
     """One fault in one input.
 
-    ``where`` is a file or an argument, ``field`` the place inside it (``materials[3].roughness``),
-    ``got`` what stands there, ``expected`` what would have been right, ``remedy`` what to do next.
+    ``where`` is a file or an argument, ``field`` the position inside it (``materials[3].roughness``), ``got``
+    the value found, ``expected`` the valid values, ``remedy`` the next step.
     """
 
     where: str | Path
@@ -45,8 +45,8 @@ class Problem:
 
 
 def _said_of_empty(problem: Problem) -> Problem:
-    """Parsers report an empty file as a syntax error; this message says that it is empty."""
-    if isinstance(problem, str):  # torch passes an error of a loader's process on as its text
+    """Reworded problem of an empty file, which parsers report as a syntax error."""
+    if isinstance(problem, str):  # torch passes a loader process's error on as text
         return problem
     try:
         is_empty = (
@@ -62,12 +62,13 @@ def _said_of_empty(problem: Problem) -> Problem:
 
 
 class InputError(ValueError):
-    """Bad input. Carries every problem that was found, so that a user mends all of them in one go."""
+    """Bad input. Carries every problem, so that a user can fix all of them at once."""
 
     def __init__(self, *problems: Problem):
         if not problems:
             raise TypeError("InputError needs at least one Problem")
-        problems = tuple(dict.fromkeys(map(_said_of_empty, problems)))  # what many share is said once
+        # remedies shared by several problems are printed once
+        problems = tuple(dict.fromkeys(map(_said_of_empty, problems)))
         self.problems = problems
         lines = [str(problem) for problem in problems[:_MAX_LISTED]]
         if len(problems) > _MAX_LISTED:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One multi-layer OpenEXR file a view: encode to bytes and decode, by buffer name.
+"""One multi-layer OpenEXR file per view: encoded to bytes and decoded, by buffer name.
 
 Channels are named by the registry (``R, G, B`` for beauty, ``layer.channel`` for the rest), scan lines run
 top-down, no timestamps are written: equal arrays give equal bytes with one OpenEXR version.
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from datagen.foundation.buffers import BUFFERS, Buffer, get_buffer
 from datagen.foundation.errors import InputError, Problem
 
-MAX_SIDE_PX = 16384  # refuses headers that claim absurd sizes before any pixel is allocated
-_MAX_COMPRESSION = 500  # of anything that is not a bomb; halves count as floats here
+MAX_SIDE_PX = 16384  # refuses headers with absurd sizes before any pixel is allocated
+_MAX_COMPRESSION = 500  # of any file that is not a decompression bomb; halves count as floats here
 _CLAIM_FREE_BYTES = 256 << 20
 COMPRESSIONS = {
     "none": OpenEXR.NO_COMPRESSION,
@@ -33,7 +33,7 @@ _READ_REMEDY = "make the view again (remove it and rerun), or restore the file"
 
 
 def to_storage(buffer: Buffer, array: NDArray) -> NDArray:
-    """``array`` (H, W, C) as it will be stored: cast to the buffer's dtype, halves clipped to their range.
+    """``array`` (H, W, C) as stored: cast to the buffer's dtype, halves clipped to their range.
 
     Stages that compute from a view use stored values, so that a resumed run equals an uninterrupted one.
     Raises ``ValueError`` on a wrong shape.
@@ -41,7 +41,7 @@ def to_storage(buffer: Buffer, array: NDArray) -> NDArray:
     if array.ndim != 3 or array.shape[2] != buffer.num_channels:
         raise ValueError(f"{buffer.name}: got shape {array.shape}, expected (H, W, {buffer.num_channels})")
     if buffer.pixel_type == "half":
-        array = np.clip(array, -65504.0, 65504.0)  # NaN passes through and is caught by whoever checks
+        array = np.clip(array, -65504.0, 65504.0)  # NaN passes through; later checks report it
     return np.ascontiguousarray(array, dtype=buffer.dtype)
 
 
@@ -69,8 +69,11 @@ def encode_view(buffers: Mapping[str, NDArray], compression: str = "zip", num_th
 
 
 def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, where: Path | str) -> None:
-    """Refuse an image whose header claims more pixels than a file of ``num_bytes`` sensibly holds, before
-    they take memory. Raises :class:`InputError`."""
+    """Refuse an image whose header states more pixels than a file of ``num_bytes`` can plausibly contain,
+    before they take memory.
+
+    Raises :class:`InputError`.
+    """
     width, height = size_px
     if width * height * pixel_bytes > _CLAIM_FREE_BYTES + _MAX_COMPRESSION * num_bytes:
         got = f"{width} x {height} pixels in {num_bytes} bytes"
@@ -78,7 +81,7 @@ def check_claim(size_px: tuple[int, int], pixel_bytes: int, num_bytes: int, wher
 
 
 def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
-    """(width, height) by an EXR file's header, if the file can hold as much. Raises :class:`InputError`."""
+    """(width, height) from an EXR file's header, if plausible for its size. Raises :class:`InputError`."""
     OpenEXR.setMaxImageSize(MAX_SIDE_PX, MAX_SIDE_PX)
     try:
         with OpenEXR.File(io.BytesIO(data), header_only=True, separate_channels=True) as file:
@@ -93,7 +96,9 @@ def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
 
 
 def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray]:
-    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged or lying file."""
+    """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged file or a false
+    header.
+    """
     claimed_size(data, where)
     try:
         with OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=num_threads) as file:
@@ -105,9 +110,9 @@ def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dic
 def decode_view(
     source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
 ) -> dict[str, NDArray]:
-    """Decode an EXR file to buffers as stored (half stays float16); ``names`` None = all that are there.
+    """Decode an EXR file to buffers as stored (half stays float16); ``names`` None = all.
 
-    Raises :class:`InputError` where the file is damaged, too large, or lacks a requested buffer.
+    Raises :class:`InputError` if the file is damaged, too large, or lacks a requested buffer.
     """
     where = source if isinstance(source, Path) else "EXR data"
     try:

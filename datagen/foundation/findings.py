@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Remarks collected while other people's files are read."""
+"""Remarks collected while foreign files are read."""
 
 from __future__ import annotations
 

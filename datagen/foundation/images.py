@@ -38,8 +38,11 @@ def read_image(path: Path) -> NDArray:
 
 
 def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
-    """(width, height) without decoding pixels where the format allows; ``formats`` as Pillow names them, by
-    content. Raises :class:`InputError`."""
+    """(width, height), without decoding pixels if the format allows; ``formats`` by Pillow's names,
+    recognised by content.
+
+    Raises :class:`InputError`.
+    """
     if path.suffix.lower() == ".exr":
         from datagen.foundation.exr import claimed_size
 
@@ -48,14 +51,14 @@ def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -
         return claimed_size(path.read_bytes(), path)
     from PIL import Image
 
-    if not path.is_file():  # a pipe would wait for ever
+    if not path.is_file():  # a pipe would block for ever
         raise input_error(path, got="no such file", expected="an image", remedy="correct its name")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # sizes are checked here
             with Image.open(path, formats=formats) as image:
                 return image.size
-    except Exception as error:  # Pillow raises whatever its parsers meet
+    except Exception as error:  # Pillow may raise any exception of its parsers
         expected = f"a readable image ({', '.join(formats)})"
         raise input_error(path, got=str(error)[:200], expected=expected, remedy=_REPLACE) from None
 
@@ -80,10 +83,10 @@ def encode_png(pixels: NDArray) -> bytes:
 
 
 def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray:
-    """Pixels (H, W, C) as stored of an image that is one of ``formats`` by content, whatever its name says.
+    """Pixels (H, W, C) as stored of an image in one of ``formats``, recognised by content, not by name.
 
-    OpenCV would decode some twenty formats, and take what a damaged header claims: sizes and the lengths of
-    chunks are checked first. Raises :class:`InputError`.
+    OpenCV would decode some twenty formats and trust the headers of damaged files: sizes and chunk lengths
+    are checked first. Raises :class:`InputError`.
     """
     import cv2
 
@@ -98,7 +101,7 @@ def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray:
     data = path.read_bytes()
     pixels = None
     if data[:8] != _PNG_SIGNATURE or _has_whole_chunks(data):
-        with suppress(cv2.error):  # what it could not decode is told below
+        with suppress(cv2.error):  # decoding failures are reported below
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise input_error(

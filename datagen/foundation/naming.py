@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names of assets, views and files, made from other people's."""
+"""Names of assets, views and files, derived from foreign names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datagen.foundation.transliteration import transliterated
 
 
 def slug(text: str) -> str:
-    """A name that is safe as an id and as a file: lower-case letters, digits, '_' and '-'.
+    """A name that is valid as an id and as a file name: lower-case letters, digits, '_' and '-'.
 
     Other alphabets are transliterated.
     """
@@ -22,7 +22,7 @@ def unique(name: str, taken: set[str] | dict[str, object]) -> str:
     """``name``, or ``name_2``, ``name_3``, ... if it is taken."""
     if name not in taken:
         return name
-    last, step = 1, 1  # of thousands of equal names each would else try all before it
+    last, step = 1, 1  # otherwise each of thousands of equal names would try all before it
     while f"{name}_{last + step}" in taken:
         last, step = last + step, 2 * step
     while step > 1:

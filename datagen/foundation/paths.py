@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Names of files in files from elsewhere: where they may lead. All readers use this check.
+"""Checks of file names inside untrusted files: allowed targets. All readers use them.
 
-A name is relative to the folder of the file that names it and stays inside, also when links are followed.
-Absolute names and names that go up are for folders that the user allows by name.
+A name is relative to the folder of its file and must stay inside, even when links are followed. Absolute
+names and names with ``..`` need folders that the user allows explicitly.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ _SHORT = 200
 def fault_of(
     folder: Path, name: str, allowed: Sequence[Path] = (), *, is_folder: bool = False
 ) -> tuple[Path | None, str]:
-    """The file (or folder) behind a name in ``folder``, links followed, or None and why it is refused.
+    """The file (or folder) behind a name in ``folder``, links followed; or None and the reason for its
+    refusal.
 
-    ``allowed`` are further folders into which names may lead. Missing files are no fault.
+    ``allowed`` are further permitted folders. Missing files are no fault.
     """
     name = name.replace("\\", "/")
     if not name:
         return None, "no name"
-    if not name.isprintable():  # a zero byte ends a name for the system, not for Python
+    if not name.isprintable():  # a zero byte ends a name for the system, but not for Python
         return None, "no name that a file can have"
     if _URI.match(name):
         return None, "a URI"
@@ -48,7 +49,7 @@ def fault_of(
     except (OSError, RuntimeError, ValueError) as error:
         return None, getattr(error, "strerror", None) or str(error)[:_SHORT]
     if mode is not None and not (stat.S_ISDIR(mode) if is_folder else stat.S_ISREG(mode)):
-        # a pipe would wait for ever, a device never end
+        # a pipe would block for ever, a device never ends
         return None, "no folder" if is_folder else "not a regular file"
     return real, ""
 
@@ -61,7 +62,7 @@ def named_file(
     allowed: Sequence[Path] = (),
     remedy: str = "copy the file there",
 ) -> Path:
-    """The file that ``field`` of the file ``where`` names; it may be absent. Raises :class:`InputError`."""
+    """The file named in ``field`` of the file ``where``; it may be absent. Raises :class:`InputError`."""
     real, fault = fault_of(folder, name, allowed)
     if real is None:
         expected = f"a file inside {folder}"
@@ -70,10 +71,9 @@ def named_file(
 
 
 def inside(root: Path, path: Path) -> Path:
-    """``path``, which was found or made below ``root``, if it stays there when links are followed, and is no
-    pipe, device or folder.
+    """``path`` if it stays below ``root`` when links are followed, and is no pipe, device or folder.
 
-    A file that is not there is for its reader to report. Raises :class:`InputError`.
+    A missing file is reported by its reader. Raises :class:`InputError`.
     """
     try:
         name = str(path.relative_to(root))

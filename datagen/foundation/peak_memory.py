@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Resources used by this process since a moment: peak memory and processor time."""
+"""Resources used by this process: peak memory since a reset, and processor time."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def forget_peak() -> None:
-    """Start anew; where the system cannot, the process's peak stands."""
+    """Reset the peak; without support by the system, the peak since process start remains."""
     with suppress(OSError):
         _CLEAR.write_text("5")
 
 
 def peak_mb() -> float:
-    """Peak of resident memory since then in MB."""
+    """Peak of resident memory since the reset, in MB."""
     with suppress(OSError):
         for line in _STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):
@@ -27,8 +27,8 @@ def peak_mb() -> float:
 
 
 def process_peak_mb() -> float:
-    """Peak of resident memory since the process began in MB."""
-    if sys.platform == "win32":  # has no module `resource`
+    """Peak of resident memory since process start, in MB."""
+    if sys.platform == "win32":  # without the module `resource`
         import psutil
 
         return psutil.Process().memory_info().peak_wset / 2**20
@@ -39,6 +39,6 @@ def process_peak_mb() -> float:
 
 
 def processor_s() -> float:
-    """Seconds that cores have worked for this process and for those that it started and that have ended."""
+    """Processor time in seconds of this process and of its finished child processes."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system

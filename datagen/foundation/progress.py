@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from rich.progress import Task
 
 Progress = Callable[[str, int, int], None]
-"""Takes (stage, done, total); :meth:`Bars.tell` is one."""
+"""Called with (stage, done, total), like :meth:`Bars.tell`."""
 
 SILENCE_S = 30.0
 
 
 class Bars:
-    """A bar for each stage with its rate and the time left, on a terminal.
+    """A progress bar for each stage with its rate and the time left, on a terminal.
 
-    Elsewhere, as in the log of a job: a line for each further stage, one every half a minute, and one at the
-    end. ``unit`` is what is counted; with ``is_transient`` a stage's bar goes when the next begins. With
-    ``is_quiet`` nothing is shown.
+    Elsewhere, as in the log of a job: a line at the start of each stage after the first, one every half a
+    minute, and one at the end. ``unit`` names the counted items; with ``is_transient`` a stage's bar
+    disappears when the next begins. With ``is_quiet`` nothing is shown.
     """
 
     def __init__(self, unit: str = "", *, is_transient: bool = False, is_quiet: bool = False):
@@ -31,7 +31,7 @@ class Bars:
         self._console = Console(stderr=True)
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
-        self._first: dict[str, tuple[int, float]] = {}  # stage -> what was done when it was first heard of
+        self._first: dict[str, tuple[int, float]] = {}  # stage -> steps already done at its first report
         self._stage, self._line, self._said_at = "", "", time.monotonic()
 
     def __enter__(self) -> Bars:
@@ -58,7 +58,7 @@ class Bars:
             if exception[0] is None and self._line:
                 self._say_line()
             return
-        if exception[0] is not None:  # a bar that stands still says less than the error
+        if exception[0] is not None:  # a stalled bar would distract from the error
             for task in self._unfinished():
                 self._bars.update(task.id, visible=False)
         self._bars.stop()
@@ -67,7 +67,7 @@ class Bars:
         return [task for task in self._bars.tasks if not task.finished]
 
     def tell(self, stage: str, done: int, total: int, note: str = "") -> None:
-        """Show where a stage is. Steps that are done at the first report are not work of this run."""
+        """Update a stage. Steps already done at the first report do not count as work of this run."""
         if self.is_quiet:
             return
         now = time.monotonic()
@@ -96,6 +96,6 @@ class Bars:
         self._line, self._said_at = "", time.monotonic()
 
     def say(self, text: str) -> None:
-        """Print a line, above the bars where there are any."""
+        """Print a line, above the bars if there are any."""
         if not self.is_quiet:
             self._console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Random numbers that depend on their key alone: not on order, workers, hash seeds or NumPy's version.
+"""Random numbers that depend on their key alone, independent of order, workers, hash seeds and NumPy's
+version.
 
 Every draw of a configuration comes from a :class:`Draws` keyed by (recipe seed, configuration, purpose,
 index). Only NumPy's raw Philox stream is used, whose bits NumPy guarantees for ever; ``Generator``'s
-distributions may change between its releases, so the few that are needed are written out here.
+distributions may change between its releases, so that the few distributions needed are implemented here.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ def digest(*key: int | str) -> bytes:
 
 
 def weighted_item(items: Sequence[ItemT], weights: Sequence[float], number: float) -> ItemT:
-    """The item that a number, uniform in [0, 1), stands for; some weight must be positive."""
+    """The item selected by a number uniform in [0, 1), with probability proportional to its weight; some
+    weight must be positive.
+    """
     cumulative = np.cumsum(np.asarray(weights, dtype=np.float64))
     if not cumulative[-1] > 0:
         raise ValueError("expected a positive weight")

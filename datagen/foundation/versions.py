@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Versions of the software that decides pixels; recorded with every result and part of every unit's key."""
+"""Versions of the software that affects pixels, recorded with every result and part of every unit's key."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from importlib.metadata import PackageNotFoundError, version
 
 DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 10
-"""Raised whenever a change of the code changes the bytes of a dataset, its configurations aside."""
+"""Increased whenever a change of the code changes the bytes of a dataset but not its configurations."""
 PLAN_REVISION = 2
-"""Raised whenever a change of the code changes the configurations or generated rooms of a recipe."""
+"""Increased whenever a change of the code changes the configurations or generated rooms of a recipe."""
 _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
 def pixel_versions() -> dict[str, str]:
-    """Name to version of everything that decides the bytes of a recipe's views."""
+    """Name to version of everything that affects the bytes of a recipe's views."""
     found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
     for name in (DISTRIBUTION, *_PACKAGES):
         try:

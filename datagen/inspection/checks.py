@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Faults of a view, as pure functions on its buffers (name to (H, W, C) array).
+"""Faults of a view, as pure functions of its buffers (name to (H, W, C) array).
 
-Each function returns the faults that it finds and never raises on bad pixels. The limits are meant to pass
-every sound dataset and to catch what would poison training.
+Each function returns the faults that it finds and never raises on bad pixels. The limits are set to pass
+every sound dataset and to find pixels that would spoil training.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BLACK_LUMINANCE, BLACK_EXPOSED, BURNT_EXPOSED = 1e-5, 0.01, 4.0
 MAX_SHARE_CLIPPED = 0.01
 _HALF_MAX = 65504.0
 MIN_ROUGHNESS_PIXELS, MIN_ROUGHNESS_RANGE = 500, 2e-3
-SOLID_COVERAGE = 0.999  # of pixels whose averages belong to one surface
+SOLID_COVERAGE = 0.999  # share of pixels with averages over a single surface
 
 
 View = Mapping[str, NDArray]
@@ -39,7 +39,7 @@ def _first(mask: NDArray) -> str:
 
 
 def check_buffers(view: View, expected: Sequence[str], camera: Camera, where: str) -> list[Fault]:
-    """Buffers that are missing or not of the camera's size."""
+    """Buffers that are missing or differ from the camera's size."""
     faults = [Fault("buffer", where, f"no {name}", "this buffer") for name in expected if name not in view]
     for name, array in view.items():
         shape = (camera.height_px, camera.width_px, BUFFERS[name].num_channels)
@@ -60,7 +60,7 @@ def check_finite(view: View, where: str) -> list[Fault]:
 
 
 def check_range(view: View, where: str) -> list[Fault]:
-    """Values outside the range that the registry gives; NaN is another check's."""
+    """Values outside of the registered range; NaN is covered by another check."""
     faults = []
     for name, array in view.items():
         buffer = BUFFERS[name]
@@ -92,8 +92,10 @@ def check_normals(view: View, where: str) -> list[Fault]:
 
 
 def firefly_mask(view: View) -> NDArray[np.bool_]:
-    """Isolated bright pixels (H, W): over 20 times the median of their 5x5 neighbourhood, itself at least the
-    frame's median, in spots of at most 4 pixels, away from what is not reflecting surface.
+    """Isolated bright pixels (H, W): over 20 times the median of their 5x5 neighbourhood.
+
+    That median is at least the frame's; spots have at most 4 pixels and are away from pixels without
+    reflecting surface.
     """
     import cv2
 
@@ -101,7 +103,7 @@ def firefly_mask(view: View) -> NDArray[np.bool_]:
     surroundings = cv2.medianBlur(np.ascontiguousarray(light), 5)
     is_bright = light > FIREFLY_FACTOR * np.maximum(surroundings, max(float(np.median(light)), 1e-6))
     crowd = cv2.boxFilter(is_bright.astype(np.float32), -1, (5, 5), normalize=False)
-    if "surface_mask" in view:  # lamps and windows are bright by right, and so are the pixels beside them
+    if "surface_mask" in view:  # lamps and windows are legitimately bright, and so are the pixels beside them
         other = (np.nan_to_num(view["surface_mask"][..., 0]) < SOLID_COVERAGE).astype(np.uint8)
         is_bright &= cv2.dilate(other, np.ones((5, 5), np.uint8)) == 0
     return is_bright & (crowd <= FIREFLY_MAX_SIZE + 0.5)
@@ -116,8 +118,10 @@ def _shows_highlights(view: View) -> NDArray[np.bool_]:
 
 
 def check_fireflies(view: View, where: str) -> list[Fault]:
-    """Fireflies; few are a warning, since a small highlight can look like one, and none on metal and gloss,
-    which have such highlights of lamps and the sun."""
+    """Fireflies; a small number is a warning, since a small highlight can look like one.
+
+    None on metal and gloss, which have such highlights of lamps and the sun.
+    """
     mask = firefly_mask(view)
     count = int(mask.sum())
     limit = max(MAX_FIREFLIES, MAX_SHARE_OF_FIREFLIES * mask.size)
@@ -131,7 +135,7 @@ def check_fireflies(view: View, where: str) -> list[Fault]:
 
 
 def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
-    """Black, flat and burnt frames; ``exposure`` is the median of the configuration's views."""
+    """Black, flat and overexposed frames; ``exposure`` is the median of the configuration's views."""
     light = luminance(np.nan_to_num(view["beauty"].astype(np.float32), posinf=_HALF_MAX))
     bright, middle = np.percentile(light, [95, 50])
     expected = "a picture of something"
@@ -151,7 +155,8 @@ def check_exposure(view: View, exposure: float, where: str) -> list[Fault]:
 
 
 def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> list[Fault]:
-    """Order of the statistics, counts of 0 on surfaces, counts over ``most_views``, background that differs.
+    """Order of the statistics, counts of 0 on surfaces, counts above ``most_views``, and differing
+    background.
 
     ``has_own``: a view's own pixel is a candidate, so that no surface may have the count 0.
     """
@@ -180,7 +185,7 @@ def check_statistics(view: View, most_views: int, has_own: bool, where: str) -> 
 
 
 def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
-    """Material id to (pixels, least, largest roughness) over pixels that one surface covers whole."""
+    """Material id to (pixels, minimum, maximum roughness) over pixels entirely covered by one surface."""
     ids = view["material_id"][..., 0]
     rough = view["roughness"][..., 0].astype(np.float32)
     is_solid = (view["surface_mask"][..., 0] >= SOLID_COVERAGE) & np.isfinite(rough) & (ids > 0)
@@ -194,7 +199,7 @@ def roughness_ranges(view: View) -> dict[int, tuple[int, float, float]]:
 def merge_ranges(
     first: dict[int, tuple[int, float, float]], second: dict[int, tuple[int, float, float]]
 ) -> dict[int, tuple[int, float, float]]:
-    """The same over both."""
+    """The union of both."""
     merged = dict(first)
     for material, (count, low, high) in second.items():
         old = merged.get(material, (0, np.inf, -np.inf))
@@ -211,7 +216,7 @@ def check_roughness(
     """Materials of constant roughness that should vary.
 
     ``names`` maps ids (as text) to material names, ``textured`` names to the range of their texture's values.
-    Materials that few pixels show, or whose texture hardly varies, are left alone.
+    Materials with few pixels, or with a nearly constant texture, are ignored.
     """
     faults = []
     for material, (count, low, high) in sorted(ranges.items()):

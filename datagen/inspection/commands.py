@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``doctor``, ``library``, ``verify`` and ``report`` of ``datagen``. Heavy imports: inside."""
+"""The verbs ``doctor``, ``library``, ``verify`` and ``report`` of ``datagen``. Heavy imports are inside
+them.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ def library(
     check: Annotated[bool, typer.Option("--check", help="Read every mesh and texture as well.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
-    """List the assets of libraries with class, size and licence; --check finds what is wrong with them.
+    """List the assets of libraries with class, size and licence; --check finds their faults.
 
     Example: datagen library bundled my-library --check
     """
@@ -68,7 +70,7 @@ def verify(
         int, typer.Option(min=4, help="Paths a pixel of each, a multiple of 4.")
     ] = 256,
 ) -> None:
-    """Look for semantic faults in a dataset; exit code 1 if there are any.
+    """Check a dataset for semantic faults; exit code 1 if there are any.
 
     Example: datagen verify smoke --workers 2 --recheck 3
     """
@@ -81,7 +83,7 @@ def verify(
 
 @dataclass(frozen=True)
 class ReportWords:
-    """Options of the report's contents."""
+    """Options for the report's contents."""
 
     pixels: Annotated[str, typer.Option(help="Views whose pixels are written: a number, or all.")] = "400"
     sources: Annotated[bool, typer.Option(help="Also the source views of each pixel's statistics.")] = True
@@ -110,7 +112,7 @@ def report(
     library: LibraryOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:
-    """Write a page that shows what a dataset holds, with a viewer; it opens from disk in any browser.
+    """Write a page that shows the contents of a dataset, with a viewer; it opens from disk in any browser.
 
     Example: datagen report smoke --workers 2
     """

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Contact sheets: one picture a configuration that shows what its views hold.
+"""Contact sheets: one picture per configuration that shows its views.
 
-Rows are views, columns are buffers. Radiance is brought to the screen with an exposure for each view, written
-under its name: that of a photographer, who lets highlights clip in few pixels; then it is sRGB-encoded;
-albedos are sRGB-encoded as they are; normals are mapped from [-1, 1]; roughness, depth and count use cividis,
-a colour map that colour-blind readers see as others do, with a scale beneath. Pixels without a value
-(background, emitters) are hatched.
+Rows are views, columns are buffers. Radiance is exposed per view, as a photographer would, who lets
+highlights clip in few pixels, and sRGB-encoded; the exposure is written under the view's name. Albedos are
+sRGB-encoded without exposure; normals are mapped from [-1, 1]; roughness, depth and count use cividis, a
+colour map that looks alike to readers with and without colour blindness, with a scale beneath. Pixels without
+a value (background, emitters) are hatched.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ class Scales:
 
 
 def choose_rows(num_views: int, max_rows: int = MAX_ROWS) -> list[int]:
-    """Indices of at most ``max_rows`` views, evenly spread, the first included."""
+    """Indices of at most ``max_rows`` views, evenly spaced, the first included."""
     if num_views <= max_rows:
         return list(range(num_views))
     return sorted({round(i * (num_views - 1) / (max_rows - 1)) for i in range(max_rows)})
 
 
 def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
-    """Exposure (:func:`photographic_exposure` of surfaces), 98th percentile of depth, largest count."""
+    """Exposure (:func:`photographic_exposure` of surfaces), 98th percentile of depth, maximum count."""
     colors, depths, counts = [np.zeros((0, 3))], [np.zeros(0)], [1.0]
     for view in views:
         if "beauty" in view:
@@ -84,7 +84,7 @@ def choose_scales(views: Sequence[Mapping[str, NDArray]]) -> Scales:
 
 
 def exposure_of(view: Mapping[str, NDArray]) -> float:
-    """The exposure at which a view is shown."""
+    """The exposure for display of a view."""
     return choose_scales([view]).exposure
 
 
@@ -127,8 +127,8 @@ def make_contact_sheet(
 ) -> Image.Image:
     """Draw ``views`` (buffers by name, one row each, labelled by ``names``) under ``title``.
 
-    Every view needs ``beauty``; columns whose buffer no view holds are left out. Raises :class:`InputError`
-    where there is nothing to draw.
+    Every view needs ``beauty``; columns are left out if no view has their buffer. Raises :class:`InputError`
+    if there is nothing to draw.
     """
     from PIL import Image, ImageDraw
 
@@ -172,7 +172,7 @@ def make_contact_sheet(
 
 
 def _cell_size(view: Mapping[str, NDArray]) -> tuple[int, int]:
-    """Size that a view is drawn at: small images are enlarged by whole factors only."""
+    """Size of a view in the sheet: small images are enlarged by whole factors only."""
     height, width = view["beauty"].shape[:2]
     if width < _CELL_WIDTH_PX:
         factor = max(1, round(_CELL_WIDTH_PX / width))
@@ -229,7 +229,7 @@ def _text_width(text: str, size: int) -> int:
 
 
 def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
-    """Contact sheet of a shard; only the views that it shows are decoded. Raises :class:`InputError`."""
+    """Contact sheet of a shard; only the views in it are decoded. Raises :class:`InputError`."""
     reader = ShardReader(shard)
     records = list(reader.records())
     chosen = [records[index] for index in choose_rows(len(records), max_rows)]
@@ -254,8 +254,8 @@ def write_dataset_sheets(
 ) -> list[Path]:
     """Write ``sheets/<configuration>.png`` for each finished configuration of a dataset folder.
 
-    Sheets that are newer than their shard are kept. ``progress(done, total)`` counts configurations. Returns
-    the paths of those written. Raises :class:`InputError` where the folder has no index or no plan.
+    Sheets newer than their shard are kept. ``progress(done, total)`` counts configurations. Returns the paths
+    of those written. Raises :class:`InputError` if the folder has no index or no plan.
     """
     sheets = folder / "sheets"
     written = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check of the installation: a table for people, an exit code for scripts."""
+"""Check of the installation: a table, and an exit code for scripts."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ OPTIONAL = {
     "blender": ("the exporter, FBX and USD, and UVs that xatlas cannot make (Python 3.11)", ("bpy",)),
     "notebook": ("the notebook of the tutorials", ("ipykernel", "nbclient")),
 }
-"""Extras: what for, and the packages that tell whether they are there."""
+"""Extras: purpose, and the packages that indicate their presence."""
 PROGRAMS = {
     "COLMAP": ("colmap", "cameras and meshes of your own photographs", "colmap"),
     "Slurm": ("sbatch", "`datagen farm submit` on a cluster, whose machines bring it", "slurm-client"),
     "PBS": ("qsub", "`datagen farm submit --engine pbs` on a cluster, whose machines bring it", ""),
     "Blender": ("blender", "the add-on in a window; 4.5 or later", ""),
 }
-"""Programs beside the packages, none required: the command, what for, and Debian's package."""
+"""Optional programs: the command, its purpose, and Debian's package."""
 MIN_BLENDER = (4, 5)
 CHECKPOINTS = ("small.safetensors", "no-rp.safetensors")
 _AGAIN = "install the project again: pip install --force-reinstall scene-materials, or -e . in a checkout"
@@ -73,7 +73,7 @@ class Finding:
 
 
 def _probe(name: str, code: str, remedy: str) -> Finding:
-    """Run ``code`` in a process of its own: an abort of native code must not end the doctor."""
+    """Run ``code`` in a separate process, so that an abort of native code does not end the check."""
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     if result.returncode == 0:
         return Finding(
@@ -85,7 +85,7 @@ def _probe(name: str, code: str, remedy: str) -> Finding:
 
 
 def examine(folder: Path | None = None) -> list[Finding]:
-    """Every finding. ``folder`` is where a dataset would go, for the free disk space (default: here)."""
+    """All findings. ``folder`` is the intended place of datasets, for the free disk space (default: here)."""
     findings = [
         Finding("Python", sys.version.split()[0], sys.version_info >= (3, 10), True, "install Python 3.11")
     ]
@@ -127,13 +127,13 @@ def examine(folder: Path | None = None) -> list[Finding]:
 
 
 def _found(error: InputError) -> tuple[str, bool, bool, str]:
-    """A failed check: the value found and the expected one, not fine, required, the remedy."""
+    """A failed check as (found and expected value, False, True, remedy)."""
     (problem,) = error.problems
     return f"{problem.got}; expected {problem.expected}", False, True, problem.remedy
 
 
 def bundled_finding() -> Finding:
-    """Whether the bundled library, recipes and suites were installed, too."""
+    """Whether the bundled library, recipes and suites are installed."""
     try:
         num = len(find_packages(bundled_library()))
         names = bundled_names("recipes")
@@ -145,7 +145,7 @@ def bundled_finding() -> Finding:
 
 
 def checkpoint_finding() -> Finding:
-    """Whether the networks that `materials infer` takes by itself were installed; nothing is imported."""
+    """Whether the default networks of `materials infer` are installed; nothing is imported."""
     package = importlib.util.find_spec("model")
     folders = [Path(p) / "checkpoints" for p in (package.submodule_search_locations or ())] if package else []
     lacking = [name for name in CHECKPOINTS if not any((folder / name).is_file() for folder in folders)]
@@ -154,7 +154,7 @@ def checkpoint_finding() -> Finding:
 
 
 def program_finding(title: str, command: str, purpose: str, debian: str) -> Finding:
-    """A program on the path."""
+    """Finding about a program on the path."""
     path = shutil.which(command)
     if path is None:
         how = _installing(title, debian)
@@ -169,7 +169,7 @@ def program_finding(title: str, command: str, purpose: str, debian: str) -> Find
 
 
 def _installing(title: str, debian: str) -> str:
-    """The command that brings a program on this system, or where it is to be had."""
+    """The command that installs a program on this system, or its source."""
     commands = {
         "darwin": {"COLMAP": "brew install colmap", "Blender": "brew install --cask blender"},
         "win32": {"Blender": "winget install BlenderFoundation.Blender"},

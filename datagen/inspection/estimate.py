@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Predicts time, disk and memory of a recipe from a few timed samples, before anything large starts.
+"""Predicts time, disk and memory of a recipe from a few timed samples, before large work starts.
 
 Two small plans of the same recipe, with few and with twice as many views, run through the real stages in a
-temporary folder. The cost of a view, the fixed cost of a configuration, and costs that grow with the number
-of views (statistics and memory) follow from the two by straight lines.
+temporary folder. The cost per view, the fixed cost per configuration, and costs that grow with the number of
+views (statistics and memory) are extrapolated linearly from the two.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from datagen.library import Library
 
 @dataclass(frozen=True)
 class Estimate:
-    """Prediction for a whole recipe on this machine. Seconds are of all its processors together."""
+    """Prediction for a whole recipe on this machine. Seconds are summed over all processors."""
 
     num_configurations: int
     num_views: int
@@ -57,7 +57,7 @@ class _Sample:
 
 
 def _run_sample(recipe: Recipe, library: Library, num_views: int, root: Path) -> _Sample:
-    # A sample of one configuration cannot be split; what it costs does not depend on its split.
+    # A sample of one configuration cannot be split; its cost does not depend on its split.
     small = recipe.model_copy(update={"configurations": 1, "views": num_views, "splits": SplitRecipe()})
     start = time.perf_counter()
     plan = create_plan(small, library, root)
@@ -83,9 +83,11 @@ def _line(x1: float, y1: float, x2: float, y2: float, x: float) -> float:
 def estimate(
     recipe: Recipe, library: Library, report: Callable[[int, int], None] = lambda done, total: None
 ) -> Estimate:
-    """Time two samples of ``recipe`` and predict the whole. ``report(done, total)`` follows the samples."""
+    """Time two samples of ``recipe`` and predict the whole. ``report(done, total)`` reports on the
+    samples.
+    """
     begin = time.perf_counter()
-    # The first run in a fresh process compiles kernels; what later units pay is what counts.
+    # The first run in a new process compiles kernels; only the cost of later units counts.
     few = min(4, recipe.views)
     many = min(8, recipe.views)
     samples = []
@@ -132,7 +134,7 @@ def estimate(
 
 
 def print_estimate(result: Estimate, workers: int, free_bytes: float, as_json: bool = False) -> bool:
-    """Print the prediction; returns whether the disk has room for it."""
+    """Print the prediction; returns whether the disk has enough space."""
     needed = result.total_bytes + workers * result.working_bytes
     if as_json:
         import json

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of faults that verification finds, and the report that collects them."""
+"""Kinds of faults found by verification, and the report that collects them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CHECKS = {
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing wrong: ``check`` is a key of :data:`CHECKS`, ``where`` a file or view."""
+    """One fault: ``check`` is a key of :data:`CHECKS`, ``where`` a file or view."""
 
     check: str
     where: str
@@ -53,7 +53,7 @@ class Report:
     faults: list[Fault] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     applied: Counter[str] = field(default_factory=Counter)
-    """Check to the number of shards or views that it was applied to."""
+    """Check to the number of shards or views to which it was applied."""
     rechecked: list[dict[str, Any]] = field(default_factory=list)
     """Figures of the views that were rendered again (:mod:`datagen.inspection.recheck`)."""
 
@@ -81,7 +81,7 @@ class Report:
         return json.dumps(data, indent=2)
 
     def merge(self, other: Report) -> None:
-        """Add what another report holds."""
+        """Add the contents of another report."""
         self.num_shards += other.num_shards
         self.num_views += other.num_views
         self.faults += other.faults

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Prints what ``datagen library`` shows: assets as a table or JSON, and the findings of a check."""
+"""Output of ``datagen library``: assets as a table or JSON, and the findings of a check."""
 
 from __future__ import annotations
 

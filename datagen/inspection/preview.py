@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A page that shows a dataset while it is made: ``datagen run --preview`` keeps ``preview.html`` current.
+"""Live page of a dataset in progress: ``datagen run --preview`` keeps ``preview.html`` current.
 
-One file that opens from disk: the last views as pictures, the rate, the time left, and failures. It loads
-itself again every few seconds until the run has ended.
+One file that opens from disk: the latest views as pictures, the rate, the time left, and failures. It reloads
+itself every few seconds until the run has ended.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ small { overflow-wrap: anywhere; }
 
 
 class Preview:
-    """The page of one run. ``total`` views are to be made, of which ``before`` are done already."""
+    """The page of one run with ``total`` views, of which ``before`` are already done."""
 
     def __init__(self, root: Path, total: int, before: int = 0):
         self.root, self.total, self.before = root, total, before
         self.start = time.monotonic()
         self.path = root / PREVIEW_FILE
         self.said: list[str] = []
-        self._pictures: dict[str, str] = {}  # view to data URI, oldest first: packed units leave no files
+        self._pictures: dict[str, str] = {}  # view to data URI, oldest first: files of packed units are gone
         self._known = {path for path in self._views()}
         self._next = 0.0
 
     def say(self, sentence: str) -> None:
-        """Something that went wrong."""
+        """Add a message about a failure."""
         self.said.append(sentence)
 
     def update(self, done: int, is_over: bool = False) -> None:
-        """Write the page anew if a few seconds have passed since the last time, or the run is over."""
+        """Rewrite the page if a few seconds have passed since the last time, or if the run is over."""
         now = time.monotonic()
         if now < self._next and not is_over:
             return
@@ -80,7 +80,8 @@ class Preview:
             try:
                 record = read_json(ViewRecord, path)
                 beauty = decode_view(path.with_suffix(".exr"), ["beauty"], num_threads=1)["beauty"]
-            except InputError:  # its unit was packed meanwhile; what is damaged, the run makes again
+            # its unit was packed meanwhile, or a damaged view will be made again by the run
+            except InputError:
                 continue
             self._pictures[f"{record.configuration} / {record.name}"] = _picture(beauty, record.exposure)
         self._known |= {path for _, path in found}

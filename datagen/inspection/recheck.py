@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Renders views of a dataset again by plain path tracing: ``datagen verify --recheck N``.
 
-Nothing that makes rendering fast takes part: every light path is traced whole, up to 65 segments, shadow rays
-go where the scene's emitters are, without the guide through windows, without cached irradiance, clamp and
-denoiser. Four independent parts of the samples are made. Their own noise adds nothing to the expectation of
-an error that is the product of differences from two of them (:mod:`datagen.rendering.error`), and what they
-differ by says how well error and bias are known.
+All accelerations are off: every light path is traced completely, up to 65 segments, with Mitsuba's uniform
+emitter sampling, and without sky guide, cached irradiance, clamp and denoiser. The samples form four
+independent parts. The error is a product of differences from two of them, to which their own noise adds
+nothing in expectation (:mod:`datagen.rendering.error`); the spread among the parts gives the standard errors
+of error and bias.
 """
 
 from __future__ import annotations
@@ -30,25 +30,28 @@ if TYPE_CHECKING:
     from datagen.rendering.renderer import SceneRenderer
 
 DEPTH, ROULETTE_DEPTH = 65, 5
-"""Segments of the longest path, and from which on some end by chance."""
+"""Maximum number of segments of a path, and the number from which Russian roulette may end it."""
 PARTS = 4
 CHUNK = 64
-"""Paths a pixel of one launch."""
+"""Paths per pixel of one launch."""
 SEED = 0x0EC4EC40
-"""Of the first launch: none of those that a dataset is rendered with."""
+"""Seed of the first launch, different from all seeds of datasets."""
 MAX_RATIO = 4.0
-"""A true error above so many times the recorded one is a fault of the record."""
+"""A true error above this multiple of the recorded one is a fault of the record."""
 MAX_BIAS = 0.05
-"""Share of the light that may be missing or too much."""
+"""Maximum relative deviation of the mean luminance."""
 SURE = 3.0
-"""Standard errors by which either is to be exceeded before it counts as found."""
+"""Number of standard errors by which a deviation must exceed its limit."""
 
 
 @dataclass(frozen=True)
 class Rechecked:
-    """A view against plain paths. ``recorded`` is its record's estimated relMSE, None where it was not
-    rendered to an error; ``rel_mse`` the true one, exposed; ``bias`` the mean luminance over that of plain
-    paths, less 1. The last two have standard errors, of the plain paths' noise."""
+    """A view compared with plain paths.
+
+    ``recorded`` is its record's estimated relMSE, None if it was not rendered to an error; ``rel_mse`` the
+    true one, exposed; ``bias`` the ratio of its mean luminance to that of plain paths, minus 1. The last two
+    have standard errors, due to the plain paths' noise.
+    """
 
     configuration: str
     view: str
@@ -65,7 +68,7 @@ class Rechecked:
         return f"{self.configuration}/{self.view}"
 
     def faults(self) -> Iterable[Fault]:
-        """Warnings about deviations that exceed the noise."""
+        """Warnings about deviations above the noise."""
         if self.recorded is not None and self.rel_mse - SURE * self.rel_mse_error > MAX_RATIO * self.recorded:
             got = f"relMSE {self.rel_mse:.4f} +- {self.rel_mse_error:.4f}, {self.recorded:.4f} is recorded"
             yield Fault("recheck", self.where, got, f"at most {MAX_RATIO:g} times the record", "warning")
@@ -84,11 +87,10 @@ def recheck(
     report: Report,
     progress: Callable[[int, int], object] | None = None,
 ) -> list[Rechecked]:
-    """Render ``count`` views again with ``samples`` paths a pixel, a multiple of 4; faults and notes go to
-    ``report``.
+    """Render ``count`` views again with ``samples`` paths per pixel, a multiple of 4.
 
-    The recipe's seed selects the views. Raises :class:`InputError` where there is no dataset; a
-    configuration whose assets have changed since is left out with a note.
+    Faults and notes are added to ``report``. The recipe's seed selects the views. Raises :class:`InputError`
+    if there is no dataset; a configuration whose assets have changed is left out with a note.
     """
     if samples < PARTS or samples % PARTS:
         expected = f"a multiple of {PARTS}, for as many parts that are compared"
@@ -153,7 +155,7 @@ def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> R
 
 
 def compared(view: View, parts: Sequence[NDArray[np.floating]]) -> Rechecked:
-    """A view against ``PARTS`` independent images (H, W, 3) of plain paths."""
+    """A view compared with ``PARTS`` independent images (H, W, 3) of plain paths."""
     image = view.buffers["beauty"].astype(np.float64)
     rel_mse, rel_mse_error = relative_mse_of_parts(image, parts, exposed=True)
     levels = [luminance(part.astype(np.float64)) for part in parts]

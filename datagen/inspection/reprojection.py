@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Do depth and cameras of different views agree? Points of one view are looked up in others.
+"""Consistency of depth and cameras between views: points of one view are looked up in others.
 
 A point p of view a, with normal n, is projected into view b, where the pixel's own depth gives a point q.
-Either q is p's surface, or q lies in front (b's view is blocked, which is allowed), or q lies behind, so that
-b looks through a surface that a saw. For matched points the residual is the distance of q from p's tangent
-plane, |n . (q - p)| / z: on flat surfaces it vanishes wherever in b's pixel p falls, so that it measures
-errors of depth and pose and not the size of pixels.
+Either q is on p's surface, or q lies in front (the point is occluded in b, which is allowed), or q lies
+behind, so that b shows something beyond a surface visible in a. For matched points the residual is the
+distance of q from p's tangent plane, |n . (q - p)| / z: on flat surfaces it vanishes wherever in b's pixel p
+falls, so that it measures errors of depth and pose, not the size of pixels.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Geometry:
 
     @classmethod
     def from_buffers(cls, name: str, camera: Camera, view: dict[str, NDArray]) -> Geometry:
-        """From a view's buffers by name; pixels that are not finite do not take part."""
+        """From a view's buffers by name; pixels that are not finite are excluded."""
         depth = view["depth_z_m"][..., 0]
         normal = view["normal_world"]
         is_surface = (view["surface_mask"][..., 0] >= 0.5) & (depth > 0)
@@ -51,7 +51,9 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of a view with another's points; the share and the residual are NaN if too few compare."""
+    """Agreement of a view with another's points; share and residual are NaN with too few comparable
+    points.
+    """
 
     num_points: int
     seen_through: float
@@ -98,7 +100,7 @@ def compare(points: NDArray, normals: NDArray, other: Geometry) -> Agreement:
 
 
 def partners_of(index: int, count: int) -> list[int]:
-    """Up to 8 other views, evenly spread."""
+    """Up to 8 other views, evenly spaced."""
     others = [i for i in range(count) if i != index]
     if len(others) <= MAX_PARTNERS:
         return others
@@ -108,11 +110,7 @@ def partners_of(index: int, count: int) -> list[int]:
 
 
 def check_reprojection(views: Sequence[Geometry], where: str) -> tuple[list[Fault], int]:
-    """Faults of views that most of their partners disagree with, and the number of views that were compared.
-
-    The view with the worst median over its pairs is blamed and its pairs are struck out, until the rest
-    agree: so one bad view does not discredit the good ones that were compared with it.
-    """
+    """Faults of views that disagree with most of their partners, and the number of compared views."""
     samples = [sample_points(view, index) for index, view in enumerate(views)]
     pairs = [
         (a, b, compare(*samples[a], views[b])) for a in range(len(views)) for b in partners_of(a, len(views))

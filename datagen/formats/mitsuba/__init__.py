@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Mitsuba 3 scene files: what importers and captures both read of them."""
+"""Mitsuba 3 scene files: the part of their syntax that importers and captures share."""

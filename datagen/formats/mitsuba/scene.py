@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Mitsuba 3 XML (versions 0.5 to 3.x) as a tree of plain nodes: variables, includes, aliases and references
-resolved, camelCase names of old files turned into today's, transforms as matrices.
+resolved, camelCase names of old files converted to current ones, transforms as matrices.
 
-Nothing is interpreted here; what a plugin means is for the modules that use the tree. DOCTYPE and entities
-are refused, and so are includes that leave the scene's folder or include each other in a circle. References
-make a graph of the tree: what it comes to where each is followed is counted before anyone follows them.
+Nothing is interpreted here; the meaning of a plugin is up to the modules that use the tree. DOCTYPE and
+entities are refused, and so are includes outside of the scene's folder and circular includes. References turn
+the tree into a graph, whose expanded size is counted before any of it is expanded.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ MAX_XML_BYTES = 256 << 20
 class SceneNode:
     """A plugin instance. ``values`` holds plain properties, ``children`` nested plugins by name.
 
-    Colours are float triples, transforms (4, 4) float64 arrays, points and vectors float triples.
-    ``where`` says which node it is, for messages (``bsdf "Glass"``).
+    Colours are float triples, transforms (4, 4) float64 arrays, points and vectors float triples. ``where``
+    names the node in messages (``bsdf "Glass"``).
     """
 
     tag: str
@@ -49,11 +49,11 @@ class SceneNode:
     where: str = ""
 
     def child(self, *names: str) -> SceneNode | None:
-        """The nested plugin of one of these names."""
+        """The nested plugin with one of these names."""
         return next((node for name, node in self.children if name in names), None)
 
     def children_of(self, tag: str) -> list[SceneNode]:
-        """Nested plugins of a tag, in the order of the file."""
+        """Nested plugins with a tag, in the order of the file."""
         return [node for _, node in self.children if node.tag == tag]
 
     def get(self, name: str, default: Any = None) -> Any:
@@ -79,13 +79,15 @@ def parse_scene(
     budget: Budget | None = None,
     allowed: Sequence[Path] = (),
 ) -> MitsubaScene:
-    """Parse a scene file; includes may come from its folder and from those that are ``allowed``. Raises
-    :class:`InputError` with every problem that was found."""
+    """Parse a scene file; includes may come from its folder and from the ``allowed`` folders.
+
+    Raises :class:`InputError` with every problem.
+    """
     return _Parser(path, dict(defines or {}), budget or Budget(path), allowed).parse()
 
 
 def snake_case(name: str) -> str:
-    """``intIOR`` to ``int_ior``, ``toWorld`` to ``to_world``; names of today stay as they are."""
+    """``intIOR`` to ``int_ior``, ``toWorld`` to ``to_world``; current names stay unchanged."""
     return re.sub(r"(?<=[a-z0-9])([A-Z]+)", lambda m: "_" + m.group(1), name).lower()
 
 
@@ -124,7 +126,7 @@ class _Parser:
         if path in self.loaded:
             return self.loaded[path]
         try:
-            if not path.is_file():  # a pipe would wait for ever
+            if not path.is_file():  # a pipe would block for ever
                 raise input_error(path, got="no such file", expected="a Mitsuba scene (XML)")
             self.budget.hold_file(path)
             if path.stat().st_size > MAX_XML_BYTES:
@@ -144,7 +146,7 @@ class _Parser:
     # structure
 
     def fill(self, node: SceneNode, element: ElementTree.Element, stack: tuple[Path, ...]) -> None:
-        """The contents of an element; ``stack`` are the files that include it, the outermost first."""
+        """Read the contents of an element; ``stack`` are the files that include it, the outermost first."""
         self.depth += 1
         self.budget.check_depth(self.depth, node.where)
         for child in element:
@@ -221,14 +223,15 @@ class _Parser:
         self.check_graph(scene)
 
     def check_graph(self, scene: SceneNode) -> None:
-        """Refuse circles, and graphs that come to too much where every reference is followed. Each node is
-        looked at once, however many refer to it."""
+        """Refuse circular references, and graphs whose expanded size is too large. Each node is visited once,
+        however often it is referenced.
+        """
         sizes: dict[int, int] = {}
         depths: dict[int, int] = {}
         for start in (scene, *self.by_id.values()):
             if id(start) in sizes:
                 continue
-            path, above = [start], {id(start)}  # from the start to the node that is looked at
+            path, above = [start], {id(start)}  # path from the start to the current node
             rest = [iter(start.children)]
             while path:
                 node = path[-1]
@@ -246,7 +249,7 @@ class _Parser:
                     path.append(child)
                     above.add(id(child))
                     rest.append(iter(child.children))
-        # what only stands there to be referred to is followed nowhere
+        # nodes that only serve as targets of references are not expanded
         used = [
             (sizes[id(node)], node.where)
             for _, node in scene.children
@@ -272,7 +275,7 @@ class _Parser:
         return re.sub(r"\$([A-Za-z_][A-Za-z0-9_]*)", value, text) if "$" in text else text
 
     def numbers(self, node: SceneNode, name: str, text: str, counts: tuple[int, ...]) -> list[float]:
-        parts = re.split(r"[\s,]+", text.strip(), maxsplit=max(counts))  # a text may be of any length
+        parts = re.split(r"[\s,]+", text.strip(), maxsplit=max(counts))  # values may have any length
         try:
             numbers = [float(part) for part in parts if part]
         except ValueError:
@@ -328,7 +331,7 @@ class _Parser:
         return [self.numbers(node, name, attributes.get(a, str(default)), (1,))[0] for a in "xyz"]
 
     def transform(self, element: ElementTree.Element, node: SceneNode) -> NDArray[np.float64]:
-        """Operations apply in the order of the file, each after those before it."""
+        """Transform from operations in the order of the file, each applied after those before it."""
         matrix = np.eye(4)
         for child in element:
             attributes = {k: self.substitute(v, node) for k, v in child.attrib.items()}
@@ -358,7 +361,7 @@ class _Parser:
                 )
             matrix = step @ matrix
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-20:
-            # flat transforms exist (a rectangle scaled to nothing); shapes report them with their name
+            # flat transforms exist (a rectangle scaled to nothing); shapes report them by name
             node.values.setdefault("_singular_transform", True)
         return matrix
 
@@ -371,7 +374,7 @@ def _rotation(axis: list[float], angle_rad: float) -> NDArray[np.float64]:
 
 
 def _look_at(origin: NDArray, target: NDArray, up: NDArray) -> NDArray[np.float64]:
-    """Mitsuba's: z towards the target, x = up x z (to the left), y up."""
+    """Mitsuba's ``lookat``: z towards the target, x = up x z (to the left), y up."""
     forward = (target - origin) / max(float(np.linalg.norm(target - origin)), 1e-30)
     left = np.cross(up, forward)
     left /= max(float(np.linalg.norm(left)), 1e-30)

@@ -19,8 +19,8 @@ from datagen.foundation.axes import unit_vector
 from datagen.foundation.findings import Findings
 
 MITSUBA_FROM_CAMERA = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Mitsuba's camera has x to the left and y upwards; ours x to the right and y downwards. Both look
-along +z."""
+"""Mitsuba's camera has x to the left and y upwards; ours has x to the right and y downwards. Both look along
++z."""
 
 
 def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
@@ -34,7 +34,7 @@ def guess_up(scene: MitsubaScene) -> Literal["y", "z"]:
 def camera_of(
     node: SceneNode, number: int, asset_from_source: NDArray[np.float64], findings: Findings
 ) -> AssetCamera:
-    """A perspective sensor as a camera; apertures and crops are left out with a note."""
+    """A perspective sensor as a camera; apertures and crops are omitted with a note."""
     film = next(iter(node.children_of("film")), SceneNode("film", "hdrfilm"))
     width, height = int(film.get("width", 768)), int(film.get("height", 576))
     name = node.id or f"camera_{number}"
@@ -65,7 +65,7 @@ def camera_of(
 
 
 def _focal_px(node: SceneNode, width: int, height: int) -> float:
-    if "focal_length" in node.values:  # in mm of a 35 mm film, along the diagonal
+    if "focal_length" in node.values:  # in mm of 35 mm film, along the diagonal
         return (
             float(str(node.get("focal_length")).removesuffix("mm"))
             / math.hypot(36, 24)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Triangle meshes, and the file formats that hold them: PLY, OBJ and glTF."""
+"""Triangle meshes, and their file formats: PLY, OBJ and glTF."""

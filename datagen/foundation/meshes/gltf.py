@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree, without meaning.
+"""glTF 2.0 containers (.gltf, .glb): JSON, buffers, accessors, images and the node tree, without
+interpretation.
 
 Buffers and images may be files beside the document, data URIs or parts of the binary; files outside the
-document's folder are refused, and so are Draco and required extensions that are not known here.
+document's folder are refused, and so are Draco and unknown required extensions.
 """
 
 from __future__ import annotations
@@ -66,10 +67,10 @@ class PlacedNode:
 
 
 class GltfFile:
-    """An opened document. Use as a context manager: embedded images live in a temporary folder. Leaving it by
-    an error of Python's own, of which a tree of anything has many, raises :class:`InputError` instead.
+    """An opened document. Use as a context manager: embedded images are in a temporary folder.
 
-    Its files lie in its own folder, or in those that are ``allowed``.
+    Python errors raised inside, which malformed trees can cause in many places, become :class:`InputError`.
+    Its files must be in its own folder, or in the ``allowed`` ones.
     """
 
     def __init__(self, path: Path, budget: Budget | None = None, allowed: Sequence[Path] = ()):
@@ -117,7 +118,7 @@ class GltfFile:
         return value
 
     def items(self, key: str) -> list[dict[str, Any]]:
-        """A top-level list of the document, empty where it is absent."""
+        """A top-level list of the document, empty if absent."""
         if key not in self._lists:
             value = self._list(key)
             if not all(isinstance(v, dict) for v in value):
@@ -241,8 +242,11 @@ class GltfFile:
         return count
 
     def weight(self, primitive: dict[str, Any], user: str) -> int:
-        """Triangles that a primitive counts for, without reading it: three vertices count as one where it has
-        more of them. Its attributes must have an entry a vertex."""
+        """Number of triangles that a primitive counts as, without reading it.
+
+        If it has more vertices, three of them count as one triangle. Its attributes must have one entry per
+        vertex.
+        """
         attributes = primitive.get("attributes", {})
         if "POSITION" not in attributes:
             raise self.error(user, "no POSITION", "vertex positions")
@@ -265,7 +269,7 @@ class GltfFile:
         if "bufferView" in entry:
             values = self._strided(entry, kind, width, count, f"accessors[{index}]")
         else:
-            self.count(index, user)  # zeros, which a file may claim for nothing
+            self.count(index, user)  # zeros, which take no space in the file
             values = np.zeros((count, width), kind)
         if "sparse" in entry:
             values = self._sparse(entry["sparse"], values, kind, width, f"accessors[{index}].sparse")
@@ -305,8 +309,9 @@ class GltfFile:
         return values
 
     def image_file(self, index: object, user: str) -> Path:
-        """Path of an image; embedded ones, and those of Basis Universal as PNG, are written to a temporary
-        folder. The file may be absent."""
+        """Path of an image, which may be absent; embedded images, and those of Basis Universal as PNG, are
+        written to a temporary folder.
+        """
         entry = self.item("images", index, user)
         if "uri" in entry:
             content = self.resource(str(entry["uri"]), f"images[{index}].uri")
@@ -348,7 +353,7 @@ class GltfFile:
             while rest:
                 index, outer, depth = rest.pop()
                 node = self.item("nodes", index, "nodes")
-                if index in seen:  # forty nodes with two parents each would be a million million
+                if index in seen:  # forty nodes with two parents each would expand to a million million
                     raise self.error(f"nodes[{index}]", "inside itself or two others", "a tree of nodes")
                 seen.add(index)
                 self.budget.spend("nodes", 1, f"nodes[{index}]")
@@ -362,13 +367,15 @@ class GltfFile:
                 rest.extend((child, matrix, depth + 1) for child in reversed(children))
 
     def placed_primitives(self, nodes: Sequence[PlacedNode]) -> int:
-        """Number of primitives in the meshes of some nodes, each counted as often as it is placed. Their
-        total is charged to the budget before any of them is read."""
+        """Number of primitives in the meshes of nodes, each counted once per placement.
+
+        Their total is charged to the budget before any of them is read.
+        """
         for index, buffer in enumerate(self.items("buffers")):
             content = self.resource(str(buffer.get("uri", "data:,")), f"buffers[{index}].uri")
             if isinstance(content, Path) and content.is_file():
                 self.budget.hold_file(content)
-        weights: dict[object, tuple[int, int]] = {}  # of a mesh: primitives, triangles
+        weights: dict[object, tuple[int, int]] = {}  # per mesh: primitives, triangles
         total = 0
         for placed in nodes:
             if "mesh" not in placed.node:

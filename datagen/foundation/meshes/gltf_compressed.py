@@ -40,8 +40,10 @@ def meshopt_of(view: dict[str, Any]) -> tuple[str, dict[str, Any]] | None:
 def unpack_meshopt(
     data: bytes, name: str, extension: dict[str, Any], budget: Budget, where: Path, field: str
 ) -> bytes:
-    """The plain bytes of a buffer view; ``data`` are the compressed ones, ``name`` and ``extension`` those of
-    :func:`meshopt_of`. Raises :class:`InputError`."""
+    """The decompressed bytes of a buffer view from its compressed ``data``.
+
+    ``name`` and ``extension`` are from :func:`meshopt_of`. Raises :class:`InputError`.
+    """
     _require("meshopt", where, field, name, "uncompressed data")
     import meshopt
 
@@ -63,7 +65,7 @@ def is_ktx2(content: bytes) -> bool:
 
 
 def png_of_basis(content: bytes, budget: Budget, where: Path, field: str) -> bytes:
-    """The largest image of a KTX 2 file as PNG, with alpha where it has some. Raises :class:`InputError`."""
+    """The largest image of a KTX 2 file as PNG, with alpha if it has any. Raises :class:`InputError`."""
     _require("opengl_basisu", where, field, "a Basis Universal texture", "PNG or JPEG")
     import opengl_basisu
 

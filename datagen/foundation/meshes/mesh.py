@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Triangle meshes in memory, and their faults.
 
-Letters: N vertices, M triangles; v of a texture coordinate runs upwards (see ``datagen.formats.asset``).
+Letters: N vertices, M triangles; v of a texture coordinate points up (see ``datagen.formats.asset``).
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SINGULAR = 1e-15  # a determinant below: a transform that flattens
-LYING_COSINE = 0.01  # a shading normal within 0.6 degrees of its triangle's plane shades nothing
+SINGULAR = 1e-15  # smaller determinants are those of flattening transforms
+LYING_COSINE = 0.01  # a shading normal within 0.6 degrees of its triangle's plane is useless
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles. ``positions`` (N, 3) float32; ``normals`` (N, 3) and ``uv`` (N, 2) float32 or None;
-    ``faces`` (M, 3) int32 vertex indices, counter-clockwise seen from outside."""
+    """A triangle mesh.
+
+    ``positions`` (N, 3) float32; ``normals`` (N, 3) and ``uv`` (N, 2) float32 or None; ``faces`` (M, 3) int32
+    vertex indices, counter-clockwise seen from outside.
+    """
 
     positions: NDArray[np.float32]
     faces: NDArray[np.int32]
@@ -27,11 +30,15 @@ class Mesh:
 
     @property
     def weight(self) -> int:
-        """Triangles that the mesh counts for: three vertices count as one where it has more of them."""
+        """Number of triangles that the mesh counts as: if it has more vertices, three of them count as
+        one.
+        """
         return max(len(self.faces), -(-len(self.positions) // 3))
 
     def transformed(self, target_from_source: NDArray[np.float64]) -> Mesh:
-        """The mesh under an affine (4, 4) transform; normals go by the inverse transpose, winding stays."""
+        """The mesh under an affine (4, 4) transform; normals are transformed by the inverse transpose, the
+        winding is kept.
+        """
         linear = np.asarray(target_from_source, dtype=np.float64)[:3, :3]
         offset = np.asarray(target_from_source, dtype=np.float64)[:3, 3]
         positions = self.positions.astype(np.float64) @ linear.T + offset
@@ -85,15 +92,15 @@ class MeshFaults:
 
     @property
     def is_unusable(self) -> bool:
-        """No surface, or numbers that would poison a render."""
+        """Whether it has no surface, or values that would invalidate a rendering."""
         return self.is_empty or self.non_finite > 0 or self.bad_indices > 0 or self.degenerate == self.total
 
 
 def inspect_mesh(mesh: Mesh) -> MeshFaults:
     """Count a mesh's faults. Vertices at equal positions count as one, since seams split them in files.
 
-    Edges of more than two triangles are non-manifold; an edge that two triangles run in the same direction
-    is inconsistent; an edge of one triangle is a boundary (harmless: single sheets are allowed).
+    Edges of more than two triangles are non-manifold; an edge with the same direction in two triangles is
+    inconsistent; an edge of one triangle is a boundary (harmless: open surfaces are allowed).
     """
     num_faces = len(mesh.faces)
     if num_faces == 0 or len(mesh.positions) == 0:
@@ -137,7 +144,7 @@ def welded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
     """Smooth normals (N, 3): the sum of the triangles' unit normals weighted by their angle at the vertex.
 
-    Where the sum vanishes (sheets folded flat, windings that disagree) the largest triangle's normal stands.
+    If the sum vanishes (sheets folded flat, inconsistent winding), the largest triangle's normal is used.
     """
     corners = mesh.triangles()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -153,12 +160,12 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
                 mesh.faces[:, k], weights=(unit * angle)[:, axis], minlength=len(total)
             )
     size = np.linalg.norm(total, axis=1)
-    lost = size < 1e-6  # radians: what rounding leaves of normals that cancel
+    lost = size < 1e-6  # radians: remains of normals that cancel up to rounding
     normals = total / np.maximum(size, 1e-300)[:, None]
     if lost.any():
         touching = np.flatnonzero(lost[mesh.faces].any(axis=1) & (length[:, 0] > 0))
         touching = touching[np.argsort(length[touching, 0], kind="stable")]
-        normals[lost] = [0.0, 0.0, 1.0]  # of vertices without any surface
+        normals[lost] = [0.0, 0.0, 1.0]  # for vertices without any surface
         corner, owner = mesh.faces[touching].ravel(), np.repeat(touching, 3)
         chosen = lost[corner]
         normals[corner[chosen]] = unit[owner[chosen]]  # ascending area: the largest is written last
@@ -166,11 +173,11 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with normals that a renderer survives, and the number of corners that had to be changed.
+    """The mesh with normals that are safe for a renderer, and the number of corners that were changed.
 
-    Vertices without normals, or with zero or NaN ones, get smooth normals. A normal that lies in its triangle
-    (within ``LYING_COSINE``) can be parallel to the surface's tangent, which leaves no shading frame: at that
-    corner the triangle's own normal stands instead.
+    Vertices without normals, or with zero or NaN ones, get smooth normals. A normal in the plane of its
+    triangle (within ``LYING_COSINE``) may be parallel to the surface's tangent, which leaves no shading
+    frame: that corner gets the triangle's own normal.
     """
     if mesh.normals is None:
         mesh = Mesh(mesh.positions, mesh.faces, vertex_normals(mesh), mesh.uv)
@@ -191,7 +198,9 @@ def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
-    """Corners (M, 3) whose normal lies in the plane of their triangle; triangles without area have none."""
+    """Mask (M, 3) of corners whose normal lies in the plane of their triangle; False for triangles without
+    area.
+    """
     if mesh.normals is None:
         return np.zeros(mesh.faces.shape, dtype=bool)
     corners = mesh.triangles()
@@ -219,7 +228,9 @@ def flat_shaded(mesh: Mesh) -> Mesh:
 
 
 def compacted(mesh: Mesh) -> Mesh:
-    """The mesh with vertices shared wherever position, normal and UV agree exactly; unused ones go."""
+    """The mesh with vertices shared wherever position, normal and UV agree exactly; unused ones are
+    removed.
+    """
     columns = [a for a in (mesh.positions, mesh.normals, mesh.uv) if a is not None]
     table = np.ascontiguousarray(np.concatenate(columns, axis=1)[mesh.faces.ravel()]) + np.float32(0.0)
     keys = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
@@ -234,7 +245,7 @@ def compacted(mesh: Mesh) -> Mesh:
 
 
 def without_degenerate(mesh: Mesh) -> Mesh:
-    """The mesh less triangles of zero area; unused vertices go too."""
+    """The mesh without triangles of zero area and without unused vertices."""
     keep = mesh.areas() > 0
     if keep.all():
         return mesh
@@ -249,7 +260,7 @@ def without_degenerate(mesh: Mesh) -> Mesh:
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
-    """One mesh of several; normals and UVs survive only where every mesh has them."""
+    """One mesh from several; normals and UVs are kept only if every mesh has them."""
     starts = np.cumsum([0] + [len(m.positions) for m in meshes[:-1]])
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]).astype(np.int32)
     normals = [m.normals for m in meshes if m.normals is not None]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Wavefront OBJ files as one mesh: positions, texture coordinates, normals; polygons become fans.
 
-Groups, materials and lines are passed over, as Mitsuba's loader does. v of a texture coordinate runs upwards.
+Groups, materials and lines are ignored, as by Mitsuba's loader. v of a texture coordinate points up.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import Mesh
 
-_BLOCK = 1 << 16  # lines turned into numbers at once: words take ten times their file
+# lines are converted to numbers at once: as strings they take ten times the memory of the file
+_BLOCK = 1 << 16
 
 
 def read_obj(path: Path, budget: Budget | None = None) -> Mesh:
@@ -69,7 +70,7 @@ def _block(lines: list[bytes], width: int) -> NDArray[np.float64]:
 
 
 def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.int64]:
-    """(M, 3 corners, 3) zero-based indices of position, uv and normal; -1 where a corner names none."""
+    """(M, 3 corners, 3) zero-based indices of position, uv and normal; -1 for those that a corner lacks."""
     triangles: list[bytes] = []
     for face in faces:
         if len(face) < 3:
@@ -80,8 +81,10 @@ def _corners(faces: list[list[bytes]], counts: tuple[int, ...]) -> NDArray[np.in
 
 
 def corner_indices(corners: list[bytes], counts: tuple[int, ...]) -> NDArray[np.int64]:
-    """(C, 3) zero-based indices of position, uv and normal, of which there are ``counts``; -1 where a corner
-    names none. Raises ValueError for indices that do not exist."""
+    """(C, 3) zero-based indices of position, uv and normal; -1 for those that a corner lacks.
+
+    ``counts`` are the numbers of positions, uvs and normals. Raises ValueError for indices out of range.
+    """
     if not corners:
         return np.zeros((0, 3), np.int64)
     numbers = b" ".join(corners).replace(b"//", b"/0/").replace(b"/", b" ").split()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """PLY files: the triangle meshes of asset packages, read and written.
 
-Letters: N vertices, M triangles. Packages hold binary little-endian PLY; v of a texture coordinate runs
-upwards (see ``datagen.formats.asset``).
+Letters: N vertices, M triangles. Packages contain binary little-endian PLY; v of a texture coordinate points
+up (see ``datagen.formats.asset``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.meshes.mesh import Mesh
 
-MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before a byte is read
+MAX_VERTICES = 200_000_000  # refuses headers that would exhaust memory before any data is read
 _MAX_HEADER_BYTES = 64 * 1024
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -61,8 +61,8 @@ def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
 def decode_ply(data: bytes, where: str | Path, budget: Budget | None = None) -> Mesh:
     """A :class:`Mesh` from PLY bytes (little-endian binary or ASCII; polygons are split into fans).
 
-    ``budget`` is of what the bytes are part of. Raises :class:`InputError` where the file is cut short, of
-    another format or has no positions. Indices and finiteness are for :func:`inspect_mesh`.
+    ``budget`` is that of the enclosing import. Raises :class:`InputError` if the file is truncated, of
+    another format or without positions. Indices and finiteness are checked by :func:`inspect_mesh`.
     """
     if budget is None:
         budget = Budget(where)
@@ -183,7 +183,7 @@ def _read_polygons(
                     offset += np.dtype(kind).itemsize
                     continue
                 num = int(np.frombuffer(body, f"<{size}", 1, offset)[0])
-                if num < 0:  # numpy would take -1 for all there is
+                if num < 0:  # numpy would read -1 as "everything"
                     raise ValueError
                 offset += np.dtype(size).itemsize
                 corners = np.frombuffer(body, f"<{kind}", num, offset).tolist()

@@ -3,8 +3,8 @@
 dataset.
 
 Values beyond a histogram's ends are counted in its outermost bins. Only pixels with a surface are counted:
-those that a ray hit and that reflecting surface covers at least half. Luminance is Rec.709 of linear colour.
-The chroma of a colour is max(R, G, B) - min(R, G, B), its hue the usual hexagon's in degrees.
+those hit by a ray and covered by at least half with reflecting surface. Luminance is Rec.709 of linear
+colour. The chroma of a colour is max(R, G, B) - min(R, G, B), its hue that of the usual hexagon, in degrees.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NUM_COVERAGE_BINS = 32
 
 @dataclass(frozen=True)
 class Axis:
-    """Bins of a histogram: ``edges`` rise, ``scale`` says how they are spaced (whole: one a whole number)."""
+    """Bins of a histogram: ``edges`` increase; ``scale`` is their spacing (whole: one per whole number)."""
 
     title: str
     unit: str
@@ -66,7 +66,7 @@ PIXEL_AXES: dict[str, Axis] = {
 
 
 def hue_deg(colors: NDArray) -> NDArray:
-    """Hue of (N, 3) colours in [0, 360); NaN where the chroma is too small to have one."""
+    """Hue of (N, 3) colours in [0, 360); NaN if the chroma is too small."""
     largest, chroma = colors.max(axis=-1), np.ptp(colors, axis=-1)
     red, green, blue = np.moveaxis(colors, -1, 0)
     safe = np.where(chroma > _MIN_CHROMA, chroma, 1)
@@ -110,7 +110,7 @@ def count_view(view: Mapping[str, NDArray]) -> tuple[dict[str, NDArray[np.int64]
 
 
 def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
-    """Numbers of a view's surface pixels, and of metal and gloss among them."""
+    """Numbers of a view's surface pixels, and of those on metal and on gloss."""
     mask = surface_pixels(view)
     return {
         "surface_pixels": int(mask.sum()),
@@ -120,7 +120,7 @@ def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
 
 
 def nice_axis(title: str, unit: str, values: Sequence[float], num: int = 24, log: bool = False) -> Axis:
-    """An axis that spans ``values``, for figures that are counted once, over the whole dataset."""
+    """An axis that spans ``values``, for figures counted once over the whole dataset."""
     finite = [v for v in values if np.isfinite(v) and (v > 0 or not log)]
     low, high = (min(finite), max(finite)) if finite else (0.1, 1.0)
     if log:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Walks one shard: counts what its views hold, draws thumbnails, writes the pixels that the viewer shows.
+"""Processes one shard: counts the contents of its views, draws thumbnails, writes pixels for the viewer.
 
-Figures are kept beside the page, under a key of the shard's content and the options;
-a report that is made again takes it from there, so that one that was interrupted goes on.
+Figures are stored beside the page under a key of the shard's content and the options, so that a repeated or
+interrupted report reuses them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, cou
 from datagen.inspection.report.tiles import write_tile
 
 REVISION = 4
-"""Part of the key of kept figures: raise it when the form of the gathered figures or tiles changes."""
+"""Part of the key of stored figures: increase it when the form of the figures or tiles changes."""
 SHOWN_BUFFERS = (
     "beauty",
     "diffuse_albedo",
@@ -40,7 +40,7 @@ SHOWN_BUFFERS = (
     "color_max",
     "observation_count",
 )
-"""Buffers that the viewer offers, in its order."""
+"""Buffers offered by the viewer, in this order."""
 _LOOKED_UP = ("surface_mask", "instance_id", "material_id")
 _THUMBNAIL_WIDTH_PX = 320
 _INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
@@ -48,7 +48,9 @@ _INTENSITY_FIELDS = ("intensity", "irradiance", "radiance")
 
 @dataclass(frozen=True)
 class GatherJob:
-    """A shard to walk. ``with_pixels`` writes tiles, ``with_sources`` the source views of each pixel too."""
+    """A shard to process. ``with_pixels`` writes tiles, ``with_sources`` also the source views of each
+    pixel.
+    """
 
     shard: Path
     record: ShardRecord
@@ -58,7 +60,7 @@ class GatherJob:
 
     @property
     def key(self) -> str:
-        """Names what the result depends on."""
+        """Key of everything on which the result depends."""
         parts = [REVISION, self.record.sha256, self.with_pixels, self.with_pixels and self.with_sources]
         return sha256_hex(canonical_json(parts))
 
@@ -68,7 +70,7 @@ class GatherJob:
 
 
 def kept_result(job: GatherJob) -> dict[str, Any] | None:
-    """Figures that an earlier report gathered from the same shard, or None."""
+    """Figures that an earlier report stored for the same shard, or None."""
     try:
         kept = json.loads(job.kept_path.read_bytes())
     except (OSError, ValueError):
@@ -79,7 +81,7 @@ def kept_result(job: GatherJob) -> dict[str, Any] | None:
 def gather_shard(job: GatherJob) -> dict[str, Any]:
     """Figures of one shard as plain data; writes thumbnails, tiles and the configuration's script.
 
-    Raises :class:`InputError` where the shard is damaged.
+    Raises :class:`InputError` if the shard is damaged.
     """
     kept = kept_result(job)
     if kept is not None:
@@ -135,7 +137,7 @@ def _placed(placed: PlacedAsset) -> dict[str, Any]:
 
 
 def light_intensity(light: Light) -> dict[str, Any]:
-    """Type of a light and the luminance of its emission, in its type's unit."""
+    """Type of a light and the luminance of its emission, in the unit of its type."""
     units = {"intensity": "W/sr", "irradiance": "W/m^2", "radiance": "W/(m^2 sr)"}
     if light.type == "sky":
         return {"type": "sky", "unit": "times the model's", "value": light.sky_scale}
@@ -159,7 +161,7 @@ def _pixels_by_name(view: View, buffer: str, names: dict[str, str]) -> dict[str,
 
 
 def _view_figures(view: View) -> dict[str, Any]:
-    """One line about a view: what its page in the report's list shows and is sorted by."""
+    """Data of one view for the report's list, for display and sorting."""
     record, buffers = view.record, view.buffers
     camera = record.camera.camera()
     mask = surface_pixels(buffers)
@@ -212,7 +214,8 @@ def _write_tiles(folder: Path, view: View) -> int:
 def _geometry(view: View) -> Any:
     from datagen.multiview.statistics import StatisticsView
 
-    buffers: dict[str, NDArray] = {**view.buffers, "beauty": np.zeros((0,))}  # the choice needs no colours
+    # source views depend on no colours
+    buffers: dict[str, NDArray] = {**view.buffers, "beauty": np.zeros((0,))}
     return StatisticsView.from_buffers(view.record.camera.camera(), buffers, view.record.name)
 
 
@@ -229,7 +232,7 @@ def _write_sources(folder: Path, records: list[ViewRecord], geometry: list[Any])
 
 
 def _write_configuration(path: Path, configuration: Configuration, records: list[ViewRecord]) -> None:
-    """A configuration's data for the viewer: cameras, exposures, names of ids, how it was rendered."""
+    """Write a configuration's data for the viewer: cameras, exposures, names of ids, rendering record."""
     tables: list[dict[str, dict[str, str]]] = []
     views = []
     for record in records:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Predicted maps of a dataset's views against their ground truth: errors, problems, pixels for the viewer.
+"""Predicted maps of a dataset's views compared with their ground truth: errors, problems, pixels for the
+viewer.
 
-A method's folder holds one EXR a view with the channels of D, S and R as the dataset names them (half
-floats, linear), in one of these places; the first that is there counts:
+A method's folder contains one EXR per view with the channels of D, S and R under the dataset's names (half
+floats, linear), at the first of these paths that exists:
 
     FOLDER/<configuration>/<view>.exr
     FOLDER/<configuration>/views/<view>.exr    from ``materials infer SHARD --out FOLDER/<configuration>``
@@ -34,7 +35,7 @@ from datagen.foundation.transliteration import transliterated
 from datagen.inspection.report.tiles import write_tile
 
 TILES = "predictions"
-"""Folder of predicted pixels beside those of the configurations, and part of their tiles' names."""
+"""Folder of predicted pixels beside those of the configurations; part of their tiles' names."""
 MAX_LISTED_PROBLEMS = 200
 _REVISION = 1
 _NEEDED = ("depth_z_m", "surface_mask", *MATERIAL_MAPS)
@@ -42,7 +43,7 @@ _NEEDED = ("depth_z_m", "surface_mask", *MATERIAL_MAPS)
 
 @dataclass(frozen=True)
 class Method:
-    """Predictions to show: what the page calls them, its name in file names, and where they are."""
+    """Predictions to show: their title on the page, their name in file names, and their folder."""
 
     label: str
     slug: str
@@ -61,7 +62,7 @@ class Method:
         return (self.folder / configuration).is_dir() or self.own_configuration() == configuration
 
     def own_configuration(self) -> str | None:
-        """The configuration of a folder that is one result of ``materials infer``."""
+        """The configuration of a folder that holds one result of ``materials infer``."""
         try:
             report = json.loads((self.folder / "report.json").read_bytes())
         except (OSError, ValueError):
@@ -71,9 +72,11 @@ class Method:
 
 
 def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Method, ...]:
-    """The options ``--predictions`` and ``--label``: labels belong to folders in order, the rest are called
-    after their folders. Raises :class:`InputError` on folders that are none, and on labels too many, empty
-    or equal."""
+    """Methods from the options ``--predictions`` and ``--label``.
+
+    Labels belong to folders in order; methods without a label are named after their folder. Raises
+    :class:`InputError` for missing folders, and for labels that are surplus, empty or equal.
+    """
     problems = [
         Problem("--predictions", str(path), "no such folder", "a folder of predicted maps", "check the path")
         for path in folders
@@ -97,7 +100,9 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
 
 @dataclass(frozen=True)
 class CompareJob:
-    """One shard's views against one method's maps; ``with_pixels`` writes the predicted maps as tiles."""
+    """One shard's views to compare with one method's maps; ``with_pixels`` writes the predicted maps as
+    tiles.
+    """
 
     shard: Path
     record: ShardRecord
@@ -107,7 +112,9 @@ class CompareJob:
 
     @property
     def key(self) -> str:
-        """Names what the result depends on: files by size and time of change, so that none is read."""
+        """Key of everything on which the result depends: files by size and modification time, without reading
+        them.
+        """
         configuration = self.record.configuration
         folders = [self.method.folder / configuration, self.method.folder / configuration / "views"]
         if self.method.own_configuration() == configuration:
@@ -128,8 +135,7 @@ class CompareJob:
 def compare_shard(job: CompareJob) -> dict[str, Any]:
     """Errors of every view of a shard as plain data; writes tiles of predicted maps.
 
-    Faults of a prediction are part of the result. Raises :class:`InputError` where the
-    shard itself is damaged.
+    Faults of a prediction are part of the result. Raises :class:`InputError` if the shard itself is damaged.
     """
     key = job.key
     try:
@@ -165,7 +171,7 @@ def compare_shard(job: CompareJob) -> dict[str, Any]:
 def _compare_view(
     method: Method, view: View, truth: Mapping[str, NDArray]
 ) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """A view's figures, and those predicted maps that can be shown."""
+    """A view's figures, and its valid predicted maps."""
     name = view.record.name
     path = method.find(view.record.configuration, name)
     figures: dict[str, Any] = {"name": name, "file": path is not None, "pixels": 0}
@@ -190,7 +196,7 @@ def _compare_view(
 
 
 def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], list[str]]:
-    """Those maps of a file that can be read and have a view's size (H, W), and the faults of the rest."""
+    """The readable maps of a file with a view's size (H, W), and the faults of the others."""
     maps: dict[str, NDArray] = {}
     problems: dict[str, str] = {}
     for name in MATERIAL_MAPS:
@@ -211,7 +217,7 @@ def _read_maps(path: Path, shape: tuple[int, ...]) -> tuple[dict[str, NDArray], 
 
 
 def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool_]) -> float | None:
-    """Mean over masked pixels and channels; None where there is none, or one of them is not finite."""
+    """Mean over masked pixels and channels; None if there are none, or if one of them is not finite."""
     difference = predicted[mask].astype(np.float64) - truth[mask].astype(np.float64)
     return float(np.mean(difference**2)) if difference.size and np.isfinite(difference).all() else None
 
@@ -219,9 +225,11 @@ def mean_squared_error(predicted: NDArray, truth: NDArray, mask: NDArray[np.bool
 def prediction_table(
     methods: Sequence[Method], compared: Iterable[dict[str, Any]], gathered: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Errors of predictions for the page: over all counted pixels and, in the order of the page's views, each
-    view's errors by method: a number per map (None = unknown) and, as bits, the maps that can be shown; None
-    for views without predictions."""
+    """Errors of predictions for the page.
+
+    Over all counted pixels, and for each view in the page's order its errors by method: one number per map
+    (None = unknown) and, as bits, the maps that can be shown; None for views without predictions.
+    """
     by_place: dict[tuple[str, str, str], dict[str, Any]] = {}
     for result in compared:
         for view in result["views"]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The views behind a pixel's statistics, found again by the kernel that gathered them (method 2)."""
+"""The views behind a pixel's statistics, found again by the kernel that computed them (method 2)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NO_VIEW = 65535
 
 
 def options_of(record: StatisticsRecord) -> StatisticsOptions:
-    """Options of the statistics without the visibility test: a page has no geometry to trace."""
+    """Options of the statistics, with depth-buffer visibility: a page has no geometry to trace."""
     return StatisticsOptions(
         best_views=record.best_views,
         include_self=record.include_self,
@@ -31,7 +31,7 @@ def source_views(
 ) -> Iterator[NDArray[np.uint16]]:
     """For each view in ``wanted`` (None = all), (H, W, k) indices of the views chosen for each pixel.
 
-    The best comes first; :data:`NO_VIEW` fills the rest. Raises :class:`InputError` where LLVM is missing.
+    The best comes first; :data:`NO_VIEW` fills the rest. Raises :class:`InputError` if LLVM is missing.
     """
     select_variant()
     import drjit as dr

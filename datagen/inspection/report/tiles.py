@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Pixels for a page that opens from disk: one buffer of one view a file, lossless, loaded when it is shown.
+"""Pixels for a page that opens from disk: one file per buffer and view, lossless, loaded on demand.
 
 A page opened from disk may not read files, but it may show others in frames: a tile is a small page that
-unpacks its bytes and hands them to the page around it (``page/tile.html``; decision 60). The bytes are, in
+unpacks its bytes and passes them to the page around it (``page/tile.html``; decision 60). The bytes are, in
 this order: planes (channel by channel, rows top-down) of the stored numbers; each row as differences to the
 left neighbour, modulo the word's size; all first (lowest) bytes of the words, then all second bytes and so
 on; deflate with a zlib header; base64.
@@ -36,13 +36,13 @@ def encode_tile(array: NDArray) -> bytes:
     word = np.dtype(f"<u{array.dtype.itemsize}")
     planes = np.ascontiguousarray(np.moveaxis(array, -1, 0)).astype(array.dtype.newbyteorder("<")).view(word)
     differences = planes.copy()
-    differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned: wraps, and the sum wraps back
+    differences[:, :, 1:] -= planes[:, :, :-1]  # unsigned: the difference wraps, and the sum wraps back
     by_byte = differences.reshape(-1, 1).view(np.uint8).T
     return zlib.compress(np.ascontiguousarray(by_byte).tobytes(), _LEVEL)
 
 
 def decode_tile(data: bytes, dtype: str, width: int, height: int, channels: int) -> NDArray:
-    """Inverse of :func:`encode_tile`, as the viewer computes it; (H, W, C)."""
+    """Inverse of :func:`encode_tile`, as implemented in the viewer; (H, W, C)."""
     name = np.dtype(_TYPES[dtype])
     by_byte = np.frombuffer(zlib.decompress(data), np.uint8).reshape(name.itemsize, -1)
     word = np.dtype(f"<u{name.itemsize}")
@@ -75,7 +75,7 @@ def write_tile(path: Path, key: str, array: NDArray) -> int:
 
 
 def read_tile(path: Path) -> NDArray:
-    """The array of a tile's file; raises :class:`InputError` where it is not one."""
+    """The array of a tile's file; raises :class:`InputError` for other files."""
     page = path.read_text(encoding="utf-8")
     packed, head_text = _BYTES.search(page), _HEAD.search(page)
     if packed is None or head_text is None:

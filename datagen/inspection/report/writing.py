@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Makes the report's folder: verification, figures of every shard, the page.
+"""Writes the report's folder: verification, figures of every shard, the page.
 
 index.html report.css *.js    the page
-data/summary.js data/views.js figures, and one line a view
+data/summary.js data/views.js figures, and one line per view
 data/predictions.js           errors of predicted maps by method and view
 configurations/<id>.js        cameras and names, loaded when a view of that configuration is opened
 thumbnails/<id>/<view>.jpg
-tiles/<id>/<view>/<buffer>.html pixels, loaded when they are shown
+tiles/<id>/<view>/<buffer>.html pixels, loaded on demand
 tiles/predictions/<method>/<id>/<view>/<map>.html predicted maps
-gathered/<id>.json            what was counted, so that the next report takes it from there
+gathered/<id>.json            stored counts, reused by the next report
 """
 
 from __future__ import annotations
@@ -76,9 +76,12 @@ _LABELS = {
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Options of a report. ``max_pixel_views``: of how many views pixels are written for the viewer, by whole
-    configurations (None = of all); ``with_sources``: the source views of every pixel too; ``price_per_hour``
-    of a unit's resources, 0 = unknown; ``predictions`` are shown against the ground truth."""
+    """Options of a report.
+
+    ``max_pixel_views``: number of views whose pixels are written for the viewer, by whole configurations
+    (None = all); ``with_sources``: also the source views of every pixel; ``price_per_hour`` of a unit's
+    resources, 0 = unknown; ``predictions`` are compared with the ground truth.
+    """
 
     max_pixel_views: int | None = 400
     with_sources: bool = True
@@ -90,8 +93,11 @@ class ReportOptions:
 
 @dataclass(frozen=True)
 class ReportResult:
-    """Result of writing a report: the page, the number of views with pixels, the bytes of these, and for each
-    method the numbers of predicted views and of predictions with a problem."""
+    """Result of writing a report.
+
+    The page, the number of views with pixels, their bytes, and for each method the numbers of predicted views
+    and of faulty predictions.
+    """
 
     page: Path
     num_views: int
@@ -102,13 +108,15 @@ class ReportResult:
 
 
 def choose_configurations(index: DatasetIndex, max_views: int | None, first: Iterable[str] = ()) -> set[str]:
-    """Configurations whose pixels are written: those in ``first``, then evenly spread over the dataset, as
-    long as their views stay within ``max_views`` (None = all configurations)."""
+    """Configurations whose pixels are written: those in ``first``, then evenly spaced ones over the dataset.
+
+    Their views stay within ``max_views`` (None = all configurations).
+    """
     if max_views is None:
         return {shard.configuration for shard in index.shards}
     views = {shard.configuration: shard.num_views for shard in index.shards}
     count = len(index.shards)
-    # bit-reversed order: every prefix of it is spread evenly
+    # bit-reversed order: every prefix of it is evenly spaced
     bits = max(count - 1, 1).bit_length()
     spread = sorted(range(count), key=lambda i: int(f"{i:0{bits}b}"[::-1], 2))
     order = [*dict.fromkeys([*first, *(index.shards[i].configuration for i in spread)])]
@@ -122,8 +130,10 @@ def choose_configurations(index: DatasetIndex, max_views: int | None, first: Ite
 
 
 def estimate_tile_bytes(index: DatasetIndex, chosen: set[str]) -> int:
-    """About how much the pixels of ``chosen`` will take: base64 makes the shards a third larger, and the
-    source views add about as much again as a few buffers."""
+    """Approximate bytes of the pixels of ``chosen``.
+
+    base64 makes the shards a third larger, and the source views add about as much again as a few buffers.
+    """
     return int(1.55 * sum(shard.num_bytes for shard in index.shards if shard.configuration in chosen))
 
 
@@ -134,10 +144,10 @@ def write_report(
     library: Library | None = None,
     progress: Progress | None = None,
 ) -> ReportResult:
-    """Write the report of a dataset folder into ``out``; an earlier one there is brought up to date.
+    """Write the report of a dataset folder into ``out``; an existing report there is updated.
 
-    ``progress(stage, done, total)`` counts shards. Raises :class:`InputError` where the folder has no index,
-    ``out`` holds something else, no shard can be read, or LLVM is missing and source views are asked for.
+    ``progress(stage, done, total)`` counts shards. Raises :class:`InputError` if the folder has no index,
+    ``out`` contains something else, no shard can be read, or LLVM is missing and source views are requested.
     """
     index = Dataset(folder).index
     _check_out(out)
@@ -189,7 +199,7 @@ def write_report(
 
 
 def predicted_configurations(index: DatasetIndex, methods: Iterable[Method]) -> list[str]:
-    """Configurations that a method has predictions of."""
+    """Configurations with predictions of at least one method."""
     return [
         shard.configuration
         for shard in index.shards
@@ -198,7 +208,7 @@ def predicted_configurations(index: DatasetIndex, methods: Iterable[Method]) -> 
 
 
 def _remove_other_methods(out: Path, methods: Iterable[Method]) -> None:
-    """Remove the files of methods that an earlier report shows and this one does not."""
+    """Remove the files of methods that are in an earlier report but not in this one."""
     wanted = {method.slug for method in methods}
     for home in (out / "tiles" / TILES, out / "gathered" / "predictions"):
         for folder in home.iterdir() if home.is_dir() else ():
@@ -262,9 +272,9 @@ def _walk(
 
 
 def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
-    """Addresses of the contact sheets, by configuration, as seen from a page that lies in the dataset."""
+    """Relative paths of the contact sheets, by configuration, for a page inside the dataset folder."""
     page, root = out.resolve(), folder.resolve()
-    if not page.is_relative_to(root):  # may be taken elsewhere without the dataset
+    if not page.is_relative_to(root):  # the page may be moved without the dataset
         return {}
     up = "../" * len(page.relative_to(root).parts)
     identities = [shard.configuration for shard in index.shards]
@@ -272,7 +282,7 @@ def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
 
 
 def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
-    """Counts, the registry's buffers, and the numbers that the viewer must share with the kernels."""
+    """Counts, the registry's buffers, and the numbers that viewer and kernels share."""
     from datagen.foundation.buffers import MIN_COVERAGE
     from datagen.foundation.color import LUMINANCE_WEIGHTS
     from datagen.multiview.visibility import VisibilityOptions
@@ -320,7 +330,7 @@ VIEW_COLUMNS = (
 
 
 def view_table(gathered: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """One row a view, without its keys: thousands of views stay small."""
+    """One row per view without keys, so that thousands of views stay small."""
     configurations, rows = [], []
     for number, shard in enumerate(gathered):
         configurations.append([shard["id"], shard["split"], shard["has_pixels"]])
