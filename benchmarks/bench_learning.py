@@ -4,8 +4,8 @@
     python -m benchmarks.bench_learning DATASET ... --out DIR --compare CHECKPOINT ... [--judge DATASET]
 
 On the whole views of the validation splits, or of ``--judge DATASET`` alone: mean squared errors of every map
-for a constant (the training mean), the exposed median image as diffuse albedo, and each checkpoint, with and
-without the bilateral solver. Writes ``table.md`` and ``results.json`` into DIR.
+for a constant (the training mean), the exposed median image and the recorded reflectance as diffuse albedo,
+and each checkpoint, with and without the bilateral solver. Writes ``table.md`` and ``results.json`` into DIR.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from model.training.validation import (
     mean_maps,
     median_predictor,
     network_predictor,
+    reflectance_predictor,
     whole_views,
 )
 
@@ -58,15 +59,18 @@ def compare(
     """Metrics by method on the validation views; the training mean is that of all ``datasets``."""
     device = torch.device("cpu")
     data = open_data(datasets, config.network, config.data.crop_px)
-    names = buffer_names(config.network)
+    read = {path: load_checkpoint(path) for path in checkpoints.values()}
+    names = tuple(dict.fromkeys(n for c in read.values() for n in buffer_names(c.card.network)))
     batches = list(whole_views(judged_views(data, judge), names, device))
     means = mean_maps(whole_views(spread(data.train, 80), names, device))
     rows = {
         CONSTANT: evaluate(constant_predictor(means), batches),
         "median image as diffuse albedo": evaluate(median_predictor, batches),
     }
+    if "reflectance" in names:
+        rows["recorded reflectance as diffuse albedo"] = evaluate(reflectance_predictor, batches)
     for label, path in checkpoints.items():
-        checkpoint = load_checkpoint(path)
+        checkpoint = read[path]
         predict = network_predictor(checkpoint.network, TRACKS)
         rows[label] = evaluate(predict, batches)
         if checkpoint.confidence is not None:

@@ -166,3 +166,8 @@ def median_predictor(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Baseline: the exposed median image, clipped to [0, 1], as the diffuse albedo."""
     exposed = batch["color_median"] * batch["exposure"].reshape(-1, 1, 1, 1)
     return {"diffuse_albedo": exposed.clamp(0.0, 1.0)}
+
+
+def reflectance_predictor(batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Baseline: the recorded reflectance, clipped to [0, 1], as the diffuse albedo."""
+    return {"diffuse_albedo": batch["reflectance"].clamp(0.0, 1.0)}

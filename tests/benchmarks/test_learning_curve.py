@@ -7,6 +7,7 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import bench_learning, bench_learning_curve
@@ -17,6 +18,8 @@ from datagen.formats.recipe import Recipe
 from datagen.formats.shard import Dataset
 from datagen.foundation.bundled import bundled_library
 from datagen.library import Library
+from model.checkpoint import CheckpointCard, save_checkpoint
+from model.networks import MaterialNetwork, NetworkConfig
 from tests.conftest import REPOSITORY
 from tests.model.training_data import make_dataset
 
@@ -79,6 +82,37 @@ def test_a_dataset_without_validation_views_is_judged_by_another(
     monkeypatch.setattr(sys, "argv", ["bench", *compare, "--preset", "smoke", "--judge", str(cheap)])
     with pytest.raises(SystemExit, match="no validation views"):
         bench_learning.main()
+
+
+def test_checkpoints_with_and_without_light_are_compared(
+    datasets: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lit = make_dataset(tmp_path / "lit", {"a": ("train", 2), "c": ("validation", 2)}, has_light=True)
+    paths = []
+    for name, config in (
+        ("dark", NetworkConfig(base_channels=2, global_channels=4)),
+        (
+            "lit",
+            NetworkConfig(base_channels=2, global_channels=4, light_inputs=("known_share", "reflectance")),
+        ),
+    ):
+        paths.append(tmp_path / f"{name}.safetensors")
+        card = CheckpointCard(network=config, loss="none", phase="joint", step=0)
+        save_checkpoint(paths[-1], card, MaterialNetwork(config))
+    arguments = [str(lit), "--out", str(tmp_path / "out"), "--compare", *map(str, paths), "--preset", "smoke"]
+    monkeypatch.setattr(sys, "argv", ["bench", *arguments])
+    bench_learning.main()
+    rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
+    assert {"dark", "lit"} < set(rows)
+    errors = []
+    for view in Dataset(lit).views(
+        split="validation", names=["reflectance", "diffuse_albedo", "surface_mask"]
+    ):
+        b = view.buffers
+        error = np.clip(b["reflectance"], 0, 1).astype(float) - b["diffuse_albedo"]
+        errors.append(error[b["surface_mask"][..., 0] > 0.5] ** 2)
+    found = rows["recorded reflectance as diffuse albedo"]["diffuse_albedo_mse"]
+    assert found == pytest.approx(np.concatenate(errors).mean(), rel=0.02)
 
 
 def test_a_part_holds_what_was_asked_for(datasets: tuple[Path, Path], tmp_path: Path) -> None:
