@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The thorough look at an asset package: meshes, textures, lights and regions, beyond the schema.
+"""The thorough check of an asset package: meshes, textures, lights and regions, beyond the schema.
 
-Errors make a package unusable; warnings (non-manifold edges, flipped triangles) are listed, and errors only
-in strict mode, since most scenes in use have some.
+Errors make a package unusable. Warnings (non-manifold edges, flipped triangles) are listed, and are errors
+only in strict mode, since most published scenes have some.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from datagen.foundation.images import MAX_IMAGE_SIDE_PX, read_image
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, lying_normals
 from datagen.foundation.meshes.ply import decode_ply
 
-BOUNDS_TOLERANCE_M = 2e-3  # declared bounds are rounded when written; a larger difference is a mistake
+BOUNDS_TOLERANCE_M = 2e-3  # declared bounds are rounded when written; larger differences are faults
 _REEXPORT = "re-export the asset"
 
 
@@ -70,7 +70,7 @@ class _Checker:
     # textures
 
     def check_image(self, name: str) -> tuple[int, str]:
-        """Number of channels of an image and what is wrong with it ('' = nothing); each file read once."""
+        """Number of channels of an image and its fault ('' = none); each file is read once."""
         if name not in self._images:
             fault, channels = "", 0
             try:
@@ -253,5 +253,5 @@ class _Checker:
 
 
 def check_package(package: Package) -> CheckReport:
-    """Read every mesh and texture of a package and report all that is wrong; raises nothing of its own."""
+    """Read every mesh and texture of a package and report all faults; never raises for a bad package."""
     return _Checker(package).run()

@@ -20,7 +20,7 @@ MOVED = {
     "schema": "python -m datagen.formats.schemas",
     "tradeoff": "python -m datagen.tradeoff",
 }
-"""Verbs of before, and the commands in their place."""
+"""Removed verbs, and the commands that replace them."""
 
 app = typer.Typer(
     name="datagen",
@@ -34,7 +34,7 @@ app = typer.Typer(
 
 @app.callback()
 def _datagen(version: VersionOption = False) -> None:
-    """Make scene-scale material datasets: assets are recombined, rendered with ground truth, and packed."""
+    """Make scene-scale material datasets: recombine assets, render them with ground truth, and pack them."""
 
 
 for verb in (doctor, library, import_command, plan, run, estimate, verify, report, export):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The library: asset packages found in folders, by id, with kind, classes, category, licence and hash.
 
-Opening a library reads descriptions only (``asset.json``), no meshes and no pixels.
+Opening a library reads descriptions (``asset.json``) only, no meshes and no pixels.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ KIND_FOLDERS: dict[AssetKind, str] = {
     "material": "materials",
     "panorama": "panoramas",
 }
-_MAX_DEPTH = 4  # folders below a library's root that are searched
+_MAX_DEPTH = 4  # depth of the search for packages below a library's root
 
 
 def resolve_library_paths(names: Iterable[str], base: Path) -> tuple[Path, ...]:
-    """Library folders as a recipe or a command names them: "bundled", absolute, or relative to ``base``.
+    """Library folders named in a recipe or a command: "bundled", absolute, or relative to ``base``.
 
-    A relative name that is no folder below ``base`` is taken relative to the working directory.
+    A relative name without a folder below ``base`` is resolved against the working directory.
     """
     resolved = []
     for name in names:
@@ -51,7 +51,7 @@ class Library:
     """Asset packages of one or more folders, indexed by id.
 
     ``paths`` are folders that are searched for packages (folders or zips), or packages themselves. Raises
-    :class:`InputError` listing every unreadable package, every id that occurs twice, and missing folders.
+    :class:`InputError` listing every unreadable package, every duplicate id, and missing folders.
     """
 
     def __init__(self, paths: Iterable[str | Path]):
@@ -111,11 +111,11 @@ class Library:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash over the content of every package; equal libraries have equal hashes wherever they lie."""
+        """Hash over the content of every package; equal libraries have equal hashes on any path."""
         return sha256_hex(canonical_json({package.id: package.sha256 for package in self}))
 
     def package(self, asset_id: str) -> Package:
-        """The package of that id. Raises :class:`InputError` that suggests near names."""
+        """The package with that id. The :class:`InputError` for an unknown one suggests similar names."""
         if asset_id in self._packages:
             return self._packages[asset_id]
         import difflib
@@ -126,7 +126,7 @@ class Library:
         raise InputError(Problem(where, "asset", repr(asset_id), "an asset of the library", hint))
 
     def including(self, package: Package) -> Library:
-        """This library with one package more, or another of its id; both share all others."""
+        """This library with one more package, or with one of the same id replaced; all others are shared."""
         other = copy.copy(self)
         other._packages = {**self._packages, package.id: package}
         other.__dict__.pop("sha256", None)
@@ -162,7 +162,7 @@ class Library:
         return chosen
 
     def categories(self, *, for_training: bool = True) -> list[str]:
-        """Categories of the objects on offer, sorted."""
+        """Categories of the available objects, sorted."""
         objects = self.select("object", for_training=for_training)
         return sorted({p.asset.category for p in objects if isinstance(p.asset, ObjectAsset)})
 
@@ -173,7 +173,7 @@ class Library:
 
 
 def find_packages(root: Path) -> list[Path]:
-    """Packages at or below a folder, sorted. Entries that start with '.' (half-written) are passed over."""
+    """Packages at or below a folder, sorted. Entries that start with '.' (half-written) are skipped."""
     if is_package(root):
         return [root]
     found: list[Path] = []
@@ -191,7 +191,7 @@ def find_packages(root: Path) -> list[Path]:
 
 
 def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
-    """Material classes of an asset: its own for a material, those of its slots for things and rooms."""
+    """Material classes of an asset: its own for a material, those of its slots for objects and rooms."""
     if isinstance(asset, PanoramaAsset):
         return ()
     if isinstance(asset, MaterialAsset):
@@ -201,7 +201,7 @@ def asset_classes(asset: AnyAsset) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class AssetSummary:
-    """A line of the library's table. ``detail``: category, classes, time of day, or the counts of a room."""
+    """A row of the library's table. ``detail``: category, classes, time of day, or the counts of a room."""
 
     id: str
     kind: AssetKind
@@ -215,7 +215,7 @@ class AssetSummary:
 
 
 def summarize(package: Package, *, with_hash: bool = True) -> AssetSummary:
-    """One line about a package; the hash reads all of its files and may be left out."""
+    """Summary of a package; the hash, which needs all of its files, is optional."""
     asset = package.asset
     if isinstance(asset, ObjectAsset):
         detail = asset.category
@@ -255,7 +255,7 @@ def describe_library(paths: Iterable[str | Path], *, with_hash: bool = False) ->
 
 @dataclass(frozen=True)
 class LibraryCheck:
-    """Result of :func:`check_library`: packages looked at, and all that was found."""
+    """Result of :func:`check_library`: checked packages and their findings."""
 
     num_packages: int
     errors: tuple[Problem, ...]
@@ -265,10 +265,10 @@ class LibraryCheck:
 def check_library(
     paths: Iterable[str | Path], progress: Callable[[int, int], None] = lambda done, total: None
 ) -> LibraryCheck:
-    """Read every mesh and texture of every package; faults of all of them, never just the first.
+    """Read every mesh and texture of every package; reports the faults of all of them, not just the first.
 
-    Unlike :class:`Library` this goes on past packages that cannot be opened. ``progress(done, total)`` counts
-    packages.
+    Unlike :class:`Library` this continues after packages that cannot be opened. ``progress(done, total)``
+    counts packages.
     """
     errors: list[Problem] = []
     warnings: list[Problem] = []

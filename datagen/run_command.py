@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``plan``, ``run`` and ``estimate`` of ``datagen``. Heavy imports happen in the verbs."""
+"""The verbs ``plan``, ``run`` and ``estimate`` of ``datagen``. Heavy imports are inside them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check everything,
 
 @dataclass(frozen=True)
 class RecipeChanges:
-    """Options that override the recipe; None leaves it."""
+    """Options that override the recipe; None keeps its value."""
 
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None
@@ -38,7 +38,7 @@ class RecipeChanges:
     views: Annotated[int | None, typer.Option(help="Views a configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
-        """The recipe's file, which may be bundled, and the recipe: flags over file over defaults."""
+        """The recipe's file, which may be a bundled one, and the recipe: flags over file over defaults."""
         from datagen.formats.base import parse_model, read_yaml
         from datagen.formats.recipe import Recipe
         from datagen.foundation.bundled import resolve_bundled
@@ -54,7 +54,7 @@ class RecipeChanges:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run. ``only`` and ``unit`` None mean all; 0 ``attempts`` run it in this process."""
+    """Options of a run. ``only`` and ``unit`` None mean all; ``attempts`` 0 runs the unit in this process."""
 
     only: Annotated[
         Literal["render", "stats", "pack", "index"] | None,
@@ -75,7 +75,7 @@ class RunOptions:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Stages of units; none where the index alone is asked for."""
+        """Stages of units; empty if only the index is requested."""
         return STAGES if self.only is None else tuple(stage for stage in STAGES if stage == self.only)
 
 
@@ -112,10 +112,11 @@ def run(
     workers: WorkersOption = 1,
     dry_run: DryRunOption = False,
 ) -> None:
-    """Plan, render, gather statistics, pack and index; interrupt at any moment, continue by the same command.
+    """Plan, render, compute statistics, pack and index; interrupt at any time and continue with the same
+    command.
 
-    With --unit: what job scripts call, and with --attempts 0 how a failure is reproduced. Exit codes: 0 done,
-    75 interrupted (run it again), 1 failed.
+    With --unit: the command of job scripts, and with --attempts 0 the way to reproduce a failure. Exit codes:
+    0 done, 75 interrupted (run it again), 1 failed.
 
     Example: datagen run smoke --out smoke --workers 2
     """
@@ -147,7 +148,7 @@ def run(
 
 
 def _check_planned(folder: Path, changes: RecipeChanges) -> None:
-    """Raise :class:`InputError` where a recipe or its options are given without ``--out``."""
+    """Raise :class:`InputError` if a recipe or its options are given without ``--out``."""
     from datagen.foundation.bundled import bundled_names
     from datagen.foundation.errors import input_error
 
@@ -160,7 +161,7 @@ def _check_planned(folder: Path, changes: RecipeChanges) -> None:
 
 
 def _check_and_print(recipe: Recipe, base: Path) -> None:
-    """Check everything that a run would refuse before it begins, and print the resolved recipe."""
+    """Check everything that would stop a run at its start, and print the resolved recipe."""
     import yaml
 
     from datagen.farm.planning import check_start
@@ -205,7 +206,7 @@ def _print_left(out: Path, options: RunOptions) -> None:
 
 
 def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
-    """Run one unit in this process, which then ends with the unit's code."""
+    """Run one unit in this process, which then exits with the unit's code."""
     from datagen.farm.worker import run_unit_here
 
     def report(stage: str, done: int, total: int) -> None:
@@ -215,7 +216,7 @@ def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
 
 
 def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
-    """Write the index, and contact sheets; ends the command with 1 while units are missing."""
+    """Write the index, and contact sheets; the command exits with 1 while units are missing."""
     from datagen.farm.collect import collect
     from datagen.foundation.progress import Bars
 
@@ -238,8 +239,10 @@ def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
 
 
 def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
-    """Run stages of units with a bar, and with a page if asked for; ends the command with 75 when
-    interrupted, 1 when units failed."""
+    """Run stages of units with a bar and, if requested, a page.
+
+    The command exits with 75 when interrupted, with 1 if units failed.
+    """
     from datagen.farm.folder import DatasetFolder
     from datagen.farm.local import LocalOptions, run_local
     from datagen.foundation.progress import Bars
@@ -287,7 +290,7 @@ def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
 
 
 def _end(out: Path, summary: RunSummary) -> None:
-    """Say what stopped a run or failed in it, and end the command; nothing where all is done."""
+    """Print why a run stopped or failed, and exit; does nothing if all units are done."""
     from datagen.farm.worker import EXIT_INTERRUPTED
 
     if summary.interrupted:

@@ -21,9 +21,9 @@ _registered_variants: set[str] = set()
 
 
 def register() -> None:
-    """Make the project's plugins known to Mitsuba, under the active variant. Repeated calls do nothing.
+    """Register the project's plugins with Mitsuba, under the active variant. Repeated calls do nothing.
 
-    Raises ``RuntimeError`` where no variant is active yet.
+    Raises ``RuntimeError`` if no variant is active yet.
     """
     import mitsuba as mi
 
@@ -43,7 +43,7 @@ def register() -> None:
 def load_dict(scene: dict[str, Any], **options: Any) -> Any:
     """``mitsuba.load_dict`` that raises one :class:`InputError` for all bad materials.
 
-    By itself Mitsuba turns what a plugin's constructor raises into a ``RuntimeError`` with a stack trace, at
+    Mitsuba itself turns exceptions of a plugin's constructor into a ``RuntimeError`` with a stack trace, at
     the first fault. ``options`` are those of ``mitsuba.load_dict`` (``parallel``, ``optimize``).
     """
     import mitsuba as mi

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """The Beckmann microfacet distribution as free functions on Dr.Jit arrays, stable in float32.
 
-Letters, fixed once: ``alpha`` is the slope width (perceptual roughness squared, clamped to
-[:data:`MIN_ALPHA`, 1]); ``w`` a unit direction in the local frame (z is the normal); ``h`` the half vector,
-*of any positive length*; ``cos``/``sin`` belong to ``w`` and ``tan2`` to ``h``. Sources: Walter et al. 2007
-(D, G1), Heitz 2014 and Heitz & d'Eon 2014 (visible normals).
+Letters: ``alpha`` is the slope width (perceptual roughness squared, clamped to [:data:`MIN_ALPHA`, 1]); ``w``
+a unit direction in the local frame (z is the normal); ``h`` the half vector, *of any positive length*;
+``cos``/``sin`` belong to ``w`` and ``tan2`` to ``h``. Sources: Walter et al. 2007 (D, G1), Heitz 2014 and
+Heitz & d'Eon 2014 (visible normals).
 
-Three things keep float32 honest down to alpha = 1e-3 (docs/bsdf.md has the errors, in eps):
+Three measures keep float32 accurate down to alpha = 1e-3 (docs/bsdf.md has the errors, in eps):
 
 * tan^2 comes from the tangential part of ``h``. ``wi.x + wo.x`` cancels exactly near the mirror direction,
   whereas 1 - cos^2 has lost all its digits there (26 % error in D at alpha = 1e-3).
@@ -23,13 +23,14 @@ import drjit as dr
 import mitsuba as mi
 
 MIN_ALPHA = 1e-3
-"""Floor of the slope width: a lobe this narrow is what float32 and the rendering loss both survive."""
+"""Minimum slope width: narrower lobes exceed the precision of float32 and spoil the rendering loss."""
 MAX_TAN2 = 1e3
 """Beyond this tan^2 the density is below exp(-985) for every alpha <= 1: zero in float32."""
 MAX_EXPONENT = 100.0
 """exp(-100) is zero in float32; capping the exponent keeps 0 * inf out of the derivatives."""
 MAX_COTANGENT = 10.0
-"""1 + erf(a) is 2 to the last bit of float32 for a > 4; the cap avoids a division by zero at the normal."""
+"""1 + erf(a) is 2 to the last bit of float32 for a > 4; this bound avoids a division by zero at the normal.
+"""
 NEWTON_STEPS = 3
 """Steps of the slopes' inversion: 3e-6 from the exact variate; a fourth reaches float32's limit."""
 # Dr.Jit arrays have no useful common static type: their class depends on the variant chosen at run time.
@@ -37,26 +38,26 @@ Array = Any
 
 
 def alpha_from_roughness(roughness: Array) -> Array:
-    """Slope width of a perceptual roughness, alpha = clamp(R^2, 1e-3, 1). The one place that converts.
+    """Slope width of a perceptual roughness, alpha = clamp(R^2, 1e-3, 1). All conversions use this function.
 
-    Defined for every float: negative counts as 0, above 1 as 1, and NaN as 1 (the roughest surface is the
-    one that cannot make fireflies). The derivative is 2R on (sqrt(1e-3), 1] and 0 outside.
+    Defined for every float: negative values count as 0, values above 1 as 1, and NaN as 1 (the roughest
+    surface cannot cause fireflies). The derivative is 2R on (sqrt(1e-3), 1] and 0 outside.
     """
     bounded = effective_roughness(roughness)
     return dr.maximum(dr.square(bounded), MIN_ALPHA)
 
 
 def effective_roughness(roughness: Array) -> Array:
-    """The roughness that is rendered for a given input: clamped to [0, 1], NaN is 1."""
-    # A NaN compares false and becomes 1. The comparisons include the ends, so that a parameter that sits on
-    # one keeps its derivative and an optimiser can leave again.
+    """The roughness used in rendering: clamped to [0, 1], NaN becomes 1."""
+    # NaN compares false and becomes 1. The comparisons include the ends, so that a parameter at an end keeps
+    # # its derivative and an optimiser can leave it again.
     below_one = dr.select(roughness <= 1.0, roughness, 1.0)
     return dr.select(below_one >= 0.0, below_one, 0.0)
 
 
 def effective_albedo(albedo: Array) -> Array:
-    """The albedo that is rendered for a given input: clamped to [0, 1] per channel, NaN is 0."""
-    non_negative = dr.select(albedo >= 0.0, albedo, 0.0)  # a NaN compares false and becomes 0
+    """The albedo used in rendering: clamped to [0, 1] per channel, NaN becomes 0."""
+    non_negative = dr.select(albedo >= 0.0, albedo, 0.0)  # NaN compares false and becomes 0
     return dr.select(non_negative <= 1.0, non_negative, 1.0)
 
 
@@ -67,7 +68,7 @@ def beckmann_d(h: Array, alpha: Array) -> Array:
     """
     tangential2 = dr.square(h.x) + dr.square(h.y)
     normal2 = dr.square(h.z)
-    # The comparison comes before the division: an h in the tangent plane, or a zero vector, divides by 1.
+    # Compared before the division: an h in the tangent plane, or a zero vector, is divided by 1.
     valid = (h.z > 0.0) & (tangential2 < MAX_TAN2 * normal2)
     inverse_z = 1.0 / dr.select(valid, h.z, 1.0)
     tan2 = dr.select(valid, dr.square(h.x * inverse_z) + dr.square(h.y * inverse_z), 0.0)
@@ -127,7 +128,7 @@ def sample_visible_normal(w: Array, alpha: Array, sample: Array) -> Array:
 def sample_visible_slopes(
     cos: Array, sin: Array, sample: Array, num_steps: int = NEWTON_STEPS
 ) -> tuple[Array, Array]:
-    """Slopes seen from an angle with the given cosine and sine, at alpha = 1, azimuth 0.
+    """Slopes visible from an angle with the given cosine and sine, at alpha = 1, azimuth 0.
 
     Inverts the distribution function C(s) = 1 + erf(s) + tan exp(-s^2) / sqrt(pi) of Heitz & d'Eon 2014 by
     Newton's method in x = erf(s); the start inverts the function's limit at grazing incidence.

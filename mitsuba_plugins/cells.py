@@ -7,10 +7,11 @@ from typing import Any
 
 
 def cell_of(position: Any, count: int) -> Any:
-    """The cell (UInt32) in [0, ``count``) of a Dr.Jit position in cells; the first or the last one outside.
+    """The cell (UInt32) in [0, ``count``) of a Dr.Jit position in units of cells; clamped to the first or the
+    last one.
 
-    For NaN it is one of the cells too. dr.clip keeps NaN, and NaN as an unsigned integer depends on the
-    processor: 2^31 with AVX2, where gathering from there ends the process, and 2^32 - 1 with AVX-512.
+    NaN also gives a valid cell. dr.clip keeps NaN, and NaN converted to an unsigned integer depends on the
+    processor: 2^31 with AVX2, where gathering from there crashes the process, and 2^32 - 1 with AVX-512.
     """
     import drjit as dr
     import mitsuba as mi

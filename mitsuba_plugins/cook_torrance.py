@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The BSDF ``cook_torrance``: the one material model of the project, as a thin Mitsuba plugin.
+"""The BSDF ``cook_torrance``, the project's only material model, as a thin Mitsuba plugin.
 
 f(wi, wo) = (1 - S) D / pi  +  F(S, wi.h) D_b(h; alpha) G1(wi) G1(wo) / (4 cos_i cos_o)
 
@@ -8,7 +8,7 @@ D is ``diffuse_albedo``, S ``specular_albedo`` (the reflectance F0 at normal inc
 points to the viewer, ``wo`` is sampled, both are unit and local (z is the shading normal); ``eval`` includes
 cos_o. Component 0 is diffuse, component 1 glossy.
 
-The surface is two-sided unless ``two_sided`` is false: seen from below, it is its own mirror image.
+The surface is two-sided unless ``two_sided`` is false: its back is the mirror image of its front.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ COLOR_ATTRIBUTES = ("diffuse_albedo", "specular_albedo")
 SCALAR_ATTRIBUTES = ("roughness",)
 DEFAULTS = {"diffuse_albedo": 0.5, "specular_albedo": 0.04, "roughness": 0.5}
 MIN_LOBE_PROBABILITY = 0.1
-"""Least probability of the specular lobe: bounds the sample weight by 10 where Fresnel rises at grazing."""
+"""Minimum probability of the specular lobe: bounds the sample weight by 10 where Fresnel rises at grazing
+angles."""
 INVERSE_PI = 1.0 / math.pi
 
 
@@ -37,8 +38,9 @@ class CookTorrance(mi.BSDF):
 
     Parameters: ``diffuse_albedo``, ``specular_albedo`` (RGB or texture, linear, [0, 1]), ``roughness``
     (number or texture, [0, 1]; of an RGB texture the luminance is used), ``two_sided`` (default true).
-    Raises :class:`InputError` where a parameter holds NaN, Inf or a value outside its range.
-    Values set later through ``mi.traverse`` are clamped at evaluation instead.
+
+    Raises :class:`InputError` if a parameter contains NaN, Inf or a value outside its range. Values set later
+    through ``mi.traverse`` are clamped at evaluation instead.
     """
 
     def __init__(self, props: mi.Properties):
@@ -61,7 +63,7 @@ class CookTorrance(mi.BSDF):
     # ---- the material's channels -------------------------------------------------------------------------
 
     def surface_parameters(self, si: mi.SurfaceInteraction3f, active: Array = True) -> tuple[Any, Any, Any]:
-        """(D, S, R) as they are rendered: D and S Color3f in [0, 1], R Float in [0, 1]."""
+        """(D, S, R) as used in rendering: D and S Color3f in [0, 1], R Float in [0, 1]."""
         return (
             beckmann.effective_albedo(self.diffuse_albedo.eval(si, active)),
             beckmann.effective_albedo(self.specular_albedo.eval(si, active)),
@@ -69,7 +71,7 @@ class CookTorrance(mi.BSDF):
         )
 
     def has_attribute(self, name: str, active: Array = True) -> Any:
-        """True of ``diffuse_albedo``, ``specular_albedo`` and ``roughness``."""
+        """True for ``diffuse_albedo``, ``specular_albedo`` and ``roughness``."""
         return name in COLOR_ATTRIBUTES or name in SCALAR_ATTRIBUTES
 
     def eval_attribute(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
@@ -77,7 +79,7 @@ class CookTorrance(mi.BSDF):
         return mi.Color3f(self._attribute(name, si, active))
 
     def eval_attribute_1(self, name: str, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
-        """An attribute as a number; of a colour, the luminance."""
+        """An attribute as a number; the luminance of a colour."""
         value = self._attribute(name, si, active)
         return mi.luminance(value) if name in COLOR_ATTRIBUTES else value
 
@@ -90,7 +92,7 @@ class CookTorrance(mi.BSDF):
             return beckmann.effective_albedo(getattr(self, name).eval(si, active))
         if name in SCALAR_ATTRIBUTES:
             return beckmann.effective_roughness(getattr(self, name).eval_1(si, active))
-        # As Mitsuba's own BSDFs: an indirect call asks all BSDFs of a scene, also those without it.
+        # As in Mitsuba's own BSDFs: an indirect call queries all BSDFs of a scene, also those without it.
         return mi.Float(0.0)
 
     def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: Array = True) -> Array:
@@ -124,7 +126,8 @@ class CookTorrance(mi.BSDF):
         sample2: Array,
         active: Array = True,
     ) -> tuple[Any, Any]:
-        """Draw ``wo``: the visible normals with the specular lobe's share of the energy, else the cosine.
+        """Draw ``wo``: from the visible normals with the probability of the specular lobe, else
+        cosine-distributed.
 
         Returns the sample and f cos_o / pdf, which stays below 10 per channel (see docs/bsdf.md).
         """
@@ -154,7 +157,8 @@ class CookTorrance(mi.BSDF):
 
 class _Lobes:
     """Both lobes at one interaction: quantities that depend on the surface and on ``wi``, but not on
-    ``wo``."""
+    ``wo``.
+    """
 
     def __init__(self, bsdf: CookTorrance, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: Array):
         self.has_diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
@@ -173,7 +177,7 @@ class _Lobes:
         self.masking = beckmann.smith_g1_over_cos(self.wi, self.alpha)
 
     def _specular_probability(self) -> Array:
-        """Share of samples for the specular lobe: its share of the reflected energy, at least a tenth."""
+        """Probability of sampling the specular lobe: its share of the reflected energy, at least a tenth."""
         if not self.has_diffuse:
             return mi.Float(1.0)
         if not self.has_specular:
@@ -195,12 +199,12 @@ class _Lobes:
         if self.has_specular:
             half = self.wi + wo
             # wi.h = |wi + wo| / 2 for unit vectors: exact where 1 + wi.wo would cancel. Likewise 1 - wi.h is
-            # sin^2 / (1 + wi.h) with sin = |wi - wo| / 2: no cancellation where the light is the viewer.
+            # # sin^2 / (1 + wi.h) with sin = |wi - wo| / 2: no cancellation where light and viewer coincide.
             cos_half = 0.5 * dr.sqrt(dr.maximum(dr.squared_norm(half), 1e-30))
             one_minus_cos = 0.25 * dr.squared_norm(self.wi - wo) / (1.0 + cos_half)
             fresnel = self.specular + (1.0 - self.specular) * _fifth_power(dr.minimum(one_minus_cos, 1.0))
-            # D_b G1(wi) / (4 cos_i): the density of wo when h follows the visible normals, and also what
-            # the lobe is made of.
+            # D_b G1(wi) / (4 cos_i): the density of wo when h follows the visible normals, and a factor of
+            # the lobe.
             visible = 0.25 * beckmann.beckmann_d(half, self.alpha) * self.masking
             value += fresnel * (visible * beckmann.smith_g1(wo, self.alpha))
             pdf += self.specular_probability * visible

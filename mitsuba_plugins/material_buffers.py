@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: MIT
 """Ground-truth buffers: material channels, geometry and ids at the first hit.
 
-Two kinds of buffer, made in one kernel with one thread a pixel:
+Two kinds of buffer, computed in one kernel with one thread per pixel:
 
 * *blended*: diffuse_albedo, specular_albedo, roughness, normal_world and surface_mask are averaged over
   ``spp`` sub-pixel samples with the film's reconstruction filter, the same as the beauty image's. The average
-  runs over what reflects only; ``surface_mask`` is that share of the pixel. Normals are
-  renormalised after averaging.
+  is over reflecting surface only; ``surface_mask`` is that share of the pixel. Normals are renormalised
+  after averaging.
 * *at the centre*: depth_z_m, position_world, instance_id and material_id belong to one ray through the
-  pixel's centre (and the lens' centre): a depth between two surfaces, or an id between two ids, is neither.
+  pixel's centre (and the lens' centre), because means of depths or of ids would be meaningless.
 
-Samples follow the filter (drawn from its normalised absolute value by its inverse distribution function,
-with its sign as weight), so that no pixel writes into another: any filter costs the same, without atomics.
+Samples follow the filter (drawn from its normalised absolute value by its inverse distribution function, with
+its sign as weight), so that no pixel writes into another: any filter costs the same, without atomics.
 Emitters and the background are masked: surface_mask 0, ids 0, channels 0. Emitters keep their depth, because
-they hide what is behind them. Axis order of arrays: (H, W, C), row 0 at the top.
+they occlude. Axis order of arrays: (H, W, C), row 0 at the top.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from mitsuba_plugins.surface_material import IdTable, SceneMaterials
 Array = Any
 
 MAX_LAYERS = 32
-"""Transparent surfaces that a ray crosses before it gives up; 32 of opacity 0.2 leave 0.08 % unseen."""
+"""Maximum number of transparent surfaces along a ray; behind 32 of opacity 0.2, 0.08 % are left."""
 MIN_THROUGHPUT = 1e-3
-"""Rays end behind surfaces of this opacity: the remainder is negligible."""
+"""Transmittance below which rays end, since the remainder is negligible."""
 SOLID_OPACITY = 0.5
-"""A surface at least this opaque owns the pixel's depth and ids."""
+"""Minimum opacity of the surface that gives a pixel's depth and ids."""
 MIN_COVERAGE = 1e-6
-"""Below this share of the pixel a channel's average is noise over noise, and the pixel is masked."""
+"""Minimum coverage of a pixel: below, a channel's average is noise, and the pixel is masked."""
 # Fractions of 2^32, independent over the rationals, so that their multiples fill five dimensions evenly: 1/g
 # and 1/g^2 with g^3 = g + 1 for the pixel (the R2 sequence of M. Roberts), sqrt(2) and sqrt(3) for the lens,
 # sqrt(5) for time (their fractional parts).
@@ -54,8 +54,8 @@ positions."""
 class PixelFilter:
     """Draws sub-pixel offsets along one axis in proportion to a film's reconstruction filter.
 
-    Films ignore samples beyond their border unless told to take them (``sample_border``), so the filter of
-    a pixel at the border is cut off there: variates are squeezed into the part that remains.
+    Films ignore samples beyond their border unless ``sample_border`` is set, so that the filter of a pixel at
+    the border is cut off there: variates are mapped to the remaining part.
     """
 
     TABLE_SIZE = 4096
@@ -137,7 +137,8 @@ def _lattice_point(index: Array, shift: Array, generator: int) -> Array:
 @dataclass(frozen=True)
 class _RayResult:
     """First surface along a ray. Channels are weighted by coverage; depth and ids come from the solid
-    point."""
+    point.
+    """
 
     diffuse_albedo: Array
     specular_albedo: Array
@@ -167,7 +168,7 @@ def _nothing_seen(num_rays: int) -> _RayResult:
 
 
 def _trace_surface(view: _View, ray: Any, active: Array) -> tuple[Any, Any, _RayResult]:
-    """(interaction, whether the ray may go on, what this one hit contributes); opacity is the coverage."""
+    """(interaction, whether the ray may continue, contribution of this hit); opacity is the coverage."""
     # Camera rays are coherent: Embree's packets are three times as fast here.
     si = view.scene.ray_intersect(ray, mi.RayFlags.All, coherent=True, active=active)
     is_hit = active & si.is_valid()
@@ -220,7 +221,8 @@ def _trace_pixel(view: _View, x: Array, y: Array, spp: int, seed: int) -> tuple[
     One symbolic loop, so that the scene's intersection code is traced once: sample 0 is the centre.
     """
     pixel: Any = mi.UInt32(y) * view.width + mi.UInt32(x)
-    # Opaque: the seed is data of the kernel, not part of its code, which is compiled once for all seeds.
+    # Opaque: the seed is an argument of the kernel, not part of its code, which is compiled once for all
+    # seeds.
     key: Any = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
     shift_x, shift_y = mi.sample_tea_32(pixel, key)
     lens_x, lens_y = mi.sample_tea_32(pixel, key ^ 0x9E3779B9)
@@ -263,7 +265,7 @@ def _render(view: _View, spp: int, seed: int) -> dict[str, Any]:
     index = dr.arange(mi.UInt32, view.width * view.height)
     row = index // view.width
     sums, weight = _trace_pixel(view, mi.Float(index - row * view.width), mi.Float(row), spp, seed)
-    # A filter with negative lobes can leave a pixel with hardly any, or with negative, coverage.
+    # A filter with negative lobes can give a pixel almost zero, or negative, coverage.
     share = dr.select(weight > 0.0, sums.coverage / dr.select(weight > 0.0, weight, 1.0), 0.0)
     is_covered = share > MIN_COVERAGE
     scale = dr.select(is_covered, 1.0 / dr.select(is_covered, sums.coverage, 1.0), 0.0)
@@ -314,11 +316,11 @@ def render_material_buffers(
 ) -> dict[str, np.ndarray]:
     """Ground-truth buffers of one view as NumPy arrays (H, W, C), by the names of ``foundation.buffers``.
 
-    float32 but for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers it holds
-    ``position_world`` [m], the point that ``depth_z_m`` [m] belongs to. ``ids`` maps shape ids to (instance
-    id, material id); a :class:`SceneMaterials` made once serves all views of a scene. ``hide_emitters`` must
-    be that of the beauty image's integrator. Raises :class:`InputError` where a shape's
-    material has no D, S and R or a shape is missing from ``ids``.
+    float32 except for ``instance_id`` and ``material_id`` (uint32). Besides the registered buffers it
+    contains ``position_world`` [m], the point whose depth is ``depth_z_m`` [m]. ``ids`` maps shape ids to
+    (instance id, material id); a :class:`SceneMaterials` made once serves all views of a scene.
+    ``hide_emitters`` must equal that of the beauty image's integrator. Raises :class:`InputError` if a
+    shape's material has no D, S and R or a shape is missing from ``ids``.
     """
     _check_spp(spp)
     view = _make_view(scene, sensor, ids, hide_emitters)
@@ -358,7 +360,7 @@ class MaterialBuffers(mi.SamplingIntegrator):
         develop: bool = True,
         evaluate: bool = True,
     ) -> mi.TensorXf:
-        """All channels of one view; ``spp`` 0 takes the sensor's sample count. ``develop`` must be true."""
+        """All channels of one view; ``spp`` 0 uses the sensor's sample count. ``develop`` must be true."""
         if not develop:
             raise ValueError("material_buffers writes no film: develop must be True")
         view = _make_view(scene, sensor, self.ids, bool(self.hide_emitters))

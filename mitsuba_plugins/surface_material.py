@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Materials of a scene's surfaces by lookup: shape -> (material channels, ids), for ground-truth passes.
 
-A material reaches a shape through wrappers (``mask``, ``normalmap``, ``twosided``). Mitsuba forwards
-attributes through none of them, so the tree of wrappers is walked once per scene, and the walk's result is a
-Python function per material which Dr.Jit compiles into one indirect call, :func:`drjit.switch`.
+A shape's material may be inside wrappers (``mask``, ``normalmap``, ``twosided``). Mitsuba forwards attributes
+through none of them. The tree of wrappers is therefore traversed once per scene, and gives a Python function
+per material, which Dr.Jit compiles into one indirect call, :func:`drjit.switch`.
 
 Shapes are identified by their index in Mitsuba's registry, the value of a ``ShapePtr`` in a kernel. The index
 changes from process to process; the tables here map it to the caller's numbers.
@@ -25,13 +25,15 @@ from mitsuba_plugins.texture_checks import exposed, needs_uv
 
 Array = Any
 IdTable = Mapping[str, tuple[int, int]]
-"""Shape id (its key in the scene's dictionary) -> (instance id, material id); 0 is kept for "none"."""
+"""Shape id (its key in the scene's dictionary) -> (instance id, material id); 0 is reserved for "none"."""
 
 
 @dataclass(frozen=True)
 class SurfaceChannels:
-    """Material channels of a hit: D, S (Color3f), R (Float), the shading normal in the *local* frame of the
-    interaction, unit and on the viewer's side, and the opacity in [0, 1]."""
+    """Material channels of a hit: D, S (Color3f), R (Float), the shading normal and the opacity in [0, 1].
+
+    The normal is in the *local* frame of the interaction, unit and on the viewer's side.
+    """
 
     diffuse_albedo: Array
     specular_albedo: Array
@@ -67,7 +69,7 @@ def _mask_evaluator(opacity_texture: Any, nested: Evaluator) -> Evaluator:
 def _normal_map_evaluator(texture: Any, nested: Evaluator) -> Evaluator:
     def evaluate(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
         normal = dr.fma(mi.Normal3f(texture.eval_3(si, active)), 2.0, -1.0)
-        # Mitsuba's rule for a mapped normal that turns away from the viewer (flip_invalid_normals).
+        # Mitsuba's rule for a mapped normal that faces away from the viewer (flip_invalid_normals).
         is_invalid = si.wi.z * dr.dot(si.wi, normal) <= 0.0
         tangential = dr.select(is_invalid, -1.0, 1.0)
         normal = mi.Normal3f(normal.x * tangential, normal.y * tangential, normal.z)
@@ -101,13 +103,13 @@ def _two_sided_evaluator(front: Evaluator, back: Evaluator) -> Evaluator:
 
 
 class UnsupportedBsdf(Exception):
-    """A BSDF in the tree that has no diffuse albedo, specular albedo and roughness of the project's kind."""
+    """A BSDF in the tree without diffuse albedo, specular albedo and roughness of the project's kind."""
 
 
 def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
     """(function of an interaction -> channels, whether it can be transparent) for a tree of BSDFs.
 
-    Raises :class:`UnsupportedBsdf` with the offending plugin's class where the tree is not made of
+    Raises :class:`UnsupportedBsdf` with the offending plugin's class if the tree contains anything but
     ``cook_torrance`` under ``mask``, ``normalmap`` and ``twosided``.
     """
     if isinstance(bsdf, CookTorrance):
@@ -132,19 +134,19 @@ def build_evaluator(bsdf: Any) -> tuple[Evaluator, bool]:
 
 
 def _nothing(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Channels of a surface that is masked out: an emitter, or the background."""
+    """Channels of a masked surface: an emitter, or the background."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(1.0)
 
 
 def invisible(si: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Channels of the ``null`` BSDF: rays pass."""
+    """Channels of the ``null`` BSDF, which rays pass through."""
     return mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0), mi.Normal3f(0.0, 0.0, 1.0), mi.Float(0.0)
 
 
 def number_shapes(scene: mi.Scene) -> dict[str, tuple[int, int]]:
-    """An id table for a scene that has none: shapes and their BSDFs numbered from 1 in the scene's order.
+    """An id table for a scene without one: shapes and their BSDFs numbered from 1 in the scene's order.
 
-    Keys are shape ids; scenes read from XML leave them all alike, and these become ``id#2``, ``id#3``...
+    Keys are shape ids; scenes read from XML have equal ids, which become ``id#2``, ``id#3``...
     """
     materials: dict[int, int] = {}
     bsdfs = []  # kept alive: id() is unique only while objects exist
@@ -171,8 +173,8 @@ class SceneMaterials:
     """The materials and ids of every shape of a scene, ready to be evaluated inside a kernel.
 
     ``ids`` maps shape ids to (instance id, material id), both in [1, 2^24); None numbers them in the scene's
-    order. Raises :class:`InputError` with every shape whose BSDF has no counterpart among the
-    project's channels, that is missing from ``ids``, or whose texture needs UVs that its mesh lacks.
+    order. Raises :class:`InputError` with every shape whose BSDF has no counterpart among the project's
+    channels, that is missing from ``ids``, or whose texture needs UVs that its mesh lacks.
     """
 
     def __init__(self, scene: mi.Scene, ids: IdTable | None = None):
@@ -182,7 +184,8 @@ class SceneMaterials:
         self.has_transparency = False
         self._index_of_bsdf: dict[int, int] = {}
         self._needs_uv: dict[int, bool] = {}
-        # Python wrappers of C++ objects are made anew on each access: they are kept, so that id() is theirs.
+        # Python wrappers of C++ objects are created on each access; they are kept, so that their id() is
+        # valid.
         self._bsdfs: list[Any] = []
         shapes: Sequence[Any] = scene.shapes()
         pointers: Any = scene.shapes_dr()
@@ -233,7 +236,7 @@ class SceneMaterials:
         return instance, material
 
     def _evaluator_index(self, shape: Any, name: str, problems: list[Problem]) -> int:
-        """Index of the shape's material among the evaluators; 0 where there is a problem."""
+        """Index of the shape's material among the evaluators; 0 after a problem."""
         if shape.class_name() == "Instance":
             got, expected, remedy = "an instance", "a shape with a material of its own", "expand instances"
             problems.append(Problem("scene", f"shape {name}", got, expected, remedy))
@@ -268,7 +271,7 @@ class SceneMaterials:
     # ---- inside kernels ----------------------------------------------------------------------------------
 
     def tables(self) -> list[Any]:
-        """Arrays that a recorded kernel with :meth:`channels_at` reads, beside the scene's own."""
+        """Arrays read by a recorded kernel with :meth:`channels_at`, beside the scene's own."""
         return [self._evaluator_of_shape]
 
     def shape_index(self, si: mi.SurfaceInteraction3f) -> Array:

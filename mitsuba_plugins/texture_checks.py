@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Checks of material parameters when a material is made: ranges, NaN, and UVs where a texture needs them.
+"""Checks of material parameters when a material is created: ranges, NaN, and UVs if a texture needs them.
 
-A NaN that reaches a render spreads through path sums and denoisers to whole tiles, far from its cause; it is
-refused here, where the file's name and the texel are still known.
+A NaN in a rendering spreads through path sums and denoisers to whole tiles, far from its cause; it is
+rejected here, where the file's name and the texel are still known.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class _Collector(mi.TraversalCallback):
         """Called by ``traverse`` for everything that an object exposes."""
         if isinstance(value, mi.Object):
             self.objects[name] = value
-        else:  # C++ objects hand out addresses of their fields
+        else:  # C++ objects expose addresses of their fields
             self.values[name] = mi.get_property(value, cpp_type, self.parent) if cpp_type else value
 
 
@@ -48,7 +48,7 @@ def exposed(obj: Any) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def needs_uv(obj: Any) -> bool:
-    """Whether a BSDF or texture looks anything up by UV, itself or through what it contains."""
+    """Whether a BSDF or texture, or anything nested in it, uses UVs."""
     if obj.class_name().startswith(UV_TEXTURES):
         return True
     return any(needs_uv(child) for child in exposed(obj)[0].values())
@@ -97,15 +97,16 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     return problems
 
 
-# Problems gathered while a scene loads, or None when nobody gathers. A plain list: appending is atomic, and
-# Mitsuba builds plugins on several threads.
+# Problems collected while a scene loads, or None outside of such a context. A plain list: appending is
+# # atomic, and Mitsuba builds plugins on several threads.
 _gathered: list[Problem] | None = None
 
 
 def check_parameter(material: str, name: str, texture: Any) -> None:
-    """Report everything that is wrong with one parameter.
+    """Report all faults of one parameter.
 
-    Raises :class:`datagen.foundation.errors.InputError`, or hands the problems to :func:`gathering_problems`.
+    Raises :class:`datagen.foundation.errors.InputError`, or passes the problems to
+    :func:`gathering_problems`.
     """
     problems = parameter_problems(material, name, texture)
     if problems and _gathered is None:
@@ -116,7 +117,7 @@ def check_parameter(material: str, name: str, texture: Any) -> None:
 
 @contextmanager
 def gathering_problems() -> Iterator[None]:
-    """Within, bad parameters do not raise one by one; on leaving, one InputError carries them all."""
+    """Context in which bad parameters do not raise one by one; on exit, one InputError contains them all."""
     global _gathered
     problems: list[Problem] = []
     _gathered = problems

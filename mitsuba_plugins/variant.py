@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Chooses the Mitsuba variant and the LLVM library it compiles with, once a process.
+"""Chooses the Mitsuba variant and its LLVM library, once per process.
 
-Mitsuba's LLVM back end aborts the whole process ("Cannot select: fminimum") with LLVM 14 to 16, and no
-exception can catch that. The newest suitable library is therefore chosen *before* mitsuba is imported, and
-a machine that has only older ones is refused with the remedy in the message.
+Mitsuba's LLVM back end aborts the whole process ("Cannot select: fminimum") with LLVM 14 to 16, which no
+exception handler can catch. The newest suitable library is therefore chosen *before* mitsuba is imported, and
+a machine with only older ones is refused with the remedy in the message.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CUDA_VARIANT = "cuda_ad_rgb"
 VARIANTS = (CPU_VARIANT, CUDA_VARIANT)
 _LIBRARY_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)(?:\.\d+)*(?:\.so)?(?:\.\d+)*$")
 _UNVERSIONED_NAMES = ("libLLVM.dylib", "LLVM-C.dll")
-"""Of macOS and Windows: such a library is asked for its version."""
+"""Names on macOS and Windows, where the library is queried for its version."""
 SEARCH_FOLDERS = (
     "/usr/lib/x86_64-linux-gnu",
     "/usr/lib/aarch64-linux-gnu",
@@ -69,7 +69,7 @@ def find_llvm_libraries() -> list[LlvmLibrary]:
 
 
 def llvm_major(path: Path) -> int | None:
-    """Major version that the library itself reports, or None where it cannot be loaded."""
+    """Major version reported by the library itself, or None if it cannot be loaded."""
     try:
         library = ctypes.CDLL(str(path))
         get_version = library.LLVMGetVersion  # since LLVM 16
@@ -83,7 +83,7 @@ def llvm_major(path: Path) -> int | None:
 def choose_llvm() -> LlvmLibrary:
     """The LLVM library to compile with: ``DRJIT_LIBLLVM_PATH`` if set, else the newest one found.
 
-    Raises :class:`InputError` with the remedy where there is none that is new enough.
+    Raises :class:`InputError` with the remedy if none is new enough.
     """
     override = os.environ.get("DRJIT_LIBLLVM_PATH")
     if override:
@@ -103,7 +103,7 @@ def choose_llvm() -> LlvmLibrary:
 
 
 def has_cuda() -> bool:
-    """Whether an NVIDIA driver answers on this machine (asked without importing mitsuba)."""
+    """Whether an NVIDIA driver responds on this machine (determined without importing mitsuba)."""
     if shutil.which("nvidia-smi") is None and not Path("/dev/nvidia0").exists():
         return False
     try:
@@ -128,8 +128,9 @@ def resolve_variant(name: str | None = None) -> str:
 
 
 def check_variant(name: str | None = None) -> None:
-    """Raise :class:`InputError` where :func:`select_variant` would, without importing mitsuba: commands that
-    start processes ask before they do."""
+    """Raise :class:`InputError` if :func:`select_variant` would, without importing mitsuba; for commands that
+    start processes.
+    """
     if resolve_variant(name) == CPU_VARIANT:
         choose_llvm()
 
@@ -137,10 +138,10 @@ def check_variant(name: str | None = None) -> None:
 def select_variant(name: str | None = None) -> str:
     """Set the Mitsuba variant of this process and return its name. Repeated calls are cheap.
 
-    ``name`` is one of :data:`VARIANTS`; None and ``auto`` take the one that is active,
-    ``SCENE_MATERIALS_VARIANT`` from the environment, CUDA where a GPU answers, or LLVM. Raises
-    ``RuntimeError`` if another variant is already active, and :class:`InputError` if the LLVM on the machine
-    is too old.
+    ``name`` is one of :data:`VARIANTS`. None and ``auto`` choose the active one, else
+    ``SCENE_MATERIALS_VARIANT`` from the environment, else CUDA if a GPU responds, else LLVM. Raises
+    ``RuntimeError`` if another variant is already active, and :class:`InputError` if the installed LLVM is
+    too old.
     """
     if "mitsuba" in sys.modules:
         import mitsuba as mi

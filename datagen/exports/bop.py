@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """3D boxes and object poses in the layout of the BOP benchmark: ``<split>/000000/scene_gt.json`` and so on.
 
-Millimetres, camera x right, y down, z forward, as here. BOP's poses are rigid: an object that was placed at
-another scale is a model of its own. ``boxes3d.json`` beside holds every object's box in the world, in metres,
-seen or not. ``mask_visib`` and ``bbox_visib`` are of visible pixels, ``bbox_obj`` of the whole silhouette.
+Millimetres, camera x right, y down, z forward, as here. BOP's poses are rigid: each scale of an object is a
+separate model. ``boxes3d.json`` holds every object's box in the world, in metres, visible or not.
+``mask_visib`` and ``bbox_visib`` are of visible pixels, ``bbox_obj`` of the whole silhouette.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ ModelKey = tuple[str, tuple[float, float, float]]
 
 
 def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
-    """(4, 4) rigid world_from_object, and the scale that the object has along its own axes. Raises
-    :class:`InputError` for a sheared or mirrored object."""
+    """Rigid world_from_object (4, 4), and the object's scale along its own axes.
+
+    Raises :class:`InputError` for a sheared or mirrored object.
+    """
     matrix = np.asarray(placed.world_from_asset, dtype=np.float64)
     scale = np.linalg.norm(matrix[:3, :3], axis=0)
     pose = matrix.copy()
@@ -38,7 +40,7 @@ def pose_and_scale(placed: PlacedAsset) -> tuple[NDArray[np.float64], tuple[floa
 
 
 class BopFiles:
-    """Numbers the models of an export, then writes a scene a room; :meth:`finish` writes the models."""
+    """Numbers the models of an export and writes one scene per room; :meth:`finish` writes the models."""
 
     def __init__(self, export: Export):
         self.export = export
@@ -66,7 +68,7 @@ class BopFiles:
         return self.meshes[asset_id].transformed(np.diag([*scale, 1.0]))
 
     def add(self, room: Room) -> None:
-        """A scene: pictures, depth, masks, poses and boxes."""
+        """Write a scene: images, depth, masks, poses and boxes."""
         number = self.num_scenes.get(room.split, 0)
         self.num_scenes[room.split] = number + 1
         folder = f"{room.split}/{number:06d}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verb ``datagen export``; heavy imports happen in the body."""
+"""The verb ``datagen export``; heavy imports are inside it."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class _RoomByRoom:
         self.function(self.job, room)
 
     def finish(self) -> None:
-        """Nothing is left to write."""
+        """Nothing to do."""
 
 
 def _writer(layout: str, job: Export) -> Any:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Optical flow between views of a room, exact, from depth and cameras: Middlebury ``.flo`` and masks.
+"""Exact optical flow between views of a room, from depth and cameras: Middlebury ``.flo`` and masks.
 
-flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel of ``a`` that shows a surface
-in front of ``b``; 1e10 elsewhere, which the format calls unknown. A mask beside says where ``b`` sees the
-point: the pixel there shows the same instance, and the point lies in the plane of its surface.
+flow(p) = project_b(unproject_a(p, depth_a(p))) - p, in pixels, for every pixel of ``a`` with a surface in
+front of ``b``; 1e10 elsewhere, the format's value for unknown. A mask marks points visible in ``b``: the
+pixel there shows the same instance, and the point lies in the plane of its surface.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from datagen.foundation.images import encode_png
 
 UNKNOWN = 1e10
 _COARSE = 8
-_PLANE_TOLERANCE = 4e-3  # of the distance: half floats hold normals to 1e-3, and pixels are 1e-3 to 3e-3 wide
+# of the distance: half floats store normals to 1e-3, and pixels are 1e-3 to 3e-3 wide
+_PLANE_TOLERANCE = 4e-3
 _NAMES = ("depth_z_m", "normal_world", "instance_id")
 
 
@@ -30,7 +31,9 @@ def flow_between(
     buffers_b: dict[str, NDArray],
     step: int = 1,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Flow (h, w, 2) of every ``step``-th pixel of ``a`` and whether ``b`` sees its point, (h, w)."""
+    """Flow (h, w, 2) of every ``step``-th pixel of ``a``, and whether its point is visible in ``b``, (h,
+    w).
+    """
     depth = buffers_a["depth_z_m"][::step, ::step, 0].astype(np.float64)
     pixels = camera_a.pixel_centers()[::step, ::step]
     points = camera_a.unproject(pixels, depth)
@@ -46,7 +49,7 @@ def flow_between(
     distance = np.linalg.norm(points - camera_b.position_m, axis=-1)
     is_in_plane = np.abs(((points - seen) * normal).sum(-1)) < _PLANE_TOLERANCE * distance
     same = buffers_b["instance_id"][row, column, 0] == buffers_a["instance_id"][::step, ::step, 0]
-    near = np.linalg.norm(points - seen, axis=-1) < 0.05 * distance  # the plane's other end is another place
+    near = np.linalg.norm(points - seen, axis=-1) < 0.05 * distance  # far along the plane is another surface
     is_seen = inside & (seen_depth > 0) & is_in_plane & same & near
     return flow.astype(np.float32), is_seen
 
@@ -66,7 +69,9 @@ def decode_flo(data: bytes) -> NDArray[np.float32]:
 
 
 def export_flow(export: Export, room: Room) -> None:
-    """Each view's flow to the ``neighbours`` views that see most of it, if that is ``min_overlap``."""
+    """Write each view's flow to the ``neighbours`` views that overlap it most, if by at least
+    ``min_overlap``.
+    """
     name, views = room.configuration.id, room.views
     read = [view.read(*_NAMES) for view in views]
     cameras = [view.camera for view in views]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Folders like those of Apple's Hypersim: HDF5 files of one array ``dataset`` for each frame and quantity.
+"""Folders in the layout of Apple's Hypersim: HDF5 files of one array ``dataset`` for each frame and quantity.
 
-A room is a scene, and its views with the same lens are one camera trajectory (``cam_00``). As there, cameras
-look along -z with y up, ``depth_meters`` is the distance from the camera's centre, and positions are in asset
-units, here metres. Hypersim has no specular albedo and roughness; they lie beside ``diffuse_reflectance``.
+A room is a scene, and its views with the same lens are one camera trajectory (``cam_00``). As in Hypersim,
+cameras look along -z with y up, ``depth_meters`` is the distance from the camera's centre, and positions are
+in asset units, here metres. Hypersim has no specular albedo and roughness; they are stored beside
+``diffuse_reflectance``.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ def encode_hdf5(array: NDArray) -> bytes:
 
 
 def cam_from_uv(camera: Camera) -> NDArray[np.float64]:
-    """(3, 3): (u, v, 1) with u to the right and v upwards in [-1, 1] to a ray of the camera, -z forward."""
+    """Matrix (3, 3) from (u, v, 1), u to the right and v upwards in [-1, 1], to a ray of the camera, -z
+    forward.
+    """
     half_width, half_height = camera.width_px / 2, camera.height_px / 2
     x = [half_width / camera.fx_px, 0.0, (half_width - camera.cx_px) / camera.fx_px]
     y = [0.0, half_height / camera.fy_px, (camera.cy_px - half_height) / camera.fy_px]
@@ -67,7 +70,7 @@ class HypersimFiles:
         self.lenses: list[tuple[str, str, Camera]] = []
 
     def add(self, room: Room) -> None:
-        """A scene: its frames by trajectory, its cameras, its unit."""
+        """Write a scene: its frames by trajectory, its cameras, its unit."""
         name = room.configuration.id
         trajectories: dict[tuple[float, ...], list[RoomView]] = {}
         for view in room.views:
@@ -89,7 +92,7 @@ class HypersimFiles:
         self.export.write(f"{name}/_detail/metadata_scene.csv", text.encode())
 
     def frame(self, folder: str, frame: int, view: RoomView) -> None:
-        """Every quantity of a view."""
+        """Write every quantity of a view."""
         camera, buffers = view.camera, view.read(*_BUFFERS)
         depth = buffers["depth_z_m"][..., 0].astype(np.float64)
         points = camera.unproject(camera.pixel_centers(), depth)
@@ -121,7 +124,7 @@ class HypersimFiles:
         self.export.write_picture(preview, buffers["beauty"], view.record.exposure)
 
     def finish(self) -> None:
-        """``metadata_camera_parameters.csv``: the lens of each trajectory."""
+        """Write ``metadata_camera_parameters.csv``: the lens of each trajectory."""
         fields = ["scene_name", "camera_name", "settings_output_img_width", "settings_output_img_height"]
         fields += [f"M_cam_from_uv_{r}{c}" for r in range(3) for c in range(3)]
         fields += [f"M_proj_{r}{c}" for r in range(4) for c in range(4)]
@@ -133,6 +136,6 @@ class HypersimFiles:
 
 
 def _with_minus_one(ids: NDArray) -> NDArray[np.int32]:
-    """Ids with -1 for none, as Hypersim has them."""
+    """Ids with -1 for none, as in Hypersim."""
     values = ids[..., 0].astype(np.int64)
     return np.where(values == 0, -1, values).astype(np.int32)

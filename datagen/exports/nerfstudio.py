@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""A folder a room with ``transforms.json``, as nerfstudio, instant-ngp and Gaussian splatting read it.
+"""One folder per room with ``transforms.json``, as read by nerfstudio, instant-ngp and Gaussian splatting.
 
-Cameras look along -z with y up (OpenGL); the world stays Z up and in metres. All pictures of a room have one
-exposure, without which a radiance field sees the light change. Depth is along the axis, 16-bit PNG in units
-of ``depth_unit_scale_factor`` metres; ``points.ply`` are coloured points of surfaces, to begin splats from.
+Cameras look along -z with y up (OpenGL); the world stays Z up and in metres. All images of a room share one
+exposure; otherwise a radiance field would reproduce the changes. Depth is along the axis, 16-bit PNG in units
+of ``depth_unit_scale_factor`` metres; ``points.ply`` holds coloured surface points to initialise splats.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _POINTS = 200_000
 
 
 def export_nerfstudio(export: Export, room: Room) -> None:
-    """Write ``<configuration>/transforms.json`` with pictures, depth, masks and points."""
+    """Write ``<configuration>/transforms.json`` with images, depth, masks and points."""
     name = room.configuration.id
     farthest = max(float(view.read("depth_z_m")["depth_z_m"].max()) for view in room.views)
     unit_m = max(1e-3, farthest / 65535)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Common parts of the exports: reading a dataset's rooms and views, and writing the files of one folder.
 
-A room is a configuration with its shard. Buffers are read view by view, where they are needed.
+A room is a configuration with its shard. Buffers are read view by view, on demand.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class RoomView:
 
 @dataclass(frozen=True)
 class Room:
-    """A configuration and where its views are."""
+    """A configuration and its views."""
 
     shard: Path
     split: Split
@@ -70,11 +70,11 @@ class Room:
 
     @cached_property
     def exposure(self) -> float:
-        """One for all views of the room: the median of theirs."""
+        """Exposure shared by all views of the room: the median of theirs."""
         return float(np.median([view.record.exposure for view in self.views]))
 
     def objects(self) -> dict[str, PlacedAsset]:
-        """Objects by the name that their instance has in the views' records."""
+        """Objects by the name of their instance in the views' records."""
         return {placed.name: placed for placed in self.configuration.objects}
 
 
@@ -93,14 +93,14 @@ class Export:
         yield from self.rooms
 
     def write(self, name: str, data: bytes) -> None:
-        """A file of the export, whole or not at all."""
+        """Write a file of the export, whole or not at all."""
         path = self.out / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_bytes_atomically(path, data)
         self.num_files += 1
 
     def write_json(self, name: str, value: Any) -> None:
-        """JSON on one line a key of the top level, as such files are often long."""
+        """Write JSON with one line per top-level key, since such files are often long."""
         if isinstance(value, dict):
             lines = (f"{json.dumps(key)}: {json.dumps(item)}" for key, item in value.items())
             text = "{\n" + ",\n".join(lines) + "\n}\n"
@@ -109,11 +109,11 @@ class Export:
         self.write(name, text.encode())
 
     def write_picture(self, name: str, beauty: NDArray, exposure: float) -> None:
-        """A PNG of 8 bits: the linear image times ``exposure``, clipped, in sRGB."""
+        """Write an 8-bit PNG: the linear image times ``exposure``, clipped, in sRGB."""
         self.write(name, encode_png(picture(beauty, exposure)))
 
     def need_library(self, format_name: str) -> Library:
-        """The library; raises :class:`InputError` where there is none."""
+        """The library; raises :class:`InputError` if there is none."""
         if self.library is None:
             remedy = "name the folders of its assets with --library"
             raise input_error(format_name, got="no library", expected="the objects' meshes", remedy=remedy)
@@ -127,7 +127,9 @@ def picture(beauty: NDArray, exposure: float) -> NDArray[np.uint8]:
 
 
 def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[Room]:
-    """Rooms of a dataset folder. Raises :class:`InputError` for unknown configurations and for no rooms."""
+    """Rooms of a dataset folder. Raises :class:`InputError` for unknown configurations and if there are no
+    rooms.
+    """
     opened = Dataset(dataset)
     known = {shard.configuration: shard for shard in opened.index.shards}
     for name in only:
@@ -144,8 +146,10 @@ def open_rooms(dataset: Path, split: Split | None, only: Sequence[str]) -> list[
 
 
 def claim_folder(out: Path, format_name: str, dataset: Path, command: dict[str, Any]) -> None:
-    """Make ``out`` a folder of this export; one of the same format may be written again. Raises
-    :class:`InputError` for a folder that holds something else."""
+    """Make ``out`` a folder of this export; an export of the same format may be overwritten.
+
+    Raises :class:`InputError` for a folder with other contents.
+    """
     marker = out / MARKER
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not _is_ours(marker, format_name)):
         expected = f"a new or empty folder, or an earlier export to {format_name}"

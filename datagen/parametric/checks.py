@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Faults of a furnished room, measured on the shapes that will be rendered.
 
-Pieces rest on a support and do not intersect, doors open, windows stay free, and a person can walk from every
-door to the front of every cupboard. Boxes are of single shapes (a leg, a board), from their vertices.
+Furniture must rest on a support and not intersect, doors must open, windows stay free, and a person must be
+able to walk from every door to the front of every cupboard. Boxes are of single shapes (a leg, a board), from
+their vertices.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ from datagen.parametric.shapes import Floats
 from datagen.parametric.shell import Shell, swing
 
 CELL_M = 0.05
-BODY_M = 0.24  # radius that a person needs to pass
-CONTACT_M = 0.004  # a thing this near to what bears it rests on it
-OVERLAP_M = 0.0015  # boxes that meet by less touch
+BODY_M = 0.24  # radius of free floor for a person to pass
+CONTACT_M = 0.004  # an item at most this far from its support rests on it
+OVERLAP_M = 0.0015  # smaller overlaps count as contact
 MIN_WALKABLE_M2 = 1.1
-_THRESHOLD_M = 0.5  # where one stands in front of a door
-_LOW_M, _HIGH_M = 0.05, 1.85  # what a walking person bumps into
+_THRESHOLD_M = 0.5  # size of the free floor in front of a door
+_LOW_M, _HIGH_M = 0.05, 1.85  # height range of obstacles for a walking person
 
 
 @dataclass(frozen=True)
 class Fault:
-    """``what`` is one word of ``floats``, ``intersects``, ``outside``, ``door``, ``window``, ``walk``."""
+    """A fault; ``what`` is one of ``floats``, ``intersects``, ``outside``, ``door``, ``window``, ``walk``."""
 
     what: str
     item: str
@@ -48,7 +49,7 @@ class Furnished:
 
 
 def faults_of(room: Furnished) -> list[Fault]:
-    """Everything that is wrong; empty for a sound room."""
+    """All faults of a room; empty for a sound one."""
     boxes = [item.boxes() for item in room.items]
     bounds = [hull_of(b) for b in boxes]
     found = _outside(room, bounds)
@@ -92,7 +93,7 @@ def _gap(
     if item.item.hold == "ceiling":
         return abs(shell.height - float(b[1, 2])), "the ceiling"
     if item.item.hold == "wall":
-        # the back of the item's own frame, on whichever wall it is
+        # the back in the item's own frame, on whichever wall it is
         near = [
             shell.width / 2 + b[0, 0],
             shell.width / 2 - b[1, 0],
@@ -135,7 +136,7 @@ def meets(one: Floats, other: Floats, margin: float = 0.0) -> bool:
 
 
 def overlap(one: Floats, other: Floats) -> float:
-    """By how much boxes (k, 2, 3) of two things overlap at most, the thinnest way."""
+    """Largest overlap of the boxes (k, 2, 3) of two items, along its thinnest axis."""
     low = np.maximum(one[:, None, 0], other[None, :, 0])
     high = np.minimum(one[:, None, 1], other[None, :, 1])
     return float((high - low).min(axis=2).max())
@@ -175,7 +176,7 @@ def _window_zone(shell: Shell, k: int) -> Floats:
 
 
 def _in_sector(box: Floats, sector: Floats, radius: float) -> bool:
-    """Whether a box comes into a quarter disc: its nearest point to the hinge in the disc's quadrant."""
+    """Whether a box overlaps a quarter disc, by its nearest point to the hinge in the disc's quadrant."""
     hinge, rest = sector[0], sector[1:]
     low, high = rest.min(axis=0), rest.max(axis=0)
     low, high = np.minimum(low, hinge) + 1e-3, np.maximum(high, hinge) - 1e-3
@@ -206,7 +207,7 @@ def free_cells(shell: Shell, boxes: Floats) -> NDArray[np.bool_]:
 
 
 def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Cells that are reached from every door, and what is wrong with them ("": nothing)."""
+    """Cells reachable from every door, and their fault ("": none)."""
     from scipy.ndimage import label
 
     free = free_cells(shell, boxes)
@@ -230,12 +231,12 @@ def walkable(shell: Shell, boxes: Floats) -> tuple[NDArray[np.bool_], str]:
 
 
 def cell_of(shell: Shell, place: tuple[float, float]) -> tuple[int, int]:
-    """Row and column of a place."""
+    """Row and column of a floor position."""
     return int((place[1] + shell.depth / 2) / CELL_M), int((place[0] + shell.width / 2) / CELL_M)
 
 
 def front_zone(item: Placed, depth: float) -> Floats:
-    """The box (2, 2) on the floor before an item's front."""
+    """The area (2, 2) of the floor in front of an item."""
     b = item.item.bounds
     corners = np.array([[x, y, 0.0] for x in b[:, 0] for y in (b[0, 1], b[0, 1] - depth)])
     matrix = item.room_from_item

@@ -15,7 +15,7 @@ _CLEAR_M = 0.02  # of frames of doors and windows
 
 
 def switch(gangs: int) -> Item:
-    """A plate with one rocker or two, side by side; z = 0 is its lower edge."""
+    """A plate with one rocker, or two side by side; z = 0 is its lower edge."""
     item = Item("switch", hold="wall")
     item.add("switch", box((_PLATE_M, 0.009, _PLATE_M), (0, -0.005, 0), 0.002))
     width = 0.06 / gangs - 0.001
@@ -40,7 +40,7 @@ def socket(count: int) -> Item:
 
 
 def wire(room: Furnisher, draws: Draws) -> None:
-    """A switch at the handle of each door, else at its hinges, and two to five sockets where there is place.
+    """A switch at the handle of each door, else at its hinges, and two to five sockets where there is space.
 
     They may be behind furniture.
     """

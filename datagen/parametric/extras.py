@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pieces that stand along walls in rooms of many kinds, by name, each of a size that is drawn."""
+"""Furniture along the walls of many kinds of rooms, by name, with random sizes."""
 
 from __future__ import annotations
 

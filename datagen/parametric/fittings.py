@@ -23,7 +23,7 @@ from datagen.parametric.shapes import (
 
 
 def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
-    """A panel radiator or one of columns, on the wall 0.1 m above the floor."""
+    """A panel or column radiator, on the wall 0.1 m above the floor."""
     item = Item("radiator", hold="wall")
     if draws.chance(0.6):
         item.add("radiator", rounded_box((width, 0.07, height), 0.012, (0, -0.075, 0), 2))
@@ -47,8 +47,10 @@ def radiator(style: Style, draws: Draws, width: float, height: float) -> Item:
 
 
 def curtains(style: Style, draws: Draws, window: float, height: float, floor: float, off_wall: float) -> Item:
-    """Two drawn-back curtains on a rail ``off_wall`` metres from the wall; ``height`` of the rail above the
-    hem, ``floor`` their length."""
+    """Two drawn-back curtains on a rail ``off_wall`` metres from the wall.
+
+    ``height`` is that of the rail above the hem, ``floor`` their length.
+    """
     item = Item("curtains", hold="wall")
     open_share = draws.uniform(0.16, 0.34)
     half = window / 2 + 0.24
@@ -109,7 +111,7 @@ def roller_blind(style: Style, draws: Draws, window: float, height: float) -> It
 
 
 def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> Item:
-    """Horizontal slats, turned open, over part of a window; z = 0 is the window's lower edge."""
+    """Open horizontal slats over part of a window; z = 0 is the window's lower edge."""
     item = Item("blind", hold="wall")
     drop = draws.uniform(0.3, 0.95) * height
     tilt = draws.uniform(-12, 18)
@@ -129,7 +131,7 @@ def slatted_blind(style: Style, draws: Draws, window: float, height: float) -> I
 
 
 def rug(style: Style, draws: Draws, width: float, depth: float, is_round: bool = False) -> Item:
-    """A rug, 9 mm thick, around its middle (y from -depth to 0)."""
+    """A rug, 9 mm thick, centred in x (y from -depth to 0)."""
     item = Item("rug")
     if is_round:
         r = width / 2
@@ -180,7 +182,7 @@ def mirror(style: Style, draws: Draws, width: float, height: float) -> Item:
 
 
 def board(style: Style, draws: Draws, width: float, height: float, slot: str) -> Item:
-    """A white board or a slate on the wall, with a tray."""
+    """A whiteboard or a slate on the wall, with a tray."""
     item = Item("board", hold="wall")
     for z in (0.0, height - 0.02):
         item.add(
@@ -333,7 +335,7 @@ def teepee(style: Style, draws: Draws) -> Item:
     top = 0.86
     for k in range(4):
         (xa, ya), (xb, yb) = feet[k], feet[(k + 1) % 4]
-        if k == 2:  # the entrance looks into the room
+        if k == 2:  # the entrance faces the room
             continue
         low = np.array([[xa, c + ya, 0.03], [xb, c + yb, 0.03]])
         high = np.array([[xa, c + ya, 0.0], [xb, c + yb, 0.0]]) * (1 - top) + np.array([0, c, 0]) * top

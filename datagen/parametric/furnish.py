@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Furnishing common to many kinds of room: dressed windows, pictures, plants, rugs, chairs around tables,
-lamps."""
+"""Furnishing common to many kinds of room: curtains and blinds, pictures, plants, rugs, chairs around tables,
+lamps.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +14,13 @@ from datagen.parametric.extras import EXTRAS
 from datagen.parametric.items import Item, Placed
 from datagen.parametric.layout import SIDES, Furnisher, Unfit
 
-_SPACING_M = 2.5  # between ceiling lamps of one room
+_SPACING_M = 2.5  # distance between ceiling lamps of one room
 
 
 def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: float) -> None:
-    """Radiators below windows, curtains or blinds before them: one decision a room, with exceptions."""
+    """Radiators below windows, and curtains or blinds in front of them; one choice per room, with
+    exceptions.
+    """
     draws, style = room.draws, room.style
     pick = draws.unit()
     slatted = draws.chance(0.5)
@@ -42,7 +45,7 @@ def dress_windows(room: Furnisher, curtains: float, blinds: float, radiators: fl
 
 
 def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends: int) -> None:
-    """Chairs at the long sides (``along`` each) and at the ends; two at least, or :class:`Unfit`."""
+    """Chairs at the long sides (``along`` each) and at the ends; fewer than two raise :class:`Unfit`."""
     half = float(table.item.bounds[1, 0])
     made = 0
     for side in SIDES[:2]:
@@ -56,7 +59,7 @@ def chairs_around(room: Furnisher, table: Placed, chair: Item, along: int, ends:
 
 
 def seats(room: Furnisher, count: int) -> list[Placed]:
-    """Armchairs in corners or free, turned into the room."""
+    """Armchairs in corners or in the open, facing the room."""
     found = []
     for _ in range(count):
         item = seating.armchair(room.style, room.draws)
@@ -74,7 +77,7 @@ def lamp_on(room: Furnisher, host: Placed, x: float = 0.0) -> Placed | None:
 
 
 def floor_lamp_somewhere(room: Furnisher) -> Placed | None:
-    """A standard lamp in a corner or at a wall."""
+    """A floor lamp in a corner or at a wall."""
     if room.draws.chance(0.75):
         return room.at_wall(lamps.floor_lamp(room.draws, room.glow()), where="corner", gap=0.05)
     return None
@@ -104,7 +107,7 @@ def pictures(room: Furnisher, most: int) -> None:
 
 
 def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
-    """``least`` to ``most`` more pieces along the walls, of those named, as far as they find place."""
+    """``least`` to ``most`` more items along the walls, from ``names``, as far as there is space."""
     draws = room.draws
     wanted = draws.integer(least, most)
     for name in draws.shuffled([*names, *names]):
@@ -117,7 +120,7 @@ def fill(room: Furnisher, names: Sequence[str], least: int, most: int) -> None:
 def decorate(
     room: Furnisher, rug: float, round_rug: float = 0.15, most: int = 5, is_home: bool = True
 ) -> None:
-    """Pictures, shelves, plants and a rug where the floor is free."""
+    """Pictures, shelves, plants, and a rug on the free floor."""
     draws, style = room.draws, room.style
     if draws.chance(0.55):
         room.hang(
@@ -148,7 +151,7 @@ def _free_rug(room: Furnisher, is_round: bool) -> None:
 def ceiling_light(
     room: Furnisher, kinds: Sequence[str], over: Placed | None = None, many: bool = False
 ) -> None:
-    """Lamps under the ceiling, all alike: one in the middle, a row over a table, or a grid of ``many``."""
+    """Identical lamps under the ceiling: one in the middle, a row over a table, or a grid of ``many``."""
     draws, shell = room.draws, room.shell
     kind, look = draws.choice(kinds), draws.integer(0, 2**31)
     places: list[tuple[float, float]] = []

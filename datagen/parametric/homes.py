@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Furniture of the rooms of a home, piece by piece: required pieces first, then those that fit."""
+"""Furniture of the rooms of a home: required items first, then those that fit."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def study(room: Furnisher) -> None:
 
 
 def living_room(room: Furnisher) -> None:
-    """A sofa, a table before it, a television across, seats and shelves."""
+    """A sofa, a table in front of it, a television opposite, seats and shelves."""
     draws, style = room.draws, room.style
     sofa = room.at_wall(
         seating.sofa(style, draws, draws.integer(2, 3)),
@@ -163,7 +163,7 @@ def dining_room(room: Furnisher) -> None:
 
 
 def kitchen(room: Furnisher) -> None:
-    """A row of units; a table or another row."""
+    """A row of units; a table or a second row."""
     draws, style = room.draws, room.style
     wanted = draws.integer(5, 7)
     run = None

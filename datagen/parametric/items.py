@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Pieces of furniture as data: shapes by slot, surfaces for things, lamps, and the space that they need.
+"""Furniture as data: shapes by slot, support surfaces, lamps, and required free space.
 
-An item's frame is that of a wall: its back is the plane y = 0, its front looks along -y, x runs to the right
-for who looks at it, z = 0 is where it rests. Items that hang from a ceiling have z = 0 there and reach down.
+An item's frame refers to a wall: its back is the plane y = 0, its front faces -y, x points right for a viewer
+in front of it, and it rests at z = 0. Items that hang from a ceiling have z = 0 there and extend downwards.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ Handle = Literal["bar", "knob", "grip"]
 Front = Literal["flat", "framed"]
 Legs = Literal["square", "round", "tapered", "metal"]
 Hold = Literal["floor", "wall", "ceiling", "surface"]
-_STEP = np.array([0.6180339887, 0.7548776662])  # low discrepancy: no two pieces read one place of a pattern
+# low discrepancy: no two shapes use the same section of a pattern
+_STEP = np.array([0.6180339887, 0.7548776662])
 _PATTERN_M = 4.0
 
 
@@ -36,7 +37,7 @@ class Style:
 
     @property
     def leg_slot(self) -> str:
-        """Slot of legs and frames: tubes are of the metal of handles and taps."""
+        """Slot of legs and frames: metal tubes have the finish of handles and taps."""
         return "metal" if self.legs == "metal" else "legs"
 
     @classmethod
@@ -49,7 +50,7 @@ class Style:
 
 @dataclass(frozen=True)
 class Support:
-    """A rectangle of an item on which things may stand: middle (x, y), size, height, free height above."""
+    """A rectangle of an item on which objects may stand: middle (x, y), size, height, free height above."""
 
     kind: SupportKind
     middle: tuple[float, float]
@@ -60,7 +61,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A luminous slot: its colour temperature and luminous flux; ``area_m2`` is the surface that emits."""
+    """A luminous slot: its colour temperature and luminous flux; ``area_m2`` is the emitting surface."""
 
     slot: str
     kelvin: float
@@ -70,7 +71,7 @@ class Lamp:
 
 @dataclass(frozen=True)
 class LampPlace:
-    """Position for a lamp of the configuration: a point, or a rectangle about it that shines down."""
+    """Position for a lamp of the configuration: a point, or a rectangle around it that emits downwards."""
 
     at: Point
     size: tuple[float, float] | None = None
@@ -83,7 +84,7 @@ def hull_of(boxes: Floats) -> Floats:
 
 @dataclass
 class Item:
-    """A piece of furniture. ``front_m``: floor before its front that must stay free."""
+    """A piece of furniture. ``front_m``: depth of the floor in front of it that must stay free."""
 
     name: str
     hold: Hold = "floor"
@@ -95,7 +96,7 @@ class Item:
     _boxes: Floats = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
     def add(self, slot: str, *shapes: Shape) -> None:
-        """Append shapes of a slot; each reads its own piece of the slot's pattern."""
+        """Append shapes of a slot; each uses another section of the slot's pattern."""
         for shape in shapes:
             shift = _PATTERN_M * ((len(self.shapes) + 1) * _STEP % 1.0)
             self.shapes.append((slot, shape.shifted_uv(float(shift[0]), float(shift[1]))))
@@ -124,7 +125,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Placed:
-    """An item in the room: turned by ``yaw_rad`` about z, then moved. ``stands_on`` names what bears it."""
+    """An item in the room: rotated by ``yaw_rad`` about z, then moved. ``stands_on`` names its support."""
 
     item: Item
     name: str
@@ -144,7 +145,7 @@ class Placed:
         """Axis-aligned boxes (k, 2, 3) of the item's shapes in the room, from their vertices."""
         matrix = self.room_from_item
         turn = matrix[:3, :3]
-        if np.allclose(np.abs(turn), np.round(np.abs(turn)), atol=1e-5):  # a box stays one
+        if np.allclose(np.abs(turn), np.round(np.abs(turn)), atol=1e-5):  # boxes stay boxes at this rotation
             ends = self.item.boxes() @ np.round(turn).T + matrix[:3, 3]
             return np.sort(ends, axis=1)
         found = []

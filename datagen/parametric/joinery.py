@@ -10,7 +10,7 @@ from datagen.parametric.items import Item, Style
 from datagen.parametric.shapes import box, cylinder, lathe, tube
 from datagen.parametric.slots import BOOKS
 
-GAP = 0.0035  # between neighbouring fronts
+GAP = 0.0035  # gap between neighbouring fronts
 _FRONT = 0.019
 
 
@@ -24,7 +24,7 @@ def front(
     handle: str = "middle",
     is_drawer: bool = False,
 ) -> None:
-    """A door or drawer front of ``size`` (width, height) whose back's lower middle is ``at``.
+    """A door or drawer front of ``size`` (width, height); ``at`` is the lower middle of its back.
 
     ``handle``: ``left``, ``right`` or ``middle``.
     """
@@ -105,7 +105,9 @@ def fronts(
     columns: int = 1,
     slot: str = "front",
 ) -> None:
-    """Rows of fronts from the bottom, ("drawer" or "door", height); ``at``: the lower middle at the back."""
+    """Rows of fronts from the bottom, ("drawer" or "door", height); ``at``: the lower middle of their
+    backs.
+    """
     z = at[2]
     each = width / columns
     for kind, height in rows:
@@ -148,7 +150,7 @@ def legs(
 
 
 def books(item: Item, draws: Draws, x0: float, x1: float, y: float, z: float, height: float) -> float:
-    """Upright books from x0 on, their backs at ``y``; returns where the row ends."""
+    """Upright books from x0 on, their backs at ``y``; returns the end of the row."""
     x = x0
     slots = draws.shuffled(BOOKS)[: draws.integer(3, 6)]
     while True:
@@ -172,7 +174,7 @@ def castor(item: Item, x: float, y: float, radius: float = 0.026) -> None:
 
 
 def ring_of(count: int, radius: float, start: float = 0.0) -> list[tuple[float, float]]:
-    """Places on a circle."""
+    """Points on a circle."""
     return [
         (
             radius * math.cos(start + 2 * math.pi * k / count),

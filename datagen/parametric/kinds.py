@@ -18,7 +18,8 @@ _WORK: Classes = ("stone", "glazed", "wood")
 
 @dataclass(frozen=True)
 class Kind:
-    """Ranges in metres; ``windows`` and ``doors`` are least and most, ``tiled`` the walls with tiles.
+    """Ranges in metres; ``windows`` and ``doors`` are minimum and maximum numbers, ``tiled`` the walls with
+    tiles.
 
     ``steel_fronts``: share of the rooms whose cabinets have fronts of steel.
     """

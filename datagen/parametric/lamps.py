@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Lamps: luminous bodies of real size, colour temperature and flux.
 
-Most shades are translucent: a shade of cloth or paper is the luminous body, which photographs show, in place
+Most shades are translucent: the luminous body is then the shade of cloth or paper, as in photographs, instead
 of a bulb. The others are opaque and hide their bulb from most cameras.
 """
 
@@ -34,8 +34,9 @@ def _bulb(
 def _shade(
     item: Item, slot: str, at: tuple[float, float, float], low: float, high: float, height: float
 ) -> None:
-    """An open shade of material ``slot`` whose lower rim is at ``at``: radii ``low`` below and ``high``
-    above."""
+    """An open shade of material ``slot`` with its lower rim at ``at`` and radii ``low`` below and ``high``
+    above.
+    """
     t = _THIN
     profile = [(low, 0), (high, height), (high - t, height), (low - t, 0), (low, 0)]
     item.add(slot, lathe(profile, at, 32))
@@ -51,7 +52,8 @@ def _shaded(
     lumen: float,
 ) -> None:
     """A luminous translucent ``shade`` (arguments of :func:`_shade`), or an opaque one over a ``bulb``
-    (place, radius)."""
+    (position, radius).
+    """
     if not draws.chance(_TRANSLUCENT):
         _shade(item, "shade", *shade)
         _bulb(item, slot, bulb[0], kelvin, lumen, bulb[1])
@@ -76,7 +78,9 @@ def ceiling_disc(draws: Draws, slot: str) -> Item:
 
 
 def pendant(draws: Draws, slot: str, drop: float, is_globe: bool = False) -> Item:
-    """A lamp on a cord: a shade with a bulb, or an opal globe; its lowest point is ``drop`` down."""
+    """A lamp on a cord: a shade with a bulb, or an opal globe; its lowest point is ``drop`` below the
+    ceiling.
+    """
     item = Item("pendant", hold="ceiling")
     item.add("metal", cylinder(0.05, 0.025, (0, 0, -0.025), 20, 0.005))
     kelvin = draws.uniform(*_WARM)
@@ -118,7 +122,7 @@ def panel(draws: Draws, slot: str, length: float = 1.2) -> Item:
 
 
 def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
-    """A tube on a batten, as in workshops and cellars."""
+    """A fluorescent tube on a batten, as in workshops and cellars."""
     item = Item("batten_lamp", hold="ceiling")
     item.add("radiator", box((length, 0.07, 0.05), (0, 0, -0.05), 0.006))
     item.add("radiator", box((0.03, 0.05, 0.05), (-length / 2 + 0.02, 0, -0.098), 0.004))
@@ -132,7 +136,7 @@ def batten(draws: Draws, slot: str, length: float = 1.5) -> Item:
 
 
 def spots(draws: Draws, slot: str, length: float = 1.2) -> Item:
-    """A rail with three or four spots."""
+    """A rail with three or four spotlights."""
     item = Item("spots", hold="ceiling")
     item.add("metal", box((length, 0.034, 0.03), (0, 0, -0.03), 0.004))
     count = draws.integer(3, 4)
@@ -154,7 +158,7 @@ def spots(draws: Draws, slot: str, length: float = 1.2) -> Item:
 
 
 def floor_lamp(draws: Draws, slot: str) -> Item:
-    """A standard lamp: a foot, a pole and a shade."""
+    """A floor lamp: a foot, a pole and a shade."""
     item = Item("floor_lamp")
     c, h = -0.22, draws.uniform(1.45, 1.65)
     item.add(

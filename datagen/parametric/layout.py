@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Puts furniture into a shell by rules: at walls, beside each other, at tables, in the middle, on top.
 
-Every candidate is looked at before it is taken: inside, clear of what stands, of swinging doors, of windows
-and of the floor before cupboards, and the room can still be walked through. A required piece that finds no
-place raises :class:`Unfit`; the room is then drawn anew from another seed.
+Every candidate is checked before it is accepted: inside the room, clear of other furniture, of swinging
+doors, of windows and of the floor in front of cupboards, with walking paths still open. A required item
+without a valid position raises :class:`Unfit`; the room is then generated anew from another seed.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _TURN: dict[Side, float] = {"back": 0.0, "left": 0.5 * math.pi, "front": math.pi
 
 
 class Unfit(Exception):
-    """A required piece of furniture finds no place in the room that was drawn."""
+    """A required item has no valid position in the generated room."""
 
 
 @dataclass
 class Furnisher:
-    """The room while it is filled. ``draws`` decides everything; ``zones`` (2, 3) must stay free."""
+    """The room while it is furnished. ``draws`` makes all random choices; ``zones`` (2, 3) must stay free."""
 
     shell: Shell
     style: Style
@@ -75,7 +75,7 @@ class Furnisher:
         low, high = np.minimum(a, b), np.maximum(a, b)
         self.zones.append((name, np.array([[*low, levels[0]], [*high, levels[1]]])))
 
-    # names of slots that every lamp and picture has for itself
+    # names of slots that each lamp and picture has of its own
 
     def blank_walls(self) -> list[Wall]:
         """Walls without windows, in random order."""
@@ -90,13 +90,13 @@ class Furnisher:
         return f"art_{self._num_arts - 1}"
 
     def reserve(self, built: Placed) -> None:
-        """Keep clear of something that is built."""
+        """Keep the surroundings of a built-in item clear."""
         self.zones += [(built.name, box) for box in built.boxes()]
 
-    # the one way into the room
+    # the only entrance of the room
 
     def take(self, item: Item, at: tuple[float, float, float], yaw: float, stands_on: str = "") -> Placed:
-        """Place without asking; the room's check has the last word."""
+        """Place an item without checks; faults are found by the check of the room."""
         number = self._names[item.name]
         self._names[item.name] += 1
         rounded = (round(at[0], 6), round(at[1], 6), round(at[2], 6))
@@ -118,7 +118,9 @@ class Furnisher:
         ignores: Sequence[str] = (),
         stands_on: str = "",
     ) -> Placed | None:
-        """Place if it is clear. It may reach under or between what is ``near``; ``ignores`` names zones."""
+        """Place an item if its position is clear. It may extend under or between the items ``near``;
+        ``ignores`` names zones.
+        """
         trial = Placed(item, "trial", at, yaw, stands_on)
         boxes = trial.boxes()
         bounds = hull_of(boxes)
@@ -177,7 +179,7 @@ class Furnisher:
         gap: float = OFF_WALL_M,
         s: float | None = None,
     ) -> Placed | None:
-        """With its back to a wall: anywhere, in a corner, or in the middle of the wall first."""
+        """Place with its back to a wall: anywhere, in a corner, or first in the middle of the wall."""
         b = item.bounds
         order = list(walls) if walls is not None else self.draws.shuffled(WALLS)
         for wall in order:
@@ -198,7 +200,7 @@ class Furnisher:
         return None
 
     def in_middle(self, item: Item, needed: bool = False, spread: float = 1.0) -> Placed | None:
-        """Standing free; the first try is the middle of the room, later ones anywhere."""
+        """Place in the open: first in the middle of the room, later anywhere."""
         b = item.bounds
         size = b[1] - b[0]
         for k in range(_TRIES):
@@ -222,7 +224,7 @@ class Furnisher:
     def beside(
         self, item: Item, host: Placed, side: Literal["left", "right"], gap: float = 0.04
     ) -> Placed | None:
-        """At the same wall, to the host's left or right (as its front sees it, mirrored)."""
+        """Place at the same wall as a host, on its left or right (mirrored, as from its front)."""
         h, b = host.item.bounds, item.bounds
         x = h[0, 0] - gap - b[1, 0] if side == "left" else h[1, 0] + gap - b[0, 0]
         at = host.room_from_item @ np.array([x, 0.0, 0.0, 1.0])
@@ -231,7 +233,7 @@ class Furnisher:
     def before(
         self, item: Item, host: Placed, gap: float, needed: bool = False, turned: bool = False
     ) -> Placed | None:
-        """In front of a host, ``gap`` away; ``turned`` faces it."""
+        """Place in front of a host, ``gap`` away; ``turned`` makes it face the host."""
         h, b = host.item.bounds, item.bounds
         y = h[0, 1] - gap - (b[1, 1] if not turned else -b[0, 1])
         at = host.room_from_item @ np.array([0.5 * (h[0, 0] + h[1, 0]), y, 0.0, 1.0])
@@ -244,7 +246,7 @@ class Furnisher:
     def seat(
         self, chair: Item, table: Placed, side: Side, offset: float, tuck: float, jitter: float = 1.0
     ) -> Placed | None:
-        """A chair at a side of a table, facing it, ``tuck`` of its depth below the top."""
+        """Place a chair at a side of a table, facing it, with ``tuck`` of its depth below the top."""
         b, depth = table.item.bounds, -float(chair.bounds[0, 1])
         middle = b.mean(axis=0)[:2]
         half = 0.5 * (b[1] - b[0])[:2]
@@ -271,7 +273,9 @@ class Furnisher:
         y: float | None = None,
         turn: float = 0.0,
     ) -> Placed | None:
-        """On a host's surface; ``x`` from its middle, the item's back ``y`` before the surface's back."""
+        """Place on a host's surface: ``x`` from its middle, the item's back at ``y`` in front of the
+        surface's back.
+        """
         support = host.item.supports[index]
         back = support.middle[1] + support.size[1] / 2 - (0.02 if y is None else y)
         at = host.room_from_item @ np.array([support.middle[0] + x, back, support.z, 1.0])
@@ -292,7 +296,7 @@ class Furnisher:
         free: float = 0.12,
         is_slim: bool = False,
     ) -> Placed | None:
-        """On a wall, ``free`` metres clear of doors and windows and of what stands there.
+        """Place on a wall, ``free`` metres clear of doors, windows and furniture.
 
         A placement with ``is_slim`` may also be behind furniture and beside its front.
         """
@@ -326,13 +330,13 @@ class Furnisher:
     def before_window(
         self, item: Item, window: Window, z: float, near: Sequence[Placed] = ()
     ) -> Placed | None:
-        """On the wall before a window, above it or below."""
+        """Place on the wall in front of a window, above it or below."""
         passed = [name for name, _ in self.zones if name.startswith("window")]
         at = (*self.shell.point(window.wall, window.s), z)
         return self.offer(item, at, self.shell.yaw(window.wall), near=near, ignores=passed)
 
     def over(self, item: Item, host: Placed, z: float) -> Placed | None:
-        """On the wall above a host that stands at it."""
+        """Place on the wall above a host that stands at it."""
         wall = self.wall_of(host)
         if wall is None:
             return None
@@ -341,7 +345,7 @@ class Furnisher:
         return self.hang(item, z, [wall], float(middle[:3] @ along), 0.02)
 
     def wall_of(self, host: Placed) -> Wall | None:
-        """The wall that a host's back is at; None for free-standing pieces."""
+        """The wall behind a host; None for free-standing items."""
         for wall in WALLS:
             if abs(math.remainder(host.yaw_rad - self.shell.yaw(wall), 2 * math.pi)) < 1e-4:
                 inward = rotation("z", self.shell.yaw(wall))[:2, 1]
@@ -350,11 +354,11 @@ class Furnisher:
         return None
 
     def ceil(self, item: Item, x: float, y: float) -> Placed | None:
-        """Under the ceiling at a place."""
+        """Place under the ceiling."""
         return self.offer(item, (x, y, self.shell.height), 0.0)
 
     def lay(self, rug: Item, x: float, y: float, yaw: float = 0.0) -> Placed | None:
-        """A rug around a place; nothing may stand half on it."""
+        """Place a rug; no item may stand partly on it."""
         b = rug.bounds
         middle = rotation("z", yaw)[:2, :2] @ b.mean(axis=0)[:2]
         return self.offer(rug, (x - float(middle[0]), y - float(middle[1]), 0.0), yaw)

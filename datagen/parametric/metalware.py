@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pieces of sheet and tube: bins, trolleys, lockers."""
+"""Furniture of sheet metal and tubes: bins, trolleys, lockers."""
 
 from __future__ import annotations
 

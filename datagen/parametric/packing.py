@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rooms as environment packages in memory: meshes, slots, supports, places for lamps and for cameras."""
+"""Rooms as environment packages in memory: meshes, slots, supports, positions of lamps and cameras."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from datagen.parametric.shell import (
 from datagen.parametric.slots import METAL_SHARE, SLOTS, in_metal
 
 _LUMEN_PER_WATT = 179.0  # luminous efficacy of white light, as renderers use it
-_BALANCE_K, _WHITE_K = 4000.0, 6500.0  # a camera set to mixed light shows a lamp of 4000 K as white
+_BALANCE_K, _WHITE_K = 4000.0, 6500.0  # a camera set to mixed light renders a lamp of 4000 K white
 _ON = 0.8  # share of lamps that are switched on
 _REGION_TOP_M = 2.2
 _MAX_REGIONS, _MAX_FLOORS = 6, 3
@@ -49,13 +49,13 @@ Rectangle = tuple[Floats, Floats]
 
 
 def room_id(kind: str, seed: str, has_scenery: bool = True) -> str:
-    """Id of the package of a room; no two seeds share one, nor does a room with and without scenery."""
+    """Id of the package of a room, unique for each seed, with and without scenery."""
     key = f"{kind}/{seed}" if has_scenery else f"{kind}/{seed}/no scenery"
     return f"room-{kind}-{sha256_hex(key.encode())[:12]}"
 
 
 def room_package(kind: str, seed: str, has_scenery: bool = True) -> tuple[bytes, Package]:
-    """The room of a kind and seed as the bytes of a zip and as an opened package."""
+    """The room of a kind and seed, as the bytes of a zip and as an opened package."""
     return package_of(make_room(kind, seed, has_scenery))
 
 
@@ -103,7 +103,7 @@ def package_of(room: MadeRoom) -> tuple[bytes, Package]:
 def _write_meshes(
     placed: Placed, number: int, files: dict[str, bytes]
 ) -> list[tuple[str, str, float | None]]:
-    """One mesh a slot of an item, shared by all places where it stands."""
+    """One mesh per slot of an item, shared by all its instances."""
     by_slot: dict[str, list[Shape]] = {}
     for slot, shape in placed.item.shapes:
         by_slot.setdefault(slot, []).append(shape)
@@ -148,7 +148,7 @@ def _material(
 
 
 def _glowing(lamp: Lamp) -> SlotMaterial:
-    """A luminous slot: radiance of a Lambertian emitter of the lamp's flux and colour."""
+    """A luminous slot: radiance of a Lambertian emitter with the lamp's flux and colour."""
     radiance = lamp.lumen / (_LUMEN_PER_WATT * math.pi * lamp.area_m2)
     shown = 1e6 / (1e6 / lamp.kelvin - 1e6 / _BALANCE_K + 1e6 / _WHITE_K)
     red, green, blue = (quantized(radiance * c, 5) for c in color_of_temperature(shown))

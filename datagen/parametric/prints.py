@@ -17,7 +17,7 @@ _PAPER = np.array([0.93, 0.91, 0.86])
 
 
 def print_image(draws: Draws) -> bytes:
-    """A small picture in a few colours that go together, or in greys."""
+    """A small picture in a few matching colours, or in greys."""
     hue, spread = draws.unit(), draws.uniform(0.04, 0.2)
     saturation = 0.0 if draws.chance(0.25) else 1.0
     inks = [
@@ -68,7 +68,7 @@ def _washes(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Dr
 
 
 def _hills(picture: Floats, x: Floats, y: Floats, inks: list[Floats], draws: Draws) -> None:
-    """Ridges, each nearer one darker, below a sky that brightens to the horizon."""
+    """Ridges that darken towards the viewer, below a sky that brightens to the horizon."""
     sky, ground = 0.45 + 0.55 * inks[0], 0.5 * inks[1]
     picture[:] = sky + (0.95 - sky) * y[..., None]
     count = draws.integer(3, 6)

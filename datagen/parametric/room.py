@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A furnished room from (kind, seed): shell, furniture and checks.
 
-A room that comes out badly is drawn again with another sub-seed; which one it took follows from the seed.
+A faulty room is generated again from another sub-seed; the final sub-seed follows from the seed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _HINGES: tuple[Literal[-1], Literal[1]] = (-1, 1)
 
 @dataclass(frozen=True)
 class MadeRoom:
-    """A sound room. ``tries``: number of rooms drawn; ``rejected``: reasons against the others.
+    """A sound room. ``tries``: number of generated rooms; ``rejected``: faults of the earlier ones.
 
     Without ``has_scenery`` the outside of windows is empty, for a panorama.
     """
@@ -51,7 +51,7 @@ class MadeRoom:
 
 
 def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
-    """The room of a kind and seed. Raises :class:`InputError` where none of :data:`MAX_TRIES` is sound."""
+    """The room of a kind and seed. Raises :class:`InputError` if none of :data:`MAX_TRIES` rooms is sound."""
     rejected: list[str] = []
     for attempt in range(MAX_TRIES):
         key = ("parametric room", kind, seed, attempt)
@@ -118,7 +118,7 @@ def _doors(kind: Kind, shell: Shell, draws: Draws) -> tuple[Door, ...]:
 
 
 def _windows(kind: Kind, shell: Shell, doors: Sequence[Door], draws: Draws) -> tuple[Window, ...]:
-    """Windows of one make on one wall or two."""
+    """Windows of one type on one wall or two."""
     count = draws.integer(*kind.windows)
     sill = draws.uniform(*kind.sill)
     top = min(shell.height - draws.uniform(0.18, 0.35), sill + draws.uniform(1.1, 1.7))

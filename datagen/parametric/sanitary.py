@@ -13,7 +13,7 @@ from datagen.parametric.units import tap
 
 
 def bathtub(style: Style, draws: Draws) -> Item:
-    """A bath with a panel; its long side is the wall's."""
+    """A bath with a panel; its long side is along the wall."""
     item = Item("bathtub", front_m=0.55)
     w, d, h = draws.uniform(1.6, 1.8), draws.uniform(0.72, 0.8), 0.56
     rings = [
@@ -144,7 +144,7 @@ def toilet(style: Style, draws: Draws) -> Item:
 
 
 def towel_rail(style: Style, draws: Draws) -> Item:
-    """A heated ladder on the wall, with a towel."""
+    """A heated towel ladder on the wall, with a towel."""
     item = Item("towel_rail", hold="wall")
     w, h = 0.5, draws.uniform(1.0, 1.4)
     for x in (-w / 2, w / 2):

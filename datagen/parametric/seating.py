@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things to sit and lie on: chairs, stools, sofas, benches, beds."""
+"""Seats and beds: chairs, stools, sofas, benches, beds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from datagen.parametric.shapes import Shape, box, cylinder, flipped, grid, joine
 
 
 def chair(style: Style, draws: Draws, seat_height: float = 0.46) -> Item:
-    """A chair of 0.42 to 0.48 m; back of slats, of one board or upholstered."""
+    """A chair 0.42 to 0.48 m wide; its back has slats, one board or upholstery."""
     item = Item("chair")
     w, d = draws.uniform(0.42, 0.48), draws.uniform(0.44, 0.5)
     back = draws.choice(("slats", "board", "soft"))
@@ -246,7 +246,7 @@ def bed(style: Style, draws: Draws, width: float, is_child: bool = False) -> Ite
 
 
 def _duvet(width: float, length: float, z: float, y: float) -> Shape:
-    """A blanket on a mattress's top ``z`` from ``y`` backwards, over its sides."""
+    """A blanket on a mattress's top at height ``z``, from ``y`` backwards, hanging over its sides."""
     s = np.linspace(-1, 1, 41)
     t = np.linspace(0, 1, 26)
     half = width / 2

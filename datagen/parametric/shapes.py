@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Modelling with plain arrays: every function returns a :class:`Shape` in metres, Z up, with UVs in metres.
 
-Letters: n vertices, m triangles. A grain runs along u. Solids are closed and wound counter-clockwise seen
+Letters: n vertices, m triangles. Wood grain runs along u. Solids are closed and wound counter-clockwise seen
 from outside. ``at`` is the middle of a shape's foot unless a function says otherwise.
 """
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Point = tuple[float, float, float]
-_SHARP_COSINE = math.cos(math.radians(40.0))  # edges of a profile that turn more stay sharp
+_SHARP_COSINE = math.cos(math.radians(40.0))  # sharper edges of a profile are not smoothed
 _ORIGIN: Point = (0.0, 0.0, 0.0)
 
 
@@ -44,7 +44,7 @@ class Shape:
         return replace(self, points=self.points @ matrix.T, normals=self.normals @ matrix.T)
 
     def shifted_uv(self, u: float, v: float) -> Shape:
-        """The same reading another piece of its pattern; prints stay."""
+        """The same shape on another section of its pattern; prints stay."""
         return self if self.is_print else replace(self, uv=self.uv + np.array([u, v]))
 
     @property
@@ -64,7 +64,7 @@ def rotation(axis: str, angle_rad: float) -> Floats:
 
 
 def joined(shapes: Sequence[Shape]) -> Shape:
-    """One shape of several."""
+    """One shape from several."""
     starts = np.cumsum([0] + [len(s.points) for s in shapes[:-1]])
     return Shape(
         np.concatenate([s.points for s in shapes]),
@@ -111,7 +111,9 @@ def _box_topology() -> tuple[Ints, Ints, Ints]:
 
 
 def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | None = None) -> Shape:
-    """A box with bevelled edges that shade round; ``grain`` is the axis along which u runs (the longest)."""
+    """A box with bevelled edges and smooth shading; ``grain`` is the axis along which u runs (default: the
+    longest).
+    """
     half = 0.5 * np.array(size, dtype=np.float64)
     r = min(bevel, 0.45 * float(half.min()))
     faces, axis, corner = _box_topology()
@@ -124,7 +126,7 @@ def box(size: Point, at: Point = _ORIGIN, bevel: float = 0.003, grain: int | Non
 
 
 def _box_uv(points: Floats, normals: Floats, grain: int, half: Floats) -> Floats:
-    """Box projection (n, 2): u along the grain where a face has it, else along the face's longer side."""
+    """Box projection (n, 2): u along the grain if a face contains it, else along the face's longer side."""
     uv = np.zeros((len(points), 2))
     axis, sign = np.argmax(np.abs(normals), axis=1), 1.0
     for a in range(3):
@@ -142,7 +144,7 @@ def _box_uv(points: Floats, normals: Floats, grain: int, half: Floats) -> Floats
 def rounded_box(
     size: Point, radius: float, at: Point = _ORIGIN, segments: int = 2, bulge: float = 0.0
 ) -> Shape:
-    """A box with round edges; ``bulge`` metres blow its large faces outwards like a cushion's."""
+    """A box with round edges; ``bulge`` metres inflate its large faces like a cushion's."""
     half = 0.5 * np.array(size, dtype=np.float64)
     r = min(radius, 0.98 * float(half.min()))
     angles = np.linspace(-math.pi / 4, 0, segments + 1)
@@ -200,7 +202,7 @@ def _lattice_faces(rows: int, columns: int) -> Ints:
 
 
 def smooth(shape: Shape) -> Shape:
-    """The shape with normals averaged over all triangles that meet at a place."""
+    """The shape with normals averaged over all triangles that share a position."""
     _, spot = np.unique(np.round(shape.points, 7), axis=0, return_inverse=True)
     spot = spot.reshape(-1)
     p = shape.points[shape.faces]
@@ -232,19 +234,20 @@ def flipped(shape: Shape) -> Shape:
 
 
 def without_slivers(shape: Shape) -> Shape:
-    """The shape less triangles without area."""
+    """The shape without triangles of zero area."""
     p = shape.points[shape.faces]
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     return replace(shape, faces=shape.faces[area > 1e-12])
 
 
 def lathe(profile: Sequence[tuple[float, float]], at: Point = _ORIGIN, segments: int = 24) -> Shape:
-    """A body of revolution about z from (radius, height) pairs, from its foot up the outside and in again.
+    """A body of revolution about z from (radius, height) pairs, from its foot up the outside and down the
+    inside.
 
-    u runs along the profile, v around. Corners of the profile that turn more than 40 degrees stay sharp.
+    u runs along the profile, v around. Corners of the profile sharper than 40 degrees have no smooth shading.
     """
     steps = np.array(profile, dtype=np.float64)
-    steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # a cosine that is not quite zero would leave a hole
+    steps[np.abs(steps[:, 0]) < 1e-9, 0] = 0.0  # a cosine slightly off zero would leave a hole
     edges = np.diff(steps, axis=0)
     unit = edges / np.linalg.norm(edges, axis=1, keepdims=True)
     runs, start = [], 0
@@ -329,7 +332,7 @@ def tube(path: Sequence[Point], radius: float, segments: int = 8) -> Shape:
 
 
 def _wound(shape: Shape) -> Shape:
-    """The shape with triangles turned to the side of their normals."""
+    """The shape with triangles wound to match their normals."""
     p = shape.points[shape.faces]
     cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     inward = (cross * shape.normals[shape.faces].mean(axis=1)).sum(axis=1) < 0
@@ -367,7 +370,7 @@ def flat(quads: Floats, is_print: bool = False) -> Shape:
 def loft(rings: Floats, caps: tuple[bool, bool] = (False, False)) -> Shape:
     """A smooth skin over closed rings (k, c, 3), counter-clockwise seen from above, from the foot upwards.
 
-    Inner skins (of a basin) go on downwards. ``caps`` close the first and the last ring with a fan.
+    Inner skins (of a basin) continue downwards. ``caps`` close the first and the last ring with a fan.
     """
     closed = np.concatenate([rings, rings[:, :1]], axis=1)
     skin = grid(closed)

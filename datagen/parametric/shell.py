@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The shell of a room: walls with openings, floor, ceiling, skirting, windows, doors, and the outside.
 
-The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height]. A *wall frame* is seen
-from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
+The interior is x in [-width/2, width/2], y in [-depth/2, depth/2], z in [0, height]. A *wall frame* is
+oriented as seen from inside: s runs to the right, the wall's face is y = 0, the room is y < 0.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from datagen.parametric.shapes import Floats, Shape, box, cylinder, flat, grid, 
 Wall = Literal["north", "west", "south", "east"]
 WALLS: tuple[Wall, ...] = ("north", "west", "south", "east")
 THICKNESS = 0.28
-_RECESS = 0.55 * THICKNESS  # of the window frames behind the wall's face
+_RECESS = 0.55 * THICKNESS  # depth of the window frames behind the wall's face
 _YAW: dict[Wall, float] = {"north": 0.0, "west": 0.5 * math.pi, "south": math.pi, "east": -0.5 * math.pi}
-CASING_M = 0.09  # how far frames of doors and windows reach beyond the opening
+CASING_M = 0.09  # extent of frames of doors and windows beyond the opening
 DOOR_HEIGHT = 2.03
 
 
 @dataclass(frozen=True)
 class Window:
-    """An opening in a wall: middle ``s``, ``width``, ``height`` above ``sill``; panes across and up."""
+    """An opening in a wall: middle ``s``, ``width``, ``height`` above ``sill``; numbers of panes across and
+    up.
+    """
 
     wall: Wall
     s: float
@@ -40,7 +42,9 @@ class Window:
 
 @dataclass(frozen=True)
 class Door:
-    """A closed door that opens inwards: middle ``s``, leaf ``width``, ``hinge`` at its left (-1) or right."""
+    """A closed door that opens inwards: middle ``s``, leaf ``width``, ``hinge`` on its left (-1) or right
+    (1).
+    """
 
     wall: Wall
     s: float
@@ -51,7 +55,7 @@ class Door:
 
 @dataclass(frozen=True)
 class Shell:
-    """Size and openings of a room. ``accent`` is a wall of another colour, ``tiled`` those with tiles."""
+    """Size and openings of a room. ``accent`` is a wall of another colour, ``tiled`` are walls with tiles."""
 
     width: float
     depth: float
@@ -71,13 +75,13 @@ class Shell:
         return _YAW[wall]
 
     def point(self, wall: Wall, s: float, gap: float = 0.0) -> tuple[float, float]:
-        """(x, y) of the place ``s`` along a wall, ``gap`` in front of it."""
+        """(x, y) at the position ``s`` along a wall, ``gap`` in front of it."""
         half = 0.5 * (self.depth if wall in ("north", "south") else self.width)
         x, y, _ = rotation("z", _YAW[wall]) @ np.array([s, half - gap, 0.0])
         return round(float(x), 9), round(float(y), 9)
 
     def on_wall(self, item: Item, name: str, wall: Wall, s: float, z: float, gap: float = 0.0) -> Placed:
-        """An item with its back ``gap`` off a wall."""
+        """An item with its back ``gap`` away from a wall."""
         return Placed(item, name, (*self.point(wall, s, gap), z), _YAW[wall])
 
     def spans(self, wall: Wall) -> list[tuple[float, float, float, float]]:
@@ -93,7 +97,7 @@ class Shell:
 
 
 def swing(shell: Shell, door: Door) -> Floats:
-    """Corners (k, 2) of the sector that a door's leaf sweeps, in the room."""
+    """Corners (k, 2) of the sector swept by a door's leaf, in the room."""
     hinge = door.s + door.hinge * door.width / 2
     angles = np.linspace(0, 0.5 * math.pi, 10)
     arc = [(hinge - door.hinge * door.width * math.cos(a), -door.width * math.sin(a)) for a in angles]
@@ -103,7 +107,7 @@ def swing(shell: Shell, door: Door) -> Floats:
 
 
 def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
-    """Everything that is built, as placed items."""
+    """All built-in parts as placed items."""
     w, d, h, t = shell.width, shell.depth, shell.height, THICKNESS
     body = Item("shell")
     body.shapes.append(("floor", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), 0.0, grain=0)))
@@ -132,7 +136,7 @@ def shell_items(shell: Shell, draws: Draws) -> list[Placed]:
 
 
 def _wall(shell: Shell, wall: Wall) -> Item:
-    """A thick wall with holes for its windows; north and south fill the corners."""
+    """A thick wall with holes for its windows; north and south walls include the corners."""
     reach = THICKNESS if wall in ("north", "south") else 0.0
     half = shell.length(wall) / 2 + reach
     holes = [
@@ -299,11 +303,12 @@ def openings(shell: Shell) -> list[tuple[str, Floats, Floats, Floats]]:
 
 
 def outside(shell: Shell, draws: Draws) -> list[Placed]:
-    """Scenery outside of windows: ground below, then hedges, trees or houses, by draw."""
+    """Random scenery outside of windows: ground below, then hedges, trees or houses."""
     item = Item("outside")
     level = -shell.storey_m
     scene = draws.choice(("garden", "street", "trees"))
-    reach = 400.0  # the sky is black below the horizon: from the third floor one degree of it is left
+    # Mitsuba's sky is black below the horizon: from the third floor one degree of it is visible
+    reach = 400.0
     ground = "asphalt" if scene == "street" else "lawn"
     item.add(ground, box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), 0.0, grain=0))
     for wall in sorted({w.wall for w in shell.windows}):

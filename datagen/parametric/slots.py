@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The slots of generated rooms: the surface, fitting classes and a plain colour of each.
 
-Plans dress almost all of them from the library; the plain colours show where nothing suits.
+Plans assign materials of the library to almost all of them; the plain colours remain where none fits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Classes = tuple[MaterialClass, ...]
 
 @dataclass(frozen=True)
 class Slot:
-    """``classes``: the slot's own first; any may replace it unless it is fixed."""
+    """A slot. ``classes``: its own first; any of them may replace it unless it is fixed."""
 
     surface: Surface
     classes: Classes
@@ -27,7 +27,7 @@ class Slot:
     is_fixed: bool = False
 
     def material(self, classes: Classes | None = None) -> SlotMaterial:
-        """The slot's material; ``classes`` narrows what may replace it."""
+        """The slot's material; ``classes`` narrows the replacements."""
         allowed = classes or self.classes
         return SlotMaterial(
             classes=allowed[:1],
@@ -120,17 +120,17 @@ SLOTS: Mapping[str, Slot] = {
     "bark": _fixed("small", "organic", (0.09, 0.07, 0.05), 0.95),
     "foliage": _fixed("small", "organic", (0.06, 0.11, 0.03), 0.85),
 }  # fmt: skip
-"""Slots by name. Those of lamps (``glow``) and pictures (``art``) are added by the room."""
+"""Slots by name. Those of lamps (``glow``) and pictures (``art``) are added per room."""
 METAL_SHARE: Mapping[str, float] = {
     "appliance": 0.75, "frame": 0.35, "legs": 0.25, "machine": 0.5, "shade": 0.3, "slats": 0.5, "steel": 0.85,
     "tool": 0.6, "worktop": 0.35,
 }  # fmt: skip
-"""Share of the rooms in which a slot is of metal and of nothing else."""
+"""Share of the rooms in which a slot may only be of metal."""
 _FINISHED = ("frame", "legs", "shade", "slats")
 
 
 def in_metal(slot: str) -> SlotMaterial:
-    """The slot's material where it is of metal: slender ones have the finish of handles and taps."""
+    """The slot's material for slots of metal; slender ones have the finish of handles and taps."""
     surface: Surface = "fitting" if slot in _FINISHED else SLOTS[slot].surface
     return Slot(surface, ("metal",), _BARE, 0.3, _METAL).material()
 

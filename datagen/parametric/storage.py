@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things that hold things: wardrobes, chests, bookcases, racks, boards with tools."""
+"""Storage furniture: wardrobes, chests, bookcases, racks, boards with tools."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from datagen.parametric.items import Item, Style
 from datagen.parametric.joinery import books, fronts, legs
 from datagen.parametric.shapes import Shape, box, lathe, loft, rounded_box, tube
 
-_MIRRORED = 0.4  # of the wardrobes have mirrors on their doors
+_MIRRORED = 0.4  # share of wardrobes with mirrors on their doors
 
 
 def cabinet(
@@ -104,7 +104,7 @@ def wardrobe(style: Style, draws: Draws, doors: int) -> Item:
 def bookcase(
     style: Style, draws: Draws, width: float, height: float, depth: float = 0.3, fill: float = 0.6
 ) -> Item:
-    """Open shelves with uprights, a back and rows of books; free stretches bear things."""
+    """Open shelves with uprights, a back and rows of books; free stretches are support surfaces."""
     item = Item("bookcase", front_m=0.45)
     t = 0.024
     item.add("wood", box((width - 2 * t, 0.008, height - 0.06), (0, -0.006, 0.05), 0.0))
@@ -175,7 +175,7 @@ def cube_shelf(style: Style, draws: Draws, columns: int, rows: int) -> Item:
 
 
 def rack(style: Style, draws: Draws, width: float) -> Item:
-    """A shelf of steel uprights and boards with boxes and cans, for stores and workshops."""
+    """A shelf of steel uprights and boards with boxes and cans, for storerooms and workshops."""
     item = Item("rack", front_m=0.5)
     h, d = draws.uniform(1.75, 2.0), draws.uniform(0.38, 0.5)
     boards = "steel" if draws.chance(0.6) else "wood"
@@ -315,7 +315,7 @@ def coat_rail(style: Style, draws: Draws, width: float) -> Item:
 
 
 def _coat(draws: Draws, room: float) -> Shape:
-    """A garment on a hook: its loop is the origin."""
+    """A garment on a hook; the origin is its loop."""
     length, half = draws.uniform(0.7, 1.0), min(0.23, 0.45 * room + 0.02)
     phase = draws.uniform(0, 6)
     rings = []

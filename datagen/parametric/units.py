@@ -33,7 +33,7 @@ def tap(item: Item, x: float, y: float, z: float, reach: float = 0.16, height: f
 def sink_bowl(
     width: float, depth: float, deep: float, at: tuple[float, float, float], radius: float = 0.05
 ) -> Shape:
-    """A bowl sunk below ``at`` (its rim's middle), with a rim 12 mm wide that lies on the worktop."""
+    """A bowl sunk below ``at`` (the middle of its rim), with a rim 12 mm wide that rests on the worktop."""
     x, y, z = at
     rings = []
     for w, d, h, r in (
@@ -184,7 +184,7 @@ def _wall_units(item: Item, style: Style, draws: Draws, modules: list[str], widt
 
 
 def _washer_front(item: Item, x: float, y: float, z: float, height: float) -> None:
-    """Porthole, panel and knob of a washing machine whose front is the plane ``y``."""
+    """Door, panel and knob of a washing machine whose front is the plane ``y``."""
     c = z + 0.42 * height
     ring = lathe(
         [(0.13, 0), (0.172, 0), (0.175, 0.012), (0.16, 0.028), (0.135, 0.03), (0.128, 0.016), (0.13, 0)],
@@ -229,7 +229,7 @@ def utility_run(style: Style, draws: Draws, count: int) -> Item:
 
 
 def bar_counter(style: Style, draws: Draws, width: float) -> Item:
-    """A café counter: panelled towards the guests (-y), with a coffee machine, cups and a till on top."""
+    """A café counter: panelled on the guests' side (-y), with a coffee machine, cups and a till on top."""
     item = Item("bar_counter", front_m=0.75)
     d, h = 0.66, 1.08
     item.add("wood", box((width - 0.06, d - 0.1, 0.0905), (0, -d / 2, 0), 0.001))

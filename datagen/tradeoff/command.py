@@ -21,7 +21,7 @@ EXIT_INTERRUPTED = 75
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest errors of the setting to recommend."""
+    """Largest errors of the recommended setting."""
 
     rel_mse: Annotated[
         float | None,
@@ -57,7 +57,7 @@ def tradeoff(
     limits: Limits,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned trials and stop.")] = False,
 ) -> None:
-    """Measure error against time over everything that costs time, and recommend a setting for an error.
+    """Measure error against time over all settings that affect time, and recommend a setting for an error.
 
     Example: python -m datagen.tradeoff smoke --out smoke-tradeoff --max-rel-mse 0.01
     """
@@ -81,7 +81,7 @@ def _announce(sweep: Sweep) -> None:
 
 
 def _run(sweep: Sweep) -> None:
-    """Measure with a bar; an interrupt ends the command with 75."""
+    """Measure with a progress bar; an interrupt ends the command with 75."""
     total = sweep.missing_views() + len(sweep.pending())
     done = 0
     with Bars("steps") as bars:
@@ -107,7 +107,7 @@ def _write(sweep: Sweep, limits: dict[str, float]) -> None:
     if limits:
         try:
             recommended = recommend(points, sweep.base, limits)
-        except InputError as error:  # the results are written all the same
+        except InputError as error:  # results are written even after an interrupt
             failure = error
     results = Results(trials, sweep.base, sweep.unavailable, sweep.description(), recommended, limits or None)
     for path in write_results(results, sweep.out):

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""References of settings: converged views of a configuration, made once and kept.
+"""References for the tradeoff: converged views of a configuration, rendered once and stored.
 
-A reference holds, for each view, two independent images (their own noise then adds nothing to the errors,
-see ``datagen.rendering.error``), maps of many samples, and statistics over all views: of the denoised mean of
-both images, traced visibility, the most best views. It is named by the hash of all that decides it, so that
-another library, configuration, resolution, sample count or renderer never meets an old one.
+A reference holds, for each view, two independent images (so that their own noise adds nothing to the errors,
+see ``datagen.rendering.error``), maps from many samples, and statistics over all views: of the denoised mean
+of both images, with traced visibility and the maximum number of best views. It is named by the hash of
+everything that affects it, so that another library, configuration, resolution, sample count or renderer never
+reuses it.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ STATISTICS = ("color_min", "color_median", "color_max")
 
 
 def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -> Configuration:
-    """The configuration at another resolution with ``num_views`` of its views, spread evenly."""
+    """The configuration at another resolution with ``num_views`` of its views, evenly spaced."""
     total = len(configuration.cameras)
     count = min(num_views, total)
     chosen = [configuration.cameras[k * total // count] for k in range(count)]
@@ -48,7 +49,7 @@ def sized(configuration: Configuration, size: tuple[int, int], num_views: int) -
 
 
 def reference_key(configuration: Configuration, samples: int) -> str:
-    """Hash of all that decides a reference. The configuration names its assets by their hashes."""
+    """Hash of everything that affects a reference. The configuration names its assets by their hashes."""
     parts = {
         "configuration": configuration.model_dump(mode="json"),
         "samples": samples,
@@ -76,7 +77,7 @@ class Reference:
 
     @property
     def num_made(self) -> int:
-        """Views that are there."""
+        """Number of finished views."""
         return sum(self.view_path(k).is_file() for k in range(self.num_views))
 
     @property
@@ -105,7 +106,7 @@ class Reference:
 
 
 def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
-    """Write an ``npz`` that appears whole or not at all."""
+    """Write an ``npz`` file that appears whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial.npz")
     np.savez(partial, **arrays)
     publish(partial, path)
@@ -118,7 +119,7 @@ def make_reference(
     samples: int,
     report: Callable[[], None],
 ) -> None:
-    """Make what is missing of a reference; ``report`` is called after each view."""
+    """Make the missing parts of a reference; ``report`` is called after each view."""
     from datagen.rendering.renderer import SceneRenderer
 
     reference.folder.mkdir(parents=True, exist_ok=True)
@@ -145,7 +146,7 @@ def make_reference(
 
 
 def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np.float32]:
-    """Mean of ``samples`` paths a pixel in small launches, what lights send straight included."""
+    """Mean of ``samples`` paths per pixel in small launches, including visible emission."""
     sensor = renderer.sensor(renderer.configuration.cameras[index].camera())
     total, done = np.zeros((1, 1, 3)), 0
     while done < samples:
@@ -159,7 +160,7 @@ def _converged(renderer: Any, index: int, samples: int, half: int) -> NDArray[np
 def _statistics(
     renderer: Any, configuration: Configuration, reference: Reference
 ) -> dict[str, NDArray[np.float32]]:
-    """Statistics of all views, of their converged and denoised colours."""
+    """Statistics of all views, from their converged and denoised colours."""
     from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
     from datagen.multiview.visibility import VisibilityOptions
     from datagen.rendering.denoiser import auxiliary_albedo, make_denoiser
@@ -173,7 +174,7 @@ def _statistics(
         normal = maps["normal_world"]
         if denoiser.wants_camera_normals:
             normal = normal @ camera.camera().world_from_camera[:3, :3].astype(np.float32)
-        # lights in view are not denoised well, but their pixels have no statistics
+        # visible lights are not denoised well, but their pixels have no statistics
         color = denoiser.denoise(mean, albedo, normal)
         views.append(
             StatisticsView(

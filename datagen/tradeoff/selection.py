@@ -23,12 +23,12 @@ RENDER_FIELDS = (
     "firefly_clamp",
     "irradiance_cache",
 )
-"""Fields that a recommendation may change: the others change the content of a view, not its accuracy."""
+"""Fields that a recommendation may change; the others change the content of a view, not its accuracy."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """A setting's means over all configurations; ``worst_rel_mse`` is that of the worst one."""
+    """A setting's means over all configurations; ``worst_rel_mse`` is the maximum over them."""
 
     setting: Setting
     rel_mse: float
@@ -42,7 +42,7 @@ class Point:
 
 
 def points_of(trials: Iterable[Trial]) -> list[Point]:
-    """One point for each setting that was tried on every configuration of ``trials``."""
+    """One point for each setting that was measured on every configuration of ``trials``."""
     by_setting: dict[Setting, dict[str, Trial]] = {}
     for trial in trials:
         by_setting.setdefault(Setting(**trial.setting), {})[trial.configuration] = trial
@@ -74,10 +74,10 @@ def points_of(trials: Iterable[Trial]) -> list[Point]:
 
 
 def pareto_front(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
-    """Indices of the pairs that no other beats, cheapest first.
+    """Indices of the pairs that no other dominates, cheapest first.
 
-    A pair is beaten by one that is at most as costly and at most as wrong, and better in one of the two. Of
-    equal pairs the first stays.
+    A pair is dominated by one with at most its cost and at most its error that is better in one of the two.
+    Of equal pairs the first remains.
     """
     order = sorted(range(len(costs)), key=lambda k: (costs[k], errors[k], k))
     front: list[int] = []
@@ -101,7 +101,7 @@ def front_of(points: Iterable[Point], base: Setting) -> list[Point]:
 def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) -> Point:
     """The cheapest comparable point whose errors are at most ``limits`` (by field of :class:`Point`).
 
-    Raises :class:`InputError` where none is, with the best that was measured.
+    Raises :class:`InputError` if there is none, with the best one measured.
     """
     found = comparable(points, base)
     meets = [p for p in found if all(getattr(p, name) <= limit for name, limit in limits.items())]
@@ -117,23 +117,23 @@ def recommend(points: Iterable[Point], base: Setting, limits: dict[str, float]) 
 
 
 def excess_over_front(point: Point, others: Sequence[Point], cost: str = "cpu_s") -> float:
-    """Cost of ``point`` over that which the front of ``others`` needs for its error.
+    """Cost of ``point`` divided by the cost at which the front of ``others`` reaches its error.
 
-    ``cost`` is a field of :class:`Point`. Between the front's points it is interpolated in logarithms; below
-    1 the point extends the front. An error that no other point reaches gives 0, one larger than that of the
-    front's cheapest point is held against that point.
+    ``cost`` is a field of :class:`Point`. The front is interpolated in logarithms between its points; below 1
+    the point extends the front. An error that no other point reaches gives 0; an error above that of the
+    front's cheapest point is compared with that point.
     """
     costs = [getattr(p, cost) for p in others]
     front = [others[k] for k in pareto_front(costs, [p.rel_mse for p in others])]
     if not front or point.rel_mse < front[-1].rel_mse:
         return 0.0
-    errors = np.log([p.rel_mse for p in reversed(front)])  # rising
+    errors = np.log([p.rel_mse for p in reversed(front)])  # increasing
     needed = np.log([getattr(p, cost) for p in reversed(front)])
     expected = float(np.exp(np.interp(np.log(point.rel_mse), errors, needed)))
     return float(getattr(point, cost)) / expected
 
 
 def as_row(point: Point) -> dict[str, Any]:
-    """A point as flat values."""
+    """A point as a flat dictionary."""
     values = asdict(point)
     return {**values.pop("setting"), **values}

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Settings that trade accuracy for time: one setting, the sweeps around a base point, and the factorial.
 
-Every field of :class:`Setting` costs or saves time. The base point is the recipe's defaults with a fixed
-number of samples; a sweep changes one field, the factorial crosses the four that interact: clean auxiliary
-buffers are worth what the denoiser makes of them, and both decide how many samples are needed, as does a
-cache that makes them cheaper and calmer.
+Every field of :class:`Setting` affects time. The base point is the recipe's defaults with a fixed number of
+samples; a sweep changes one field, the factorial crosses the four that interact: auxiliary buffers matter
+only through the denoiser, and both affect the number of samples needed, as does the irradiance cache, which
+makes them cheaper and less noisy.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import COMPRESSIONS
 
 DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
-"""OIDN's network sizes, guided by albedo and normal; ``unguided``: ``high`` with colours alone; OptiX."""
+"""OIDN's network sizes, guided by albedo and normal; ``unguided``: ``high`` without guides; OptiX."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to render, gather and store a view.
+    """Options for rendering, processing and storing a view.
 
-    ``quality`` names a target of the recipe (its samples, clamp and auxiliary samples then count, not those
-    given here). ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
-    ``texture_shrink``: texels a side that become one.
-    ``image_scale``: share of the resolution's side; such images are enlarged again to be judged. ``storage``
-    float keeps every channel in single precision.
+    ``quality`` names a target of the recipe (which then overrides samples, clamp and auxiliary samples given
+    here). ``firefly_clamp`` 0 clamps nothing. ``irradiance_cache`` 1 ends paths in cached irradiance.
+    ``texture_shrink``: side in texels of the squares averaged to one. ``image_scale``: factor on the
+    resolution's side; such images are enlarged again for comparison. ``storage`` float keeps every channel in
+    single precision.
     """
 
     quality: str = ""
@@ -52,12 +52,12 @@ class Setting:
     variant: str = "llvm_ad_rgb"
 
     def key(self) -> str:
-        """Hash of the setting's values, and of the numbers that a quality stands for today."""
+        """Hash of the setting's values, including the current numbers of its quality."""
         parts = {"setting": asdict(self), "recipe": self.recipe().model_dump(mode="json")}
         return sha256_hex(canonical_json(parts))[:16]
 
     def recipe(self) -> RenderRecipe:
-        """The part of it that the renderer reads."""
+        """The part of it used by the renderer."""
         common = {
             "variant": self.variant,
             "max_depth": self.max_depth,
@@ -72,12 +72,12 @@ class Setting:
         return RenderRecipe.model_validate({**common, **samples, **clamp, **cache})
 
     def differences(self, base: Setting) -> dict[str, Any]:
-        """Fields in which it differs from another."""
+        """Fields in which it differs from another setting."""
         theirs = asdict(base)
         return {name: value for name, value in asdict(self).items() if value != theirs[name]}
 
     def text(self, base: Setting) -> str:
-        """Short description against a base point."""
+        """Short description of its differences from a base point."""
         found = self.differences(base)
         return ", ".join(f"{name} {value}" for name, value in found.items()) or "base"
 
@@ -99,14 +99,14 @@ SWEEPS: dict[str, tuple[Any, ...]] = {
     "variant": ("llvm_ad_rgb", "cuda_ad_rgb"),
     "quality": tuple(QUALITIES),
 }
-"""Values of each field that are tried by themselves."""
+"""Values of each field that are varied alone."""
 FACTORIAL: dict[str, tuple[Any, ...]] = {
     "path_samples": (2, 4, 8, 16, 32),
     "auxiliary_samples": (16, 64),
     "denoiser": ("fast", "balanced", "high"),
     "irradiance_cache": (0, 1),
 }
-"""Fields that interact; all combinations are tried."""
+"""Fields that interact; all combinations are measured."""
 _LIMITS: dict[str, tuple[float, float]] = {
     "firefly_clamp": (0.0, 1e6),
     "irradiance_cache": (0, 1),
@@ -116,14 +116,14 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 
 def base_setting(variant: str) -> Setting:
-    """The point around which sweeps go."""
+    """The base point of the sweeps."""
     return Setting(variant=variant, denoiser="optix" if variant.startswith("cuda") else "high")
 
 
 def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: bool) -> list[Setting]:
     """Base, one-at-a-time sweeps and factorial, each setting once, in a fixed order.
 
-    A sweep is a field's name, or ``NAME=VALUE,VALUE`` with values of one's own. Raises :class:`InputError`.
+    A sweep is a field's name, or ``NAME=VALUE,VALUE`` with custom values. Raises :class:`InputError`.
     """
     settings, problems = [base], []
     for text in sweeps:
@@ -135,7 +135,7 @@ def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: boo
         for value in SWEEPS[name] if not listed else listed.split(","):
             try:
                 changed = replace(base, **{name: _checked(name, value)})
-                if name == "variant":  # each has a denoiser of its own
+                if name == "variant":  # each variant has its own denoiser
                     changed = replace(changed, denoiser=base_setting(changed.variant).denoiser)
                 changed.recipe()
             except ValueError as error:
@@ -151,7 +151,7 @@ def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: boo
 
 
 def _checked(name: str, value: Any) -> Any:
-    """``value`` as the field's type; ``ValueError`` for one that it cannot have."""
+    """``value`` as the field's type; ``ValueError`` for an invalid one."""
     kind = type(getattr(Setting(), name))
     if kind is str and value not in SWEEPS[name]:
         raise ValueError(f"one of {', '.join(SWEEPS[name])}")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Runs a sweep: references, then trials, each in a worker process of its variant and each kept on disk.
+"""Runs a sweep: references, then trials, each in a worker process of its variant and each stored on disk.
 
-``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` hold what is finished; an interrupted sweep goes on
-from there, and another sweep in the same folder uses them.
+``OUT/references/KEY`` and ``OUT/trials/KEY-SETTING.json`` hold finished results; an interrupted sweep resumes
+from them, and other sweeps in the same folder reuse them.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Sweep:
         return subjects
 
     def pending(self) -> list[tuple[Subject, Setting]]:
-        """Trials that are not on disk yet, in order."""
+        """Trials without a stored result, in order."""
         return [
             (subject, setting)
             for subject in self.subjects
@@ -126,11 +126,11 @@ class Sweep:
         ]
 
     def missing_views(self) -> int:
-        """Views of references that are not on disk yet."""
+        """Number of reference views without a stored result."""
         return sum(s.reference.num_views - s.reference.num_made for s in self.subjects)
 
     def trials(self) -> list[Trial]:
-        """All that is on disk of this sweep."""
+        """All stored trials of this sweep."""
         paths = (s.trial_path(self.out, setting) for s in self.subjects for setting in self.settings)
         return [read_trial(path) for path in paths if path.is_file()]
 
@@ -147,10 +147,9 @@ class Sweep:
         }
 
     def run(self, report: Callable[[str, int], None] = lambda what, done: None) -> list[Trial]:
-        """Make what is missing. ``report(what, steps)`` is called as views and trials are finished.
+        """Compute the missing results. ``report(what, steps)`` is called as views and trials are finished.
 
-        An interrupt leaves everything that is finished; so does a worker that dies, which raises
-        ``RuntimeError``.
+        Finished results survive an interrupt, and the death of a worker, which raises ``RuntimeError``.
         """
         for subject in self.subjects:
             if not subject.reference.is_complete:
@@ -177,7 +176,7 @@ class Sweep:
 
 
 def _check(out: Path, options: SweepOptions) -> None:
-    """Raise :class:`InputError` with everything that is wrong with a sweep before it is planned."""
+    """Raise :class:`InputError` with all faults of a sweep before it is planned."""
     problems = []
     if out.exists() and not out.is_dir():
         problems.append(Problem(out, "--out", "a file", "a folder", "choose another --out"))
@@ -200,7 +199,7 @@ def _check(out: Path, options: SweepOptions) -> None:
 
 
 def read_trial(path: Path) -> Trial:
-    """A trial on disk. Raises :class:`InputError` where it is damaged."""
+    """A stored trial. Raises :class:`InputError` if it is damaged."""
     try:
         return Trial(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
@@ -227,7 +226,7 @@ def _wait(future: object) -> None:
 
 @contextmanager
 def _worker() -> Iterator[ProcessPoolExecutor]:
-    """One process that renders: a variant is for a process's life."""
+    """One rendering process: a process cannot change its variant."""
     pool = ProcessPoolExecutor(1, get_context("spawn"), _start_worker)
     try:
         yield pool
@@ -245,7 +244,7 @@ def _worker() -> Iterator[ProcessPoolExecutor]:
 
 
 def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who started it ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ended by its starter
 
 
 def _make_reference(subject: Subject) -> None:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Measures one setting on one configuration: seconds by stage, errors against the reference, bytes a view.
+"""Measures one setting on one configuration: seconds by stage, errors against the reference, bytes per view.
 
-Stages run one after the other so that each one's seconds are its own; in production they overlap, and a view
-costs about their processor seconds divided by the cores. The first view is rendered twice: compilation is not
-counted. Seconds are medians over views, and with them a view's share of what is learned about the whole scene
-beforehand.
+Stages run one after the other so that their seconds are separate; in production they overlap, and a view
+costs about their processor seconds divided by the cores. The first view is rendered twice, so that
+compilation is not counted. Seconds are medians over views, plus a view's share of the preparation of the
+whole scene.
 
 * ``rel_mse``: exposed relMSE of the stored beauty (``datagen.rendering.error``), mean over views;
-* ``maps_error``: mean absolute error of D, S, R and the normal, over pixels that are surface;
+* ``maps_error``: mean absolute error of D, S, R and the normal, over surface pixels;
 * ``statistics_error``: mean absolute error of minimum, median and maximum at the view's exposure.
 """
 
@@ -41,7 +41,7 @@ STAGES = ("learn", "render", "statistics", "compress")
 
 
 class Stopwatch:
-    """Wall and processor seconds by stage, one entry a view."""
+    """Wall and processor seconds by stage, one entry per view."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[tuple[float, float]]] = {}
@@ -89,7 +89,9 @@ class Trial:
 
 
 def measure(configuration: Configuration, library: Library, reference: Reference, setting: Setting) -> Trial:
-    """Render, gather, store and judge every view of ``configuration`` (the reference's) with ``setting``."""
+    """Render, process, store and compare every view of ``configuration`` (the reference's) with
+    ``setting``.
+    """
     from datagen.rendering.geometry import MeshCache
     from datagen.rendering.renderer import SceneRenderer
     from datagen.rendering.scene_builder import AssetCaches
@@ -169,7 +171,7 @@ def _scaled(configuration: Configuration, share: float) -> Configuration:
 
 
 def _denoiser(setting: Setting) -> OidnDenoiser | None:
-    """The denoiser of a setting; None where the renderer's own choice fits."""
+    """The denoiser of a setting; None keeps the renderer's own choice."""
     if setting.denoiser in ("none", "optix"):
         return None
     is_guided = setting.denoiser != "unguided"
@@ -204,7 +206,7 @@ def _gather(
 
 
 def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
-    """A view as EXR: as shards hold it, or with every channel in single precision."""
+    """A view as EXR: as in shards, or with every channel in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
     import OpenEXR
@@ -241,7 +243,7 @@ def _errors(reference: Reference, index: int, buffers: dict[str, NDArray]) -> di
 
 
 def _at_size(array: NDArray, size: tuple[int, int]) -> NDArray[np.float32]:
-    """``array`` (H, W, C), enlarged where it is smaller than ``size`` (width, height)."""
+    """``array`` (H, W, C), enlarged if smaller than ``size`` (width, height)."""
     image = array.astype(np.float32)
     if image.shape[1::-1] == size:
         return image

@@ -115,7 +115,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def front_figure(points: Sequence[Point], results: Results) -> Figure:
-    """Error against processor seconds: every comparable setting, the front, qualities, the recommendation."""
+    """Error against processor seconds: all comparable settings, the front, qualities, the recommendation."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
@@ -140,11 +140,11 @@ def front_figure(points: Sequence[Point], results: Results) -> Figure:
         xscale="log", yscale="log", xlabel="processor seconds a view", ylabel="relMSE of the beauty image"
     )
     axes.grid(which="both", alpha=0.25)
-    axes.margins(x=0.1)  # room for the names of qualities
+    axes.margins(x=0.1)  # space for the names of qualities
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()
         axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("{x:.3g}" if high < 50 * low else "")  # decades have labels enough
+        axis.set_minor_formatter("{x:.3g}" if high < 50 * low else "")  # whole decades have enough labels
     axes.tick_params(which="minor", labelsize=7)
     _add_legend(axes)
     return figure
@@ -194,7 +194,7 @@ def _add_legend(axes: Axes) -> None:
 
 
 def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
-    """Effect of each field alone: errors, time and bytes over those of the base. None without a sweep."""
+    """Effect of each field alone: errors, time and bytes relative to the base. None without a sweep."""
     from matplotlib.figure import Figure
 
     base_point = next((p for p in points if p.setting == base), None)
@@ -214,7 +214,8 @@ def sweeps_figure(points: Sequence[Point], base: Setting) -> Figure | None:
         axes.set_yscale("log", base=2)
         axes.axhline(1.0, color="#333333", lw=0.7)
         low, high = axes.get_ylim()
-        axes.set_ylim(min(low, 0.5), max(high, 2.0))  # so that a hundredth does not look like much
+        # minimum range, so that small differences do not look large
+        axes.set_ylim(min(low, 0.5), max(high, 2.0))
         axes.set_title(f"{name} (base {getattr(base, name)})", fontsize=9)
         axes.tick_params(axis="x", labelrotation=45 if max(map(len, values)) > 4 else 0, labelsize=8)
         axes.tick_params(axis="y", labelsize=8)
