@@ -104,6 +104,8 @@ class ViewCamera(StrictModel):
 
 
 METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3
+MIN_METAL_SHARE, MIN_GLOSS_SHARE = 0.06, 0.15
+"""Shares of metal and gloss among the surface pixels that training needs."""
 """S (brightest channel) above and R below which a surface pixel counts as metal and as gloss."""
 
 

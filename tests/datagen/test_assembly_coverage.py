@@ -132,3 +132,28 @@ def test_plan_states_coverage(library: Library, tmp_path: Path) -> None:
     medians = sorted(c.coverage.median_observations for c in made if c.coverage)
     assert f"{medians[1]:g} views" in text and "two walls" in text and "S > 0.3" in text
     assert plan_summary([made[0].model_copy(update={"coverage": None})]) == ""
+
+
+def test_training_views_without_metal_or_gloss_are_said(library: Library) -> None:
+    """Of the training split alone, weighted by views; a validation set may show what it likes."""
+    one = assemble(recipe("room", 4), 0, library)
+    assert one.coverage is not None
+
+    def summary(*shares: tuple[str, float, float]) -> str:
+        return plan_summary(
+            one.model_copy(
+                update={
+                    "split": split,
+                    "coverage": one.coverage.model_copy(update={"metal_share": metal, "gloss_share": gloss}),  # type: ignore[union-attr]
+                }
+            )
+            for split, metal, gloss in shares
+        )
+
+    assert "note" not in summary(("train", 0.06, 0.15))
+    assert "note" not in summary(("train", 0.02, 0.1), ("train", 0.12, 0.3))
+    assert "note" not in summary(("validation", 0.0, 0.0)) and "note" not in summary(("test", 0.0, 0.0))
+    (note,) = summary(("train", 0.016, 0.22), ("validation", 1.0, 1.0)).splitlines()[3:]
+    assert note.startswith("note: ") and "S > 0.3 in 1.6% of them (at least 6%)" in note
+    assert "R < 0.3" not in note and "materials.class_weights" in note
+    assert "R < 0.3 in 14.0% of them (at least 15%)" in summary(("train", 0.1, 0.14))

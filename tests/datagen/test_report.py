@@ -158,10 +158,26 @@ def test_missing_regions_are_named() -> None:
     cells[0:4, 8:16] = 0
     views = [{"surface_pixels": 60, "metal_pixels": 6, "gloss_pixels": 30}, {"surface_pixels": 40}]
     views[1] |= {"metal_pixels": 0, "gloss_pixels": 0}
-    found = summary.coverage([{"coverage": cells.tolist(), "views": views}])
+    found = summary.coverage([{"coverage": cells.tolist(), "split": "train", "views": views}])
     assert (found["metal_share"], found["gloss_share"]) == (0.06, 0.3)
+    assert found["lack_for_training"] == ""
     assert found["missing"] == ["R 0 to 0.125, luminance of D 0.25 to 0.5"]
     assert found["coarse_filled"] == 62 and found["filled_share"] == 1 - 32 / 1024
+
+
+def test_lack_of_metal_and_gloss_is_that_of_the_training_split() -> None:
+    matt = {"surface_pixels": 100, "metal_pixels": 1, "gloss_pixels": 30}
+    steel = {"surface_pixels": 100, "metal_pixels": 90, "gloss_pixels": 90}
+    cells = np.ones((32, 32), int).tolist()
+
+    def lack(*splits: str) -> str:
+        shown = zip(splits, (matt, steel), strict=False)
+        return summary.coverage([{"coverage": cells, "split": s, "views": [v]} for s, v in shown])[
+            "lack_for_training"
+        ]
+
+    assert "S > 0.3 in 1.0%" in lack("train", "validation") and "R < 0.3" not in lack("train")
+    assert lack("validation", "train") == lack("train", "train") == lack("test") == ""
 
 
 def test_metal_and_gloss_are_counted() -> None:

@@ -15,6 +15,7 @@ from datagen.formats.asset import MATERIAL_CLASSES, EnvironmentAsset, ObjectAsse
 from datagen.formats.shard import DatasetIndex
 from datagen.foundation.errors import InputError
 from datagen.inspection.findings import CHECKS, Report
+from datagen.inspection.plan_summary import lack_for_training
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, nice_axis
 from datagen.library import Library, asset_classes
 
@@ -72,11 +73,12 @@ def distributions(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Counts over R x luminance of D, missing regions in words, and the shares of metal and gloss."""
+    """Counts over R x luminance of D, missing regions in words, the shares of metal and gloss, and which
+    of them training lacks."""
     cells = np.sum([shard["coverage"] for shard in gathered], axis=0)
     total = max(int(cells.sum()), 1)
-    views = [view for shard in gathered for view in shard["views"]]
-    surface = max(sum(view["surface_pixels"] for view in views), 1)
+    training = [shard for shard in gathered if shard["split"] == "train"]
+    metal_share, gloss_share = _metal_and_gloss(gathered)
     size = NUM_COVERAGE_BINS // _COARSE
     coarse = cells.reshape(_COARSE, size, _COARSE, size).sum(axis=(1, 3)) / total
     missing = []
@@ -88,13 +90,22 @@ def coverage(gathered: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {
         "cells": cells.tolist(),
         "filled_share": float((cells > 0).mean()),
-        "metal_share": sum(view["metal_pixels"] for view in views) / surface,
-        "gloss_share": sum(view["gloss_pixels"] for view in views) / surface,
+        "metal_share": metal_share,
+        "gloss_share": gloss_share,
+        "lack_for_training": lack_for_training(*_metal_and_gloss(training)) if training else "",
         "coarse_filled": int((coarse >= _MISSING_SHARE).sum()),
         "coarse_total": _COARSE * _COARSE,
         "threshold": _MISSING_SHARE,
         "missing": missing,
     }
+
+
+def _metal_and_gloss(gathered: Sequence[dict[str, Any]]) -> tuple[float, float]:
+    """Shares of metal and gloss among the surface pixels of all views."""
+    views = [view for shard in gathered for view in shard["views"]]
+    surface = max(sum(view["surface_pixels"] for view in views), 1)
+    metal, gloss = (sum(view[name] for view in views) for name in ("metal_pixels", "gloss_pixels"))
+    return metal / surface, gloss / surface
 
 
 def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:

@@ -138,6 +138,7 @@ REPORT.overview = (() => {
     section("coverage").append(element("div", { class: "beside" }, heatMap(coverage), element("div", {},
       element("p", { text: `${percent(coverage.filled_share)} of the fine cells hold pixels. Of ${coverage.coarse_total} coarse cells, ${coverage.coarse_filled} hold at least ${percent(coverage.threshold)} of all surface pixels.` }),
       element("p", { text: `${percent(coverage.metal_share)} of the surface pixels have S > 0.3, ${percent(coverage.gloss_share)} R < 0.3.` }),
+      coverage.lack_for_training ? element("p", { class: "notice", text: `${coverage.lack_for_training}.` }) : "",
       element("h3", { text: coverage.missing.length ? "Missing" : "Nothing is missing" }),
       element("ul", { class: "missing" }, ...coverage.missing.map((text) => element("li", { text }))))));
     fillAssets(data);
