@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: MIT
 """The fast bilateral solver (Barron and Poole 2016) in torch, with its analytic adjoint.
 
-It smooths a map t inside the regions of a guide image, trusting each pixel by its confidence c. Letters: P
-pixels and V occupied cells ("vertices") of all images of a batch together; S (V x P) sums pixels into
-cells, S^T copies cells to pixels; B is the blur over the grid, 10 on the diagonal and 1 for each occupied
-neighbour along x, y, luma and the two chromas; n and m make the blur bistochastic. The system of one
-channel is
+It smooths a map t inside the regions of a guide image, weighting each pixel by its confidence c. Letters: P
+pixels and V occupied cells ("vertices") of all images of a batch together; S (V x P) sums pixels into cells,
+S^T copies cells to pixels; B is the blur over the grid, 10 on the diagonal and 1 for each occupied neighbour
+along x, y, luma and the two chromas; n and m make the blur bistochastic. The system of one channel is
 
     A y = S (c t),   A = lambda (diag(m) - diag(n) B diag(n)) + diag(S c),   filtered = S^T y.
 
-The 10 on B's diagonal cancels against m, so the smoothness term is kept as the graph Laplacian that
-remains: row i is the sum over neighbours j of n_i n_j (y_i - y_j). Formed from m and B in float32 it would
-leave rounding of the size of lambda, which drowns a cell of small confidence.
+The 10 on B's diagonal cancels against m, so that the smoothness term is stored as the remaining graph
+Laplacian: row i is the sum over neighbours j of n_i n_j (y_i - y_j). Computed from m and B in float32 it
+would have a rounding error of the size of lambda, which is larger than a small confidence.
 
-Images of a batch share no cell, so A is block-diagonal and one solve serves them all. Method 6 fixes the
-numbers.
+Images of a batch share no cell, so that A is block-diagonal and one solve serves them all. The constants are
+those of method 6.
 """
 
 from __future__ import annotations
@@ -46,21 +45,21 @@ class SolverConfig(StrictModel):
     sigma_xy: float = Field(default=8.0, gt=0)
     """Side of a cell in pixels."""
     sigma_luma: float = Field(default=8.0, gt=0)
-    """Height of a cell in luma, of 255."""
+    """Size of a cell in luma, of 255."""
     sigma_chroma: float = Field(default=2.0, gt=0)
-    """Height of a cell in chroma, of 255."""
+    """Size of a cell in chroma, of 255."""
     smoothness: float = Field(default=300.0, gt=0)
     """lambda: weight of the smoothness term."""
     tolerance: float = Field(default=1e-5, ge=0)
-    """Conjugate gradients stop once the residual is below this share of the right-hand side..."""
+    """Conjugate gradients stop once the residual is below this share of the right-hand side."""
     max_iterations: int = Field(default=25, ge=1)
-    """... or after so many iterations."""
+    """Maximum number of iterations."""
     num_bistochastize: int = Field(default=10, ge=1)
     diagonal_floor: float = Field(default=1e-5, gt=0)
-    """Least diagonal of the preconditioner."""
+    """Minimum diagonal of the preconditioner."""
     confidence_floor: float = Field(default=1e-6, gt=0)
-    """Least confidence. A region of zero confidence without neighbours would make A singular; with the
-    floor it keeps its own mean."""
+    """Minimum confidence. A region of zero confidence without neighbours would make A singular; with this
+    minimum it keeps its own mean."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +107,9 @@ class BilateralGrid:
 
 
 def guide_yuv(guide: Tensor) -> Tensor:
-    """Guide (B, 3, H, W), linear RGB, over each image's maximum, times 255, to luma and two chromas about
-    128."""
+    """Guide (B, 3, H, W), linear RGB, divided by each image's maximum, times 255, as luma and two chromas
+    about 128.
+    """
     peak = guide.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)  # a black guide has no edges
     matrix = torch.tensor(_YUV_FROM_RGB, dtype=guide.dtype, device=guide.device)
     yuv = torch.einsum("kc,bchw->bkhw", matrix, guide / peak * 255.0)
@@ -139,7 +139,7 @@ def build_grid(guide: Tensor, config: SolverConfig | None = None) -> BilateralGr
 
 
 def _cell_keys(guide: Tensor, config: SolverConfig) -> tuple[Tensor, list[int]]:
-    """One integer per pixel (P,) that orders by image first, and the stride of each coordinate in it."""
+    """One integer per pixel (P,) that sorts by image first, and the stride of each coordinate in it."""
     batch, _, height, width = guide.shape
     yuv = guide_yuv(guide)
     sigmas = torch.tensor(
@@ -172,7 +172,9 @@ def _splat_matrix(vertex_of_pixel: Tensor, num_vertices: int) -> Tensor:
 
 
 def _neighbours(vertices: Tensor, strides: list[int]) -> Tensor:
-    """Indices (2, E) of all ordered pairs of occupied cells that touch in one of the five dimensions."""
+    """Indices (2, E) of all ordered pairs of occupied cells that are adjacent in one of the five
+    dimensions.
+    """
     own = torch.arange(len(vertices), device=vertices.device)
     pairs = []
     for stride in strides[1:]:
@@ -195,8 +197,9 @@ def _coupling(pairs: Tensor, n: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class SolveReport:
-    """Convergence of a solve: iterations run, and the greatest residual over images and channels, relative to
-    b."""
+    """Convergence of a solve: number of iterations, and the maximum residual over images and channels,
+    relative to b.
+    """
 
     iterations: int
     residual: float
@@ -207,7 +210,7 @@ def solve(
 ) -> tuple[Tensor, SolveReport]:
     """y of A y = rhs by preconditioned conjugate gradients; all (V, C), ``weights`` = S c.
 
-    Every (image, channel) is its own system; one that has converged is left alone while others go on.
+    Every (image, channel) is a separate system; converged systems are not updated while others continue.
     """
     dtype = rhs.dtype
     coupling = grid.coupling.to(dtype) * config.smoothness
@@ -225,7 +228,7 @@ def solve(
     scale = grid.dot(rhs, rhs).sqrt().clamp_min(torch.finfo(dtype).tiny)
     iteration, error = 0, grid.dot(residual, residual).sqrt() / scale
     while iteration < config.max_iterations and bool((error > config.tolerance).any()):
-        is_active = (error > config.tolerance) & (rz > 0)  # rz is 0 only at the solution itself
+        is_active = (error > config.tolerance) & (rz > 0)  # rz is 0 only at the exact solution
         applied = apply(direction)
         curvature = grid.dot(direction, applied)
         step = torch.where(is_active, rz / torch.where(curvature > 0, curvature, torch.ones_like(rz)), 0.0)
@@ -274,8 +277,8 @@ def bilateral_solve(
     """Filter ``target`` (B, C, H, W) by ``confidence`` (B, C or 1, H, W) >= 0 over a guide's grid.
 
     Differentiable in target and confidence. Solves in float64 whatever the target's type: lambda against a
-    small confidence conditions A beyond what float32 resolves, and the solve is bound by memory, not by
-    arithmetic. Raises ``ValueError`` where the shapes do not belong to the grid's guide.
+    small confidence makes A too ill-conditioned for float32, and the solve is limited by memory, not by
+    arithmetic. Raises ``ValueError`` if the shapes do not match the grid's guide.
     """
     config = config or SolverConfig()
     batch, channels, height, width = target.shape

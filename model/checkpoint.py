@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints: weights as safetensors, everything about them as JSON beside and inside the file.
+"""Checkpoints: weights as safetensors, and their metadata as JSON beside and inside the file.
 
 ``NAME.safetensors`` holds the tensors ``network.*`` (both tracks) and, once trained, ``confidence.*``; its
 header and ``NAME.json`` hold the same :class:`CheckpointCard`. Nothing is pickled. Reading builds the
-networks from the card on the meta device, compares every name and shape with the file, and only then takes
-memory.
+networks from the card on the meta device, compares every name and shape with the file, and only then
+allocates memory.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ _REMEDY = "train or fetch the checkpoint again"
 
 
 class DataRecord(StrictModel):
-    """A dataset that a checkpoint learnt from: its name and the SHA-256 of its index, which names every
-    shard."""
+    """A dataset used in training: its name and the SHA-256 of its index, which names every shard."""
 
     name: str
     index_sha256: str
     num_views: int = Field(ge=0)
     assets: dict[str, str] = {}
-    """SHA-256 of every asset that its configurations use, by id."""
+    """SHA-256 of every asset used by its configurations, by id."""
 
 
 class CheckpointCard(StrictModel):
     """Content and provenance of a checkpoint.
 
-    ``loss`` names the terms and the perceptual distance that trained it; ``phase`` and ``step`` where it was
-    taken; ``metrics`` its validation figures by name; ``training`` the resolved training configuration.
+    ``loss`` names the terms and the perceptual distance of the training; ``phase`` and ``step`` its state
+    when the checkpoint was saved; ``metrics`` its validation figures by name; ``training`` the resolved
+    training configuration.
     """
 
     format: Literal["scene-materials/checkpoint"] = "scene-materials/checkpoint"
@@ -63,7 +63,7 @@ class CheckpointCard(StrictModel):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint as read: networks in eval mode; ``confidence`` is None where it was not trained."""
+    """A loaded checkpoint: networks in eval mode; ``confidence`` is None if it was not trained."""
 
     network: MaterialNetwork | OwnNetwork
     confidence: ConfidenceNets | None
@@ -71,7 +71,7 @@ class Checkpoint:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions that decide numbers."""
+    """Versions of the software that affects numbers."""
     import platform
     from importlib.metadata import version
 
@@ -80,7 +80,7 @@ def software_versions() -> dict[str, str]:
 
 
 def bundled_checkpoint() -> Path:
-    """The checkpoint that comes with the project; its model card is ``docs/model-card.md``."""
+    """The bundled checkpoint; its model card is ``docs/model-card.md``."""
     return Path(__file__).parent / "checkpoints" / "small.safetensors"
 
 
@@ -91,7 +91,7 @@ def save_checkpoint(
     confidence: ConfidenceNets | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> None:
-    """Write ``path`` (.safetensors) and its JSON beside; both appear whole or not at all."""
+    """Write ``path`` (.safetensors) and the JSON beside it; both appear whole or not at all."""
     from safetensors.torch import save
 
     card = card.model_copy(update={"has_confidence": confidence is not None})
@@ -133,13 +133,13 @@ def _open(path: Path) -> tuple[CheckpointCard, dict[str, tuple[int, ...]]]:
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoint:
     """Networks of a checkpoint on ``device``, ready for inference.
 
-    Raises :class:`InputError` where the file is damaged, is not a checkpoint, is of another version, has
-    tensors other than its configuration asks for, or holds NaN or Inf.
+    Raises :class:`InputError` if the file is damaged, is not a checkpoint, is of another version, has tensors
+    other than its configuration requires, or contains NaN or Inf.
     """
     from safetensors.torch import load_file
 
     card, shapes = _open(path)
-    is_own = card.network.factory is not None  # which may compute with what it holds: not on meta
+    is_own = card.network.factory is not None  # the constructor may compute with its values: not on meta
     with torch.device("cpu" if is_own else "meta"):
         modules: dict[str, nn.Module] = {"network": make_network(card.network)}
     with torch.device("meta"):
@@ -165,7 +165,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
             expected_values = "finite float32 or float16 values"
             raise input_error(path, name, f"{value.dtype}, NaN or Inf", expected_values, _REMEDY)
     for prefix, module in modules.items():
-        # cloned: tensors mapped from the file are not aligned as convolutions want them
+        # cloned: tensors mapped from the file lack the alignment that convolutions need
         own = {
             n.removeprefix(f"{prefix}."): v.to(torch.float32, copy=True)
             for n, v in tensors.items()

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The command ``materials``: parses, calls one function a verb, prints. Heavy imports happen in the verbs."""
+"""The command ``materials``: parses, calls one function per verb, prints. Heavy imports are inside the
+verbs.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ MOVED = {
     "publish": "python -m model.publish",
     "schema": "python -m model.schemas",
 }
-"""Verbs of before, and the commands in their place."""
+"""Removed verbs, and the commands that replace them."""
 
 app = typer.Typer(
     name="materials",

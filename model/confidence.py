@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The confidence networks and the filter that they steer (method 6; network of Li et al. 2020).
+"""The confidence networks and the filter that they control (method 6; network of Li et al. 2020).
 
-One network looks at the image and a predicted map and says how far each pixel's prediction may be trusted;
-the bilateral solver then smooths the map, guided by the predicted diffuse albedo, from sure pixels to
-unsure ones. Specular albedo and roughness are filtered, diffuse albedo is not. Images are (B, C, H, W).
+A network estimates, from the image and a predicted map, the reliability of each pixel's prediction. The
+bilateral solver then smooths the map, guided by the predicted diffuse albedo, from reliable pixels to
+unreliable ones. Specular albedo and roughness are filtered, diffuse albedo is not. Images are (B, C, H, W).
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class _Block(nn.Sequential):
 
 
 class ConfidenceNet(nn.Module):
-    """Confidence (B, 1, H, W) in [0, 1], its maximum 1 in each image, of a map with ``map_channels``
-    channels.
+    """Confidence (B, 1, H, W) in [0, 1] of a map with ``map_channels`` channels; its maximum is 1 in each
+    image.
 
-    Two halvings, a 3x3, back up with the first halving concatenated, a 3x3, up, and a last 3x3 to one
-    channel.
+    Two stride-2 downsamplings and a 3x3 convolution; upsampling, concatenation with the first downsampling
+    and a 3x3 convolution; upsampling and a last 3x3 convolution to one channel.
     """
 
     def __init__(self, map_channels: int):
@@ -61,7 +61,7 @@ class ConfidenceNet(nn.Module):
         x = self.up1(torch.cat([x, first], dim=1))
         x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
         confidence = 0.5 * (torch.tanh(self.last(x)[:, :, :height, :width]) + 1.0)
-        # an image where nothing is trusted at all stays near 0 instead of dividing by 0
+        # an image without any confidence stays near 0 instead of dividing by 0
         return confidence / confidence.amax(dim=(1, 2, 3), keepdim=True).clamp_min(1e-6)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The device that the networks run on, as a user names it."""
+"""The device of the networks, as named by the user."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from datagen.foundation.errors import input_error
 
 
 def parse_device(text: str) -> torch.device:
-    """``cpu``, ``cuda`` or ``cuda:1``. Raises :class:`InputError` for anything else, and for a GPU that this
-    machine or this build of torch does not have."""
+    """``cpu``, ``cuda`` or ``cuda:1``.
+
+    Raises :class:`InputError` for other names, and for a GPU that this machine or this build of torch does
+    not have.
+    """
     kind, separator, number = text.partition(":")
     if kind not in ("cpu", "cuda") or (separator and not number.isdigit()):
         raise input_error("--device", "", repr(text), "cpu, cuda or cuda:1", "correct it")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""One hook for whoever wants to follow training and inference: wandb, rerun, a chat, a file.
+"""One hook for following training and inference: wandb, rerun, a chat, a file.
 
     materials train rooms --out run --listener my_hooks:to_wandb
 
-A listener is a function of one :class:`Event`. It is called in the process that trains (of several ranks, the
-first), so that it should be quick. One that fails is told of on standard error and not called again: days of
-training do not end with a lost connection.
+A listener is a function of one :class:`Event`. It is called in the training process (of several ranks, in the
+first) and should therefore be quick. A listener that raises is reported on standard error and not called
+again, so that a lost connection does not end days of training.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from model.named_code import load_named
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened.
+    """An event of training or inference.
 
     ``scalars``: ``values`` by name at ``step``; ``name`` is ``train/PHASE``, ``validation/PHASE`` or
-    ``speed/PHASE``. ``image``: (H, W, 3) uint8 at ``step``. ``progress``: a stage of inference, ``name``, has
-    done ``step`` of ``values["total"]``. ``end``: the run is over; ``folder`` holds its result.
+    ``speed/PHASE``. ``image``: (H, W, 3) uint8 at ``step``. ``progress``: ``step`` of ``values["total"]``
+    steps of the inference stage ``name`` are done. ``end``: the run is over; ``folder`` holds its result.
     """
 
     source: Literal["train", "infer"]
@@ -49,7 +49,7 @@ ListenerOption = Annotated[
 
 
 class Listeners:
-    """Tells every listener; without any, telling costs nothing."""
+    """Calls every listener; without any, the cost is negligible."""
 
     def __init__(self, listeners: Iterable[Listener] = ()):
         self._listeners = list(listeners)
@@ -70,8 +70,10 @@ class Listeners:
 
 
 def load_listeners(names: Iterable[str]) -> Listeners:
-    """Listeners named ``MODULE:FUNCTION``, looked for beside the working directory, too. Raises
-    :class:`InputError` with every one that is not there."""
+    """Listeners named ``MODULE:FUNCTION``, also found in the working directory.
+
+    Raises :class:`InputError` with every one that is missing.
+    """
     found: list[Listener] = []
     problems = []
     for name in names:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Datasets as a stream of tensors for other people's training: any buffers, whole views or crops.
+"""Datasets as a stream of tensors for custom training: any buffers, whole views or crops.
 
     loader = DataLoader(ViewStream(["rooms"], ["beauty", "diffuse_albedo"], crop_px=128), 8, num_workers=4)
 
-Every view of a split is seen once an epoch, whatever the numbers of ranks and of loader processes: an
+Every view of a split is used once per epoch, whatever the numbers of ranks and of loader processes: an
 epoch's order is a pure function of (seed, epoch), each rank takes every n-th view of it, each process every
 m-th of those. A sample is a dictionary: each buffer as float32 (C, H, W), ids as int64, ``intrinsics`` (3, 3)
 in pixels of the crop, ``world_from_camera`` (4, 4), ``exposure`` (), ``configuration`` and ``view``. Images
@@ -39,12 +39,12 @@ _REMEDY = "make the shard again"
 class ViewStream(IterableDataset[dict[str, Any]]):
     """Views of dataset folders or shards (.tar), or ``crops_per_view`` random square crops of each.
 
-    ``split`` None takes all views; shards that are given by themselves count whatever they belong to. With
-    ``crop_px`` None and views of several sizes, a loader needs ``batch_size`` 1. Crops of eight views are
-    shuffled among themselves. ``rank`` and ``num_ranks`` come from ``torch.distributed`` where it runs; all
-    ranks yield equally many samples, for which the last few views of an epoch may be left out. Raises
-    :class:`InputError` for paths that are no dataset, for no views, and, with shard and view, for damaged
-    ones.
+    ``split`` None includes all views; individually given shards are included whatever their split. With
+    ``crop_px`` None and views of several sizes, a loader needs ``batch_size`` 1. Crops are shuffled within
+    groups of eight views. ``rank`` and ``num_ranks`` come from ``torch.distributed`` if it is running; all
+    ranks yield equally many samples, for which the last few views of an epoch may be dropped. Raises
+    :class:`InputError` for paths that are no dataset, if there are no views, and, with shard and view, for
+    damaged ones.
     """
 
     def __init__(
@@ -77,15 +77,15 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             where = ", ".join(map(str, sources))
             got = f"{len(self.places)} views of split {split}"
             raise input_error(where, "views", got, f"at least one for each of {self.num_ranks} ranks")
-        # In shared memory, so that loader processes that stay alive see the epoch change.
+        # In shared memory, so that persistent loader processes see the change of the epoch.
         self._epoch = torch.zeros(1, dtype=torch.int64).share_memory_()
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the order and the crops of the next iteration; also loader processes that persist follow."""
+        """Choose the order and the crops of the next iteration, also for persistent loader processes."""
         self._epoch[0] = epoch
 
     def __len__(self) -> int:
-        """Samples an epoch of this rank, over all its loader processes."""
+        """Samples per epoch of this rank, over all its loader processes."""
         return len(self.places) // self.num_ranks * self.crops_per_view
 
     def __iter__(self) -> Iterator[dict[str, Any]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Code of one's own by name, ``MODULE:NAME``, looked for beside the working directory, too."""
+"""Custom code by name, ``MODULE:NAME``, also found in the working directory."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 
 
 def load_named(name: str) -> Any:
-    """Object named by ``MODULE:NAME``. Raises ImportError, AttributeError or ValueError where it is not
-    there."""
+    """Object named by ``MODULE:NAME``. Raises ImportError, AttributeError or ValueError if it is missing."""
     module, colon, attribute = name.partition(":")
     if not (colon and module and attribute):
         raise ValueError("no MODULE:NAME")

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """The two tracks that predict materials: U-Nets with a global track (Deschaintre et al. 2018 and 2019).
 
-Axes: images are (B, C, H, W), row 0 at the top. Inputs are encoded to [-1, 1] by name from buffers; the
-diffuse track predicts D (3 channels), the specular track S (3) and R (1), all in [0, 1], linear, perceptual
-roughness.
+Axes: images are (B, C, H, W), row 0 at the top. Inputs are selected from buffers by name and encoded to [-1,
+1]; the diffuse track predicts D (3 channels), the specular track S (3) and R (1), all in [0, 1], linear,
+perceptual roughness.
 
-A level halves (encoder) or doubles (decoder) the resolution. Beside the convolutions runs a vector g, the
-global track, which gathers the spatial mean of every layer before its normalisation and is added back,
-through a linear map, to the layer after it. Instance norms and means would see an image's padding as well;
-with ``ignores_padding`` (the default: docs/decisions/0010) they are taken over the image proper and the
-padding is zeroed again after every convolution, so that padding further changes nothing.
+A level halves (encoder) or doubles (decoder) the resolution. Parallel to the convolutions, a vector g, the
+global track, accumulates the spatial mean of every layer before its normalisation and is added, through a
+linear map, to the next layer. Instance norms and means would be affected by an image's padding; with
+``ignores_padding`` (the default: docs/decisions/0010) they are computed over the image without padding, and
+the padding is zeroed again after every convolution, so that more padding changes nothing.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ NUM_LEVELS = 4
 STRIDE = 2**NUM_LEVELS
 """Inputs are padded at the bottom and the right to a multiple of this."""
 RECEPTIVE_FIELD_PX = 142
-"""Side of the square of input pixels that one output pixel sees through the convolutions alone: 126 or 142,
-by the pixel's place in its 16 x 16 block. Norms and the global track see everything."""
+"""Side of the square of input pixels that affect one output pixel through the convolutions alone: 126 or 142,
+depending on the pixel's position in its 16 x 16 block. Norms and the global track depend on all pixels."""
 STRIP_ELEMENTS = 2**25
-"""Images too large for memory pass the decoder's convolutions in strips of so many values, as only there
-the channels of all levels come together at twice the size. Norms and the global track come after, over the
-whole layer, so that the maps are the same but for rounding (docs/decisions/0054)."""
-_STRIP_MARGIN = 3  # rows of a strip's input on either side that its result depends on
+"""Images too large for memory pass the decoder's convolutions in strips of this many values, since only there
+the channels of all levels are combined at twice the size. Norms and the global track are applied afterwards
+over the whole layer, so that the maps are the same up to rounding (docs/decisions/0054)."""
+_STRIP_MARGIN = 3  # rows on either side of a strip's input that affect its result
 _LEAK = 0.2
 _NORM_EPS = 1e-5  # keeps the norm finite on a constant feature map
 _LOG_EPSILON = 0.01
@@ -45,9 +45,9 @@ TrackName = Literal["diffuse", "specular"]
 LightInput = Literal["reflectance", "known_share", "mirror_sharp", "mirror_broad"]
 COLOR_STATISTICS = ("color_median", "color_max", "color_min")
 INPUTS = ("beauty", *COLOR_STATISTICS, "normal_camera", "depth", *LIGHT_BUFFERS)
-"""Names of all that a network can be fed."""
+"""Names of all possible inputs of a network."""
 MAX_REFLECTANCE = 2.0
-"""Reflectance that is encoded as 1: gloss and lamps that no view shows exceed every albedo."""
+"""Reflectance that is encoded as 1: gloss, and lamps that no view shows, exceed every albedo."""
 
 
 class NetworkConfig(StrictModel):
@@ -60,16 +60,16 @@ class NetworkConfig(StrictModel):
     wide_decoder: bool = False
     """Literal reading of the architecture's description: decoder layers as wide as the encoder's, 8, 4, 2."""
     dropout: float = Field(default=0.5, ge=0.0, lt=1.0)
-    """Dropout of the three inner decoder layers, off at inference."""
+    """Dropout rate of the three inner decoder layers, off at inference."""
     ignores_padding: bool = True
-    """Keep the padding out of instance norms, global means and convolutions."""
+    """Exclude the padding from instance norms, global means and convolutions."""
     uses_statistics: bool = True
-    """Feed the reprojected colour statistics; False is the single-view ablation (*No RP*)."""
+    """Use the reprojected colour statistics as input; False is the single-view ablation (*No RP*)."""
     light_inputs: tuple[LightInput, ...] = Field(default=(), exclude_if=lambda value: not value)
-    """Buffers of the light that the views record, fed to both tracks; datasets have them where their recipe
-    says ``statistics: {light: true}``."""
+    """Buffers of the light that the views record, as input of both tracks; datasets contain them if their
+    recipe has ``statistics: {light: true}``."""
     factory: str | None = Field(default=None, exclude_if=lambda value: value is None)
-    """``package.module:Class`` of a network of one's own, in place of the two tracks (model.own_network)."""
+    """``package.module:Class`` of a custom network in place of the two tracks (model.own_network)."""
     arguments: dict[str, Any] = Field(default={}, exclude_if=lambda value: not value)
     """Keyword arguments of ``factory``."""
 
@@ -114,9 +114,11 @@ def encode_color(linear: Tensor, exposure: Tensor | float) -> Tensor:
 
 
 def encode_depth(depth_z_m: Tensor, depth_max_m: Tensor | None = None) -> Tensor:
-    """Depth (B, 1, H, W) over the view's greatest, to [-1, 1], tiled to 3 channels; no surface (0) gives -1.
+    """Depth (B, 1, H, W) relative to the view's maximum, as [-1, 1], tiled to 3 channels; no surface (0)
+    gives -1.
 
-    ``depth_max_m`` (B,) is the whole view's maximum; None takes the tensor's own, right only for whole views.
+    ``depth_max_m`` (B,) is the whole view's maximum; None uses the tensor's own, correct only for whole
+    views.
     """
     if depth_max_m is None:
         depth_max_m = depth_z_m.amax(dim=(1, 2, 3))
@@ -147,10 +149,10 @@ def assemble_inputs(
 ) -> Tensor:
     """A track's input (B, C, H, W) in [-1, 1] from buffers by name; C is 9 or 18 without light.
 
-    ``buffers`` holds linear colours ``beauty``, ``color_median``, ``color_max``, ``color_min`` (B, 3, H, W),
-    ``normal_camera`` (B, 3, H, W) unit vectors, ``depth_z_m`` (B, 1, H, W) and the configuration's
-    ``light_inputs``; ``exposure`` (B,) is the factor that :func:`color.exposure_for` gives. ``KeyError``
-    names a buffer that is missing.
+    ``buffers`` contains linear colours ``beauty``, ``color_median``, ``color_max``, ``color_min`` (B, 3, H,
+    W), ``normal_camera`` (B, 3, H, W) unit vectors, ``depth_z_m`` (B, 1, H, W) and the configuration's
+    ``light_inputs``; ``exposure`` (B,) is the factor from :func:`color.exposure_for`. ``KeyError`` names a
+    missing buffer.
     """
     exposure = exposure.reshape(-1, 1, 1, 1)
     names = track_inputs(track, config)
@@ -158,7 +160,7 @@ def assemble_inputs(
 
 
 def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
-    """x with everything outside its top left ``valid`` (h, w) set to 0, as a convolution's own padding is."""
+    """x with everything outside its top left ``valid`` (h, w) set to 0, like a convolution's own padding."""
     height, width = x.shape[-2:]
     if valid == (height, width):
         return x
@@ -166,7 +168,7 @@ def _zero_padding(x: Tensor, valid: tuple[int, int]) -> Tensor:
 
 
 class _GlobalLink(nn.Module):
-    """The global track's part at one layer: g added to the layer, the layer's mean gathered into g."""
+    """The global track's part at one layer: g is added to the layer, and the layer's mean to g."""
 
     def __init__(self, global_channels: int, layer_channels: int, has_update: bool):
         super().__init__()
@@ -184,15 +186,16 @@ class _GlobalLink(nn.Module):
 
 
 def _draw_normal(weights: Tensor, deviation: float, mean: float = 0.0) -> None:
-    # on the meta device, where a checkpoint is checked, drawing would only import torch's compiler (1 s),
-    # which makes a folder in the system's temporary one
+    # on the meta device, where a checkpoint is checked, initialisation would only import torch's compiler
+    # # (1 s), which makes a folder in the system's temporary one
     if not weights.is_meta:
         nn.init.normal_(weights, mean, deviation)
 
 
 def _selu_linear(num_in: int, num_out: int) -> nn.Linear:
     layer = nn.Linear(num_in, num_out)
-    _draw_normal(layer.weight, 1.0 / math.sqrt(num_in))  # the deviation at which SELU keeps unit variance
+    # the standard deviation at which SELU keeps unit variance
+    _draw_normal(layer.weight, 1.0 / math.sqrt(num_in))
     _draw_normal(layer.bias, 0.002)
     return layer
 
@@ -246,8 +249,9 @@ class _Down(_Layer):
 
 
 def _strip_rows(x: Tensor) -> int:
-    """Rows of x whose doubled strip holds about ``STRIP_ELEMENTS``; all of them where that is not far
-    from it."""
+    """Rows of x whose doubled strip has about ``STRIP_ELEMENTS`` values; all rows if that is nearly all of
+    them.
+    """
     doubled = 4 * x.numel()
     return x.shape[2] if doubled <= 4 * STRIP_ELEMENTS else max(1, x.shape[2] * STRIP_ELEMENTS // doubled)
 
@@ -275,8 +279,8 @@ class _Up(_Layer):
     def _convolved(self, x: Tensor, first: int, last: int, valid: tuple[int, int]) -> Tensor:
         """Result of both convolutions for x's rows [first, last): twice as many rows, twice as wide.
 
-        A row of the result takes rows from 2 above to 4 below it; beyond the image they are 0, also those
-        that the first convolution would make there.
+        A row of the result depends on rows from 2 above to 4 below it; rows beyond the image are 0, also
+        those that the first convolution would produce there.
         """
         low, high = max(first - _STRIP_MARGIN, 0), min(last + _STRIP_MARGIN, x.shape[2])
         rows = F.interpolate(F.leaky_relu(x[:, :, low:high], _LEAK), scale_factor=2, mode="nearest")
@@ -290,8 +294,8 @@ class Track(nn.Module):
     """One U-Net with its global track: (B, ``num_in``, H, W) in [-1, 1] to (B, ``num_out``, H, W) in [0, 1].
 
     Any H and W of at least 1: inputs are padded with zeros at the bottom and the right to a multiple of 16
-    and the result is cropped. An input that was padded already names its proper part, the top left
-    ``valid_size``.
+    and the result is cropped. For an input that is already padded, ``valid_size`` is the size of the image at
+    its top left.
     """
 
     def __init__(self, num_in: int, num_out: int, config: NetworkConfig):
@@ -349,7 +353,7 @@ class MaterialNetwork(nn.Module):
         return {f"{name} track": track for name, track in self.tracks.items()}
 
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
-        """Modules whose weights a phase of these tracks optimises."""
+        """Modules whose weights are optimised in a phase that trains ``tracks``."""
         return [self.tracks[track] for track in tracks]
 
     def forward(

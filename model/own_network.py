@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Networks of one's own in place of the two tracks: ``package.module:Class``.
+"""Custom networks in place of the two tracks: ``package.module:Class``.
 
 The class is a ``torch.nn.Module`` with ``inputs``, names out of :data:`~model.networks.INPUTS`. ``forward``
-takes them by name, encoded to [-1, 1], (B, C, H, W) of any H and W, and returns the three maps by name:
+accepts them by name, encoded to [-1, 1], (B, C, H, W) of any H and W, and returns the three maps by name:
 ``diffuse_albedo`` and ``specular_albedo`` (B, 3, H, W), ``roughness`` (B, 1, H, W), all in [0, 1].
-``arguments`` of the configuration go to its constructor. docs/howto/network.md has an example.
+``arguments`` of the configuration are passed to its constructor. docs/howto/network.md has an example.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from model.networks import (
 )
 
 OUTPUTS = {name: channels for outputs in TRACK_OUTPUTS.values() for name, channels in outputs.items()}
-_TRIAL_SIZE = (23, 38)  # no multiple of anything
+_TRIAL_SIZE = (23, 38)  # not a multiple of any stride
 
 
 class OwnNetwork(nn.Module):
-    """A network of one's own, called like a :class:`~model.networks.MaterialNetwork`."""
+    """A custom network with the interface of :class:`~model.networks.MaterialNetwork`."""
 
     def __init__(self, config: NetworkConfig):
         super().__init__()
@@ -47,7 +47,7 @@ class OwnNetwork(nn.Module):
             raise InputError(problem) from None
 
     def parts(self) -> dict[str, nn.Module]:
-        """The one module, by its class."""
+        """The single module, by the name of its class."""
         return {str(self.config.factory): self.module}
 
     def trained(self, tracks: tuple[TrackName, ...]) -> list[nn.Module]:
@@ -61,7 +61,7 @@ class OwnNetwork(nn.Module):
         depth_max_m: Tensor | None = None,
         tracks: tuple[TrackName, ...] = ("diffuse", "specular"),
     ) -> dict[str, Tensor]:
-        """Maps by name. Raises :class:`InputError` where they are not what the contract asks for."""
+        """Maps by name. Raises :class:`InputError` if they violate the contract."""
         shaped = exposure.reshape(-1, 1, 1, 1)
         inputs = {name: encode_input(name, buffers, shaped, depth_max_m) for name in self.inputs}
         maps = self.module(inputs)
@@ -81,7 +81,7 @@ def make_network(config: NetworkConfig) -> MaterialNetwork | OwnNetwork:
 
 
 def network_inputs(config: NetworkConfig) -> tuple[str, ...]:
-    """Names of all that a network is fed."""
+    """Names of all inputs of a network."""
     if config.factory is None:
         return tuple(dict.fromkeys(n for track in TRACK_OUTPUTS for n in track_inputs(track, config)))
     return _class_of(config)[1]
@@ -89,8 +89,10 @@ def network_inputs(config: NetworkConfig) -> tuple[str, ...]:
 
 @torch.no_grad()
 def try_network(network: OwnNetwork) -> None:
-    """Call a network on grey inputs of an odd size. Raises :class:`InputError` for outputs that are not maps
-    in [0, 1]."""
+    """Call a network on grey inputs of an odd size.
+
+    Raises :class:`InputError` for outputs that are not maps in [0, 1].
+    """
     buffers = {name: torch.full((1, input_channels(name), *_TRIAL_SIZE), 0.5) for name in INPUTS}
     buffers["depth_z_m"] = torch.ones(1, 1, *_TRIAL_SIZE)
     was_training = network.training
@@ -106,8 +108,10 @@ def try_network(network: OwnNetwork) -> None:
 
 
 def _class_of(config: NetworkConfig) -> tuple[type[nn.Module], tuple[str, ...]]:
-    """The class that a configuration names, and its inputs, checked before it is called: a checkpoint may
-    name anything."""
+    """The class named by a configuration, and its inputs.
+
+    Both are checked before the class is called, since a checkpoint may name anything.
+    """
     name = config.factory or ""
     expected = "MODULE:CLASS of a torch.nn.Module with `inputs`"
     try:

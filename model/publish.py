@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``python -m model.publish``: a checkpoint for others."""
+"""``python -m model.publish``: prepares a checkpoint for publication."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from model.checkpoint import load_checkpoint, save_checkpoint
 
 
 def publish_checkpoint(source: Path, target: Path) -> None:
-    """Write a checkpoint for others: in half precision, without the paths of the machine that trained it."""
+    """Write a checkpoint for publication: in half precision, without paths of the training machine."""
     checkpoint = load_checkpoint(source)
     training = {**checkpoint.card.training, "initial_checkpoint": None}
     if "perceptual" in training:
@@ -27,7 +27,7 @@ def main(
     checkpoint: Annotated[Path, typer.Argument(help="Weights of a run (.safetensors).")],
     out: Annotated[Path, typer.Option("--out", help="File to write (.safetensors), its card beside it.")],
 ) -> None:
-    """Write a checkpoint for others: half precision, no paths of this machine."""
+    """Write a checkpoint for publication: half precision, no paths of this machine."""
     publish_checkpoint(checkpoint, out)
     typer.echo(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
 

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""JSON Schemas of the files that users write for ``materials``: suites, and settings of training, which
-editors complete by. ``python -m model.schemas`` writes them to ``docs/schemas``."""
+"""JSON Schemas of the files that users write for ``materials``: suites and training settings, for completion
+in editors.
+
+``python -m model.schemas`` writes them to ``docs/schemas``.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +18,17 @@ from model.training.config import TrainingConfig
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:
-    """JSON Schema (2020-12) of each format, by name. Settings of training go over a preset, so none is
-    required."""
+    """JSON Schema (2020-12) of each format, by name.
+
+    Training settings override a preset, so that none of them is required.
+    """
     training = TrainingConfig.model_json_schema()
     training.pop("required", None)
     return {"suite": {**DIALECT, **Suite.model_json_schema()}, "training": {**DIALECT, **training}}
 
 
 def main(out: SchemaFolder = SCHEMA_FOLDER) -> None:
-    """Write the JSON Schemas of suites and of settings of training."""
+    """Write the JSON Schemas of suites and of training settings."""
     for path in write_schemas(out, json_schemas()):
         typer.echo(path)
 

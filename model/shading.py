@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""The material model in torch, and the lights that training renders with.
+"""The material model in torch, and the lights used for rendering in training.
 
-Letters and axes: every map is a tensor (B, C, ...) with the channel or vector component on axis 1, so (N, 3)
-lists and (B, 3, H, W) images are handled alike; arguments broadcast. D is ``diffuse_albedo``, S
+Letters and axes: every map is a tensor (B, C, ...) with the channel or vector component on axis 1, so that
+(N, 3) lists and (B, 3, H, W) images are handled alike; arguments broadcast. D is ``diffuse_albedo``, S
 ``specular_albedo``, R ``roughness`` (perceptual), ``alpha`` = R^2, n the normal, o the direction to the
-viewer, i the direction to the light, h their half vector. All directions point away from the surface and
-have unit length; a zero vector (background) reflects nothing. Any one frame serves, if all vectors share it.
+viewer, i the direction to the light, h their half vector. All directions point away from the surface and have
+unit length; the reflectance for a zero vector (background) is 0. Any frame can be used, if all vectors share
+it.
 
 The BRDF is that of Walter et al. 2007 with Beckmann's distribution, the exact separable Smith term and
 Schlick's Fresnel term. Everything is differentiable, with finite gradients also at grazing angles and zero
@@ -21,11 +22,11 @@ import torch
 from torch import Tensor
 
 ALPHA_MIN = 1e-3
-"""Floor of alpha: a lobe this narrow is the sharpest that float32 and the rendering loss both survive."""
+"""Minimum of alpha: narrower lobes exceed the precision of float32 and spoil the rendering loss."""
 
 _SQRT_PI = math.sqrt(math.pi)
-_TINY_SIN2 = 1e-12  # keeps the gradient of a square root finite where two directions coincide
-_TINY_COS2 = 1e-12  # keeps tan^2 finite where the half vector grazes; the lobe is 0 there whatever tan^2 is
+_TINY_SIN2 = 1e-12  # keeps the gradient of a square root finite for coincident directions
+_TINY_COS2 = 1e-12  # keeps tan^2 finite at grazing half vectors; the lobe is 0 there whatever tan^2 is
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -44,7 +45,7 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def alpha_from_roughness(roughness: Tensor) -> Tensor:
-    """Beckmann slope width: R^2 clamped to [:data:`ALPHA_MIN`, 1]; the one place that converts."""
+    """Beckmann slope width: R^2 clamped to [:data:`ALPHA_MIN`, 1]. All conversions use this function."""
     return (roughness * roughness).clamp(ALPHA_MIN, 1.0)
 
 
@@ -86,17 +87,17 @@ def brdf_cos(
 ) -> Tensor:
     """The BRDF times cos(theta_i), in 1/sr: (1-S) D/pi cos_i + F D_b G / (4 cos_o).
 
-    ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...).
-    0 where viewer or light is at or below the horizon (one-sided). tan^2 of the half angle comes from n x
-    h, never from 1 - cos^2, and neither n nor h has to be normalised for it.
+    ``diffuse_albedo`` and ``specular_albedo`` (B, 3, ...), ``roughness`` (B, 1, ...), vectors (B, 3, ...). 0
+    if viewer or light is at or below the horizon (one-sided). tan^2 of the half angle is computed from n x h,
+    never from 1 - cos^2; neither n nor h needs to be normalised for it.
     """
     cos_o, cos_i = dot(normal, view_dir), dot(normal, light_dir)
     is_lit = (cos_o > 0) & (cos_i > 0)
-    cos_o = torch.where(is_lit, cos_o, torch.ones_like(cos_o))  # masks before divisions
+    cos_o = torch.where(is_lit, cos_o, torch.ones_like(cos_o))  # masked before divisions
     cos_i = torch.where(is_lit, cos_i, torch.ones_like(cos_i))
     tangent_o, tangent_i = _cross(normal, view_dir), _cross(normal, light_dir)
     tangent_h = tangent_o + tangent_i
-    cos_h = cos_o + cos_i  # of the half vector before it is normalised: i + o
+    cos_h = cos_o + cos_i  # the half vector before normalisation: i + o
     tan2_h = dot(tangent_h, tangent_h) / (cos_h * cos_h).clamp_min(_TINY_COS2)
     alpha = alpha_from_roughness(roughness)
     half2 = dot(view_dir + light_dir, view_dir + light_dir)
@@ -133,8 +134,10 @@ def shade_point_light(
 
 @dataclass(frozen=True)
 class SphericalGaussians:
-    """K lobes mu exp(sharpness (axis.w - 1)): axis (B, K, 3), sharpness (B, K), mu (B, K, 3) in W/(m^2
-    sr)."""
+    """K lobes mu exp(sharpness (axis.w - 1)).
+
+    axis (B, K, 3), sharpness (B, K), mu (B, K, 3) in W/(m^2 sr).
+    """
 
     axis: Tensor
     sharpness: Tensor
@@ -147,11 +150,11 @@ def sg_integral(sharpness: Tensor) -> Tensor:
 
 
 def sg_inner_product(sharpness1: Tensor, sharpness2: Tensor, axis_gap2: Tensor) -> Tensor:
-    """Integral over the sphere of the product of two unit-amplitude lobes, ``axis_gap2`` = |p1 - p2|^2 in
-    [0, 4].
+    """Integral over the sphere of the product of two unit-amplitude lobes, ``axis_gap2`` = |p1 - p2|^2 in [0,
+    4].
 
-    2 pi exp(-l1 l2 |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u with u = |l1 p1 + l2 p2|: no cancellation
-    and no overflow at any sharpness.
+    2 pi exp(-l1 l2 |p1-p2|^2 / (u + l1 + l2)) (-expm1(-2u)) / u with u = |l1 p1 + l2 p2|: no cancellation and
+    no overflow at any sharpness.
     """
     total = sharpness1 + sharpness2
     product = sharpness1 * sharpness2 * axis_gap2
@@ -181,8 +184,9 @@ _COSINE_SHARPNESS, _COSINE_AMPLITUDE, _COSINE_OFFSET = 0.0315, 32.7080, 31.7003
 def sg_irradiance(sharpness: Tensor, cos_beta: Tensor) -> Tensor:
     """Irradiance of a unit-amplitude lobe on a surface whose normal is at ``cos_beta`` from the lobe's axis.
 
-    Meder and Bruederlin 2018: the cosine is a lobe of sharpness 0.0315 less a constant, so the irradiance
-    is the difference of two hemisphere integrals. The difference cancels 5 bits; it is clamped at 0.
+    Meder and Bruederlin 2018: the cosine is a lobe of sharpness 0.0315 minus a constant, so that the
+    irradiance is the difference of two hemisphere integrals. The difference cancels 5 bits; it is clamped at
+    0.
     """
     gap2 = 2.0 - 2.0 * cos_beta
     total = sharpness + _COSINE_SHARPNESS
@@ -205,9 +209,9 @@ def shade_spherical_gaussians(
 ) -> Tensor:
     """Reflected radiance (B, 3, ...) under distant area lights, after Wang et al. 2009.
 
-    The lobe D_b is one spherical Gaussian, warped to the light's domain; the remaining factors are taken at
-    the lobe's centre. A surrogate for training only: against the exact lobe it is off by 1 % at alpha 0.1
-    and by 50 % at alpha 1 (method 5). Maps must be (B, C, H, W) or (B, C).
+    The lobe D_b is one spherical Gaussian, warped to the light's domain; the remaining factors are evaluated
+    at the lobe's centre. A surrogate for training only: relative to the exact lobe it is off by 1 % at alpha
+    0.1 and by 50 % at alpha 1 (method 5). Maps must be (B, C, H, W) or (B, C).
     """
     alpha = alpha_from_roughness(roughness)
     cos_o = dot(normal, view_dir)
@@ -217,7 +221,7 @@ def shade_spherical_gaussians(
     visible = smith_g1_over_cos(cos_o, dot(tangent_o, tangent_o), alpha) ** 2 * (0.25 * cos_o)
     lobe_axis = 2.0 * cos_o * normal - view_dir
     lobe_sharpness = 0.5 / (alpha * alpha * cos_o.clamp_min(0.1))
-    # 1/(pi alpha^2) may reach 3e5; it meets the inner product, which falls as fast, before anything else
+    # 1/(pi alpha^2) may reach 3e5; it is multiplied by the inner product, which falls as fast, first
     lobe_amplitude = 1.0 / (math.pi * alpha * alpha)
     trailing = (1,) * (normal.dim() - 2)
     specular = torch.zeros_like(diffuse_albedo)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Options for reading a capture, of the commands and :func:`~model.reconstruction.captures.read_capture`."""
+"""Options for reading a capture, of the commands and of
+:func:`~model.reconstruction.captures.read_capture`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from datagen.foundation.encodings import Encoding
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Exposure = Literal["auto", "common", "exif"]
-"""One for all photographs, what EXIF records, or that where every photograph records it."""
+"""Exposure: the same for all photographs, or as recorded in EXIF, or (auto) the latter if every photograph
+has a record."""
 DEFAULT_MAX_WIDTH_PX = 640
 
 
@@ -30,8 +33,8 @@ class FrameOptions:
     """The mesh, and the frames of mesh and cameras.
 
     ``up`` is the up axis of the cameras' world, ``unit_m`` its unit; "auto" and None estimate them
-    (``captures.frames``). Views wider than ``max_width_px`` are scaled down: the networks are trained on
-    views of 640 pixels.
+    (``captures.frames``). Views wider than ``max_width_px`` are scaled down, since the networks are trained
+    on views of 640 pixels.
     """
 
     mesh: Annotated[Path | None, typer.Option(help="PLY, OBJ, glTF or GLB in the cameras' frame.")] = None
@@ -52,11 +55,12 @@ class FrameOptions:
 
 @dataclass(frozen=True)
 class CaptureOptions(FrameOptions):
-    """Options of reading a capture. ``library``, for rendered captures only: packages of their assets, by
-    default those of their dataset folder, else the bundled ones.
+    """Options for reading a capture.
 
-    ``mesh_up`` is the mesh's up axis where it differs. ``exposure`` "exif" applies recorded exposures, "auto"
-    where all photographs have one. ``limits`` default to those of the environment.
+    ``library``, for rendered captures only: packages of their assets, by default those of their dataset
+    folder, else the bundled ones. ``mesh_up`` is the mesh's up axis if it differs. ``exposure`` "exif"
+    applies recorded exposures, "auto" does so if all photographs have one. ``limits`` default to those of the
+    environment variables.
     """
 
     images: Annotated[Path | None, typer.Option(help="Folder of the photographs.")] = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``check``, ``infer`` and ``photos`` of ``materials``. Heavy imports happen in the verbs."""
+"""The verbs ``check``, ``infer`` and ``photos`` of ``materials``. Heavy imports are inside them."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def photos(
 ) -> None:
     """Turn a folder of photographs into an asset: COLMAP's cameras and mesh, materials, a turntable.
 
-    Stopped, the same command continues. Example: materials photos kitchen --out kitchen-asset
+    After an interruption, the same command continues. Example: materials photos kitchen --out kitchen-asset
     """
     from datagen.foundation.progress import Bars
     from model.checkpoint import bundled_checkpoint
@@ -147,7 +147,7 @@ def check(
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Say whether a mesh projects onto the photographs; exit code 1 with warnings.
+    """Check whether a mesh projects onto the photographs; exit code 1 with warnings.
 
     Example: materials check photos --mesh room.glb --out check
     """

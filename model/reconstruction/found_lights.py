@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Recovered lights of a photographed room, for exports and reports.
 
-Letters: K triangles of a lamp. A *lamp* is emissive surface: triangles, or *panels*, rectangles just before a
-partly emissive surface. Light from outside enters by *windows*, through which rays leave the mesh: from
-rectangles if near, from an image of the *sky* if far. Radiance is in the photographs' unit; power is that
-times m^2 sr, hence W where radiance is in W/(m^2 sr).
+Letters: K triangles of a lamp. A *lamp* is emissive surface: triangles, or *panels*, rectangles just in front
+of a partly emissive surface. Light from outside enters through *windows*, through which rays leave the mesh:
+as rectangles if near, as an image of the *sky* if far. Radiance is in the photographs' unit; power is that
+times m^2 sr, hence W for radiance in W/(m^2 sr).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Rectangle:
 
     @property
     def area_m2(self) -> float:
-        """Its area."""
+        """Area in m^2."""
         return float(np.linalg.norm(np.cross(self.edge_u_m, self.edge_v_m)))
 
     def corners(self) -> NDArray[np.float64]:
@@ -41,8 +41,11 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class FoundLamp:
-    """Emissive triangles ``faces`` (K,) on ``side`` 1, that of their winding, or -1. ``radiance`` is 0 where
-    no photograph shows the lamp. ``is_named``: whether the capture's geometry names it as a lamp."""
+    """A lamp: emissive triangles ``faces`` (K,) on ``side`` 1, that of their winding, or -1.
+
+    ``radiance`` is 0 if no photograph shows the lamp. ``is_named``: whether the capture's geometry names it
+    as a lamp.
+    """
 
     slot: str
     faces: NDArray[np.int32]
@@ -54,13 +57,13 @@ class FoundLamp:
 
     @property
     def is_lit(self) -> bool:
-        """Whether any light of it was found."""
+        """Whether any light of it was recovered."""
         return max(self.radiance) > 0
 
 
 @dataclass(frozen=True)
 class FoundPatch:
-    """A window or panel covered by ``rectangles``; ``radiance`` is the mean by area."""
+    """A window or panel covered by ``rectangles``; ``radiance`` is the area-weighted mean."""
 
     slot: str
     rectangles: tuple[Rectangle, ...]
@@ -71,8 +74,11 @@ class FoundPatch:
 
 @dataclass(frozen=True)
 class FoundLights:
-    """``environment`` (H, W, 3): the sky where light from outside is far, in the convention of
-    :class:`~datagen.formats.lights.EnvironmentLight`; None where the windows' rectangles emit it."""
+    """All recovered lights.
+
+    ``environment`` (H, W, 3): the sky if light from outside is far, in the convention of
+    :class:`~datagen.formats.lights.EnvironmentLight`; None if the windows' rectangles emit it.
+    """
 
     lamps: tuple[FoundLamp, ...] = ()
     panels: tuple[FoundPatch, ...] = ()
@@ -81,18 +87,20 @@ class FoundLights:
 
     @property
     def is_dark(self) -> bool:
-        """Whether no light emits."""
+        """Whether none of the lights emits."""
         return not (self.windows or self.panels or any(lamp.is_lit for lamp in self.lamps))
 
     @property
     def sending(self) -> tuple[FoundPatch, ...]:
-        """The patches with emitting rectangles: all, or the panels where the sky replaces windows."""
+        """The patches with emitting rectangles: all, or only the panels if the sky replaces windows."""
         return self.panels if self.environment is not None else (*self.panels, *self.windows)
 
     def described(self) -> list[dict[str, Any]]:
-        """For a report: ``kind`` (lamp, window, sky), ``slot`` in exports, ``place_m``, ``area_m2``,
-        ``radiance``, and ``power`` = pi area radiance, the diffusely emitted power. The sky's power is that
-        of the windows."""
+        """The lights as rows of a report.
+
+        ``kind`` (lamp, window, sky), ``slot`` in exports, ``place_m``, ``area_m2``, ``radiance``, and
+        ``power`` = pi area radiance, the diffusely emitted power. The sky's power is that of the windows.
+        """
         rows = [
             _row("lamp", lamp.slot, lamp.place_m, lamp.area_m2, lamp.radiance)
             for lamp in self.lamps
@@ -125,7 +133,7 @@ def _rounded(values: Any, digits: int) -> list[float]:
 
 
 def lights_text(rows: list[dict[str, Any]]) -> str:
-    """The lights of :meth:`FoundLights.described` as lines of a table."""
+    """The rows of :meth:`FoundLights.described` as lines of a table."""
     if not rows:
         return "no light was found"
     lines = [f"{'light':<12}{'place (m)':>24}{'area (m2)':>12}{'radiance (R G B)':>26}{'power (R G B)':>28}"]

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""The way from a capture to an asset: traced → checked → completed → predicted → leveled → merged → filled →
-exported.
+"""The pipeline from a capture to an asset: traced → checked → completed → predicted → leveled → merged →
+filled → exported.
 
-OUT/state.json      what the work belongs to: a hash over checkpoint, cameras, geometry and options
-OUT/views/          predicted maps, one EXR a view; a run that was stopped continues after them
-OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 seen, 128 filled in, 0 no surface)
+OUT/state.json      identity of the work: a hash over checkpoint, cameras, geometry and options
+OUT/views/          predicted maps, one EXR per view; an interrupted run resumes after them
+OUT/atlas/          the merged maps as PNG and EXR, and mask.png (255 observed, 128 filled in, 0 no surface)
 OUT/asset/          the asset package; OUT/NAME.glb, OUT/mitsuba/scene.xml and OUT/NAME.usdz for others
-OUT/check/          what the check of mesh against photographs found, with pictures
-OUT/report.html     the report for people
+OUT/check/          findings of the check of mesh against photographs, with pictures
+OUT/report.html     the report as a page
 OUT/report.json     unwrap, size, coverage, warnings, seconds and memory by stage, lights
 
-Everything appears whole or not at all, and ``report.json`` last. A stage returns what later ones need; the
-rest of what it held, and its input, go when it returns: photographs before the maps are packed, maps before
-they are merged, the packed maps before the atlas is filled.
+Everything appears whole or not at all, and ``report.json`` last. A stage returns the data that later stages
+need; its other data, and its input, are freed when it returns: photographs before the maps are packed, maps
+before they are merged, the packed maps before the atlas is filled.
 """
 
 from __future__ import annotations
@@ -58,14 +58,17 @@ from model.reconstruction.unwrap.uv import unwrapped
 
 __all__ = ["InferOptions", "InferReport", "infer"]
 MEMORY_ATLAS = 4096
-"""Atlases up to this side are held in memory, larger ones in files beside the result while they are made."""
+"""Maximum side of atlases in memory; larger ones are in temporary files beside the result."""
 
 
 @dataclass(frozen=True)
 class FinalViews:
-    """The views when their maps are final. ``sides`` (M,) of the mesh's triangles that the views see;
-    ``footprint_m`` of their fine pixels, None where they see nothing; ``can_be_seen`` (M,) from anywhere
-    before what they see."""
+    """The views with their final maps.
+
+    ``sides`` (M,) of the mesh's triangles visible in the views; ``footprint_m`` of their fine pixels, None if
+    no surface is visible; ``can_be_seen`` (M,), whether a triangle is visible from the space in front of
+    photographed surface.
+    """
 
     views: list[MapView]
     geometry: TracedGeometry
@@ -76,8 +79,11 @@ class FinalViews:
 
 @dataclass(frozen=True)
 class PackedMaps:
-    """The views' maps in the merger's arrays, and the unwrapped ``mesh`` with ``normals`` (M, 3) of its
-    triangles, for an atlas of ``size`` texels a side; ``can_be_seen`` as in :class:`FinalViews`."""
+    """The views' maps in the merger's arrays, and the unwrapped ``mesh``.
+
+    ``normals`` (M, 3) are those of its triangles, ``size`` the side of the atlas in texels; ``can_be_seen``
+    as in :class:`FinalViews`.
+    """
 
     merger: MapMerger
     mesh: Mesh
@@ -101,10 +107,10 @@ def infer(
     options: InferOptions | None = None,
     progress: Progress | None = None,
 ) -> InferReport:
-    """Make an asset of ``capture`` in ``out`` from the maps of ``source``: a checkpoint's, the capture's own
-    truth or given ones (``predict.sources``).
+    """Make an asset of ``capture`` in ``out`` from the maps of ``source`` (``predict.sources``).
 
-    Raises :class:`InputError` where the input is bad, no view sees the mesh, or ``out`` holds other work.
+    The source is a checkpoint, the capture's own truth, or given maps. Raises :class:`InputError` if the
+    input is bad, no view shows the mesh, or ``out`` contains other work.
     """
     report = InferReport(capture.name, len(capture.views), len(capture.geometry.mesh.faces))
     run = Run(out, options or InferOptions(), report, progress or (lambda stage, done, total: None))
@@ -113,7 +119,7 @@ def infer(
             from model.reconstruction.export.usd import require_usd
 
             require_usd()
-        source.prepare(run.options)  # before hours of work, and before OUT belongs to it
+        source.prepare(run.options)  # before hours of work, and before OUT is assigned to it
         select_variant()
         report.notes += capture.notes
         _claim(capture, source, run)
@@ -125,7 +131,7 @@ def infer(
         write_bytes_atomically(out / "report.html", report_html(report, run.found.pictures).encode())
         write_bytes_atomically(out / "report.json", canonical_json(asdict(report)))
     except OSError as error:
-        if error.filename is None and error.errno:  # a full disk does not say which file it was
+        if error.filename is None and error.errno:  # the error of a full disk does not name the file
             raise OSError(error.errno, error.strerror, str(out)) from error
         raise
     return report
@@ -140,7 +146,7 @@ def map_stages(source: MapSource, options: InferOptions) -> list[MapStage]:
 
 
 def _claim(capture: Capture, source: MapSource, run: Run) -> None:
-    """Bind the folder to this work: continue what is the same, refuse what is not."""
+    """Assign the folder to this work: resume the same work, refuse other work."""
     mesh = capture.geometry.mesh
     geometry = hashlib.sha256(mesh.positions.tobytes() + mesh.faces.tobytes()).hexdigest()
     cameras = [
@@ -187,8 +193,9 @@ def _final_views(capture: Capture, source: MapSource, run: Run) -> FinalViews:
 
 
 def _check(traced: TracedCapture, run: Run) -> None:
-    """Warn of faults of the capture, and write the findings beside the result; refuse a mesh in
-    the wrong frame."""
+    """Warn of faults of the capture, and write the findings beside the result; refuse a mesh in the wrong
+    frame.
+    """
     if not run.options.is_checked:
         for view in traced.views:
             run.report.warnings += view_warnings(view.name, view.color, view.geometry)
@@ -223,7 +230,7 @@ def _packed(final: FinalViews, run: Run) -> PackedMaps:
 
 
 def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
-    """Merged, in memory or in files that last as long as ``files``."""
+    """Merged, in memory or in files that exist as long as ``files``."""
     confidence_at = run.found.confidence_at
     has_confidence = confidence_at is not None
     atlas = files.enter_context(_atlas_memory(packed.size, run.out, has_confidence=has_confidence))
@@ -238,7 +245,7 @@ def _merged(packed: PackedMaps, run: Run, files: ExitStack) -> MergedAtlas:
 
 @contextmanager
 def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atlas]:
-    """Room for an atlas, in memory or in files that are removed afterwards."""
+    """Storage for an atlas, in memory or in temporary files."""
     if size <= MEMORY_ATLAS:
         yield empty_atlas(size, has_confidence=has_confidence)
         return
@@ -247,7 +254,7 @@ def _atlas_memory(size: int, out: Path, *, has_confidence: bool) -> Iterator[Atl
 
 
 def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, float]:
-    """Share of the surface that was seen, of all and of the visible surface."""
+    """Observed shares of the surface and of the visible surface."""
     covered = visible = seen = 0
     for top in range(0, atlas.size, 1024):
         face = atlas.face[top : top + 1024]

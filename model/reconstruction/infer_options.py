@@ -30,9 +30,11 @@ def _atlas_side(text: str) -> int | Literal["auto"]:
 
 @dataclass(frozen=True)
 class AssetOptions:
-    """``atlas`` is the side in texels, or "auto" from the density of the views' pixels. ``is_checked``:
-    whether the mesh is compared with the photographs first. ``has_usd``: whether a USDZ is written beside the
-    GLB."""
+    """Options of the asset.
+
+    ``atlas`` is the side in texels, or "auto" for the density of the views' pixels. ``is_checked``: whether
+    the mesh is compared with the photographs first. ``has_usd``: whether a USDZ is written beside the GLB.
+    """
 
     atlas: Annotated[
         int | Literal["auto"],
@@ -51,13 +53,16 @@ class AssetOptions:
 
 @dataclass(frozen=True)
 class InferOptions(AssetOptions):
-    """``weights`` of the medians over views, see :class:`MergeOptions`; confidence takes the checkpoint's.
+    """Options of ``materials infer``.
+
+    ``weights`` of the medians over views, see :class:`MergeOptions`; confidence is the checkpoint's.
     ``is_leveled``: whether the albedo scale of predictions is corrected by interreflection
     (``albedo_level``). ``materials``: from the network alone, from the light that the photographs record
-    alone, or both, the network's as the prior (``light``). ``has_punctual``: whether the GLB has small lamps
-    as point lights, too. ``is_evened``: whether exposures, vignetting and response are found from photographs
-    that overlap (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses are sought
-    (``geometry.pose_mending``)."""
+    alone, or from both, with the network as the prior (``light``). ``has_punctual``: whether the GLB contains
+    small lamps also as point lights. ``is_evened``: whether exposures, vignetting and response are estimated
+    from overlapping photographs (``radiometry``). ``mends_poses``: whether small errors of the cameras' poses
+    are corrected (``pose_mending``).
+    """
 
     visibility: Annotated[
         Literal["depth", "trace"],
@@ -94,12 +99,15 @@ class InferOptions(AssetOptions):
 
 @dataclass
 class InferReport:
-    """Report of a run. ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up
-    to the end of each; ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the
-    lights that were found, empty where none were sought; ``warnings`` name views where they concern one;
-    ``radiometry`` is what :mod:`~model.reconstruction.radiometry` found, ``poses`` how far they were mended,
-    empty where that was not asked for; ``albedo_level`` is a
-    :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty where none was sought."""
+    """Report of a run.
+
+    ``seconds`` by stage, and ``memory_mb``, the peak of the process's resident memory up to the end of each;
+    ``light`` is a :class:`~model.reconstruction.light.options.LightReport` with the recovered lights, empty
+    if not requested; ``warnings`` name the views that they concern; ``radiometry`` holds the findings of
+    :mod:`~model.reconstruction.radiometry`, ``poses`` the corrections of poses, empty if not requested;
+    ``albedo_level`` is a :class:`~model.reconstruction.level.albedo_level.LevelReport`, empty if not
+    requested.
+    """
 
     name: str = ""
     num_views: int = 0
@@ -123,7 +131,7 @@ class InferReport:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the time inside to a stage."""
+        """Context manager that adds its duration to a stage."""
         start = time.perf_counter()
         try:
             yield
@@ -132,8 +140,9 @@ class InferReport:
             self.memory_mb[name] = round(peak_mb(), 1)
 
     def table(self) -> str:
-        """The stages, their seconds and the memory, those of the light stage by step, and the lights that
-        were found, for the end of a run."""
+        """Table for the end of a run: stages with seconds and memory, steps of the light stage, recovered
+        lights.
+        """
         from model.reconstruction.found_lights import lights_text
 
         lines = []
@@ -145,7 +154,8 @@ class InferReport:
 
     def costs(self) -> list[tuple[str, float, float, float]]:
         """(name, seconds, share of all, peak memory in MB so far) of every stage, of the steps of the light
-        stage, indented, and of all."""
+        stage, indented, and of all.
+        """
         total = sum(self.seconds.values())
         memory = max(self.memory_mb.values(), default=0.0)
         rows = []

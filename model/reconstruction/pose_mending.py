@@ -2,7 +2,7 @@
 """Corrects small errors of camera poses by agreement with other views.
 
 Points of the mesh in a view, away from depth edges and where its image varies, are looked up in the views
-that see most of them; the view's pose is fitted to their median by Gauss-Newton, with Cauchy weights and a
+with the largest overlap; the view's pose is fitted to their median by Gauss-Newton, with Cauchy weights and a
 prior of :data:`SPREAD_M` and :data:`SPREAD_DEG`. All views move at once, in a few rounds. A common transform
 of all cameras is undetermined: their mean stays.
 """
@@ -22,24 +22,28 @@ from datagen.geometry.views import TracedView
 
 ROUNDS = 6
 MAX_POINTS, MAX_OTHERS, MIN_OTHERS, MIN_POINTS = 4000, 8, 2, 100
-"""Points of a view, views that they are looked up in at most and at least, and points without which a view
-stays."""
+"""Points per view; maximum and minimum number of views in which they are looked up; and minimum number of
+points for a correction of a view."""
 SPREAD_M, SPREAD_DEG = 0.01, 0.3
 EDGE = 0.03
-"""Relative change of depth over three pixels from which a point lies at an edge."""
+"""Relative change of depth over three pixels above which a point counts as an edge."""
 SAME_DEPTH = 0.02
-"""Relative difference of depth up to which two views see the same point."""
+"""Largest relative difference of depth at which two views show the same point."""
 MIN_GAIN = 0.1
-"""Part of the residual that must go for the poses to be taken: right ones would move by half a pixel."""
-_STEP = 0.8  # of a Gauss-Newton step, as all views move at once
-_ALIKE = 25.0  # neighbouring points that err alike
+"""Minimum reduction of the residual for the corrections to be used: correct poses would move by half a pixel.
+"""
+_STEP = 0.8  # step size of Gauss-Newton, since all views move at once
+_ALIKE = 25.0  # neighbouring points with correlated errors
 
 
 @dataclass(frozen=True)
 class MendedPoses:
-    """``cameras`` in the views' order, unchanged where others explain the views hardly better; shifts
-    ``moved_mm`` and ``turned_deg`` (V,); ``residual`` before and after: the median of |ln shown - ln median
-    of others|."""
+    """Result of :func:`mended_poses`.
+
+    ``cameras`` in the views' order, unchanged if the corrected ones explain the views hardly better; shifts
+    ``moved_mm`` and ``turned_deg`` (V,); ``residual`` before and after: the median of |ln value - ln median
+    of other views|.
+    """
 
     cameras: tuple[Camera, ...]
     moved_mm: NDArray[np.float64]
@@ -94,7 +98,7 @@ def _place(camera_from_world: NDArray) -> NDArray[np.float64]:
 
 
 def _moved(step: NDArray) -> NDArray[np.float64]:
-    """(4, 4) of a rotation vector and a translation in the camera's frame."""
+    """Transform (4, 4) of a rotation vector and a translation in the camera's frame."""
     found = np.eye(4)
     found[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
     found[:3, 3] = step[3:]
@@ -154,7 +158,7 @@ def _is_inside(lens: Camera, local: NDArray, x: NDArray, y: NDArray) -> NDArray[
 def _expected(
     looks: Sequence[_Look], lenses: Sequence[Camera], poses: Sequence[NDArray], index: int
 ) -> NDArray[np.float64]:
-    """Median value (N,) of a view's points in the other views; NaN where too few see them."""
+    """Median value (N,) of a view's points in the other views; NaN for points in too few of them."""
     points, found = looks[index].points, []
     for other, (look, lens, pose) in enumerate(zip(looks, lenses, poses, strict=True)):
         if other == index:
@@ -191,7 +195,7 @@ def _step(
     if used.sum() < MIN_POINTS:
         return np.zeros(6), 0.0
     local, x, y, rest = local[used], x[used], y[used], rest[used]
-    rest -= np.median(rest)  # of exposure
+    rest -= np.median(rest)  # standard deviation of exposure
     spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-3)
     weight = 1 / (1 + (rest / (2 * spread)) ** 2) / spread**2 / _ALIKE
     gx, gy = _sampled(look.gradient[0], x, y), _sampled(look.gradient[1], x, y)

@@ -22,7 +22,7 @@ Maps = dict[str, NDArray]
 
 @dataclass(frozen=True)
 class ViewPicture:
-    """A view for the report: its photograph, D, and the confidence of D (H, W, 3), 8 bits."""
+    """A view for the report: its photograph, D, and the confidence of D, (H, W, 3) 8-bit images."""
 
     name: str
     photograph: NDArray[np.uint8]
@@ -32,10 +32,12 @@ class ViewPicture:
 
 @dataclass
 class Found:
-    """Results of stages beside maps: ``lights``; ``confidence_at`` surface points and normals (both (...,
-    3)), bytes of D, S and R; ``pictures`` of views; ``doubt_at`` points (N, 3) with normals (N, 3), the
-    luminance (N,) of diffuse shading that is uncertain because its source clips. None or empty where no stage
-    provides them."""
+    """Results of stages beside maps; None or empty if no stage provides them.
+
+    ``lights``; ``confidence_at`` surface points and normals (both (..., 3)), bytes of D, S and R;
+    ``pictures`` of views; ``doubt_at`` points (N, 3) with normals (N, 3), the luminance (N,) of diffuse
+    shading that is uncertain because its source clips.
+    """
 
     lights: FoundLights | None = None
     confidence_at: Callable[[NDArray, NDArray], NDArray[np.uint8]] | None = None
@@ -75,7 +77,7 @@ class MapSource(Protocol):
 
     @property
     def identity(self) -> str:
-        """Identifies the maps: a run in an existing folder resumes only with the same."""
+        """Identity of the maps: a run in an existing folder resumes only with the same one."""
 
     @property
     def is_predicted(self) -> bool:
@@ -89,5 +91,4 @@ class MapSource(Protocol):
 
 
 MapStage = Callable[[TracedCapture, list[Maps], Run], list[Maps]]
-"""A stage between prediction and merge: the views' maps in, other maps out; what it is given stays as it
-is."""
+"""A stage between prediction and merge: returns other maps of the views and leaves its input unchanged."""

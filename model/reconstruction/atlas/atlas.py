@@ -20,10 +20,12 @@ ATLAS_DTYPE = np.float16
 
 @dataclass(frozen=True)
 class Atlas:
-    """A merged atlas: ``maps`` by name (N, N, 3 or 1) in [0, 1], ``count`` (N, N) of views in each texel's
-    medians, ``face`` (N, N) its triangle or -1. Row 0 is at v = 1. Texels of count 0 hold 0 until they are
-    filled. ``confidence`` (N, N, 3) of D, S and R in bytes, where known: 255 from light alone, 0 from a
-    network alone."""
+    """A merged atlas; row 0 is at v = 1.
+
+    ``maps`` by name (N, N, 3 or 1) in [0, 1], ``count`` (N, N) of views in each texel's medians, ``face`` (N,
+    N) its triangle or -1. Texels of count 0 are 0 until they are filled. ``confidence`` (N, N, 3) of D, S and
+    R in bytes, if known: 255 from light alone, 0 from a network alone.
+    """
 
     maps: dict[str, NDArray]
     count: NDArray[np.uint16]
@@ -37,19 +39,21 @@ class Atlas:
 
     @property
     def unseen_mask(self) -> NDArray[np.bool_]:
-        """Texels with surface that no view sees."""
+        """Mask of texels with surface that no view shows."""
         return np.asarray((self.face >= 0) & (self.count == 0))
 
     def release(self) -> None:
-        """Release memory-mapped pages; the next access reads them again. Otherwise a pass over a large atlas
-        would fill the memory."""
+        """Release memory-mapped pages; the next access reads them again.
+
+        Otherwise a pass over a large atlas would fill the memory.
+        """
         for array in (*self.maps.values(), self.count, self.face, self.confidence):
             if array is not None:
                 let_go(array)
 
 
 def let_go(array: NDArray) -> None:
-    """Release an array's pages from memory if a file backs them."""
+    """Release an array's pages from memory if it is backed by a file."""
     if isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         array.base.madvise(mmap.MADV_DONTNEED)
 

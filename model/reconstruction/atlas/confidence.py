@@ -15,12 +15,12 @@ from model.reconstruction.atlas.atlas import Atlas
 from model.reconstruction.atlas.texels import TexelSurface
 
 ConfidenceAt = Callable[[NDArray, NDArray], NDArray[np.uint8]]
-"""Confidence (..., 3) of D, S and R, 255 for 1, at points and normals (..., 3)."""
+"""Confidence (..., 3) of D, S and R as bytes (255 for 1) at points and normals (..., 3)."""
 TILE = 512
 
 
 def put_confidence(atlas: Atlas, surface: TexelSurface, confidence_at: ConfidenceAt) -> None:
-    """Fill the atlas's allocated ``confidence``; 0 where no view has seen a texel."""
+    """Fill the atlas's allocated ``confidence``; 0 for texels that no view shows."""
     target = atlas.confidence
     if target is None:
         raise ValueError("expected an atlas with confidence")

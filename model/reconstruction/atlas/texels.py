@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Texels of an atlas and the surface under them: which triangle covers a texel's centre, and where it is.
+"""Rasteriser for atlases: the triangle that covers each texel's centre, and the surface point there.
 
-A rasteriser that works on any rectangle of the atlas. The edges' functions are computed in float64 from the
-edge's ends in one order, whichever triangle asks, so that no texel falls between two triangles that share an
-edge. Where triangles overlap the one of highest index wins. Row 0 of an atlas is at v = 1. Triangles lie in
-bins, so that a rectangle looks only at those near it.
+It works on any rectangle of the atlas. Edge functions are computed in float64 from the edge's ends in a fixed
+order for both adjacent triangles, so that no texel falls between two triangles that share an edge. Of
+overlapping triangles the one with the highest index is used. Row 0 of an atlas is at v = 1. Triangles are
+binned, so that a rectangle tests only nearby ones.
 """
 
 from __future__ import annotations
@@ -53,16 +53,19 @@ class TexelSurface:
         *,
         is_highest: bool = True,
     ) -> NDArray[np.int32]:
-        """Triangle of each texel of a rectangle, (height, width), at ``offset`` inside it; -1 where none
-        covers it, and of several the one of highest or of lowest index."""
+        """Triangle of each texel of a rectangle, (height, width), at ``offset`` inside it; -1 for none.
+
+        Of several triangles, the one with the highest or with the lowest index.
+        """
         face = np.full((height, width), -1, np.int32)
         around = (left, top, *offset, is_highest)
         _rasterise(self.uv, self.vertices, self.size, *self._bins, *around, face)
         return face
 
     def points(self, face: NDArray[np.int32], left: int, top: int) -> tuple[NDArray, NDArray]:
-        """World positions and normals (H, W, 3) under the centres of a rectangle's texels, from its
-        triangles (H, W); 0 where there are none."""
+        """World positions and normals (H, W, 3) at the centres of a rectangle's texels, from its triangles
+        (H, W); 0 for none.
+        """
         points = np.zeros((*face.shape, 3), np.float32)
         _surface_points(face, left, top, self.size, self.uv, self.vertices, self.positions, points)
         normals = np.where((face >= 0)[..., None], self.normals[np.maximum(face, 0)], np.float32(0))
@@ -93,7 +96,7 @@ def _span(a: Any, b: Any, c: Any, num_bins: Any) -> Any:
 
 @compiled
 def _face_bins(uv: Any, vertices: Any, face: Any, size: Any, num_bins: Any) -> Any:
-    """First and last column, first and last row of the bins that a triangle's box meets."""
+    """First and last column, first and last row of the bins that a triangle's bounding box overlaps."""
     ax, ay = corner(uv, vertices[face, 0], size)
     bx, by = corner(uv, vertices[face, 1], size)
     cx, cy = corner(uv, vertices[face, 2], size)
@@ -123,8 +126,9 @@ def _fill_bins(uv: Any, vertices: Any, size: Any, num_bins: Any, ends: Any, memb
 
 @compiled
 def _edge(ax: Any, ay: Any, bx: Any, by: Any, side: Any) -> Any:
-    """(x, y, dx, dy, sign) of the edge from a to b: its ends in an order of their own, and ``side`` turned
-    where that is the other one."""
+    """(x, y, dx, dy, sign) of the edge from a to b, with its ends in canonical order; ``sign`` is ``side``,
+    negated if they were swapped.
+    """
     if ax < bx or (ax == bx and ay <= by):
         return ax, ay, bx - ax, by - ay, side
     return bx, by, ax - bx, ay - by, -side

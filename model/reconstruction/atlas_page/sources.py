@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The lights of an asset as at most ``MAX_SOURCES`` points, for the page to switch on and off.
+"""The lights of an asset as at most ``MAX_SOURCES`` points, which the page can switch on and off.
 
 A source of radiance L, area A and vector area V (the sum of its triangles' areas times their normals) has the
 intensity L (max(V.w, 0) + (A - |V|) / 4) in the direction w: exact for a rectangle, and for a closed convex
-surface on average over directions. Its point is the middle of its area. More sources than the page has room
-for are merged, the nearest first, which keeps A L. Environments, spots and suns are not among them.
+surface on average over directions. Its point is the centroid of its area. If there are more sources, the
+nearest are merged, which preserves A L. Environments, spots and suns are not included.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from datagen.foundation.meshes.mesh import Mesh
 
 MAX_SOURCES = 8
 """As in ``page/shadows.js``."""
-_POINT_RADIUS_M = 0.01  # points have none; a sphere of the same intensity
+_POINT_RADIUS_M = 0.01  # points have no area; a sphere of the same intensity replaces them
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class Source:
 
     @property
     def rest_m2(self) -> float:
-        """Projected area towards every direction beside that of the vector area."""
+        """Projected area towards every direction in addition to that of the vector area."""
         return max(self.area_m2 - float(np.linalg.norm(self.vector_m2)), 0.0) / 4
 
     def merged(self, other: Source) -> Source:
-        """Both as one source of their summed areas and A L, in their middle by A L."""
+        """Both as one source with their summed areas and A L, at their centroid weighted by A L."""
         powers = [float(s.area_m2 * s.radiance.mean()) for s in (self, other)]
         area = self.area_m2 + other.area_m2
         flux = self.area_m2 * self.radiance + other.area_m2 * other.radiance
@@ -49,7 +49,7 @@ class Source:
         return Source(middle, self.vector_m2 + other.vector_m2, area, flux / area)
 
     def described(self) -> dict[str, Any]:
-        """For the page."""
+        """The source as data for the page."""
         return {
             "position": self.position_m.tolist(),
             "vector": self.vector_m2.tolist(),
@@ -61,7 +61,9 @@ class Source:
 def page_sources(
     asset: EnvironmentAsset | ObjectAsset, slots: Mapping[str, Mesh]
 ) -> tuple[list[Source], int, list[str]]:
-    """Sources of the asset's lights and emissive ``slots``; of how many lights; notes on the others."""
+    """Sources of the asset's lights and emissive ``slots``, the number of lights in them, and notes on the
+    others.
+    """
     sources, notes = [], []
     for light in asset.lights:
         source = _of_light(light)

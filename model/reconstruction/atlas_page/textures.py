@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Material channels as images for the page: PNG, 8 bits, at most ``max_side`` texels a side.
 
-Three images a material: D and S sRGB-encoded; R in red with, in green, what was seen of the atlas (255 seen,
-128 filled in; 255 where nothing is known about it) and, in blue, its confidence: the least of D, S and R (0
-where nothing is known about it). Row 0 is at v = 1. Larger images are averaged down.
+Three images per material. D and S are sRGB-encoded. The third has R in red; in green, the state of the atlas
+(255 observed, 128 filled in; 255 if unknown); in blue, the confidence, the minimum of D, S and R (0 if
+unknown). Row 0 is at v = 1. Larger images are averaged down.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ KINDS = ("diffuse", "specular", "rough")
 
 @dataclass(frozen=True)
 class PageImage:
-    """One image: what it holds (of :data:`KINDS`), its PNG, its sides, and the sides it was made from."""
+    """One image: its kind (one of :data:`KINDS`), its PNG, its size, and the size of its source."""
 
     kind: str
     pixels: NDArray[np.uint8]
@@ -53,8 +53,7 @@ def shrunk(pixels: NDArray[np.uint8], max_side: int) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class AtlasState:
-    """Further images of an atlas, each (N, N) or None: ``mask`` of texels that were seen, and
-    ``confidence``."""
+    """Further images of an atlas, each (N, N) or None: ``mask`` of observed texels, and ``confidence``."""
 
     mask: NDArray[np.uint8] | None = None
     confidence: NDArray[np.uint8] | None = None
@@ -65,7 +64,7 @@ def material_images(
 ) -> Iterator[PageImage]:
     """The images of a material; ``state`` belongs to its roughness texture.
 
-    Raises :class:`InputError` where an image cannot be read or differs from the state's in size.
+    Raises :class:`InputError` if an image cannot be read or differs from the state's in size.
     """
     for kind, channel in (("diffuse", material.diffuse_albedo), ("specular", material.specular_albedo)):
         pixels, side = _color_bytes(package, channel, max_side)
@@ -108,7 +107,7 @@ def _rough_bytes(package: Package, channel: object) -> tuple[NDArray[np.uint8], 
 
 
 def read_state(folder: Path) -> AtlasState:
-    """Images that `materials infer` writes beside the maps of an atlas; raises :class:`InputError`."""
+    """Images written by `materials infer` beside the maps of an atlas; raises :class:`InputError`."""
     mask, confidence = (_bytes_of(folder / name) for name in ("mask.png", "confidence.png"))
     return AtlasState(
         None if mask is None else mask[..., 0], None if confidence is None else confidence.min(axis=2)

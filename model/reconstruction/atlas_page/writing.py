@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Makes the folder of the 3D page of an asset.
+"""Writes the folder of the 3D page of an asset.
 
-index.html *.css *.js     the page; three.js is its library
+index.html *.css *.js     the page, with three.js as library
 data/scene.js             meshes, cameras, materials without their images
 data/preview.js           images of at most 1024 texels a side, for a quick first picture
-data/<material>-<kind>.js larger images at their full size, at most ``max_side``
+data/<material>-<kind>.js larger images at full size, at most ``max_side``
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from model.reconstruction.atlas_page.sources import page_sources
 from model.reconstruction.atlas_page.textures import AtlasState, material_images, read_state
 
 MAX_SIDE = 4096
-"""Longest side of an image: more is beyond many GPUs, and 4096 takes 256 MB of theirs already."""
+"""Longest side of an image: larger ones exceed many GPUs, and 4096 already takes 256 MB of their memory."""
 PREVIEW_SIDE = 1024
 PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "controls.js", "view.js")
 
@@ -39,7 +39,8 @@ PAGE_FILES = ("index.html", "view.css", "three.js", "shadows.js", "shader.js", "
 @dataclass(frozen=True)
 class ViewResult:
     """Result of writing a page: its path, the numbers of triangles and materials, and notes on changed
-    data."""
+    data.
+    """
 
     page: Path
     num_triangles: int
@@ -49,10 +50,10 @@ class ViewResult:
 
 
 def write_view(source: Path, out: Path, max_side: int = MAX_SIDE) -> ViewResult:
-    """Write the page of an asset package, or of a folder that ``materials infer`` has written, into ``out``.
+    """Write the page of an asset package, or of an output folder of ``materials infer``, into ``out``.
 
-    Masks of seen texels and confidence come from ``atlas/mask.png`` and ``confidence.png`` beside the
-    package, if present. Raises :class:`InputError` for other input, and where ``out`` holds other files.
+    Masks of observed texels and confidence come from ``atlas/mask.png`` and ``confidence.png`` beside the
+    package, if present. Raises :class:`InputError` for other input, and if ``out`` contains other files.
     """
     package_path = source / "asset" if is_package(source / "asset") else source
     _check_out(out)
@@ -152,7 +153,7 @@ def _bounds(meshes: list[Mesh]) -> list[list[float]]:
 
 
 def _cameras(asset: EnvironmentAsset | ObjectAsset) -> list[dict[str, Any]]:
-    """Name, vertical field of view in degrees, position and where it looks (a point 1 m ahead)."""
+    """Name, vertical field of view in degrees, position and target (a point 1 m ahead) of each camera."""
     found = []
     for camera in getattr(asset, "cameras", ()):
         matrix = np.array(camera.asset_from_camera)

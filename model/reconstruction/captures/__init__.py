@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Captures of every form. ``read.py`` recognises a form and calls its module; a module knows one form."""
+"""Captures in all supported forms. ``read.py`` recognises a form and calls the module for it."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Exposure brackets: photographs of one camera and pose whose exposures differ, as one image.
+"""Exposure brackets: photographs with one camera and pose but different exposures, merged to one image.
 
-A pixel is the mean of the photographs in which it is not clipped, weighted by exposure: with photon noise
-this estimator has the least variance (Hanji, Zhong and Mantiuk, "Noise-aware merging of high dynamic range
-image stacks without camera calibration", ECCV workshops 2020). It is clipped where all of them are.
+A pixel is the mean of the photographs in which it is not clipped, weighted by exposure: for photon noise this
+estimator has the least variance (Hanji, Zhong and Mantiuk, "Noise-aware merging of high dynamic range image
+stacks without camera calibration", ECCV workshops 2020). A pixel clipped in all of them stays clipped.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from datagen.foundation.cameras import Camera
 from model.reconstruction.captures.photographs import PhotographSource
 
 MAX_APART_M = 1e-3
-"""Distance of the centres of cameras on one tripod, as calibrations estimate it."""
+"""Maximum distance between the estimated centres of cameras on one tripod."""
 MAX_TURN_RAD = 1e-3
-"""Angle between them: 0.6 pixels of 640 over 60 degrees."""
+"""Maximum angle between them: 0.6 pixels of 640 over 60 degrees."""
 MAX_INTRINSICS_SHARE = 1e-3
-"""Difference of intrinsics, of the width."""
+"""Maximum difference of intrinsics, relative to the width."""
 MIN_EXPOSURE_RATIO = 1.1
-"""Of a bracket's longest and shortest exposure."""
+"""Minimum ratio of a bracket's longest to its shortest exposure."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class BracketSource:
     photographs: tuple[PhotographSource, ...]
 
     def read(self, camera: Camera) -> ColorImage:
-        """The photographs merged, as ``camera`` sees them; ``limit`` is that of the shortest exposure."""
+        """The photographs merged and resampled to ``camera``; ``limit`` is that of the shortest exposure."""
         ordered = sorted(self.photographs, key=lambda p: (p.exposure_scale, str(p.path)))
         return merged([source.read(camera) for source in ordered], [p.exposure_scale for p in ordered])
 
@@ -45,9 +45,9 @@ class BracketSource:
 
 
 def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
-    """One image of ``images`` (H, W, 3) that ``scales``, inverse exposures, have brought to one exposure.
+    """One image from ``images`` (H, W, 3) that ``scales``, inverse exposures, have brought to one exposure.
 
-    Where all are clipped it has the shortest exposure's values: the highest lower bound.
+    Pixels clipped in all of them have the shortest exposure's values, the highest lower bound.
     """
     shape = images[0].color.shape
     total, weights = np.zeros(shape), np.zeros(shape)
@@ -66,9 +66,11 @@ def merged(images: Sequence[ColorImage], scales: Sequence[float]) -> ColorImage:
 
 
 def with_brackets(views: Sequence[CaptureView]) -> tuple[tuple[CaptureView, ...], tuple[str, ...]]:
-    """``views`` of photographs with every bracket as one view, named after its first, and notes on them.
+    """``views`` of photographs with every bracket merged to one view, named after its first, and notes on
+    them.
 
-    Photographs of one pose without different exposures stay apart: theirs may not have been recorded.
+    Photographs of one pose without different exposures stay separate, since theirs may not have been
+    recorded.
     """
     groups: list[list[CaptureView]] = []
     for view in views:
@@ -111,7 +113,7 @@ def _are_one_camera(one: CaptureView, other: CaptureView) -> bool:
         return False
     if np.linalg.norm(a.position_m - b.position_m) > MAX_APART_M:
         return False
-    # of a small rotation between them, |R_a - R_b| = sqrt(2) times its angle
+    # for a small rotation between them, |R_a - R_b| = sqrt(2) times its angle
     turn = np.linalg.norm(a.world_from_camera[:3, :3] - b.world_from_camera[:3, :3]) / np.sqrt(2)
     apart = np.subtract((a.fx_px, a.fy_px, a.cx_px, a.cy_px), (b.fx_px, b.fy_px, b.cx_px, b.cy_px))
     return bool(turn <= MAX_TURN_RAD and np.abs(apart).max() <= MAX_INTRINSICS_SHARE * a.width_px)

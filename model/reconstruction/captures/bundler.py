@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Bundler's ``bundle.out`` (v0.3) with its ``list.txt``: an export of many tools.
+"""Bundler's ``bundle.out`` (v0.3) with its ``list.txt``, an export format of many tools.
 
-Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up;
-p = -P / P.z, and the pixel is f (1 + k1 |p|^2 + k2 |p|^4) p from the image's centre, upwards. Cameras with
-f = 0 were not placed. Images are not sized in the file, so they must be at hand.
+Per camera: f k1 k2, camera_from_world rotation by rows, translation. The camera looks along -z with y up; p =
+-P / P.z, and the pixel is f (1 + k1 |p|^2 + k2 |p|^4) p from the image's centre, upwards. Cameras with f = 0
+have no pose. The file has no image sizes, so that the images must be available.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every camera that was placed. Raises :class:`InputError` with all faults."""
+    """Every camera with a pose. Raises :class:`InputError` with all faults."""
     names = _names(path)
     budget.spend("frames", len(names), "images")
     try:

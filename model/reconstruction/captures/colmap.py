@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""COLMAP models, text and binary: ``cameras`` and ``images`` as photographs. Points are not needed and not
-read.
+"""COLMAP models, text and binary: ``cameras`` and ``images`` as photographs. Points are not read.
 
 COLMAP's pose is camera_from_world (quaternion w x y z, translation), its camera looks along +z with y down
-and its pixel centres are at +0.5: the project's conventions. The world is whatever frame COLMAP chose.
+and its pixel centres are at +0.5: the project's conventions. The world is the frame chosen by COLMAP.
 """
 
 from __future__ import annotations
@@ -54,14 +53,14 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every registered image; photographs lie in ``images`` beside or above the model."""
+    """Every registered image; photographs are in ``images`` beside or above the model."""
     beside = (path / "images", path.parent / "images", path.parent.parent / "images")
     folder = images or next((f for f in beside if f.is_dir()), beside[0])
     return Calibration(tuple(read_colmap(path, budget)), folder)
 
 
 def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
-    """Every registered image, by file name. Binary files are preferred where both forms lie in the folder."""
+    """Every registered image, by file name. Binary files are preferred if the folder has both forms."""
     if all((folder / name).is_file() for name in ("cameras.bin", "images.bin")):
         lenses, poses = (
             _read_binary_cameras(folder / "cameras.bin", budget),
@@ -129,8 +128,10 @@ def rotation_of(quaternion: NDArray) -> NDArray[np.float64]:
 
 
 def lens_intrinsics(model: str, p: tuple[float, ...], where: Path, field: str) -> _Intrinsics:
-    """(fx, fy, cx, cy) and the distortion of one of COLMAP's models. Raises for models without OpenCV's
-    form, naming ``field`` of the file."""
+    """(fx, fy, cx, cy) and the distortion of one of COLMAP's models.
+
+    Raises for models without OpenCV's form, naming ``field`` of the file.
+    """
     if model not in _SUPPORTED:
         raise input_error(where, f"{field} model", model, _UNSUPPORTED, _UNDISTORT)
     num_focal = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
@@ -194,7 +195,7 @@ def _read_text_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDArra
 
 
 class _Cursor:
-    """Reads little-endian values off a file's bytes."""
+    """Reads little-endian values from a file's bytes."""
 
     def __init__(self, path: Path):
         self.path, self.offset = path, 0
@@ -222,13 +223,13 @@ class _Cursor:
         return value
 
     def skip(self, num_bytes: int) -> None:
-        """Go past bytes that are not needed."""
+        """Skip bytes."""
         self.offset += num_bytes
         if self.offset > len(self.data):
             raise self.short()
 
     def short(self) -> InputError:
-        """The error of a file that was cut."""
+        """The error for a truncated file."""
         return input_error(self.path, "", "the file ends early", "a whole file", _REMEDY)
 
 
@@ -252,6 +253,6 @@ def _read_binary_images(path: Path, budget: Budget) -> dict[str, tuple[int, NDAr
         budget.spend("frames", 1, "images")
         values = cursor.take("i7di")
         name = cursor.text()
-        cursor.skip(cursor.take("Q")[0] * 24)  # x, y as doubles and a point id a feature
+        cursor.skip(cursor.take("Q")[0] * 24)  # x, y as doubles and a point id per feature
         poses[name] = (values[8], np.array(values[1:5]), np.array(values[5:8]))
     return poses

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Normalisation of the exposures that the cameras recorded."""
+"""Normalisation of recorded exposures."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from model.reconstruction.captures.photographs import relative_exposure
 
 
 def exposure_scales(images: Sequence[Path], *, is_required: bool) -> list[float]:
-    """Factors that undo the recorded exposures, 1 at their median; 1 for all where a photograph records none.
+    """Factors that undo the recorded exposures, 1 at their median; 1 for all if a photograph has no record.
 
-    Raises :class:`InputError` with every photograph that records none where ``is_required``.
+    If ``is_required``, raises :class:`InputError` with every photograph without a record.
     """
     gathered = [relative_exposure(image) for image in images]
     problems = [

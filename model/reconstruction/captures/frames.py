@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Up axis and unit of a capture: stated, or guessed by two rules that are reported to the user.
+"""Up axis and unit of a capture: given, or guessed by two rules that are reported to the user.
 
-Up: photographers hold cameras upright, so the axis within 30 degrees of the cameras' mean up direction is up.
-Unit: a room is 1 m to 100 m across (the diagonal of its bounding box); larger ones are in millimetres or
-centimetres, whichever brings them nearer to 8 m.
+Up: photographers hold cameras upright, so that the axis within 30 degrees of the cameras' mean up direction
+is up. Unit: a room is 1 m to 100 m across (the diagonal of its bounding box); larger ones are in millimetres
+or centimetres, whichever brings them closer to 8 m.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from model.reconstruction.capture_options import Axis
 
 AXES: tuple[Axis, ...] = get_args(Axis)
 _MAX_TILT_RAD = np.radians(30.0)
-_MIN_AGREEMENT = 0.3  # length of the mean up direction; cameras that look down every way have none
+_MIN_AGREEMENT = 0.3  # length of the mean up direction; it vanishes for cameras that look down with any roll
 _LARGEST_ROOM, _USUAL_ROOM_M = 100.0, 8.0
 _SMALLEST_ROOM = 1.0
 
@@ -34,26 +34,26 @@ _Z_FROM = {
 
 
 def z_up_from(up: Axis) -> NDArray[np.float64]:
-    """Rotation (3, 3) that takes the axis ``up`` to +z."""
+    """Rotation (3, 3) from the axis ``up`` to +z."""
     return np.array(_Z_FROM[up], dtype=np.float64)
 
 
 def world_from_source(up: Axis, unit_m: float) -> NDArray[np.float64]:
-    """(4, 4) to metres with Z up."""
+    """Transform (4, 4) to metres with Z up."""
     matrix = np.eye(4)
     matrix[:3, :3] = unit_m * z_up_from(up)
     return matrix
 
 
 def up_of(matrix: ArrayLike) -> Axis:
-    """The axis that a (4, 4) world_from_source takes nearest to +z."""
+    """The axis that a (4, 4) world_from_source maps closest to +z."""
     row = np.asarray(matrix, dtype=np.float64)[2, :3]
     at = int(np.abs(row).argmax())
     return AXES[at if row[at] > 0 else at + 3]
 
 
 def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
-    """The axis that the cameras take for up, and a sentence about it. 'z' where they agree on none."""
+    """The up axis judged by the cameras, and a sentence about it. 'z' if they agree on none."""
     mean = np.mean([-camera.world_from_camera[:3, 1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     at = int(np.abs(mean).argmax())
@@ -65,7 +65,7 @@ def judged_up(cameras: Sequence[Camera]) -> tuple[Axis, str]:
 
 
 def judged_unit(diagonal: float) -> tuple[float, str]:
-    """Metres in a unit of a mesh of this size, and a sentence about it."""
+    """Metres per unit of a mesh with this diagonal, and a sentence about it."""
     unit = 1.0
     if np.isfinite(diagonal) and diagonal > _LARGEST_ROOM:
         unit = min((0.01, 0.001), key=lambda u: abs(np.log(diagonal * u / _USUAL_ROOM_M)))

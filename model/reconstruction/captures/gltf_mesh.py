@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The triangles of a glTF or GLB file as one mesh; materials, images and animations are passed over."""
+"""The triangles of a glTF or GLB file as one mesh; materials, images and animations are ignored."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from datagen.foundation.meshes.mesh import Mesh, joined
 
 
 def read_gltf(path: Path, budget: Budget) -> Mesh:
-    """Every placed triangle in the document's frame, v upwards. Buffers must lie beside the document.
+    """Every placed triangle in the document's frame, v upwards. Buffers must be beside the document.
 
     Raises :class:`InputError`.
     """
@@ -47,6 +47,6 @@ def _primitive(file: GltfFile, placed: PlacedNode, primitive: dict[str, Any]) ->
     if "TEXCOORD_0" in attributes:
         uv = file.accessor(attributes["TEXCOORD_0"], placed.name).astype(np.float32)
         uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1) if len(uv) == len(positions) else None
-    if np.linalg.det(placed.scene_from_node[:3, :3]) < 0:  # a mirroring node turns the winding round
+    if np.linalg.det(placed.scene_from_node[:3, :3]) < 0:  # a mirroring node reverses the winding
         faces = faces[:, ::-1].copy()
     return Mesh(positions, faces, None, uv).transformed(placed.scene_from_node)

@@ -22,8 +22,9 @@ _CONVERT = f"convert it to {', '.join(MESH_SUFFIXES[:3])}, as Blender and MeshLa
 
 
 def find_mesh(path: Path) -> Path:
-    """The only mesh beside the cameras at ``path``. Raises :class:`InputError` where there are none or
-    several."""
+    """The only mesh beside the cameras at ``path``. Raises :class:`InputError` if there are none or
+    several.
+    """
     folder = path if path.is_dir() else path.parent
     found = (
         [f for f in sorted(folder.iterdir()) if f.suffix.lower() in MESH_SUFFIXES] if folder.is_dir() else []
@@ -39,7 +40,7 @@ def find_mesh(path: Path) -> Path:
 
 
 def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> tuple[Mesh, tuple[str, ...]]:
-    """The mesh of ``path`` in the world, without triangles of zero area or given twice, and notes on its
+    """The mesh of ``path`` in world space, without degenerate and repeated triangles, and notes on its
     faults.
 
     Raises :class:`InputError` for an unusable mesh.
@@ -63,7 +64,9 @@ def sound_mesh(mesh: Mesh, world_from_mesh: NDArray[np.float64], path: Path) -> 
 
 
 def load_mesh(path: Path, budget: Budget | None = None) -> Mesh:
-    """A mesh file in its own frame; ``budget`` is of what it is part of. Raises :class:`InputError`."""
+    """A mesh file in its own frame; ``budget`` is that of the enclosing capture. Raises
+    :class:`InputError`.
+    """
     budget = budget or Budget(path)
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES or not path.is_file():
@@ -90,8 +93,10 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
 
 
 def _without_repeated(mesh: Mesh) -> tuple[Mesh, int]:
-    """Triangles at the same three places count once, whatever their winding: texels of the second would be
-    hidden by the first."""
+    """The mesh with triangles at the same three positions counted once, whatever their winding.
+
+    Texels of the second would be hidden by the first.
+    """
     corners = np.sort(welded(mesh)[1][mesh.faces], axis=1)
     order = np.lexsort(corners.T)
     same = np.zeros(len(corners), dtype=bool)

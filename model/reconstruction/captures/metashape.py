@@ -2,10 +2,10 @@
 """Agisoft Metashape (PhotoScan): the camera file of "Export Cameras", Agisoft XML.
 
 A camera's ``transform`` is chunk_from_camera, x right, y down, z forward; the chunk's own transform
-(rotation, translation, scale) takes it to the coordinates in which "Export Model" writes meshes, as long as
-these are local; a component's transform, where the camera names one, stands in for it. Sensors: f, cx, cy in
-pixels, the principal point from the image's centre; b1 widens f for u, b2 is skew. Frame cameras: k1 ... k4
-of r^2 ... r^8; p1 goes with (r^2 + 2 x^2), so it is OpenCV's p2 (manual, appendix "Camera models").
+(rotation, translation, scale) maps it to the coordinates in which "Export Model" writes meshes, as long as
+these are local; if the camera names a component, that component's transform replaces it. Sensors: f, cx, cy
+in pixels, the principal point from the image's centre; b1 widens f for u, b2 is skew. Frame cameras: k1 ...
+k4 of r^2 ... r^8; p1 multiplies (r^2 + 2 x^2), so that it is OpenCV's p2 (manual, appendix "Camera models").
 Equidistant fisheyes are OpenCV's fisheye as long as p1 = p2 = 0.
 """
 
@@ -76,7 +76,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
             problems.extend(error.problems)
     _check_local(chunk, path)
     placement = _similarity(chunk.find("transform"), path)
-    components = {  # since version 1.7 parts that were aligned separately have transforms of their own
+    components = {  # since version 1.7 separately aligned parts have their own transforms
         element.get("id", ""): _similarity(element.find("transform"), path)
         for element in chunk.iterfind("components/component")
         if element.find("transform") is not None
@@ -155,7 +155,7 @@ def _distortion(kind: str, p: dict[str, float], path: Path, field: str) -> Disto
 
 
 def _check_local(chunk: ElementTree.Element, path: Path) -> None:
-    """Refuse chunks on the globe: their meshes are exported in other coordinates than their cameras."""
+    """Refuse georeferenced chunks: their meshes are exported in other coordinates than their cameras."""
     for element in chunk.findall("reference"):
         text = (element.text or "").strip().upper()
         if text.startswith(_EARTH):
@@ -164,7 +164,7 @@ def _check_local(chunk: ElementTree.Element, path: Path) -> None:
 
 
 def _similarity(element: ElementTree.Element | None, path: Path) -> NDArray[np.float64]:
-    """world_from_chunk (4, 4) with its scale; the unit matrix where the file has none."""
+    """world_from_chunk (4, 4) with its scale; the identity if the file has none."""
     matrix = np.eye(4)
     if element is None:
         return matrix

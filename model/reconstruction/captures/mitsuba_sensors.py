@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sensors of a Mitsuba scene in the scene's own frame; an image bears its sensor's id as its name."""
+"""Sensors of a Mitsuba scene in the scene's own frame; an image is named after its sensor's id."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def find(path: Path) -> Path | None:
 
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
-    """Every sensor. Raises :class:`InputError` where there is none, or with the scene's faults."""
+    """Every sensor. Raises :class:`InputError` if there is none, or with the scene's faults."""
     from datagen.formats.mitsuba.scene import parse_scene
     from datagen.formats.mitsuba.sensors import camera_of
     from datagen.foundation.findings import Findings

@@ -3,7 +3,8 @@
 
 A pose is camera_from_world ``rotation`` (rows) and ``center``; cameras look along +z with y down. Distortion:
 ``disto_k1``, ``disto_k3`` (r^2, r^4, r^6), ``disto_t2`` (k1 k2 k3 t1 t2, t1 and t2 as OpenCV's p1 and p2),
-``fisheye`` (OpenCV's). cereal names an intrinsic's class only the first time, so its keys tell what it is.
+``fisheye`` (OpenCV's). cereal writes an intrinsic's class only at its first occurrence, so that its keys
+identify it.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
                 unposed += 1
                 continue
             pose = _pose(name, poses[view["id_pose"]], path)
-            if key not in lenses:  # a fault of it is told once, not once a view
+            if key not in lenses:  # its fault is reported once, not once per view
                 lenses[key] = None
                 lenses[key] = _lens(intrinsics[key], path, f"intrinsics {key}")
             lens = lenses[key]
@@ -78,7 +79,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
         problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
     if problems:
         raise InputError(*problems)
-    # Another computer's folder: only its name is taken, for a folder beside the file.
+    # Another computer's folder: only its name is used, for a folder beside the file.
     name = Path(str(data.get("root_path", ""))).name
     beside = [
         path.parent / f for f in (name, "images") if f.isprintable() and f not in ("", "..") and len(f) < 100
@@ -105,7 +106,7 @@ class _Lens:
 
 
 def _lens(lens: dict[str, Any], path: Path, field: str) -> _Lens:
-    base = lens.get("value0", lens)  # some classes keep the pinhole's part in an object of its own
+    base = lens.get("value0", lens)  # some classes keep the pinhole's part in a nested object
     width, height, focal = int(base["width"]), int(base["height"]), float(base["focal_length"])
     cx, cy = (float(v) for v in base["principal_point"])
     if not (focal > 0 and min(width, height) > 0 and np.isfinite([focal, cx, cy]).all()):

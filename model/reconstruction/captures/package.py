@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Environment packages as captures: cameras, meshes and lights of the package, photographs beside it.
+"""Environment packages as captures: cameras, meshes and lights of the package, with photographs beside it.
 
-The Blender add-on exports such packages, so that a scene modelled over photographs needs no other export. A
-photograph bears its camera's name.
+The Blender add-on exports such packages, so that a scene modelled from photographs needs no other export. A
+photograph is named after its camera.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ def is_package(path: Path) -> bool:
 def read_package(
     path: Path, images: Path | None, encoding: Encoding, budget: Budget, exposure: Exposure = "common"
 ) -> Capture:
-    """The package's cameras for which there are photographs. Raises :class:`InputError` where none has one.
+    """The package's cameras that have photographs. Raises :class:`InputError` if none has one.
 
-    They lie in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
-    ``exposure``: the use of the exposures that they recorded.
+    Photographs are in ``--images``, or in ``photographs`` or ``images`` in the package or beside it.
+    ``exposure``: the use of their recorded exposures.
     """
     with open_package(path, budget) as package:
         asset = package.asset

@@ -3,7 +3,7 @@
 
 PNG, JPEG, TIFF and WEBP are decoded by OpenCV after their size was checked, EXR by OpenEXR, HEIC by libheif
 (``pillow-heif``, the extra ``heic``), raw photographs by libraw (``raw_photographs``). libheif and libraw
-turn a photograph as its properties say; EXIF, which repeats them, is not applied again.
+rotate a photograph according to its properties; the same rotation in EXIF is not applied again.
 """
 
 from __future__ import annotations
@@ -32,14 +32,16 @@ KNOWN_SUFFIXES = (
     *PHOTOGRAPH_SUFFIXES, ".avif", ".bmp", ".gif", ".jp2", ".jpe", ".jfif", ".jxl", ".ppm",
     ".psd", ".tga",
 )  # fmt: skip
-"""Of files that are taken for photographs, whether they can be read or not."""
+"""Suffixes of files that count as photographs, whether they can be read or not."""
 _READ = "PNG, JPEG, TIFF, WEBP, HEIC or EXR"
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP")
 _OPENCV_FORMATS = {".tif": ("TIFF",), ".tiff": ("TIFF",), ".webp": ("WEBP",)}
 
 
 def can_read(path: Path) -> bool:
-    """Whether photographs of that suffix are read here; of HEIC and raw ones, whether the reader is there."""
+    """Whether photographs with that suffix can be read; for HEIC and raw ones, whether the reader is
+    installed.
+    """
     suffix = path.suffix.lower()
     if suffix in HEIC_SUFFIXES:
         return find_spec("pillow_heif") is not None
@@ -47,7 +49,7 @@ def can_read(path: Path) -> bool:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether it is a sensor's values."""
+    """Whether it is a raw photograph."""
     return path.suffix.lower() in RAW_SUFFIXES
 
 
@@ -72,8 +74,11 @@ def unread_problems(where: str | Path, files: Sequence[Path]) -> list[Problem]:
 
 @dataclass(frozen=True)
 class Stored:
-    """``pixels`` (H, W, C); ``is_linear`` whatever encoding others have, and ``clipped`` (H, W) by the
-    sensor's limit, None where only the values tell."""
+    """A decoded photograph.
+
+    ``pixels`` (H, W, C); ``is_linear`` regardless of the encoding of the other photographs; ``clipped`` (H,
+    W) at the sensor's limit, None if it must be derived from the values.
+    """
 
     pixels: NDArray
     is_linear: bool = False
@@ -92,8 +97,10 @@ def read_stored(path: Path) -> Stored:
 
 
 def read_photograph(path: Path) -> NDArray:
-    """Pixels (H, W, C) as stored, in the file's orientation except for HEIC and raw ones, which are linear.
-    Raises :class:`InputError`."""
+    """Pixels (H, W, C) as stored, in the file's orientation except for HEIC and raw ones, which are upright.
+
+    Raises :class:`InputError`.
+    """
     _check(path)
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
@@ -114,7 +121,7 @@ def photograph_size(path: Path) -> tuple[int, int]:
 
 
 def pillow_formats(path: Path) -> tuple[str, ...]:
-    """The formats that Pillow may find in a photograph of that name; registers HEIC's reader."""
+    """The formats that Pillow may recognise in a photograph with that name; registers HEIC's reader."""
     if path.suffix.lower() not in HEIC_SUFFIXES or not can_read(path):
         return _FORMATS
     from pillow_heif import register_heif_opener
@@ -140,6 +147,6 @@ def _read_heic(path: Path) -> NDArray[np.uint8]:
     try:
         with Image.open(path, formats=pillow_formats(path)) as image:
             return np.asarray(image.convert("RGB"))
-    except Exception as error:  # libheif raises whatever it meets
+    except Exception as error:  # libheif may raise any exception
         got = f"corrupt data ({str(error)[:200]})"
         raise input_error(path, "", got, "a readable HEIC", "replace the file") from None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Photographs as a capture's images: decoded, turned upright, linearised, resized and undistorted.
+"""Photographs as a capture's images: decoded, rotated upright, linearised, resized and undistorted.
 
-Pixel coordinates have their centres at +0.5 (``foundation.cameras``); OpenCV's are at whole numbers, so its
-principal point is ours less 0.5. Linearisation comes before any resampling.
+Pixel coordinates have their centres at +0.5 (``foundation.cameras``); OpenCV's are at whole numbers, so that
+its principal point is ours minus 0.5. Linearisation precedes any resampling.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from model.reconstruction.captures.photograph_files import is_raw, pillow_format
 
 PAPER_GAMMA = 2.2
 CLIPPED_LEVEL = 0.96
-"""Of the sensor's limit, linear: JPEG leaves pixels that were clipped a few steps below it."""
+"""Clipping level relative to the sensor's limit, linear: JPEG leaves clipped pixels a few steps below it."""
 MIN_CLIPPED_SHARE = 0.02
-"""Clipped part of a resampled pixel from which it counts as clipped."""
+"""Clipped share of a resampled pixel from which on it counts as clipped."""
 _EXIF_ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _ASPECT_SLACK_PX = 1.0  # sizes that a calibration rounded differently
@@ -42,13 +42,13 @@ class PhotographSource:
     exposure_scale: float = 1.0
 
     def read(self, camera: Camera) -> ColorImage:
-        """The photograph as ``camera`` sees it: the same pose, any size and intrinsics, no distortion."""
+        """The photograph resampled to ``camera``: the same pose, any size and intrinsics, no distortion."""
         stored = read_stored(self.path)
         pixels = fit_orientation(stored.pixels, self.path, self.calibrated)
         linear = linearized(pixels, "linear" if stored.is_linear else self.encoding)
         if not np.isfinite(linear).all():
             raise input_error(self.path, "pixels", "NaN or Inf", "finite values", "export the image again")
-        has_limit = pixels.dtype.kind == "u"  # floats have none that is known
+        has_limit = pixels.dtype.kind == "u"  # no limit is known for floats
         clipped = linear >= CLIPPED_LEVEL if has_limit else None
         if clipped is not None and stored.clipped is not None:
             clipped = clipped | stored.clipped[..., None]
@@ -62,7 +62,7 @@ class PhotographSource:
 
 
 def exif_orientation(path: Path) -> int:
-    """EXIF orientation 1 ... 8; 1 where the file has none."""
+    """EXIF orientation 1 ... 8; 1 if the file has none."""
     if path.suffix.lower() == ".exr" or is_raw(path):
         return 1
     from PIL import Image
@@ -70,13 +70,13 @@ def exif_orientation(path: Path) -> int:
     try:
         with Image.open(path, formats=pillow_formats(path)) as image:
             value = int(image.getexif().get(_EXIF_ORIENTATION, 1))
-    except Exception as error:  # Pillow raises whatever its parsers meet
+    except Exception as error:  # Pillow may raise any exception of its parsers
         raise input_error(path, "EXIF", str(error)[:200], "a readable image", "export it again") from None
     return value if 1 <= value <= 8 else 1
 
 
 def relative_exposure(path: Path) -> float | None:
-    """Light gathered, up to one factor for all: t ISO / N^2 from EXIF; None where a figure is missing."""
+    """Relative exposure t ISO / N^2 from EXIF; None if a value is missing."""
     if is_raw(path):
         from model.reconstruction.captures.raw_photographs import raw_exposure
 
@@ -90,13 +90,13 @@ def relative_exposure(path: Path) -> float | None:
             values = [value[0] if isinstance(value, tuple) else value for value in values]
             time_s, f_number, iso = (float(value) for value in values if value is not None)
         gathered = time_s * iso / f_number**2
-    except Exception:  # no figures: as good as a file without any, and Pillow raises what its parsers meet
+    except Exception:  # unreadable EXIF counts as missing, and Pillow may raise any exception of its parsers
         return None
     return gathered if f_number > 0 and np.isfinite(gathered) and gathered > 0 else None
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Pixels (H, W, C) turned by an EXIF orientation."""
+    """Pixels (H, W, C) rotated according to an EXIF orientation."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.transpose(1, 0, 2)
     flips = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}.get(orientation, ())
@@ -109,10 +109,10 @@ def _has_shape_of(pixels: NDArray, camera: Camera) -> bool:
 
 
 def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
-    """The image as stored or, where only that has the camera's shape, upright.
+    """The image as stored or, if only that has the camera's shape, upright.
 
-    Calibration tools differ in whether they apply EXIF; the size they write tells. Where both fit, the image
-    is taken as stored, as COLMAP does. Raises :class:`InputError` where neither fits.
+    Calibration tools differ in whether they apply EXIF; the size that they write shows it. If both fit, the
+    image is used as stored, as by COLMAP. Raises :class:`InputError` if neither fits.
     """
     if _has_shape_of(pixels, camera):
         return pixels
@@ -125,7 +125,7 @@ def fit_orientation(pixels: NDArray, path: Path, camera: Camera) -> NDArray:
 
 
 def linearized(pixels: NDArray, encoding: Encoding) -> NDArray[np.float32]:
-    """Linear Rec.709 (H, W, 3) from stored pixels; grey is repeated and alpha left out."""
+    """Linear Rec.709 (H, W, 3) from stored pixels; grey is repeated and alpha dropped."""
     values = normalized(pixels)
     values = values[..., :3] if values.shape[2] >= 3 else np.repeat(values[..., :1], 3, axis=2)
     if encoding == "auto":
@@ -144,10 +144,10 @@ def undistorted(
     camera: Camera,
     clipped: NDArray[np.bool_] | None = None,
 ) -> ColorImage:
-    """Resample an image of the ``calibrated`` lens, ``clipped`` (H, W, 3) where it is, to the
-    pinhole ``camera``.
+    """Resample an image of the ``calibrated`` lens, clipped in ``clipped`` (H, W, 3), to the pinhole
+    ``camera``.
 
-    It is first brought to the camera's size by averaging areas, so that shrinking does not alias.
+    It is first resized to the camera's size by averaging areas, so that shrinking does not alias.
     """
     import cv2
 
@@ -183,7 +183,9 @@ def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
 def _distorted_pixels(
     lens: Camera, distortion: Distortion | None, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Pixel positions of ``camera`` in the lens's image, in OpenCV's coordinates, (H, W) twice."""
+    """Positions of the pixels of ``camera`` in the lens's image, in OpenCV's coordinates, (H, W) for each of
+    x and y.
+    """
     size = (camera.width_px, camera.height_px)
     u, v = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
@@ -195,7 +197,7 @@ def _distorted_pixels(
 
 
 def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> NDArray[np.float64]:
-    """Pixels (..., 2), centres at +0.5, at which a lens shows rays (x / z, y / z) in its camera's frame."""
+    """Pixels (..., 2), centres at +0.5, at which a lens images rays (x / z, y / z) in its camera's frame."""
     x, y = np.moveaxis(np.asarray(rays, dtype=np.float64), -1, 0)
     if distortion is not None and distortion.model == "fisheye":
         r = np.hypot(x, y)
@@ -204,7 +206,7 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
         k[: len(distortion.coefficients)] = distortion.coefficients
         t = theta**2
         bent = theta * (1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
-        scale = np.where(r > 1e-12, bent / np.maximum(r, 1e-12), 1.0)  # the centre stays where it is
+        scale = np.where(r > 1e-12, bent / np.maximum(r, 1e-12), 1.0)  # the centre stays fixed
         x, y = x * scale, y * scale
     elif distortion is not None:
         r2, factor = x * x + y * y, _radial(distortion, x * x + y * y)
@@ -217,7 +219,7 @@ def lens_pixels(lens: Camera, distortion: Distortion | None, rays: NDArray) -> N
 
 
 def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The factor by which a brown or polynomial lens moves points at squared radii ``r2``."""
+    """The factor by which a brown or polynomial lens displaces points at squared radii ``r2``."""
     k = np.zeros(8)
     k[: len(distortion.coefficients)] = distortion.coefficients
     if distortion.model == "polynomial":
@@ -227,7 +229,9 @@ def _radial(distortion: Distortion, r2: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _is_beyond_fold(distortion: Distortion | None, r: NDArray) -> NDArray[np.bool_]:
-    """Pixels past the radius where the radial polynomial turns back and would show the image twice."""
+    """Mask of pixels past the radius at which the radial polynomial turns back and would show the image
+    twice.
+    """
     if distortion is None:
         return np.zeros(r.shape, dtype=bool)
     steps = np.linspace(0.0, max(float(r.max()), 1e-6), 512)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Result of a reader of calibrations: images with cameras and distortion. And what several readers need.
+"""Common parts of the readers of calibrations, and their result: images with cameras and distortion.
 
-Every reader brings its software's convention to the project's: world_from_camera with x right, y down, z
+Every reader converts its software's convention to the project's: world_from_camera with x right, y down, z
 forward; pixel centres at +0.5; OpenCV's order of the coefficients.
 """
 
@@ -33,13 +33,13 @@ from model.reconstruction.captures.photograph_files import (
 
 EXPORT_AGAIN = "export it again"
 UNSIZED = "name its folder with --images: the file does not say how large it is"
-_RIGID_TOLERANCE = 1e-3  # files round their numbers
-_MAX_SKEW_PX = 0.25  # at the image's border; more would have to be undone, and no lens has it
+_RIGID_TOLERANCE = 1e-3  # files contain rounded numbers
+_MAX_SKEW_PX = 0.25  # at the image's border; more would need correction, and no real lens has it
 
 
 @dataclass(frozen=True)
 class PosedImage:
-    """An image of a calibration: file name as it stands there, camera with its pose, distortion."""
+    """An image of a calibration: its file name there, camera with its pose, distortion."""
 
     file: str
     camera: Camera
@@ -48,7 +48,7 @@ class PosedImage:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All images of a calibration, the folder that their names start from, and notes in words."""
+    """All images of a calibration, the base folder of their names, and notes as sentences."""
 
     images: tuple[PosedImage, ...]
     folder: Path
@@ -56,21 +56,26 @@ class Calibration:
 
 
 class ImageMissing(Exception):
-    """A calibration's image that is not found: its reader goes on, and tells of all of them by
-    :meth:`ImageFinder.absent`."""
+    """A calibration's image is missing: its reader continues, and reports all of them by
+    :meth:`ImageFinder.absent`.
+    """
 
 
 class ImageFinder:
-    """Finds images by the names that calibrations give them, which may be absolute paths of another computer,
-    lack their suffix or differ in case. Files outside the folder, or links that lead there, are not found:
-    calibrations come from strangers."""
+    """Finds images by their names in calibrations.
+
+    Names may be absolute paths of another computer, lack their suffix or differ in case. Files outside of the
+    folder, or links that lead there, are not found, since calibrations are untrusted.
+    """
 
     def __init__(self, folder: Path):
         self.folder = folder
         self._by_name: dict[str, list[Path]] | None = None
 
     def find(self, name: str) -> Path | None:
-        """The image's path, or None. A bare name is looked for below the folder and must be there once."""
+        """The image's path, or None. A bare name is searched for below the folder and must be unique
+        there.
+        """
         name = name.replace("\\", "/")
         if not name.isprintable():  # a zero byte is no part of a path
             return None
@@ -94,7 +99,7 @@ class ImageFinder:
         return image
 
     def absent(self, where: Path, names: Sequence[str], remedy: str) -> list[Problem]:
-        """Problems of images that were not found: one per unsupported format, one for each of the others."""
+        """Problems of missing images: one per unsupported format, one for each of the others."""
         others = self.unread(names)
         expected = f"this image, once, in {self.folder}"
         return unread_problems(where, list(others.values())) + [
@@ -102,21 +107,22 @@ class ImageFinder:
         ]
 
     def unread(self, names: Sequence[str]) -> dict[str, Path]:
-        """Those of the images that are there in a form that is not read."""
+        """Names of the images that exist in an unsupported format."""
         named = {name: self._named(name.replace("\\", "/")) for name in names}
         others = {name: [f for f in files if not can_read(f)] for name, files in named.items()}
         return {name: files[0] for name, files in others.items() if files}
 
     def _admitted(self, name: str) -> Path | None:
-        """The file of this name if there is one, and in the folder; also by its absolute path, which tools
-        write."""
+        """The file with this name if it exists inside the folder; absolute paths, which tools write, are
+        accepted too.
+        """
         if not os.path.lexists(self.folder / name):
             return None
         real, _ = fault_of(self.folder, name, (self.folder,))
         return real if real is not None and real.is_file() else None
 
     def _named(self, name: str) -> list[Path]:
-        """Images of that name below the folder, of any form that is known."""
+        """Images with that name below the folder, in any known format."""
         return self._index().get(Path(name).name.lower(), []) if name.isprintable() else []
 
     def _index(self) -> dict[str, list[Path]]:
@@ -134,9 +140,9 @@ class ImageFinder:
 
 
 def read_text(path: Path) -> str:
-    """A text file of sane size. Raises :class:`InputError`."""
+    """A text file of plausible size. Raises :class:`InputError`."""
     try:
-        if not path.is_file():  # a pipe would wait for ever
+        if not path.is_file():  # a pipe would block for ever
             raise input_error(path, "", "no regular file", "an export of cameras", EXPORT_AGAIN)
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise input_error(path, "", "a file of over 256 MB", "an export of cameras", EXPORT_AGAIN)
@@ -148,7 +154,7 @@ def read_text(path: Path) -> str:
 
 
 def head_of(path: Path, num_bytes: int = 4096) -> str:
-    """The file's beginning as text, '' where it cannot be read: for telling formats apart."""
+    """The file's beginning as text, '' if it cannot be read; for recognising formats."""
     try:
         if not path.is_file():
             return ""
@@ -164,7 +170,7 @@ def read_xml(path: Path, budget: Budget) -> ElementTree.Element:
 
 
 def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np.float64]:
-    """Exactly ``count`` finite numbers between blanks. Raises :class:`InputError`."""
+    """Exactly ``count`` finite numbers separated by blanks. Raises :class:`InputError`."""
     try:
         values = np.array([float(word) for word in (text or "").split()])
     except ValueError:
@@ -175,7 +181,7 @@ def numbers(text: str | None, count: int, where: Path, field: str) -> NDArray[np
 
 
 def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.float64]:
-    """The rotation nearest to a (3, 3) matrix, its uniform scale left out. Raises where it is none."""
+    """The rotation nearest to a (3, 3) matrix without its uniform scale. Raises if it is no rotation."""
     rotation = np.asarray(matrix, dtype=np.float64)
     is_finite = rotation.shape == (3, 3) and bool(np.isfinite(rotation).all())
     scale = float(np.cbrt(abs(np.linalg.det(rotation)))) if is_finite else 0.0
@@ -189,7 +195,7 @@ def rotation_part(matrix: ArrayLike, where: Path, field: str) -> NDArray[np.floa
 
 
 def pose_of(world_from_camera_rotation: ArrayLike, center: ArrayLike) -> NDArray[np.float64]:
-    """(4, 4) world_from_camera of a rotation and the camera's centre."""
+    """world_from_camera (4, 4) from a rotation and the camera's centre."""
     pose = np.eye(4)
     pose[:3, :3] = world_from_camera_rotation
     pose[:3, 3] = center
@@ -206,7 +212,7 @@ def polynomial(
 
 
 def check_skew(skew_px: float, focal_px: float, height_px: int, where: Path, field: str) -> None:
-    """Refuse a skew that shows: ``skew_px`` shifts u by skew times y of the normalised image."""
+    """Refuse a visible skew: ``skew_px`` shifts u by skew times y of the normalised image."""
     if abs(skew_px) * 0.5 * height_px / focal_px > _MAX_SKEW_PX:
         remedy = "calibrate without skew (b2 = 0), or undistort the images there"
         raise input_error(where, field, skew_px, "no skew", remedy)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Raw photographs by libraw (``rawpy``, the extra ``raw``): linear Rec.709 under the camera's white balance.
 
-Black level and white level are the file's; nothing is brightened, no curve is applied. Channels are scaled so
-that the weakest in white light reaches 1 at the sensor's limit. A sensor value at the limit makes its pixel
-and the neighbours that are interpolated from it clipped in all channels, as the colour matrix mixes them.
+Black level and white level are the file's; values are not brightened, and no curve is applied. Channels are
+scaled so that the weakest in white light reaches 1 at the sensor's limit. A sensor value at the limit makes
+its pixel and the neighbours that are interpolated from it clipped in all channels, since the colour matrix
+mixes them.
 """
 
 from __future__ import annotations
@@ -18,14 +19,15 @@ from datagen.foundation.exr import check_claim
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX
 
 LIMIT_SHARE = 0.99
-"""Of the range from black to white level: sensors saturate a little below the level that files state."""
+"""Clipping level within the range from black to white level: sensors saturate slightly below the level stated
+in files."""
 _REACH_PX = 5
-"""Side of the square of sensor values that a pixel is interpolated from."""
+"""Side of the square of sensor values from which a pixel is interpolated."""
 _TURNS = {3: 2, 5: 1, 6: -1}  # libraw's flip: quarter turns counter-clockwise
 
 
 def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Linear pixels (H, W, 3), upright, and where they are clipped (H, W). Raises :class:`InputError`."""
+    """Linear pixels (H, W, 3), upright, and the mask (H, W) of clipped ones. Raises :class:`InputError`."""
     import cv2
     import rawpy
 
@@ -78,14 +80,14 @@ def raw_size(path: Path) -> tuple[int, int]:
 
 
 def raw_exposure(path: Path) -> float | None:
-    """Light gathered, t ISO / N^2; None where a figure is missing."""
+    """Relative exposure t ISO / N^2; None if a value is missing."""
     import rawpy
 
     try:
         with rawpy.imread(str(path)) as raw:
             other = raw.other
             gathered = other.shutter_speed * other.iso_speed / other.aperture**2
-    except (rawpy.LibRawError, ZeroDivisionError):  # reading its pixels tells what is wrong with a file
+    except (rawpy.LibRawError, ZeroDivisionError):  # reading its pixels reveals the file's fault
         return None
     return float(gathered) if np.isfinite(gathered) and gathered > 0 else None
 

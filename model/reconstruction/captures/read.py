@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Recognises the form of a capture and reads it.
 
-A form of calibration is a row of ``FORMS`` and a module with two functions: ``find(path)`` gives the file or
-folder that it would read, or None; ``read(found, images, budget)`` gives a :class:`Calibration`. A new one
-needs nothing else. Photographs come with a mesh file; ``CaptureOptions`` says how either differs from metres
-with Z up.
+A form of calibration is a row of ``FORMS`` and a module with two functions: ``find(path)`` returns the file
+or folder that it would read, or None; ``read(found, images, budget)`` returns a :class:`Calibration`. A new
+form needs nothing else. Photographs come with a mesh file; ``CaptureOptions`` gives the axes and units of
+both.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ from model.reconstruction.captures.posed import Calibration, ImageFinder
 
 @dataclass(frozen=True)
 class Form:
-    """A form of calibration: its name, where it lies, how it is read."""
+    """A form of calibration: its name, finder and reader."""
 
     name: str
     find: Callable[[Path], Path | None]
@@ -84,14 +84,14 @@ FORMS = (
     Form("Mitsuba scene", mitsuba_sensors.find, mitsuba_sensors.read),
     Form("RealityCapture XMP", realitycapture.find_xmp, realitycapture.read_xmp),
 )
-"""In the order in which they are tried."""
+"""Forms in the order in which they are tried."""
 
 
 def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
-    """The capture at ``path``. Raises :class:`InputError` where nothing known lies there, or with its faults.
+    """The capture at ``path``. Raises :class:`InputError` if there is no known form, or with its faults.
 
-    Known: a shard (.tar) or a dataset folder of one shard; ``capture.json`` or its folder; an environment
-    package with cameras; and ``FORMS``.
+    Known forms: a shard (.tar) or a dataset folder of one shard; ``capture.json`` or its folder; an
+    environment package with cameras; and ``FORMS``.
     """
     options = options or CaptureOptions()
     budget = Budget(path, options.limits)
@@ -113,7 +113,7 @@ def read_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
 
 
 def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None:
-    """Refuse images and meshes outside the folders that the user gave: captures come from strangers."""
+    """Refuse images and meshes outside of the folders given by the user, since captures are untrusted."""
     problems = []
     for field, name in [
         *((f"photographs[{k}].image", p.image) for k, p in enumerate(record.photographs)),
@@ -143,8 +143,9 @@ def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
 
 
 def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tuple[str, ...]]:
-    """A calibration of photographs as ``capture.json`` has it, paths absolute, and notes on what was found
-    and judged."""
+    """A calibration of photographs as content of ``capture.json``, with absolute paths, and notes on findings
+    and guesses.
+    """
     record, notes, _ = _calibrated(path, options, Budget(path, options.limits))
     return record, notes
 
@@ -152,11 +153,11 @@ def capture_file(path: Path, options: CaptureOptions) -> tuple[CaptureFile, tupl
 def _calibrated(
     path: Path, options: CaptureOptions, budget: Budget
 ) -> tuple[CaptureFile, tuple[str, ...], Mesh | None]:
-    """The above, and the mesh where it had to be read for them."""
+    """As :func:`capture_file`, and the mesh if it had to be read."""
     form, found = _form_of(path)
     try:
         calibration = form.read(found, options.images, budget)
-    except ValidationError as error:  # cameras or lenses that cannot be
+    except ValidationError as error:  # invalid cameras or lenses
         raise InputError(*problems_of(found, error)) from None
     if options.images is None and calibration.folder.is_symlink():
         got = f"a link to {calibration.folder.resolve()}"
@@ -211,7 +212,7 @@ def _calibrated(
 
 
 def has_cameras(path: Path) -> bool:
-    """Whether a capture of a known form lies at ``path``; whether it is sound shows when it is read."""
+    """Whether there is a capture of a known form at ``path``; its faults are found when it is read."""
     is_ours = path.suffix == ".tar" or (path / "shards").is_dir() or (path / CAPTURE_FILE).is_file()
     return is_ours or is_package(path) or any(form.find(path) is not None for form in FORMS)
 
@@ -227,7 +228,7 @@ def _form_of(path: Path) -> tuple[Form, Path]:
 
 
 def write_capture(folder: Path, record: CaptureFile) -> Path:
-    """Write ``capture.json``; paths below ``folder`` are made relative to it."""
+    """Write ``capture.json``; paths below ``folder`` become relative to it."""
     folder.mkdir(parents=True, exist_ok=True)
 
     def relative(name: str) -> str:
@@ -256,7 +257,7 @@ def open_capture(
     mesh_in_its_frame: Mesh | None = None,
     budget: Budget | None = None,
 ) -> Capture:
-    """A capture of photographs, its mesh read unless it is given, its images checked to be there."""
+    """A capture of photographs; its mesh is read unless given, and its images are checked to exist."""
     problems = [
         Problem(base / p.image, "", "no such file", "the view's image", "correct capture.json")
         for p in record.photographs
@@ -292,7 +293,9 @@ def _shrunk(capture: Capture, max_width_px: int) -> Capture:
 
 
 def shrunk_camera(camera: Camera, max_width_px: int) -> Camera:
-    """The camera at a longer side of at most ``max_width_px``, its aspect kept to the nearest pixel."""
+    """The camera scaled to a longer side of at most ``max_width_px``, its aspect kept to the nearest
+    pixel.
+    """
     longer = max(camera.width_px, camera.height_px)
     if longer <= max_width_px:
         return camera

@@ -3,12 +3,13 @@
 
 Both: focal length for a film 36 mm wide, so that 36 mm is the image's longer side; the principal point as an
 offset from the centre in units of the longer side. Distortion: k1 ... k4 of r^2 ... r^8, and t1, t2 where t1
-goes with (r^2 + 2 x^2): OpenCV's p2, p1. Images are not sized in the files, so they must be at hand.
+multiplies (r^2 + 2 x^2): OpenCV's p2, p1. The files have no image sizes, so that the images must be
+available.
 
-CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera
-that looks along -z with y up: all zero looks straight down with north (+y) at the top.
-XMP: ``Rotation`` is camera_from_world row by row, of a camera with y down and z forward; ``Position`` the
-centre ("RealityCapture XMP camera math").
+CSV: x, y, alt is the centre; world_from_camera = Rz(-heading) Rx(pitch) Ry(roll) in degrees, of a camera that
+looks along -z with y up: all zero looks straight down with north (+y) at the top. XMP: ``Rotation`` is
+camera_from_world row by row, of a camera with y down and z forward; ``Position`` is the centre
+("RealityCapture XMP camera math").
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def find_csv(path: Path) -> Path | None:
 
 
 def find_xmp(path: Path) -> Path | None:
-    """``path`` where it is a folder with XMP sidecars, or its ``images`` has them."""
+    """``path`` if it is a folder with XMP sidecars, or if its ``images`` contain them."""
     for folder in (path, path / "images"):
         if folder.is_dir() and any("capturingreality" in head_of(file) for file in folder.glob("*.xmp")):
             return folder
@@ -182,7 +183,7 @@ def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def _from_sidecar(path: Path, finder: ImageFinder, budget: Budget) -> PosedImage | None:
-    values: dict[str, str] = {}  # attributes and elements: the software has written either
+    values: dict[str, str] = {}  # attributes and elements: versions of the software write either
     for element in read_xml(path, budget).iter():
         values.update({k[len(_XCR) :]: v for k, v in element.attrib.items() if k.startswith(_XCR)})
         if element.tag.startswith(_XCR) and element.text:

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The project's own shards as captures: images out of the tar, geometry out of the configuration's
-library."""
+"""The project's own shards as captures: images from the tar, geometry from the configuration's library."""
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ class ShardSource:
     num_bytes: int
 
     def read(self, camera: Camera) -> ColorImage:
-        """The view's ``beauty``; a smaller ``camera`` gets it averaged over areas."""
+        """The view's ``beauty``, averaged over areas for a smaller ``camera``."""
         beauty = self._decode(("beauty",))["beauty"].astype(np.float32)
         size = (camera.width_px, camera.height_px)
         if (beauty.shape[1], beauty.shape[0]) != size:
@@ -58,8 +57,11 @@ class ShardSource:
 
 
 def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
-    """The library of a shard: the given paths, those that its dataset folder was started with, or the bundled
-    one. Whether it is the right one is told by the hashes in the configuration."""
+    """The library of a shard: the given paths, those with which its dataset folder was started, or the
+    bundled one.
+
+    The hashes in the configuration show whether it is the right one.
+    """
     folder = DatasetFolder(shard.parent.parent)
     if paths:
         return Library([*paths, *rooms_of(folder.root)])
@@ -69,7 +71,7 @@ def library_of(shard: Path, paths: tuple[Path, ...]) -> Library:
 
 
 def read_shard(shard: Path, library: Library) -> Capture:
-    """A shard as a capture. The packages must have the hashes that the configuration names."""
+    """A shard as a capture. The packages must have the hashes in the configuration."""
     reader = ShardReader(shard)
     configuration = reader.configuration()
     records = {record.name: record for record in reader.records()}

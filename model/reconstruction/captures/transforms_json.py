@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """``transforms.json`` (NeRF, instant-ngp, nerfstudio) as posed images.
 
-``transform_matrix`` is world_from_camera of a camera that looks along -z with y up; intrinsics stand at the
-top or with a frame, in pixels with centres at +0.5, or as ``camera_angle_x``.
+``transform_matrix`` is world_from_camera of a camera that looks along -z with y up; intrinsics are at the top
+level or in a frame, in pixels with centres at +0.5, or given as ``camera_angle_x``.
 """
 
 from __future__ import annotations
@@ -50,8 +50,10 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
 
 
 def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> list[PosedImage]:
-    """Every frame; image paths are made absolute and lie beside the file or in ``folder``. Raises
-    :class:`InputError` with all faults of the file."""
+    """Every frame; image paths are made absolute, beside the file or in ``folder``.
+
+    Raises :class:`InputError` with all faults of the file.
+    """
     finders = [ImageFinder(f) for f in dict.fromkeys((path.parent, folder or path.parent))]
     data = parse_json(read_text(path), path, budget)
     frames = data.get("frames") if isinstance(data, dict) else None
@@ -94,7 +96,7 @@ def _image_path(values: dict[str, Any], path: Path, field: str, finders: Sequenc
     name = values.get("file_path")
     if not isinstance(name, str) or not name:
         raise input_error(path, f"{field}.file_path", name, "the image's path", "export it again")
-    for finder in finders:  # which also tries suffixes: the original NeRF files leave them out
+    for finder in finders:  # also tries suffixes, which the original NeRF files omit
         image = finder.find(name)
         if image is not None:
             return image

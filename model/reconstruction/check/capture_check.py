@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Checks a capture before minutes are spent on it: whether the mesh projects onto the photographs.
+"""Checks a capture before longer work on it: whether the mesh projects onto the photographs.
 
-By view: share, side and distance of the visible mesh; black or clipped photographs; whether the mesh's edges
-coincide with the photograph's, and their offset (``check_edges``). Over all views: whether one offset and
-scale of the mesh explains the shifts (``check_registration``), and, where edges do not fit at all, whether
+Per view: share, side and distance of the visible mesh; black or clipped photographs; whether the mesh's edges
+coincide with the photograph's, and their offset (``check.edges``). Over all views: whether one offset and
+scale of the mesh explains the shifts (``check.registration``) and, if edges do not fit at all, whether
 another up axis or unit fits better. Every warning names its views and a remedy.
 """
 
@@ -31,14 +31,14 @@ from model.reconstruction.check.views import CheckReport, Look, view_warnings
 __all__ = ["CheckReport", "Look", "check_capture", "check_looks", "check_traced", "view_warnings"]
 _MAX_TRIED_VIEWS = 4
 _UNITS = (0.001, 0.01, 0.0254, 0.3048, 100.0, 1000.0)
-_MIN_FIT = 4.0  # median score at zero, times coverage, of a capture whose mesh fits
-_BETTER = 1.5  # times the score that another frame must have
+_MIN_FIT = 4.0  # median score at zero shift, times coverage, of a capture whose mesh fits
+_BETTER = 1.5  # ratio of scores that another frame must reach
 
 
 def check_capture(capture: Capture, out: Path | None = None, progress: Progress | None = None) -> CheckReport:
     """Read, trace and check a capture; with ``out`` write ``check.json`` and contact sheets there.
 
-    Raises :class:`InputError` where no view sees the mesh.
+    Raises :class:`InputError` if no view shows the mesh.
     """
     tell = progress or (lambda stage, done, total: None)
     select_variant()

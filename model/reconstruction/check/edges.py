@@ -5,8 +5,8 @@ Both are fields of double angles: length is edge strength, direction twice the a
 parallel edges agree (+1), perpendicular ones disagree (-1) and textures without direction cancel. The score
 of a shift is the mean agreement over the mesh's edges. A small rotation of the camera shifts the image by
 focal length x angle: the peak of the scores gives the error of the camera, and its height against all other
-shifts the certainty. For a camera that is rolled, or stands too far forward, the peak is higher for an
-equally rotated or magnified mesh.
+shifts the certainty. For a camera that is rolled, or too far forward, the peak is higher with an equally
+rotated or magnified mesh.
 
 Letters: H, W size; R largest shift in pixels. Image axes: x right, y down; a shift (dx, dy) moves the mesh's
 edges onto the photograph's.
@@ -29,20 +29,22 @@ CREASE_RAD = np.radians(25.0)
 _JUMP = 0.03  # of the depth, against the plane through the neighbour
 _BORDER_PX = 3
 _FLAT_LEVEL = 0.01  # gradients below this are noise of 8-bit images
-MIN_EDGE_PX = 60  # fewer pixels of edges say nothing
+MIN_EDGE_PX = 60  # fewer edge pixels are not significant
 _PEAK_RADIUS_PX = 4
-_NEARLY = 0.15  # of the peak's height: shifts this near to the best are not told from it
-_WARP_WIDTH_PX = 320  # turned and magnified fields are compared at this size: half a pixel is no warp
+_NEARLY = 0.15  # of the peak's height: shifts with such scores are not distinguished from the best
+_WARP_WIDTH_PX = 320  # rotated and magnified fields are compared at this size: half a pixel is no warp
 _ROLLS_RAD = tuple(np.radians(k).item() for k in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0))
 _ZOOMS = (0.92, 0.95, 0.975, 1.025, 1.05, 1.08)
 
 
 @dataclass(frozen=True)
 class EdgeMatch:
-    """``peak_px`` (dx, dy): the best shift; ``blur_px2``: the mean of (dx^2, dx dy, dy^2) around it over
-    shifts that score nearly as well, elongated where edges may slide along themselves. ``at_zero`` and
-    ``at_peak``: scores in standard deviations of the scores of other shifts. ``num_edge_px``: pixels of mesh
-    edges."""
+    """Best shift of a mesh's edges.
+
+    ``peak_px`` (dx, dy): the best shift; ``blur_px2``: the mean of (dx^2, dx dy, dy^2) around it over shifts
+    with similar scores, elongated where edges may slide along themselves. ``at_zero`` and ``at_peak``: scores
+    in standard deviations of the scores of other shifts. ``num_edge_px``: pixels of mesh edges.
+    """
 
     peak_px: tuple[float, float]
     blur_px2: tuple[float, float, float]
@@ -51,7 +53,7 @@ class EdgeMatch:
     num_edge_px: int
 
     def surely_px(self, shift: tuple[float, float]) -> float:
-        """Length of a shift, less the peak's blur in its direction."""
+        """Length of a shift minus the peak's blur in its direction."""
         length = float(np.hypot(*shift))
         x, y = np.array(shift) / max(length, 1e-9)
         xx, xy, yy = self.blur_px2
@@ -61,8 +63,10 @@ class EdgeMatch:
 @dataclass(frozen=True)
 class WarpMatch:
     """Rotation (clockwise in the image) and magnification of the mesh's image about the camera axis that
-    align it with the photograph's, each with its gain of the peak in standard deviations. ``at_peak``: the
-    higher of both peaks."""
+    align it with the photograph's.
+
+    Each has the gain of its peak in standard deviations. ``at_peak``: the higher of both peaks.
+    """
 
     roll_rad: float
     roll_gain: float
@@ -72,7 +76,7 @@ class WarpMatch:
 
 
 def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
-    """(H, W): visible creases and depth discontinuities, as lines two pixels wide."""
+    """Visible creases and depth discontinuities (H, W), as lines two pixels wide."""
     z = geometry.depth_z_m[..., 0].astype(np.float64)
     hit = geometry.face >= 0
     normal = geometry.normal_world.astype(np.float64) @ camera.world_from_camera[:3, :3]
@@ -95,7 +99,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
             _plane_gap(z[b], z[a], normal[b], rays[b], rays[a]),
         )
         found = hit[a] & hit[b] & (is_bent | (gap > _JUMP))
-        found |= hit[a] != hit[b]  # the mesh's rim
+        found |= hit[a] != hit[b]  # the silhouette of the mesh
         edges[a] |= found
         edges[b] |= found
     edges[:_BORDER_PX] = edges[-_BORDER_PX:] = False
@@ -104,7 +108,7 @@ def mesh_edges(geometry: ViewGeometry, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_ray: NDArray) -> NDArray:
-    """Distance of ``other`` from the plane through a pixel, as a share of its depth."""
+    """Distance of ``other`` from the plane through a pixel, relative to its depth."""
     across = (normal * other_ray).sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = z * (normal * ray).sum(axis=-1) / across
@@ -113,7 +117,9 @@ def _plane_gap(z: NDArray, other: NDArray, normal: NDArray, ray: NDArray, other_
 
 
 def edge_field(edges: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W, 2) double angles of lines: a ridge's normal is where its blurred image curves most."""
+    """Double angles (H, W, 2) of lines: a ridge's normal is the direction of greatest curvature in its
+    blurred image.
+    """
     soft = cv2.GaussianBlur(edges.astype(np.float32), (0, 0), 1.5)
     xx, yy = cv2.Sobel(soft, cv2.CV_32F, 2, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 2)
     xy = cv2.Sobel(soft, cv2.CV_32F, 1, 1)
@@ -125,7 +131,9 @@ def edge_field(edges: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def photograph_field(color: NDArray[np.float32], valid_mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W, 2) double angles of a linear photograph's gradients; strong ones are all alike."""
+    """Double angles (H, W, 2) of a linear photograph's gradients; strong gradients are limited to equal
+    length.
+    """
     grey = luminance(np.maximum(color, 0))
     level = float(np.quantile(grey[valid_mask], 0.9)) if valid_mask.any() else 0.0
     shown = srgb_from_linear(np.clip(grey * (0.7 / max(level, 1e-6)), 0, 1))
@@ -142,7 +150,7 @@ def photograph_field(color: NDArray[np.float32], valid_mask: NDArray[np.bool_]) 
 def match_edges(
     edges: NDArray[np.bool_], photograph: NDArray[np.float32], radius_px: int
 ) -> EdgeMatch | None:
-    """The scores of all shifts up to ``radius_px`` a side, summed up; None where the mesh shows no edges."""
+    """Best shift up to ``radius_px`` along each axis; None if the mesh has no visible edges."""
     num = int(edges.sum())
     if num < MIN_EDGE_PX:
         return None
@@ -160,7 +168,7 @@ def match_edges(
 
 
 def _accidental(scores: NDArray[np.float64]) -> tuple[float, float]:
-    """Median and standard deviation of the scores that are not the peak's."""
+    """Median and standard deviation of the scores away from the peak."""
     peak = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
     rows, columns = np.indices(scores.shape)
     others = scores[np.hypot(rows - peak[0], columns - peak[1]) > _PEAK_RADIUS_PX]
@@ -172,8 +180,9 @@ def _accidental(scores: NDArray[np.float64]) -> tuple[float, float]:
 def match_warp(
     edges: NDArray[np.bool_], photograph: NDArray[np.float32], camera: Camera, radius_px: int
 ) -> WarpMatch | None:
-    """Whether the mesh's edges fit better when they are turned or magnified about the camera's axis, wherever
-    they lie best; None where the mesh shows no edges."""
+    """Rotation and magnification about the camera's axis at which the mesh's edges fit best, each at its best
+    shift; None without edges.
+    """
     if int(edges.sum()) < MIN_EDGE_PX:
         return None
     height, width = edges.shape
@@ -183,7 +192,7 @@ def match_warp(
         np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_AREA), np.float32)
         for field in (edge_field(edges), photograph)
     )
-    center = (camera.cx_px / shrink - 0.5, camera.cy_px / shrink - 0.5)  # OpenCV's pixels
+    center = (camera.cx_px / shrink - 0.5, camera.cy_px / shrink - 0.5)  # OpenCV's pixel coordinates
     radius = max(6, radius_px // shrink)
     plain = shift_scores(mesh_field, taken, radius)
     middle, spread = _accidental(plain)
@@ -201,7 +210,7 @@ def match_warp(
 def _warped(
     field: NDArray[np.float32], center: tuple[float, float], roll_rad: float, zoom: float
 ) -> NDArray[np.float32]:
-    """A field of double angles turned and magnified about a point."""
+    """A field of double angles rotated and magnified about a point."""
     matrix = cv2.getRotationMatrix2D(center, -float(np.degrees(roll_rad)), zoom)
     moved = cv2.warpAffine(field, matrix, (field.shape[1], field.shape[0]), flags=cv2.INTER_LINEAR)
     c, s = np.cos(2 * roll_rad), np.sin(2 * roll_rad)
@@ -210,7 +219,7 @@ def _warped(
 
 
 def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[float, float]:
-    """The value of most gain and the gain; a parabola through its neighbours says where it is exactly."""
+    """The value of greatest gain, refined by a parabola through its neighbours, and the gain."""
     values, heights = np.array([*at, neutral]), np.array([*gains, 0.0])
     order = np.argsort(values)
     values, heights = values[order], heights[order]
@@ -224,7 +233,7 @@ def _best(at: tuple[float, ...], gains: list[float], neutral: float) -> tuple[fl
 
 
 def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
-    """Offset (2,) of the peak of a parabola through the best score and its neighbours."""
+    """Offset (2,) of the vertex of a parabola through the best score and its neighbours."""
     found = np.zeros(2)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]
@@ -238,7 +247,7 @@ def _vertex(scores: NDArray[np.float64], peak: NDArray) -> NDArray[np.float64]:
 def shift_scores(
     mesh_field: NDArray[np.float32], photograph: NDArray[np.float32], radius_px: int
 ) -> NDArray[np.float64]:
-    """(2 R + 1, 2 R + 1): mean agreement of the fields with the mesh's moved by (column - R, row - R)."""
+    """Mean agreement (2 R + 1, 2 R + 1) of the fields, with the mesh's moved by (column - R, row - R)."""
     height, width = mesh_field.shape[:2]
     shape = [cv2.getOptimalDFTSize(side + radius_px) for side in (height, width)]
     total = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex64)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Judges what the check found: one mistake of all views, else the views that are off or do not match."""
+"""Judges the findings of the check: one common error of all views, else views that are off or do not
+match.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,10 @@ import numpy as np
 from model.reconstruction.check.registration import Registration, SeenShift, common_mistake
 from model.reconstruction.check.views import SEARCH_RAD, SURE, CheckReport, Look, ViewCheck
 
-_LOST = 0.6  # of SURE: a view that fits worse, among views that fit, is of another place
-_SURE_GAIN = 1.2  # standard deviations: on right views roll and zoom gain less
+_LOST = 0.6  # of SURE: among fitting views, one with a lower score shows another place
+_SURE_GAIN = 1.2  # standard deviations: in correct views roll and zoom gain less
 _MIN_ROLL_RAD, _MIN_ZOOM = np.radians(0.5), 0.015
-_MIN_VIEWS, _ALIKE = 4, 0.3  # so many views, so near to each other, are magnified by one cause
+_MIN_VIEWS, _ALIKE = 4, 0.3  # this many views with such similar magnification have a common cause
 
 
 def judge(report: CheckReport, looks: Sequence[Look]) -> None:
@@ -33,7 +35,7 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
             f"the mesh looks {factor:.3f} times too {size} in most views; the focal length, or the mesh's "
             "scale against the cameras' frame, is off by as much; correct it and check again"
         )
-        return  # such shifts as it causes say nothing of single views
+        return  # shifts explained by it say nothing about single views
     pairs = [(view, look) for view, look in zip(report.views, looks, strict=True) if view.is_judged]
     mistake = common_mistake(
         [
@@ -67,7 +69,7 @@ def judge(report: CheckReport, looks: Sequence[Look]) -> None:
 
 
 def _common_zoom(report: CheckReport) -> float | None:
-    """The magnification that most views agree on, None where there is none."""
+    """The magnification common to most views, None if there is none."""
     warps = [view.warp for view in report.views if view.warp is not None and view.warp.at_peak >= SURE]
     zooms = np.array([warp.zoom - 1 for warp in warps if warp.zoom_gain >= _SURE_GAIN])
     if len(zooms) < max(_MIN_VIEWS, 0.5 * len(warps)):
@@ -78,7 +80,7 @@ def _common_zoom(report: CheckReport) -> float | None:
 
 
 def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registration | None) -> None:
-    """Find views that are rolled or stand too far forward."""
+    """Find views that are rolled or too far forward."""
     zoomed = []
     for view, look in zip(report.views, looks, strict=True):
         warp = view.warp
@@ -109,8 +111,10 @@ def _judge_zooms(report: CheckReport, looks: Sequence[Look], mistake: Registrati
 
 
 def _judge_shift(view: ViewCheck, look: Look, left_px: tuple[float, float] | None, is_fitting: bool) -> None:
-    """Warn of a view whose edges are off by more than can be, or nowhere near; ``left_px``: what is left of
-    its shift, None where its edges are ambiguous."""
+    """Warn of a view whose edges are off by too much, or match nowhere.
+
+    ``left_px``: the remaining shift, None if its edges are ambiguous.
+    """
     assert view.edges is not None
     is_lost = left_px is None
     if left_px is not None and view.edges.surely_px(left_px) > look.tolerance_px():

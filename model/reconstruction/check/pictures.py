@@ -30,8 +30,10 @@ def write_contact_sheets(
     colors: Sequence[NDArray[np.float32]],
     edges: Sequence[NDArray[np.bool_]],
 ) -> list[Path]:
-    """``sheet-01.png`` ...: views in their order, edges green where they fit, red where something is wrong,
-    yellow where they are too few. Linear ``colors`` (H, W, 3)."""
+    """Write ``sheet-01.png`` ...: views in their order from linear ``colors`` (H, W, 3).
+
+    Edges are green if they fit, red if there is a fault, yellow if there are too few.
+    """
     tiles = [
         _tile(view, color, lines) for view, color, lines in zip(report.views, colors, edges, strict=True)
     ]

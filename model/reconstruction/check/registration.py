@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Whether the shifts of all views are those of one mistake: a mesh that is moved, or of another scale.
+"""Registration of the mesh: whether the shifts of all views have one cause, a moved or scaled mesh.
 
-A mesh point p that is taken to p + d + e (p - m), m the cameras' mean position, is seen by a camera at c as
-if it had moved by d + e (c - m): what e does besides magnifies the room about the camera and shows nothing.
-So a view's edges lie f (d + e (c - m))_xy / z from where they belong, in the camera's axes.
+If mesh points p are displaced to p + d + e (p - m), with m the cameras' mean position, a camera at c observes
+a displacement of d + e (c - m); the rest of e scales the room about the camera, which does not change its
+image. A view's edges are therefore off by f (d + e (c - m))_xy / z, in the camera's axes.
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
 
-_OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0  # less is nothing to speak of; so many deviations are sure
+# smaller errors are negligible; significance in standard deviations
+_OFFSET_M, _SCALE, _SIGMAS = 0.008, 0.004, 3.0
 _MIN_VIEWS, _MIN_VIEWS_FOR_SCALE = 4, 8
-_FLOOR_PX2 = 0.25  # added to the blur of a peak: no shift is known better than half a pixel
-_OUTLIER = 1.5  # of a peak's blur: views that are further off count less
-_EXPLAINED = 0.75  # what the mistake must leave at most of the median shift
+_FLOOR_PX2 = 0.25  # added to the blur of a peak: shifts are known to half a pixel at best
+_OUTLIER = 1.5  # of a peak's blur: views that are further off have less weight
+_EXPLAINED = 0.75  # maximum share of the median shift that may remain
 
 
 @dataclass(frozen=True)
 class SeenShift:
-    """A view: its camera, how far away its edges are, their shift and its blur (``EdgeMatch``)."""
+    """A view: its camera, the distance of its edges, their shift and its blur (``EdgeMatch``)."""
 
     camera: Camera
     depth_m: float
@@ -35,9 +36,11 @@ class SeenShift:
 
 @dataclass(frozen=True)
 class Registration:
-    """The mistake, as far as it is sure: ``offset_m`` of the mesh amid the cameras (None: none),
-    ``scale`` of the mesh against the cameras (1: right), and the shift of each view that it does not
-    explain."""
+    """The common error, as far as it is significant.
+
+    ``offset_m`` of the mesh relative to the cameras (None: none), ``scale`` of the mesh relative to the
+    cameras (1: correct), and the remaining shift of each view.
+    """
 
     offset_m: tuple[float, float, float] | None
     scale: float
@@ -45,16 +48,16 @@ class Registration:
     center_m: NDArray[np.float64]
 
     def moved_m(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """By how much the mesh seems to be moved to a camera at a position, (3,)."""
+        """Apparent displacement (3,) of the mesh for a camera at a position."""
         offset = np.zeros(3) if self.offset_m is None else np.array(self.offset_m)
         return offset + (self.scale - 1) * (position_m - self.center_m)
 
 
 def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
-    """Common cause that explains the shifts of all views best; None if they are negligible.
+    """Common cause that best explains the shifts of all views; None if they are negligible.
 
-    Robust least squares: a view that is off by itself must not move the mesh. Scale is looked for in
-    captures of eight views on.
+    Robust least squares: a single wrong view must not move the mesh. Scale is estimated with eight views or
+    more.
     """
     if len(views) < _MIN_VIEWS:
         return None
@@ -78,7 +81,7 @@ def common_mistake(views: Sequence[SeenShift]) -> Registration | None:
             if not _is_moved(found[:3], covariance[:3, :3]):
                 found[:3] = 0
             return _registration(found, a, b, white, middle)
-    a = a[..., :3]  # what is not there must not blur the rest
+    a = a[..., :3]  # an insignificant scale must not blur the offset
     found, covariance = _robust(white @ a, (white @ b[..., None])[..., 0])
     return _registration(found, a, b, white, middle) if _is_moved(found, covariance) else None
 

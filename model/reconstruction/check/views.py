@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data of the check: views as read and traced, findings by view and for a capture."""
+"""Data of the check: views as read and traced, findings per view and for a capture."""
 
 from __future__ import annotations
 
@@ -23,20 +23,23 @@ from model.reconstruction.check.edges import (
     photograph_field,
 )
 
-MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room that the mesh is of
+MIN_COVERAGE = 0.05  # of a view's pixels; below, the view hardly shows the room of the mesh
 MAX_CLIPPED = 0.5
 _NEAR_M, _MAX_NEAR = 0.05, 0.5  # half a view nearer than this: the camera is in or at a wall
-SEARCH_RAD = np.radians(3.5)  # how far off a camera is looked for
-_MIN_RADIUS_PX = 24  # enough other shifts to tell a peak from accidents
+SEARCH_RAD = np.radians(3.5)  # largest error of a camera that is searched
+_MIN_RADIUS_PX = 24  # enough other shifts to distinguish a peak from chance
 TOLERANCE_RAD, _TOLERANCE_PX = np.radians(0.35), 1.5
-SURE = 5.0  # standard deviations: a peak of this height is no accident
+SURE = 5.0  # standard deviations: a peak of this height is not chance
 
 
 @dataclass
 class ViewCheck:
-    """Findings of a view. Shares are of its pixels; ``off_deg`` is the shift as an angle of the camera, None
-    where the edges say nothing; ``depth_m`` and ``zoom_depth_m``: how far away edges are, as shifts and
-    magnifications tell."""
+    """Findings of a view.
+
+    Shares are of its pixels; ``off_deg`` is the shift as an angle of the camera, None if the edges do not
+    determine it; ``depth_m`` and ``zoom_depth_m``: distances of edges that apply to shifts and to
+    magnifications.
+    """
 
     name: str
     coverage: float
@@ -51,15 +54,18 @@ class ViewCheck:
 
     @property
     def is_judged(self) -> bool:
-        """Whether the edges say where they belong."""
+        """Whether the edges determine the shift."""
         return self.edges is not None and self.edges.at_peak >= SURE
 
 
 @dataclass
 class CheckReport:
-    """Findings by view and for the capture. ``offset_m``: how far the mesh seems to be moved, None where
-    unknown or nothing to speak of; ``scale``: how large it seems to be against the cameras' frame; ``fit``:
-    median over the views of the edges' score as it stands, in standard deviations."""
+    """Findings per view and for the capture.
+
+    ``offset_m``: apparent displacement of the mesh, None if unknown or negligible; ``scale``: its apparent
+    scale in the cameras' frame; ``fit``: median over the views of the edges' score without a shift, in
+    standard deviations.
+    """
 
     name: str
     views: list[ViewCheck]
@@ -72,16 +78,16 @@ class CheckReport:
 
     @property
     def all_warnings(self) -> list[str]:
-        """Those of the capture, then those of the views."""
+        """Warnings of the capture, then those of the views."""
         return [*self.warnings, *(warning for view in self.views for warning in view.warnings)]
 
     def table(self) -> dict[str, Any]:
-        """As it is written to ``check.json``."""
+        """The content of ``check.json``."""
         return {"format": "scene-materials/check", **asdict(self)}
 
 
 def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry) -> list[str]:
-    """Faults that make a view of little use by itself, each with a remedy."""
+    """Faults that make a single view of little use, each with a remedy."""
     found = []
     coverage = float((geometry.face >= 0).mean())
     if coverage == 0:
@@ -100,7 +106,7 @@ def view_warnings(name: str, color: NDArray[np.float32], geometry: ViewGeometry)
 
 @dataclass
 class Look:
-    """A view as read and traced, and the edges of both."""
+    """A view as read and traced, and the edges of mesh and photograph."""
 
     name: str
     camera: Camera
@@ -113,7 +119,7 @@ class Look:
 
     @property
     def radius_px(self) -> int:
-        """The largest shift to look for."""
+        """The largest shift to search."""
         wanted = max(self.camera.fx_px * float(np.tan(SEARCH_RAD)), _MIN_RADIUS_PX)
         return int(max(6, min(wanted, min(self.camera.width_px, self.camera.height_px) / 4)))
 
@@ -152,8 +158,11 @@ class Look:
         return found
 
     def _zoom_depth_m(self, at: NDArray[np.bool_], depth: NDArray[np.floating]) -> float:
-        """A camera that moves forward by t magnifies its edges by t over this depth: they go outwards by
-        r t / z each, r from the axis, and least squares make one factor of them."""
+        """Depth z0 such that a forward move t of the camera magnifies its edges by t / z0.
+
+        Each edge moves outwards by r t / z, with r its distance from the axis; least squares fit one factor
+        to all.
+        """
         centers = self.camera.pixel_centers()[at] - [self.camera.cx_px, self.camera.cy_px]
         squared = (centers**2).sum(axis=-1)
         return float(squared.sum() / (squared / depth[at]).sum())

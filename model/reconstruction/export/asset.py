@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as an asset package: an environment, so that it can go back into ``datagen``.
+"""A reconstruction as an asset package: an environment, usable in ``datagen``.
 
 All surface is one part with one material of three textures; every lamp is a part of its own with its
 radiance. Windows are area lights, or the sky is an image (``found_lights``).
@@ -29,17 +29,16 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS
 from model.reconstruction.export.slots import Reconstruction, Slot, environment_exr, export_slots
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, FoundLights
 
-_REGION_MARGIN_M = 0.05  # a capture of one camera has a region of no size
+_REGION_MARGIN_M = 0.05  # a capture with one camera has a region of no size
 
 
 def write_asset(
     path: Path, reconstruction: Reconstruction, asset_id: str, *, license_id: str = "LicenseRef-unstated"
 ) -> Package:
-    """The reconstruction as an environment package with the capture's cameras and the lights that were found,
-    or the capture's where none were.
+    """The reconstruction as an environment package, with the capture's cameras and the recovered lights.
 
-    Of the latter, those whose image lies in another package are left out, as the package would not be whole
-    without it.
+    Without recovered lights, it has the capture's, except those with an image in another package, which would
+    make the package incomplete.
     """
     capture = reconstruction.capture
     files: dict[str, FileSource] = {

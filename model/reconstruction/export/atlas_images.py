@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Atlases as image files: PNG for viewers and packages, EXR for numbers, and the quantisation to 8 bits.
+"""Atlases as image files: PNG for viewers and packages, EXR for exact values, and the quantisation to 8 bits.
 
-Diffuse and specular albedo are stored sRGB-encoded in 8 bits (at most 1/510 off in encoded values),
-roughness as it is. Row 0 is at v = 1. Integer arrays are made band by band, so that a 16K atlas needs no
-float copy.
+Diffuse and specular albedo are stored sRGB-encoded in 8 bits (at most 1/510 off in encoded values), roughness
+linearly. Row 0 is at v = 1. Integer arrays are made band by band, so that a 16K atlas needs no float copy.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from model.reconstruction.atlas.atlas import MAP_CHANNELS, Atlas, let_go
 
 _BAND = 1024
 MAX_TEXTURE = 4096
-"""Largest side of textures inside a GLB or USDZ: more is beyond most viewers. Larger atlases are averaged
-down."""
+"""Maximum side of textures inside a GLB or USDZ, a limit of most viewers. Larger atlases are averaged down.
+"""
 CONFIDENCE = "confidence"
 SEEN, FILLED, EMPTY = 255, 128, 0
-"""Values of the mask: observed, surface that was filled in, no surface."""
+"""Values of the mask: observed surface, filled-in surface, no surface."""
 
 
 def quantized_bytes(values: NDArray) -> NDArray[np.uint8]:
@@ -39,11 +38,11 @@ def quantized_bytes(values: NDArray) -> NDArray[np.uint8]:
 
 
 def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
-    """A map (N, N, C) of half floats as bytes: by a table of all 65,536 halves, which is exact and quick."""
+    """A map (N, N, C) of half floats as bytes, by a table of all 65,536 halves, which is exact and fast."""
     halves = np.arange(65536, dtype=np.uint32).astype(np.uint16).view(np.float16).astype(np.float32)
     values = np.nan_to_num(np.clip(halves, 0.0, 1.0))
     table = quantized_bytes(srgb_from_linear(values) if MAP_CHANNELS[name] == 3 else values)
-    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # in memory B G R, which the PNG writer need not copy
+    stored = np.empty(array.shape, np.uint8)[..., ::-1]  # stored as B G R, which the PNG writer need not copy
     for top in range(0, array.shape[0], _BAND):
         band = np.ascontiguousarray(array[top : top + _BAND], np.float16)
         stored[top : top + _BAND] = table[band.view(np.uint16)]
@@ -52,7 +51,7 @@ def map_bytes(name: str, array: NDArray) -> NDArray[np.uint8]:
 
 
 def texture_shrink(atlas: Atlas) -> int:
-    """The side in texels of the squares that are averaged, so that a texture is no larger than it may be."""
+    """Side in texels of the squares that are averaged to keep a texture within :data:`MAX_TEXTURE`."""
     return next(k for k in range(-(-atlas.size // MAX_TEXTURE), atlas.size + 1) if atlas.size % k == 0)
 
 
@@ -66,7 +65,7 @@ def averaged(band: NDArray, shrink: int) -> NDArray[np.float32]:
 
 
 def mask_png(atlas: Atlas) -> bytes:
-    """PNG of which texels were seen."""
+    """PNG of observed, filled and empty texels."""
     mask = np.full(atlas.face.shape, EMPTY, np.uint8)
     for top in range(0, atlas.size, _BAND):
         rows = slice(top, top + _BAND)
@@ -76,8 +75,10 @@ def mask_png(atlas: Atlas) -> bytes:
 
 
 def write_atlas_images(folder: Path, atlas: Atlas, *, has_exr: bool = True) -> list[Path]:
-    """``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``; ``confidence.png`` and
-    ``.exr`` of D, S and R in R, G and B where it is known."""
+    """Write ``NAME.png`` and ``NAME.exr`` (half floats) of every map, and ``mask.png``.
+
+    If confidence is known, also ``confidence.png`` and ``.exr`` with D, S and R in R, G and B.
+    """
     folder.mkdir(parents=True, exist_ok=True)
 
     def write(name: str) -> Path:
@@ -116,7 +117,7 @@ def _write_exr(path: Path, half: NDArray) -> None:
             {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
         ) as file:
             file.write(str(temporary))
-    except RuntimeError as error:  # OpenEXR puts the system's word into a sentence
+    except RuntimeError as error:  # OpenEXR embeds the system's error in a sentence
         temporary.unlink(missing_ok=True)
         codes = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         code = next((code for code in codes if os.strerror(code) in str(error)), errno.EIO)

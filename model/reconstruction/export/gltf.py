@@ -25,10 +25,10 @@ _FLOAT, _UINT = 5126, 5125
 
 
 def write_glb(path: Path, reconstruction: Reconstruction, *, has_punctual: bool = False) -> ConversionError:
-    """One GLB with geometry (turned to Y up) and textures inside; returns what the conversion costs.
+    """Write one GLB with geometry (rotated to Y up) and textures inside; returns the error of the conversion.
 
-    Lamps, panels and windows that were found are emissive surfaces; ``has_punctual`` adds point lights where
-    lamps are small. glTF has no sky.
+    Recovered lamps, panels and windows are emissive surfaces; ``has_punctual`` adds point lights for small
+    lamps. glTF has no sky.
     """
     made = reconstruction.metallic
     writer = _Glb()
@@ -134,7 +134,7 @@ class _Glb:
     def mesh(self, mesh: Mesh, *, has_uv: bool) -> dict[str, Any]:
         """Attributes and indices of a primitive."""
         assert mesh.normals is not None and mesh.uv is not None
-        turn = Z_UP_FROM_Y_UP[:3, :3]  # rows times this is the inverse rotation: Y up from Z up
+        turn = Z_UP_FROM_Y_UP[:3, :3]  # multiplied from the right: the inverse rotation, Y up from Z up
         attributes = {
             "POSITION": self.array(mesh.positions @ turn, "VEC3", has_bounds=True),
             "NORMAL": self.array(_unit(mesh.normals @ turn), "VEC3"),
@@ -144,12 +144,12 @@ class _Glb:
         return {"attributes": attributes, "indices": self.array(mesh.faces.reshape(-1, 1), "SCALAR")}
 
     def image(self, png: bytes) -> int:
-        """An image; its index is its texture's."""
+        """Add an image; its index is also its texture's."""
         self.images.append({"bufferView": self._view(png), "mimeType": "image/png"})
         return len(self.images) - 1
 
     def tables(self) -> dict[str, Any]:
-        """The JSON tables of the collected nodes."""
+        """The JSON tables of the collected objects."""
         return {
             "images": self.images,
             "accessors": self.accessors,

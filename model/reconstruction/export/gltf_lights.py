@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Lights in glTF: surfaces that shine (KHR_materials_emissive_strength) and small lamps as points
+"""Lights in glTF: emissive surfaces (KHR_materials_emissive_strength) and small lamps as points
 (KHR_lights_punctual).
 
-An emissive surface lights nothing in viewers that rasterise, but everything in path tracers, which would
-count a lamp twice that is a point as well: points are written on demand.
+An emissive surface illuminates nothing in rasterising viewers, but everything in path tracers, which would
+count a lamp twice if it is a point light as well: points are therefore optional.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from model.reconstruction.found_lights import Color
 
 PUNCTUAL, STRENGTH = "KHR_lights_punctual", "KHR_materials_emissive_strength"
 SMALL_M = 0.5
-"""Largest side of the box about a lamp that a point stands for."""
+"""Largest side of the bounding box of a lamp that becomes a point light."""
 LUMENS_A_WATT = 683.0
-"""Of a channel: Blender and other programs write and read glTF's candela so."""
+"""Conversion per channel, as used by Blender and other programs for glTF's candela."""
 
 
 def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
@@ -33,8 +33,11 @@ def emissive(material: dict[str, Any], radiance: Color) -> dict[str, Any]:
 
 
 def punctual_lights(reconstruction: Reconstruction) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Point lights and their nodes for small lamps. A convex lamp of area A and radiance L has an intensity
-    of L A / 4 on average: its shadow has a quarter of its area."""
+    """Point lights and their nodes for small lamps.
+
+    A convex lamp of area A and radiance L has a mean intensity of L A / 4, since its mean projected area is a
+    quarter of its area.
+    """
     lights: list[dict[str, Any]] = []
     nodes: list[dict[str, Any]] = []
     for name, slot in export_slots(reconstruction).items():

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""D and S as textures of metallic-roughness, with a specular colour beside them, and the error of that
+"""D and S as textures of metallic-roughness with an additional specular colour, and the error of that
 conversion.
 
 glTF's F0 is lerp(min(0.04 c, 1), base, m) with the specular colour c and the metalness m, its diffuse albedo
 base (1 - m). Surfaces of F0 up to 0.16 (an index of 2.3) become dielectrics, exactly: m = 0, base = D, c = S
-/ 0.04. Beyond, m solves S (1 - m) = 0.16 (1 - m)^2 + D m in the mean over channels, so that viewers without
-the extension see metals as metals; c takes up what it can of the remainder.
+/ 0.04. Above, m solves S (1 - m) = 0.16 (1 - m)^2 + D m in the mean over channels, so that viewers without
+the extension show metals as metals; c compensates as much of the remainder as it can.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ _BAND = 1024
 
 @dataclass(frozen=True)
 class ConversionError:
-    """Absolute error of D and S as a glTF reader has them, over all texels with surface, and the side of the
-    textures."""
+    """Absolute error of D and S as decoded by a glTF reader, over all texels with surface, and the side of
+    the textures.
+    """
 
     diffuse_mean: float
     diffuse_max: float
@@ -40,8 +41,9 @@ class ConversionError:
 def metallic_channels(
     diffuse: NDArray[np.float32], specular: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Base colour (..., 3), metalness (...), and specular colour over its factor 4 (..., 3), all in [0,
-    1]."""
+    """Base colour (..., 3), metalness (...), and specular colour divided by its factor 4 (..., 3), all in [0,
+    1].
+    """
     limit = MAX_DIELECTRIC_F0
     d, s = diffuse.mean(axis=-1), specular.mean(axis=-1)
     b = d + s - 2 * limit
@@ -57,15 +59,16 @@ def metallic_channels(
 
 
 def as_read(base: NDArray, metallic: NDArray, tint: NDArray) -> tuple[NDArray, NDArray]:
-    """D and S (..., 3) that a glTF reader gets."""
+    """D and S (..., 3) as decoded by a glTF reader."""
     m = metallic[..., None]
     return base * (1 - m), np.minimum(MAX_DIELECTRIC_F0 * tint, 1.0) * (1 - m) + base * m
 
 
 @dataclass(frozen=True)
 class MetallicTextures:
-    """PNGs: base colour; occlusion (1), roughness and metalness in R, G and B, as engines pack them; specular
-    colour over ``MAX_DIELECTRIC_F0``."""
+    """PNG textures: base colour; occlusion (1), roughness and metalness in R, G and B, as engines pack them;
+    specular colour divided by ``MAX_DIELECTRIC_F0``.
+    """
 
     base_color: bytes
     orm: bytes

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction as a Mitsuba scene that renders alone."""
+"""A reconstruction as a standalone Mitsuba scene."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ _WORLD_FROM_SKY = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 
 
 
 def write_mitsuba_scene(folder: Path, reconstruction: Reconstruction) -> Path:
-    """``scene.xml`` with meshes and textures beside it; its BSDF needs ``mitsuba_plugins.register()``.
+    """Write ``scene.xml`` with meshes and textures beside it; its BSDF needs ``mitsuba_plugins.register()``.
 
-    Sensors are the capture's cameras (square pixels: the mean focal length). Lights are those that were
-    found; where none were, the capture's point lights and constant sky, and a scene without any light gets a
-    white sky.
+    Sensors are the capture's cameras (square pixels: the mean focal length). Lights are the recovered ones
+    or, without any, the capture's point lights and constant sky; a scene without any light gets a white sky.
     """
     textures = folder / "textures"
     textures.mkdir(parents=True, exist_ok=True)
@@ -84,7 +83,7 @@ def _add_emission(shape: ElementTree.Element, emission: Color | None) -> None:
 
 
 def _add_found(scene: ElementTree.Element, folder: Path, found: FoundLights) -> None:
-    """Rectangles of panels and windows, which reflect nothing, and the sky."""
+    """Add rectangles of panels and windows, with zero reflectance, and the sky."""
     for name, (mesh, radiance) in patch_meshes(found.sending).items():
         shape = _add_mesh(scene, folder, name, mesh)
         _add(shape, "bsdf", "diffuse", ("rgb", "reflectance", "0 0 0"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Slots of an export: the surface with the atlas's materials, and each lamp in a slot of its own."""
+"""Slots of an export: the surface with the atlas's materials, and one slot for each lamp."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ SURFACE = "surface"
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Input of the exports: the unwrapped mesh in the capture's face order, its atlas, filled, and the folder
-    in which ``write_atlas_images`` has put the maps as ``NAME.png``; ``lights`` that were found, None if none
-    were sought."""
+    """Input of the exports.
+
+    The unwrapped mesh in the capture's face order, its filled atlas, and the folder of the maps written by
+    ``write_atlas_images`` as ``NAME.png``; ``lights`` that were recovered, None if not requested.
+    """
 
     capture: Capture
     mesh: Mesh
@@ -36,19 +38,20 @@ class Reconstruction:
 
     @cached_property
     def metallic(self) -> MetallicTextures:
-        """The atlas as textures of metallic-roughness, which GLB and USDZ share."""
+        """The atlas as metallic-roughness textures, shared by GLB and USDZ."""
         return metallic_textures(self.atlas)
 
     @property
     def shining_lights(self) -> FoundLights | None:
-        """The lights that were found, if any shines: they leave in place of those that the capture knows."""
+        """The recovered lights if any of them emits; they replace the capture's known lights."""
         return None if self.lights is None or self.lights.is_dark else self.lights
 
 
 @dataclass(frozen=True)
 class Slot:
-    """Triangles of one material; ``emission`` is a lamp's radiance, ``has_material`` whether the atlas's maps
-    are on it."""
+    """Triangles with one material; ``emission`` is a lamp's radiance, ``has_material`` whether it uses the
+    atlas's maps.
+    """
 
     mesh: Mesh
     emission: Color | None
@@ -56,7 +59,7 @@ class Slot:
 
 
 def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
-    """The chosen triangles (M,) with the vertices they use; normals are made where the mesh has none."""
+    """The chosen triangles (M,) with their vertices; normals are computed if the mesh has none."""
     mesh = with_normals(mesh)
     assert mesh.normals is not None
     faces = mesh.faces[chosen]
@@ -70,8 +73,11 @@ def submesh(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
 
 
 def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
-    """Slot by name: ``surface``, then ``lamp-0``, ``lamp-1``, ..., the emissive parts that the geometry
-    names, with the radiance that was found where lights were, and ``found-0``, ... (``found_lights``)."""
+    """Slots by name.
+
+    ``surface``, then ``lamp-0``, ``lamp-1``, ..., the emissive parts named by the geometry, with recovered
+    radiance if there is any, and ``found-0``, ... (``found_lights``).
+    """
     mesh, geometry = with_normals(reconstruction.mesh), reconstruction.capture.geometry
     found = reconstruction.shining_lights
     lamps: dict[str, Slot] = {}
@@ -96,7 +102,7 @@ def export_slots(reconstruction: Reconstruction) -> dict[str, Slot]:
 
 
 def turned(mesh: Mesh) -> Mesh:
-    """The mesh with its other side outwards."""
+    """The mesh with reversed winding."""
     faces = np.ascontiguousarray(mesh.faces[:, [0, 2, 1]])
     return Mesh(mesh.positions, faces, None if mesh.normals is None else -mesh.normals, mesh.uv)
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """A reconstruction as one USDZ file: surfaces as UsdPreviewSurface, lights as UsdLux.
 
-The variant set ``workflow`` of the root has *metallic*, the default, which every program reads: base colour,
-occlusion-roughness-metalness, and one index of refraction, that of the mean S where nothing is metal; and
-*specular*, exact D, S and R, which some take for something else (Blender 4.5, AR Quick Look).
+The root's variant set ``workflow`` has two variants. *metallic*, the default, is supported by every program:
+base colour, occlusion-roughness-metalness, and one index of refraction, that of the mean S of texels that are
+no metal. *specular* has exact D, S and R, but some programs misread it (Blender 4.5, AR Quick Look).
 
-The stage is in metres with Y up; one root transform turns the capture's Z up, and everything below it is in
-the capture's frame. Surfaces that shine are mesh lights whose material shows the same radiance
+The stage is in metres with Y up; one root transform rotates the capture's Z up, and everything below it is in
+the capture's frame. Emissive surfaces are mesh lights whose material shows the same radiance
 (``materialSyncMode`` independent); windows and panels are rectangle lights, the sky is a dome light. Needs
 ``usd-core`` (the extra ``usd``).
 """
@@ -33,9 +33,9 @@ from model.reconstruction.export.slots import Reconstruction, environment_exr, e
 from model.reconstruction.found_lights import ENVIRONMENT_FILE, Color
 
 POINT_RADIUS_M = 0.01
-"""Of the sphere that stands for a point light: UsdLux has no points."""
+"""Radius of the sphere that represents a point light, which UsdLux lacks."""
 ROOT = "/room"
-WORKFLOWS = ("specular", "metallic")  # the last one is selected
+WORKFLOWS = ("specular", "metallic")  # the last added variant is selected
 _TEXTURES = {"base_color": "sRGB", "orm": "raw", "diffuse_albedo": "sRGB", "specular_albedo": "sRGB"}
 _INPUTS = {
     "metallic": {"diffuseColor": "base_color.rgb", "roughness": "orm.g", "metallic": "orm.b"},
@@ -45,15 +45,15 @@ _INPUTS = {
         "roughness": "orm.g",
     },
 }
-"""Inputs of the surface and the outputs of textures that they are connected to, by workflow."""
+"""Inputs of the surface and the texture outputs connected to them, by workflow."""
 _BAND = 1024
-_FIRST_ZIP_TIME_S = 315532800  # 1980; all files have it, so that equal content gives equal bytes
+_FIRST_ZIP_TIME_S = 315532800  # 1980, in all files, so that equal content gives equal bytes
 # columns: the frame of a dome's texture (Y up, centre column along +Z) in ours (Z up, centre along +Y)
 _WORLD_FROM_DOME = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def require_usd() -> None:
-    """Raises :class:`InputError` where ``usd-core`` is not installed."""
+    """Raises :class:`InputError` if ``usd-core`` is not installed."""
     try:
         import pxr.Usd  # noqa: F401
     except ImportError:
@@ -62,9 +62,9 @@ def require_usd() -> None:
 
 
 def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
-    """One USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels a side, and lights:
-    those that were found, or the capture's points, spheres, areas and environments where none were.
+    """Write one USDZ with geometry, textures of at most ``MAX_TEXTURE`` texels a side, and lights.
 
+    Lights are the recovered ones or, without any, the capture's points, spheres, areas and environments.
     Raises :class:`InputError` without ``usd-core``.
     """
     require_usd()
@@ -98,7 +98,7 @@ def write_usdz(path: Path, reconstruction: Reconstruction) -> None:
 
 
 def mean_index(atlas: Atlas) -> float:
-    """Index of refraction of the mean S of texels that are no metal; 1.5 where there are none."""
+    """Index of refraction of the mean S of texels that are no metal; 1.5 if there are none."""
     total, num = 0.0, 0
     for top in range(0, atlas.size, _BAND):
         specular = np.asarray(atlas.maps["specular_albedo"][top : top + _BAND], np.float32)
@@ -126,7 +126,7 @@ def _write_textures(folder: Path, reconstruction: Reconstruction) -> None:
 
 
 class _Stage:
-    """A stage that is written to ``file`` by :meth:`save`; ``index`` of refraction of its surfaces."""
+    """A stage that :meth:`save` writes to ``file``; ``index`` of refraction of its surfaces."""
 
     def __init__(self, file: Path, index: float):
         from pxr import Gf, Usd, UsdGeom
@@ -148,7 +148,7 @@ class _Stage:
         self.stage.GetRootLayer().Save()
 
     def mesh(self, name: str, mesh: Mesh, emission: Color | None, *, has_material: bool) -> None:
-        """A mesh with its material; one that shines is a light as well."""
+        """Add a mesh with its material; an emissive one is a light as well."""
         from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdShade, Vt
 
         assert mesh.normals is not None and mesh.uv is not None
@@ -194,7 +194,7 @@ class _Stage:
         return material
 
     def _connect_textures(self, path: str, shader: Any) -> None:
-        """The textures, and in each variant of the workflow its own connections of the surface to them."""
+        """Connect the textures to the surface, separately in each variant of the workflow."""
         from pxr import Sdf, UsdShade
 
         types = Sdf.ValueTypeNames
@@ -227,8 +227,10 @@ class _Stage:
                     )
 
     def known_light(self, light: Light) -> None:
-        """A light of the capture; those of kinds without a counterpart, and images of other packages, are
-        left out as in the asset package."""
+        """Add a light of the capture.
+
+        Kinds without a counterpart, and images of other packages, are left out as in the asset package.
+        """
         if isinstance(light, PointLight):
             radiance = np.asarray(light.intensity) / (np.pi * POINT_RADIUS_M**2)
             self._sphere(light.name, light.position_m, POINT_RADIUS_M, radiance, is_point=True)
@@ -242,7 +244,7 @@ class _Stage:
             self.dome(light.name, tuple(radiance), None, np.array(light.world_from_environment))
 
     def rectangle(self, name: str, origin: Color, edge_u: Color, edge_v: Color, radiance: Color) -> None:
-        """A rectangle that shines along edge_u x edge_v; UsdLux's shine along -Z."""
+        """Add a rectangle that emits along edge_u x edge_v; UsdLux's rectangles emit along -Z."""
         from pxr import UsdLux
 
         u, v = np.array(edge_u, np.float64), np.array(edge_v, np.float64)
@@ -259,7 +261,7 @@ class _Stage:
         _shine(UsdLux.LightAPI(light.GetPrim()), radiance)
 
     def dome(self, name: str, radiance: Color, image: str | None, world_from_environment: NDArray) -> None:
-        """Light from outside, of one colour or times an image in our convention."""
+        """Add light from outside, of one colour or times an image in our convention."""
         from pxr import Sdf, UsdLux
 
         light = UsdLux.DomeLight.Define(self.stage, f"{ROOT}/{_identifier(name)}")
@@ -285,12 +287,12 @@ class _Stage:
     def _place(self, prim: Any, placed: NDArray) -> None:
         from pxr import Gf
 
-        rows = np.asarray(placed, np.float64).T  # USD's vectors are rows
+        rows = np.asarray(placed, np.float64).T  # USD uses row vectors
         prim.AddTransformOp().Set(Gf.Matrix4d(*(float(v) for v in rows.ravel())))
 
 
 def _shine(light: Any, radiance: Color) -> None:
-    """Radiance as colour of at most 1 times intensity."""
+    """Set radiance as a colour of at most 1 times an intensity."""
     from pxr import Gf
 
     peak = float(max(radiance))

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
 """The albedo scale, from interreflection in a photographed room.
 
-Networks confuse a grey wall in a bright room with a white one in a dim room. Photographs of a whole room are
-the radiance L that leaves its surfaces, so rays from a point x give its irradiance E(x) and reflectance
-(inverse global illumination, Yu et al. 1999):
+Networks confuse a grey wall in a bright room with a white one in a dim room. Photographs of a whole room
+record the radiance L that leaves its surfaces, so that rays from a point x give its irradiance E(x) and
+reflectance (inverse global illumination, Yu et al. 1999):
 
     rho(x) = pi L(x) / E(x),   about D + S on a rough surface,
 
 whatever the exposure. Unphotographed light (lamps behind the camera, sun through a window) makes rho too
-large where it falls, so D is corrected by smooth regions of the mesh, by the mode of ln(rho / (D + S)) over a
-region's points, shrunk to the room's mode where points are few. Variation of D within a region remains the
-network's. Figures: docs/measurements.md.
+large where it falls; D is therefore corrected per smooth region of the mesh, by the mode of ln(rho / (D + S))
+over a region's points, shrunk to the room's mode for regions with few points. Variation of D within a region
+remains the network's. Figures: docs/measurements.md.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ from datagen.multiview.visibility import vectors_from_rows
 from model.reconstruction.level.radiance_cache import Floats, RadianceCache
 
 NUM_POINTS, NUM_RAYS = 4096, 400
-"""Surface points, about evenly spread over what was seen; rays of each, a square number."""
+"""Number of surface points, distributed about evenly over the photographed surface, and of rays per point, a
+square number."""
 FULL_COVERAGE, NO_COVERAGE = 0.9, 0.6
-"""Known share of a point's hemisphere, by the cosine: from which it counts fully, below which not at all."""
+"""Cosine-weighted known share of a point's hemisphere for full weight, and below which it has none."""
 LITTLE_DOUBT, NO_DOUBT = 0.15, 0.6
-"""Part of a point's light that is not sure: up to which it counts fully, and from which not at all."""
+"""Uncertain share of a point's light up to which it has full weight, and from which on it has none."""
 MIN_POINTS, MIN_USED = 200, 0.4
-"""Points, and their mean weight, without which nothing is changed."""
+"""Minimum number of points and their minimum mean weight for a correction."""
 MAX_SPREAD, MAX_IMPOSSIBLE = 0.6, 0.2
-"""Of :class:`LevelReport`, above which nothing is changed."""
-_MIN_REFLECTED = 0.02  # D + S below which a ratio says nothing
+"""Limits on fields of :class:`LevelReport`, above which nothing is corrected."""
+_MIN_REFLECTED = 0.02  # minimum D + S for a meaningful ratio
 _MIN_RADIANCE = 1e-6  # of the median
 _POINT_SCALE, _REGION_SCALE, _FREEDOM = 0.2, 0.3, 2.0  # of Student's t in ln rho: points, regions
 _ROUNDS = 40
@@ -47,12 +48,15 @@ _CHUNK = 512
 
 @dataclass(frozen=True)
 class LevelReport:
-    """``gain``: the room's, R, G, B; regions vary around it. ``coverage``: mean known share of the points'
+    """Result and statistics of the albedo scale.
+
+    ``gain``: the room's, R, G, B; regions vary around it. ``coverage``: mean known share of the points'
     hemispheres; ``used_share``: mean weight of the points, 1 if covered. ``spread``: half the interquartile
     range of ln(rho / (D + S)) of points about their region's mode, green; ``region_spread``: the same of the
     regions' ln gains, weighted by points. ``impossible_share``: weighted share of the points that reflect
-    more than arrives. ``clipped_share`` of the photographs' pixels. ``reason`` for changing nothing, or
-    empty."""
+    more than their incident light. ``clipped_share`` of the photographs' pixels. ``reason`` for changing
+    nothing, or empty.
+    """
 
     is_applied: bool
     reason: str
@@ -92,8 +96,11 @@ def find_level(
     clipped_share: float = 0.0,
     doubt_at: Callable[[NDArray, NDArray], NDArray] | None = None,
 ) -> AlbedoLevel:
-    """The albedo scale of the views' ``maps``. With too little evidence gains are 1 and the report has the
-    reason. ``doubt_at`` gives the uncertain diffuse shading (N,) at positions and normals."""
+    """The albedo scale of the views' ``maps``.
+
+    With too little evidence gains are 1 and the report has the reason. ``doubt_at`` returns the uncertain
+    diffuse shading (N,) at positions and normals.
+    """
     num_regions = int(region_of_face.max(initial=-1)) + 1
     try:
         cache = RadianceCache(views)
@@ -117,9 +124,12 @@ def fit_level(
     clipped_share: float,
     sure: Floats | float = 1.0,
 ) -> AlbedoLevel:
-    """Gains from the points' known irradiance (N, 3) and its share (N,) of the hemisphere; ``sure`` (N,) in
-    [0, 1] weighs points further."""
-    arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]  # the unknown is taken to be like the rest
+    """Gains from the points' known irradiance (N, 3) and its share (N,) of the hemisphere.
+
+    ``sure`` (N,) in [0, 1] is a further weight of the points.
+    """
+    # unknown directions are assumed to be like the known ones
+    arriving = irradiance / np.maximum(coverage, 1e-3)[:, None]
     weight = np.clip((coverage - NO_COVERAGE) / (FULL_COVERAGE - NO_COVERAGE), 0, 1) * sure
     left = points.radiance @ LUMINANCE_WEIGHTS
     weight[(arriving @ LUMINANCE_WEIGHTS <= 0) | (left <= _MIN_RADIANCE * np.median(left))] = 0
@@ -144,7 +154,7 @@ def fit_level(
         gains[:, channel] = np.exp(rooms[channel])
         gains[regions, channel] = np.exp(own)
         rest[:, channel] = wanted[:, channel] - own[region]
-    green = 1  # most of luminance
+    green = 1  # green dominates luminance
     found |= {
         "spread": 0.5 * interquartile_range(rest[:, green], weight[used]),
         "region_spread": 0.5 * interquartile_range(np.log(gains[regions, green])[region], weight[used]),
@@ -158,7 +168,7 @@ def fit_level(
 
 
 def clipped_share(views: Sequence[TracedView]) -> float:
-    """Share of the photographs' pixels that are at the sensor's limit in a channel."""
+    """Share of the photographs' pixels with a channel at the sensor's limit."""
     masks = [view.clipped_mask for view in views if view.clipped_mask is not None]
     return sum(int(mask.any(axis=2).sum()) for mask in masks) / max(
         sum(view.valid_mask.size for view in views), 1
@@ -186,7 +196,7 @@ def _draw_points(
     maps: Sequence[dict[str, NDArray]],
     region_of_face: NDArray[np.int32],
 ) -> _Points:
-    """At most one pixel of each cube: points are distributed by area, not by number of views."""
+    """At most one pixel per cube, so that points are distributed by area, not by number of views."""
     pixels, random = cache.pixels, np.random.default_rng(0)
     is_surface = np.zeros(len(pixels.view), dtype=bool)
     for index, view in enumerate(views):
@@ -209,7 +219,7 @@ def _draw_points(
 def _irradiance(
     cache: RadianceCache, traced: TracedGeometry, position_m: Floats, normal: Floats
 ) -> tuple[Floats, Floats]:
-    """(N, 3) irradiance from known directions, and their cosine-weighted share (N,) of the hemisphere."""
+    """Irradiance (N, 3) from known directions, and their cosine-weighted share (N,) of the hemisphere."""
     random = np.random.default_rng(1)
     irradiance, coverage = np.zeros_like(position_m), np.zeros(len(position_m))
     for first in range(0, len(position_m), _CHUNK):
@@ -247,7 +257,7 @@ def cosine_rays(normal: Floats, random: np.random.Generator) -> Floats:
 
 
 def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Distance (N,) to the mesh, Inf where a ray misses it, and the normal (N, 3) there, towards the ray."""
+    """Distance (N,) to the mesh, Inf for misses, and the normal (N, 3) there, towards the ray."""
     import drjit as dr
     import mitsuba as mi
 
@@ -264,10 +274,13 @@ def _first_hits(traced: TracedGeometry, start: Floats, direction: Floats) -> tup
 def _modes(
     values: Floats, weight: Floats, region: NDArray[np.int64], num_regions: int
 ) -> tuple[float, Floats]:
-    """The room's mode and those of its regions (num_regions,): maximum likelihood with Student's t for points
-    about their region's mode, and for regions about the room's."""
+    """The room's mode and those of its regions (num_regions,).
+
+    Maximum likelihood with Student's t for points about their region's mode, and for regions about the
+    room's.
+    """
     num = np.bincount(region, weight, num_regions)
-    room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unseen light only ever adds
+    room = float(weighted_quantiles(values, weight, (0.4,))[0])  # unphotographed light can only increase it
     offset = np.zeros(num_regions)
     for _ in range(_ROUNDS):
         of_point = weight * _precision((values - room - offset[region]), _POINT_SCALE)

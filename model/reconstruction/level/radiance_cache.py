@@ -3,8 +3,8 @@
 
 Surfaces: pixels are grouped by cubes of space and the axis nearest to their normal, which separates the two
 sides of a wall. A cube holds the median over views of each view's mean. Background: windows and the outside
-are generally near, so a ray takes the photographed ray that leaves the mesh's box nearest to it in place and
-direction. Otherwise the radiance is reported as unknown.
+are generally near, so that a ray gets the radiance of the photographed ray that leaves the mesh's box nearest
+to it in position and direction. Otherwise the radiance is unknown.
 
 Colours are linear and of one exposure; radiance is in the same unit.
 """
@@ -23,19 +23,20 @@ from datagen.geometry.views import TracedView
 Floats = NDArray[np.float64]
 
 MAX_PIXELS = 4_000_000
-"""Of all views; of more, every second, third ... along both axes serves."""
+"""Maximum over all views; above it, only every second, third ... pixel along both axes is used."""
 CUBES_ACROSS = 150
-"""Along the diagonal of the photographed box: 5 cm in a room of 7 m."""
+"""Number along the diagonal of the photographed box: 5 cm in a room of 7 m."""
 _MAX_BACKGROUND = 20_000
-_REACH_CUBES = 2.0  # from a place to the nearest cube that has a colour
-_PLACE_WEIGHT = 2.25  # of a move by the diagonal, against 1 rad of direction
+_REACH_CUBES = 2.0  # reach to the nearest cube with a colour
+_PLACE_WEIGHT = 2.25  # weight of a shift by the diagonal, relative to 1 rad of direction
 _BACKGROUND_REACH = 1.0
 
 
 @dataclass(frozen=True)
 class SeenPixels:
-    """Pixels that show the mesh: ``view`` (P,), ``pixel`` (P,) flat index, ``position_m`` and ``normal``
-    (P, 3), ``cube`` (P,) of :class:`RadianceCache`."""
+    """Pixels on the mesh: ``view`` (P,), ``pixel`` (P,) flat index, ``position_m`` and ``normal`` (P, 3),
+    ``cube`` (P,) of :class:`RadianceCache`.
+    """
 
     view: NDArray[np.int64]
     pixel: NDArray[np.int64]
@@ -45,7 +46,9 @@ class SeenPixels:
 
 
 class RadianceCache:
-    """Raises ValueError where the views see no extended surface."""
+    """Radiance by cube of space, and of the background. Raises ValueError if the views show no extended
+    surface.
+    """
 
     def __init__(self, views: Sequence[TracedView]):
         total = sum(view.valid_mask.size for view in views)
@@ -68,7 +71,9 @@ class RadianceCache:
         self._set_background(views, step)
 
     def cubes(self, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
-        """Index of the cube (N,) of points with their normals; points outside count to the rim."""
+        """Index of the cube (N,) of points with their normals; points outside belong to the outermost
+        cubes.
+        """
         at = ((position_m - self._low) / self.cube_m).astype(np.int64) + 1
         at = np.clip(at, 0, self._shape - 1)
         axis = np.abs(normal).argmax(axis=1)
@@ -87,7 +92,7 @@ class RadianceCache:
         order = np.argsort(cube * num_views + view, kind="stable")
         starts, keys = _runs((cube * num_views + view)[order])
         num = np.diff(np.append(starts, len(order)))
-        of_view = np.add.reduceat(color[order], starts) / num[:, None]  # a view's mean in a cube
+        of_view = np.add.reduceat(color[order], starts) / num[:, None]  # pixels of a view's mean in a cube
         cube_of_run = keys // num_views
         first, self._keys = _runs(cube_of_run)
         count = np.diff(np.append(first, len(cube_of_run)))
@@ -102,8 +107,10 @@ class RadianceCache:
         self._tree = cKDTree(np.concatenate([place, facing * self.cube_m], axis=1))
 
     def at(self, position_m: Floats, normal: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radiance (N, 3) of surface with ``normal`` (N, 3, towards the viewer), and whether it is known: of
-        the point's cube, else of the nearest within reach."""
+        """Radiance (N, 3) of surface with ``normal`` (N, 3, towards the viewer), and whether it is known.
+
+        That of the point's cube, else of the nearest within reach.
+        """
         wanted = self.cubes(position_m, normal)
         index = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
         is_known = self._keys[index] == wanted
@@ -129,7 +136,9 @@ class RadianceCache:
         self._rays = cKDTree(ray[chosen]) if len(chosen) else None
 
     def _leaving(self, origin: Floats, direction: Floats) -> Floats:
-        """Rays (N, 6) as exit point of the box of the seen surface, in diagonals, and direction."""
+        """Rays (N, 6) as exit point of the photographed surface's bounding box, in diagonals, and
+        direction.
+        """
         safe = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
         distance = np.maximum((np.where(safe > 0, self._high, self._low) - origin) / safe, 0.0).min(axis=1)
         place = (origin + distance[:, None] * direction) * (_PLACE_WEIGHT / self.size_m)
@@ -155,7 +164,7 @@ def _grid(view: TracedView, step: int) -> NDArray[np.int64]:
 
 
 def _pixels_of(view: TracedView, index: int, step: int) -> tuple[NDArray, ...]:
-    """View, flat index, position, normal and colour of the pixels that show the mesh."""
+    """View, flat index, position, normal and colour of the pixels on the mesh."""
     depth = view.geometry.depth_z_m.ravel()
     pixel = _grid(view, step)
     pixel = pixel[depth[pixel] > 0]

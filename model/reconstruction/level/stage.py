@@ -14,8 +14,9 @@ from model.reconstruction.stages import Maps, Run
 
 
 def leveled(traced: TracedCapture, maps: list[Maps], run: Run) -> list[Maps]:
-    """The maps with corrected scale of diffuse albedo; unchanged where evidence is weak. Files on disk keep
-    the prediction."""
+    """The maps with corrected scale of diffuse albedo, unchanged where evidence is weak; files on disk keep
+    the prediction.
+    """
     with run.stage("level"):
         region_of_face = smooth_regions(traced.geometry.mesh)
         level = find_level(

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Fills unseen texels of an atlas.
 
-In a partly seen chart, unseen texels take the nearest seen texel of the chart; triangles of unseen charts
-take the mean of the nearest seen triangle in the room. Texels between charts take the nearest texel with
-surface, so that filtering at seams and in mip levels stays clean. ``count`` still distinguishes seen from
-filled texels.
+In a partly observed chart, unseen texels get the value of the nearest observed texel of the chart; triangles
+of unobserved charts get the mean of the nearest observed triangle in the room. Texels between charts get the
+value of the nearest texel with surface, so that filtering at seams and in mip levels has no artefacts.
+``count`` still distinguishes observed from filled texels.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from model.reconstruction.merge.medians import NUM_CHANNELS
 from model.reconstruction.unwrap.charts import chart_of_faces
 
 BAND = 1024
-"""Rows that are worked on at a time."""
+"""Rows processed at a time."""
 GUTTER = 128
 """Texels above and below a band that may fill it."""
-MAX_CHARTS = 20_000  # beyond, charts are so small that filling by triangle is as good
-_LARGE_WINDOW = 2**22  # texels of a chart after which memory is let go of
+MAX_CHARTS = 20_000  # for more charts, each is so small that filling by triangle is as good
+_LARGE_WINDOW = 2**22  # texels of charts after which memory is released
 
 
 def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
     """Fill every texel; ``mesh`` is the mesh of the merge."""
     means, num_seen = _face_means(atlas, len(mesh.faces))
     if not num_seen.any():
-        return  # nothing was seen at all: there is nothing to fill with
+        return  # nothing was observed at all: there is nothing to fill with
     charts = chart_of_faces(mesh)
     is_filled = _fill_charts(atlas, mesh, charts, num_seen)
     nearest = _nearest_means(mesh, means, num_seen).astype(np.float16).view(np.uint16)
@@ -49,19 +49,19 @@ def fill_unseen(atlas: Atlas, mesh: Mesh) -> None:
 
 
 def _bands(atlas: Atlas) -> Iterator[slice]:
-    """Rows to work on, band after band; finished bands are released from memory."""
+    """Row ranges, band after band; finished bands are released from memory."""
     for top in range(0, atlas.size, BAND):
         yield slice(top, min(top + BAND, atlas.size))
         atlas.release()
 
 
 def _bits(atlas: Atlas, rows: slice) -> list[NDArray[np.uint16]]:
-    """Rows of the maps as the integers of their half floats: values are only copied."""
+    """Rows of the maps as the integers of their half floats, since values are only copied."""
     return [array[rows].view(np.uint16) for array in atlas.maps.values()]
 
 
 def _face_means(atlas: Atlas, num_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Mean (M, 7) of each triangle's seen texels, and how many there are (M,)."""
+    """Mean (M, 7) of each triangle's observed texels, and their number (M,)."""
     sums, num_seen = np.zeros((num_faces, NUM_CHANNELS)), np.zeros(num_faces, np.int64)
     for rows in _bands(atlas):
         face, count = atlas.face[rows], atlas.count[rows]
@@ -101,7 +101,7 @@ def _put_means(values: Any, face_of: Any, count: Any, needs: Any, means: Any, fi
 
 
 def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
-    """(M, 7) mean of each triangle or, without one, of the nearest triangle that has one."""
+    """Mean (M, 7) of each triangle or, without one, of the nearest triangle with one."""
     from scipy.spatial import cKDTree
 
     centroids = mesh.triangles().mean(axis=1)
@@ -111,7 +111,7 @@ def _nearest_means(mesh: Mesh, means: NDArray, num_seen: NDArray) -> NDArray:
 
 
 def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -> NDArray[np.bool_]:
-    """Fill partly seen charts; returns which charts are complete."""
+    """Fill partly observed charts; returns which charts are complete."""
     assert mesh.uv is not None
     num_charts = int(charts.max()) + 1
     seen_in_chart = np.bincount(charts, num_seen, num_charts) > 0
@@ -144,7 +144,7 @@ def _fill_charts(atlas: Atlas, mesh: Mesh, charts: NDArray, num_seen: NDArray) -
 
 @compiled
 def _split_chart(face_of: Any, count: Any, charts: Any, chart: Any, seen: Any, unseen: Any) -> Any:
-    """Mark a chart's seen and unseen texels; whether there are both."""
+    """Mark a chart's observed and unseen texels; returns whether there are both."""
     num_seen, num_unseen = 0, 0
     for row in range(face_of.shape[0]):
         for column in range(face_of.shape[1]):
@@ -164,15 +164,17 @@ def _span(low: float, high: float, size: int) -> tuple[int, int]:
 def _copy_nearest(
     atlas: Atlas, window: tuple[slice, slice], source: NDArray[np.bool_], target: NDArray[np.bool_]
 ) -> None:
-    """Values of the nearest ``source`` texel of a window for its ``target`` texels."""
+    """Copy the value of the nearest ``source`` texel of a window to its ``target`` texels."""
     labels, places = nearest_labels(source)
     for array in atlas.maps.values():
         _copy_labelled(array.view(np.uint16)[window], labels, places, target)
 
 
 def nearest_labels(source: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Labels (H, W) and flat indices (L,) of the nearest True pixel, approximately Euclidean. At least one
-    pixel must be True."""
+    """Labels (H, W) and flat indices (L,) of the nearest True pixel, approximately Euclidean.
+
+    At least one pixel must be True.
+    """
     import cv2
 
     mask = np.where(source, np.uint8(0), np.uint8(255))

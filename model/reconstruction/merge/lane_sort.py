@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Sorts many short lists at once in machine code: one list for each lane of vector instructions, by Batcher's
-odd-even merge sort, whose comparisons do not depend on the values."""
+"""Sorts many short lists at once in machine code: one list per lane of vector instructions, by Batcher's
+odd-even merge sort, whose comparisons do not depend on the values.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +19,10 @@ STEP = 4
 
 @compiled
 def networks(most: int) -> tuple[Any, Any]:
-    """Batcher's networks for lists of up to ``most`` values rounded up to ``STEP``: comparisons (C, 2), and
-    where those for k * STEP values start, k = 0, 1, ... ."""
+    """Batcher's networks for lists of up to ``most`` values rounded up to ``STEP``.
+
+    Comparisons (C, 2), and the start of those for k * STEP values, k = 0, 1, ... .
+    """
     num_sizes = (most + STEP - 1) // STEP + 1
     starts = np.zeros(num_sizes + 1, np.int64)
     pairs = [(np.int32(0), np.int32(0))]
@@ -70,7 +73,8 @@ def sort_weighted_lanes(values: Any, weights: Any, network: Any) -> None:
 @compiled
 def weighted_median(values: Any, weights: Any, lane: Any, num: Any) -> Any:
     """Weighted median of a lane's sorted values: the first at which the cumulative weight exceeds half of the
-    total; the mean of two where one reaches exactly half."""
+    total; if one reaches exactly half, the mean with the next.
+    """
     total = np.float32(0)
     for k in range(num):
         total += weights[k, lane]

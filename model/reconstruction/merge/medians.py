@@ -2,9 +2,10 @@
 """The loop of the merge: medians over views by texel, in machine code.
 
 Texels are processed in squares of 8 x 8, whose covered texels are the lanes of vector instructions. For each
-view that may see a square's bounding sphere, all lanes are projected and tested (visibility as in
-``datagen.multiview``), and visible values are appended to the lanes' lists. The lists of a square are sorted
-together (``lane_sort``), padded with Inf to equal length. Weights, if any, are permuted with the values.
+view whose frustum may contain a square's bounding sphere, all lanes are projected and tested (visibility as
+in ``datagen.multiview``), and visible values are appended to the lanes' lists. The lists of a square are
+sorted together (``lane_sort``), padded with Inf to equal length. Weights, if any, are permuted with the
+values.
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ from model.reconstruction.atlas.texels import surface_point
 from model.reconstruction.merge.lane_sort import LANES, STEP, sort_lanes, sort_weighted_lanes, weighted_median
 
 SIDE = 8
-"""Of a square of texels; all of it are LANES."""
+"""Side of a square of texels, all of which are the LANES."""
 NUM_CHANNELS = 7
 PACKET = 8
-"""Floats a pixel: D (3), S (3), R, and its smooth region."""
+"""Floats per pixel: D (3), S (3), R, and its smooth region."""
 CAMERA = 19
-"""Floats a camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height, farthest depth
-at which anything may be seen."""
+"""Floats per camera: camera_from_world (9, by rows), centre (3), fx, fy, cx, cy, width, height, maximum
+visible depth."""
 _X, _Y, _Z, _NX, _NY, _NZ, _U, _V, _DEPTH, _LIMIT, _COSINE, _REGION = (row * LANES for row in range(12))
 _ROWS = 12
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _INFINITY = np.float32(np.inf)
-MIN_WEIGHT = np.float32(1e-3)  # nearer to zero, the quotient would amplify rounding
-_MIN_COSINE = np.float32(1e-3)  # a weight of 0 would take a view away that sees the texel
+MIN_WEIGHT = np.float32(1e-3)  # closer to zero, the quotient would amplify rounding
+_MIN_COSINE = np.float32(1e-3)  # a weight of 0 would drop a view that shows the texel
 
 
 class ViewArrays(NamedTuple):
@@ -42,11 +43,11 @@ class ViewArrays(NamedTuple):
     first_pixel: NDArray[np.int64]
     """(V,)."""
     depth: NDArray[np.float32]
-    """(P,) depth along z, 0 where a view has nothing to say."""
+    """(P,) depth along z, 0 at pixels without a value."""
     packets: NDArray[np.float32]
     """(P, 8)."""
     confidence: NDArray[np.float32]
-    """(P, 3) of D, S, R, or (0, 3) where none counts."""
+    """(P, 3) of D, S, R, or (0, 3) if unused."""
 
 
 class Rules(NamedTuple):
@@ -76,12 +77,12 @@ class Surface(NamedTuple):
 
 @compiled
 def _project(state: Any, camera: Any, rules: Any) -> None:
-    """Project all lanes into a view; the limit of the depth test is -1 where it cannot see the lane."""
+    """Project all lanes into a view; the limit of the depth test is -1 for lanes outside of it."""
     r00, r01, r02, r10, r11, r12 = camera[0], camera[1], camera[2], camera[3], camera[4], camera[5]
     r20, r21, r22, cx, cy, cz = camera[6], camera[7], camera[8], camera[9], camera[10], camera[11]
     fx, fy, px, py, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
     tolerance, slope_px, slope_limit = rules.depth_tolerance, rules.slope_tolerance_px, rules.slope_limit
-    for lane in range(LANES):  # a fixed number, so that vector instructions serve
+    for lane in range(LANES):  # a fixed number, which vector instructions need
         x, y, z = state[_X + lane] - cx, state[_Y + lane] - cy, state[_Z + lane] - cz
         nx, ny, nz = state[_NX + lane], state[_NY + lane], state[_NZ + lane]
         facing = -(nx * x + ny * y + nz * z)
@@ -91,7 +92,7 @@ def _project(state: Any, camera: Any, rules: Any) -> None:
         is_inside = (depth > _ZERO) & (facing > _ZERO)
         is_inside = is_inside & (u >= _ZERO) & (v >= _ZERO) & (u < width) & (v < height)
         step = abs(r00 * nx + r01 * ny + r02 * nz) / fx + abs(r10 * nx + r11 * ny + r12 * nz) / fy
-        slope = slope_px * step * depth / facing  # Inf at grazing angles, which the limit takes
+        slope = slope_px * step * depth / facing  # Inf at grazing angles, which min() bounds
         slope = slope if slope < slope_limit else slope_limit
         state[_U + lane] = u
         state[_V + lane] = v
@@ -159,7 +160,7 @@ def _append_view(
             wi, wj, wk, wm = _ONE, _ZERO, _ZERO, _ZERO
             tolerance = _INFINITY
         else:
-            x = min(max(u - _HALF, _ZERO), last_x)  # the border pixel continues past its centre
+            x = min(max(u - _HALF, _ZERO), last_x)  # beyond its centre the border pixel is repeated
             y = min(max(v - _HALF, _ZERO), last_y)
             left, top = int(x), int(y)
             s, t = x - np.float32(left), y - np.float32(top)
@@ -216,7 +217,7 @@ def merge_tile(
 ) -> None:
     """Medians (H, W, 7) and counts (H, W) of a tile from its triangles ``face_of`` (H, W).
 
-    ``traced`` (V, H, W) says which views see which texels where ``rules.is_traced``; ``comparisons`` and
+    ``traced`` (V, H, W): visibility of texels in views, used if ``rules.is_traced``; ``comparisons`` and
     ``starts`` are :func:`networks` for V values.
     """
     height, width = face_of.shape

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Merges the maps of all views into one atlas (method 7): by texel, the exact median over the views that see
-it.
+"""Merges the maps of all views into one atlas (method 7): for each texel, the exact median over the views
+that show it.
 
 Letters: V views, P pixels of all views. For each covered texel, the point and normal at its centre are
-projected into every view; views that see it (``datagen.multiview.visibility``) contribute their D, S and R,
-and each channel takes the median, the mean of the middle two for even counts, or the weighted median. Values
-are gathered, not scattered, so an atlas may have more texels than the views have pixels. Threads process
-tiles: memory holds the views' maps and a few tiles, the atlas is on disk. The loop is in ``medians``.
+projected into every view; views in which it is visible (``datagen.multiview.visibility``) contribute their D,
+S and R, and each channel gets the median, the mean of the middle two for even counts, or the weighted median.
+Values are gathered, not scattered, so that an atlas may have more texels than the views have pixels. Threads
+process tiles: memory contains the views' maps and a few tiles, the atlas is on disk. The loop is in
+``medians``.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class MapView:
     1].
 
     ``depth_z_m`` (H, W, 1) is 0 at pixels without a value: background, lamps, pixels without a source.
-    ``face`` (H, W) is the triangle of each pixel, ``confidence`` (H, W, 3) weighs its D, S and R where
+    ``face`` (H, W) is the triangle of each pixel, ``confidence`` (H, W, 3) weighs its D, S and R if
     requested.
     """
 
@@ -63,7 +64,7 @@ class MapView:
     confidence: NDArray | None = None
 
     def problems(self) -> list[Problem]:
-        """Every fault of the arrays."""
+        """All faults of the arrays."""
         shape = (self.camera.height_px, self.camera.width_px)
         found = []
         for name, channels in MAP_CHANNELS.items():
@@ -85,7 +86,7 @@ class MapView:
 
 
 def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -> list[MapView]:
-    """Views as traced with their maps; lamps and background are left out."""
+    """Traced views with their maps; lamps and background are left out."""
     return [
         MapView(
             view.camera,
@@ -101,9 +102,12 @@ def map_views(views: Sequence[TracedView], maps: Sequence[dict[str, NDArray]]) -
 
 @dataclass(frozen=True)
 class MergeOptions:
-    """``fetch`` interpolates a map between pixels of the same depth, or takes the nearest pixel; ``tile`` is
-    the side of a tile in texels. ``weights`` of the medians: by cosine, by pixels on a square metre facing
-    the view, by the views' confidence, or the product of all three."""
+    """Options of the merge.
+
+    ``fetch`` interpolates a map between pixels of the same depth, or uses the nearest pixel; ``tile`` is the
+    side of a tile in texels. ``weights`` of the medians: by cosine, by pixels per square metre facing the
+    view, by the views' confidence, or the product of all three.
+    """
 
     fetch: Literal["nearest", "bilinear"] = "bilinear"
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
@@ -111,7 +115,7 @@ class MergeOptions:
     weights: Weights = "none"
 
     def rules(self) -> Rules:
-        """For the loop."""
+        """The options as arguments of the loop."""
         see, weights = self.visibility, self.weights
         return Rules(
             np.float32(see.depth_tolerance),
@@ -172,7 +176,7 @@ class MapMerger:
         )
         starts = range(0, atlas.size, self.options.tile)
         total, done = len(starts) ** 2, 0
-        # Mitsuba's rays come from one thread at a time and use all processors themselves
+        # Mitsuba's rays are cast from one thread at a time and use all processors themselves
         with ThreadPoolExecutor(1 if self._rules.is_traced else num_threads()) as pool:
             for top in starts:
                 row = [
@@ -213,7 +217,7 @@ class MapMerger:
             first += channels
 
     def _trace(self, points: NDArray, normals: NDArray, is_covered: NDArray) -> NDArray[np.bool_]:
-        """(V, H, W): which views see which covered texels of a tile, by shadow rays."""
+        """Visibility (V, H, W) of a tile's covered texels in the views, by shadow rays."""
         import drjit as dr
         import mitsuba as mi
 
@@ -237,7 +241,7 @@ class MapMerger:
 def _view_arrays(
     views: Sequence[MapView], region_of_face: NDArray | None, *, has_confidence: bool
 ) -> ViewArrays:
-    """The views as arrays for the loop; a pixel's region is 0 where regions are ignored."""
+    """The views as arrays for the loop; a pixel's region is 0 if regions are ignored."""
     if region_of_face is not None and len(region_of_face) >= 2**24:
         raise ValueError("expected fewer regions than float32 counts exactly")
     sizes = [view.camera.width_px * view.camera.height_px for view in views]

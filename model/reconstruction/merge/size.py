@@ -11,11 +11,11 @@ from datagen.foundation.cameras import Camera
 from datagen.geometry.traced import ViewGeometry
 
 MIN_SIZE, MAX_SIZE = 256, 16384
-_GRAZING_COSINE = 0.1  # footprints grow without bound towards grazing views
+_GRAZING_COSINE = 0.1  # bounds the footprints of grazing views
 
 
 def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: float = 0.1) -> float | None:
-    """Side of a fine pixel's footprint, None where no view sees the surface.
+    """Side of a fine pixel's footprint in metres, None if no view shows the surface.
 
     A pixel covers z / f / sqrt(cos) of a surface at depth z; the result is the ``quantile`` (the finest
     tenth) of all pixels.
@@ -34,7 +34,7 @@ def pixel_footprint_m(views: Iterable[tuple[Camera, ViewGeometry]], quantile: fl
 
 
 def atlas_size(footprint_m: float | None, metres_per_side: float) -> int:
-    """Side of an atlas whose texels are of that size: a multiple of 256 in [256, 16384]."""
+    """Side of an atlas whose texels have that size: a multiple of 256 in [256, 16384]."""
     if footprint_m is None:
         return MIN_SIZE
     return int(np.clip(np.ceil(metres_per_side / footprint_m / 256) * 256, MIN_SIZE, MAX_SIZE))

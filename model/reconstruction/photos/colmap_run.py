@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""COLMAP as a program: cameras and a mesh of a folder of photographs, each step once.
+"""COLMAP as a program: cameras and a mesh from a folder of photographs, each step once.
 
 WORK/database.db    features and matches
 WORK/found/         the models of the mapper
 WORK/sparse/0/      the largest of them
-WORK/dense/         undistorted photographs and depth, where a GPU allows
+WORK/dense/         undistorted photographs and depth, if a GPU allows
 WORK/mesh.ply       a Poisson surface of the dense points, else a Delaunay surface of the sparse ones
-WORK/STEP.done      of each step that ended well; WORK/STEP.log what COLMAP said
+WORK/STEP.done      marker of each finished step; WORK/STEP.log output of COLMAP
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.foundation.errors import input_error
 
 MAX_IMAGE_PX = 2400
-"""Longer sides are shrunk before features are sought."""
+"""Larger photographs are shrunk to this longer side for features."""
 _OVERLAP = "take more photographs that overlap, sharp and large, from different places; see the log"
-_TAIL = 400  # characters of the log that an error shows
+_TAIL = 400  # characters of the log in an error
 
 
 @dataclass(frozen=True)
 class Step:
-    """Commands that make something together; ``clears`` what an earlier attempt may have left."""
+    """Commands with a common result; ``clears`` lists possible remains of an earlier attempt."""
 
     name: str
     commands: tuple[tuple[str, ...], ...]
@@ -58,7 +58,7 @@ def camera_steps(program: str, photographs: Path, work: Path) -> tuple[Step, ...
 
 
 def dense_step(program: str, photographs: Path, work: Path) -> Step:
-    """Depth of every photograph and a Poisson surface; COLMAP needs CUDA for it."""
+    """Depth of every photograph and a Poisson surface, for which COLMAP needs CUDA."""
     dense, points = str(work / "dense"), str(work / "dense" / "fused.ply")
     return Step(
         "dense",
@@ -82,8 +82,7 @@ def sparse_step(program: str, work: Path) -> Step:
 
 
 def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[str]) -> str:
-    """Instructions to install and run COLMAP where it is missing; ``rest`` is the command to continue
-    with."""
+    """Instructions to install and run COLMAP if it is missing; ``rest`` is the command to continue with."""
     largest = work / "sparse" / "0"
     lines = [
         "apt-get install colmap    # or https://colmap.github.io/install.html",
@@ -100,18 +99,18 @@ def missing_program(program: str, photographs: Path, work: Path, rest: Sequence[
 
 
 class ColmapRun:
-    """Runs steps in ``work``, those that were not done before; ``tell`` names each that runs."""
+    """Runs unfinished steps in ``work``; ``tell`` is called with the name of each."""
 
     def __init__(self, program: str, photographs: Path, work: Path, tell: Callable[[str], None]):
         self.program, self.photographs, self.work, self.tell = program, photographs, work, tell
 
     @property
     def model(self) -> Path:
-        """The cameras."""
+        """Folder of the model with the cameras."""
         return self.work / "sparse" / "0"
 
     def cameras(self) -> Path:
-        """The folder of the cameras. Raises :class:`InputError` where COLMAP fails."""
+        """Compute the cameras and return their folder. Raises :class:`InputError` if COLMAP fails."""
         (self.work / "found").mkdir(parents=True, exist_ok=True)
         for step in camera_steps(self.program, self.photographs, self.work):
             self._do(step)
@@ -128,7 +127,7 @@ class ColmapRun:
         return self.model
 
     def mesh(self) -> Path:
-        """A mesh in the frame of the cameras: dense where a GPU is at hand and COLMAP can use it."""
+        """A mesh in the frame of the cameras: dense if there is a GPU that COLMAP can use."""
         mesh = self.work / "mesh.ply"
         if (self.work / "mesh.done").is_file() or (self.work / "dense.done").is_file():
             return mesh
@@ -169,7 +168,7 @@ class ColmapRun:
 
 
 def _size(model: Path) -> int:
-    """Bytes of a model's images; 0 for what is none."""
+    """Bytes of a model's images; 0 if it is no model."""
     for name in ("images.bin", "images.txt"):
         if (model / name).is_file():
             return (model / name).stat().st_size

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """``materials photos``: photographs → cameras and mesh → asset → turntable, each once, in one folder.
 
-OUT/photos.json     what the work belongs to: the photographs, and how they were read
-OUT/colmap/         cameras and mesh by COLMAP, where the photographs come without (``colmap_run``)
-OUT/...             what ``materials infer`` writes
-OUT/turntable.gif   a turn through the room under the lights that were found
+OUT/photos.json     identity of the work: the photographs, and options for reading them
+OUT/colmap/         cameras and mesh by COLMAP, if the photographs have none (``colmap_run``)
+OUT/...             output of ``materials infer``
+OUT/turntable.gif   a turn through the room under the recovered lights
 """
 
 from __future__ import annotations
@@ -33,8 +33,11 @@ TURNTABLE = "turntable.gif"
 
 @dataclass(frozen=True)
 class PhotosOptions:
-    """``program`` is COLMAP's; ``reading`` and ``inference`` as in ``materials infer``; ``frames`` of the
-    turntable with ``samples`` light paths a pixel."""
+    """Options of ``materials photos``.
+
+    ``program`` is COLMAP's; ``reading`` and ``inference`` as in ``materials infer``; ``frames`` of the
+    turntable with ``samples`` light paths per pixel.
+    """
 
     program: str = "colmap"
     reading: CaptureOptions = field(default_factory=CaptureOptions)
@@ -45,15 +48,16 @@ class PhotosOptions:
 
 @dataclass(frozen=True)
 class Made:
-    """The report, None where the asset was made before, and the turntable."""
+    """The report, None if the asset existed before, and the turntable."""
 
     report: InferReport | None
     turntable: Path
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """The photographs of a folder. Raises :class:`InputError` where there are few, or of forms that are not
-    read."""
+    """The photographs of a folder. Raises :class:`InputError` if there are too few, or for unsupported
+    formats.
+    """
     if not folder.is_dir():
         raise input_error(folder, "", "no such folder", "a folder of photographs", "check the path")
     found = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in KNOWN_SUFFIXES]
@@ -78,9 +82,10 @@ def make_asset(
     tell: Progress,
     say: Callable[[str], None],
 ) -> Made:
-    """Everything from ``folder`` to ``out``. Results of an earlier run are kept.
+    """Run all steps from ``folder`` to ``out``. Results of an earlier run are reused.
 
-    Raises :class:`InputError` where the input is bad, a program lacks or fails, or ``out`` holds other work.
+    Raises :class:`InputError` if the input is bad, a program is missing or fails, or ``out`` contains other
+    work.
     """
     has_own = has_cameras(folder)
     photographs = [] if has_own else photographs_in(folder)
@@ -116,7 +121,7 @@ def make_asset(
 def _claim(
     out: Path, folder: Path, photographs: list[Path], source: MapSource, options: PhotosOptions
 ) -> None:
-    """Bind the folder to these photographs; other options make asset and turntable again."""
+    """Assign the folder to these photographs; with other options asset and turntable are made again."""
     files = [[file.name, file.stat().st_size] for file in photographs]
     work: dict[str, Any] = {
         "format": "scene-materials/photos",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Maps of views from a checkpoint: inputs by name, both tracks in batches, then the bilateral solver.
 
-One exposure serves all views of a capture: it brings the 95th percentile of the luminance of all their
-surface pixels to 0.9 (method 3), so that a surface has one brightness in every view.
+All views of a capture share one exposure, which maps the 95th percentile of the luminance of all their
+surface pixels to 0.9 (method 3), so that a surface has the same brightness in every view.
 """
 
 from __future__ import annotations
@@ -25,14 +25,17 @@ from model.confidence import FILTERED_MAPS, filter_maps
 from model.networks import encode_color
 
 Precision = Literal["auto", "float32", "bfloat16"]
-_EXPOSURE_STEP = 5  # every fifth pixel decides a percentile as well as all do
+_EXPOSURE_STEP = 5  # every fifth pixel is enough for a percentile
 
 
 @dataclass(frozen=True)
 class PredictOptions:
-    """``precision`` auto is bfloat16 where the device supports it natively; ``batch`` views at a time;
-    ``is_filtered`` runs the bilateral solver where the checkpoint has confidence networks; ``has_confidence``
-    also returns their output."""
+    """Options of prediction.
+
+    ``precision`` auto is bfloat16 if the device supports it natively; ``batch`` views at a time;
+    ``is_filtered`` runs the bilateral solver if the checkpoint has confidence networks; ``has_confidence``
+    also returns their output.
+    """
 
     precision: Precision = "auto"
     batch: int = 4
@@ -50,7 +53,7 @@ def has_fast_bfloat16(device: str) -> bool:
 
 
 def capture_exposure(views: Sequence[StatisticsView]) -> float:
-    """The one exposure of a capture."""
+    """The common exposure of a capture."""
     samples = []
     for view in views:
         color = view.color.reshape(-1, 3)[::_EXPOSURE_STEP]
@@ -64,8 +67,10 @@ def view_tensors(
     statistics: dict[str, NDArray[np.float32]],
     light: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> dict[str, Tensor]:
-    """Network inputs of a view by name, (1, C, H, W); normals in camera space, 0 off the surface. ``light``:
-    buffers of :class:`~datagen.light.view_light.ViewLight`."""
+    """Network inputs of a view by name, (1, C, H, W); normals in camera space, 0 off the surface.
+
+    ``light``: buffers of :class:`~datagen.light.view_light.ViewLight`.
+    """
     normal = view.normal_world.astype(np.float32) @ camera.world_from_camera[:3, :3].astype(np.float32)
     on_surface = (view.surface_mask > 0.5) & (view.depth_z_m > 0)
     buffers = {
@@ -82,7 +87,7 @@ def view_tensors(
 
 
 class Predictor:
-    """A checkpoint ready for the views of one capture."""
+    """A checkpoint prepared for the views of one capture."""
 
     def __init__(self, checkpoint: Checkpoint, exposure: float, options: PredictOptions | None = None):
         self.options = options or PredictOptions()
@@ -107,7 +112,7 @@ class Predictor:
 
     @property
     def has_confidence(self) -> bool:
-        """Whether predictions come with their confidence."""
+        """Whether predictions include confidence."""
         return self.options.has_confidence
 
     @torch.no_grad()

@@ -27,7 +27,7 @@ class CheckpointMaps:
 
     @property
     def identity(self) -> str:
-        """The file's SHA-256. Raises :class:`InputError` where it cannot be read."""
+        """The file's SHA-256. Raises :class:`InputError` if it cannot be read."""
         try:
             return hashlib.sha256(self.path.read_bytes()).hexdigest()
         except OSError as error:
@@ -35,7 +35,7 @@ class CheckpointMaps:
             raise input_error(self.path, "", str(error), expected, "check the path") from None
 
     def prepare(self, options: InferOptions) -> None:
-        """Refuse a checkpoint that cannot be read and a device that is not there."""
+        """Refuse an unreadable checkpoint and a missing device."""
         from model.checkpoint import read_card
         from model.devices import parse_device
 
@@ -43,8 +43,9 @@ class CheckpointMaps:
         parse_device(options.device)
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """Those on disk, and the rest predicted."""
-        from model.reconstruction.predict.view_maps import predicted_maps  # torch, which others do without
+        """Stored maps, and predictions for the rest."""
+        # torch, which other sources do not need
+        from model.reconstruction.predict.view_maps import predicted_maps
 
         return predicted_maps(traced, self.path, run)
 
@@ -61,7 +62,7 @@ class GivenMaps:
         """Nothing to refuse."""
 
     def maps(self, traced: TracedCapture, run: Run) -> list[Maps]:
-        """As they are."""
+        """The given maps."""
         with run.stage("read maps"):
             return self.read(traced)
 

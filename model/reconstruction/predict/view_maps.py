@@ -23,11 +23,11 @@ from model.reconstruction.predict.predictor import PredictOptions, Predictor, ca
 from model.reconstruction.stages import Maps, Run
 
 USUAL_PIXELS = 640 * 384
-"""Views of more pixels go in smaller batches, so that a batch's memory has a bound."""
+"""Views with more pixels are processed in smaller batches, which bounds a batch's memory."""
 
 
 def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> list[Maps]:
-    """Maps of all views: stored ones, and the others predicted and stored."""
+    """Maps of all views: stored ones are read, the others predicted and stored."""
     capture, views, options, report = traced.capture, traced.statistics, run.options, run.report
     with report.stage("predict"):
         checkpoint = load_checkpoint(checkpoint_path, options.device)
@@ -78,7 +78,7 @@ def predicted_maps(traced: TracedCapture, checkpoint_path: Path, run: Run) -> li
 
 
 def _batches(capture: Capture, size: int) -> list[list[int]]:
-    """Consecutive views of one size, at most ``size`` of them, fewer of large ones.
+    """Batches of consecutive views of one size, at most ``size`` views, fewer for large ones.
 
     Independent of stored maps: convolutions round differently for other batch sizes.
     """
@@ -95,7 +95,7 @@ def _batches(capture: Capture, size: int) -> list[list[int]]:
 
 
 def _halves(maps: Maps) -> Maps:
-    """Rounded as stored, so that a resumed run equals an uninterrupted one."""
+    """Maps rounded as stored, so that a resumed run equals an uninterrupted one."""
     return {name: values.astype(np.float16) for name, values in maps.items()}
 
 

@@ -27,21 +27,21 @@ from datagen.geometry.views import TracedView
 from datagen.light.surfels import Surfels
 
 MAX_SURFELS, MIN_VIEWS, MIN_SAMPLES = 8_000, 2, 10
-"""Surfels that serve, views that each needs, and observations a view without which nothing is sought."""
+"""Number of surfels used, views per surfel, and minimum observations of a view for a calibration."""
 DARK, BRIGHT = 0.004, 0.9
-"""Parts of the limit between which values serve: noise below, clipping above."""
+"""Range of usable values relative to the limit: noise below, clipping above."""
 MIN_GAIN, MIN_VIGNETTING = 0.03, 0.05
-"""Root mean square of ln gains and ln of the corners' factor below which photographs stay as they are:
-highlights alone pretend as much."""
+"""Root mean square of ln gains, and of ln of the corners' factor, below which photographs stay unchanged,
+since highlights alone can cause as much."""
 MIN_EXPLAINED = 0.02
-"""Part of the cost that a curve must explain."""
+"""Minimum reduction of the cost by a curve."""
 MIN_SPREAD = 0.1
-"""Standard deviation of ln gains without which no curve is sought: exposures that differ show it."""
+"""Minimum standard deviation of ln gains for a curve, which only differing exposures determine."""
 _ROUNDS = 10
-_SCALES = (0.5, 0.06)  # of Cauchy's distribution, in ln L: first and last round
+_SCALES = (0.5, 0.06)  # scale of Cauchy's distribution, in ln L: first and last round
 _PRIOR_GAIN, _PRIOR_VIGNETTING, _PRIOR_CURVE = 1.0, 0.5, 0.05
-_PRIOR_WEIGHT = 5.0  # observations that a prior at one standard deviation counts as
-_MAX_CURVE = 0.15  # above 1 / 2 pi the curve falls
+_PRIOR_WEIGHT = 5.0  # weight of a prior at one standard deviation, in observations
+_MAX_CURVE = 0.15  # above 1 / 2 pi the curve is not monotonic
 _STEP = 1e-3  # of derivatives
 
 
@@ -69,7 +69,7 @@ class Radiometry:
 
 
 def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Decoded values of a camera whose response has ``curve``, of linear values relative to the limit."""
+    """Linear values relative to the limit, as recorded by a camera whose response has ``curve``, decoded."""
     encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
 
@@ -93,8 +93,11 @@ def radius_squared(view: TracedView) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class _Samples:
-    """Observations (M,) of chosen surfels: ``surfel``, ``view``, squared radius ``r2``, ``value`` (M, 3)
-    relative to the ``limit`` (M,), and whether each channel ``counts`` (M, 3)."""
+    """Observations (M,) of chosen surfels.
+
+    ``surfel``, ``view``, squared radius ``r2``, ``value`` (M, 3) relative to the ``limit`` (M,), and whether
+    each channel ``counts`` (M, 3).
+    """
 
     surfel: NDArray[np.int64]
     view: NDArray[np.int64]
@@ -105,8 +108,10 @@ class _Samples:
 
 
 def find_radiometry(views: Sequence[TracedView], surfels: Surfels) -> Radiometry:
-    """Radiometric calibration of the cameras from surfels in several ``views``. The response is estimated
-    only where all photographs have a limit."""
+    """Radiometric calibration of the cameras from surfels in several ``views``.
+
+    The response is estimated only if all photographs have a limit.
+    """
     samples = _samples(views, surfels)
     has_limit = all(view.limit is not None for view in views)
     num = len(views)
@@ -162,8 +167,10 @@ def _radius_at(view: TracedView, position_m: NDArray) -> NDArray[np.float64]:
 def _solved(
     samples: _Samples, num_views: int, *, has_curve: bool
 ) -> tuple[NDArray[np.float64], float, float, float]:
-    """ln gains (V, 3), vignetting, curve and cost, by Gauss-Newton steps. Residuals are of values, not of
-    radiance, which a flattening curve would minimise."""
+    """ln gains (V, 3), vignetting, curve and cost, by Gauss-Newton steps.
+
+    Residuals are of values, not of radiance, which a flattening curve would minimise.
+    """
     channels = [_Channel.of(samples, channel) for channel in range(3)]
     last = 3 * num_views
     spread = np.array([*[_PRIOR_GAIN] * last, _PRIOR_VIGNETTING, _PRIOR_CURVE if has_curve else 1e-9])
@@ -189,8 +196,11 @@ def _solved(
 
 @dataclass
 class _Channel:
-    """Samples (M,) of a channel: ``surfel`` from 0 on, ``view``, ``r2``, logarithms of the ``shown`` value
-    and of the ``limit``; ``radiance`` the logarithm of each surfel's."""
+    """Samples (M,) of a channel.
+
+    ``surfel`` from 0 on, ``view``, ``r2``, logarithms of the ``shown`` value and of the ``limit``;
+    ``radiance``: logarithm of each surfel's radiance.
+    """
 
     surfel: NDArray[np.int64]
     view: NDArray[np.int64]
@@ -221,8 +231,10 @@ class _Channel:
         return float(np.log1p((rest / _SCALES[1]) ** 2).mean())
 
     def step(self, state: NDArray, first: int, last: int, scale: float) -> tuple[Any, ...]:
-        """Normal matrix and right side of the cameras' unknowns, with the surfels eliminated; and for
-        back-substitution of the surfels (N, unknowns) and (N,)."""
+        """Normal matrix and right side of the cameras' unknowns, with the surfels eliminated.
+
+        For back-substitution of the surfels, also (N, unknowns) and (N,).
+        """
         predicted, slope, by_curve = self.predicted(state, first, last)
         rest = self.shown - predicted
         weight = 1 / (1 + (rest / scale) ** 2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sources that clip wherever photographs show them: emitters, openings and surfaces.
+"""Sources that clip in all photographs: emitters, openings and surfaces.
 
 Each clipped emitter is a source, each connected part of a face of the room's box with clipped background, and
 each patch of neighbouring surfels that no view shows below the limit. A source has one colour, unknown in the
@@ -25,21 +25,25 @@ from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 CLIPPED_SHARE = 0.5
-"""Part of an emitter's pixels, and of a bin's, from which a channel is unknown."""
+"""Clipped share of an emitter's pixels, and of a bin's, from which on a channel is unknown."""
 SHUT = 0.9
-"""Part of a surfel's pixels from which it is taken to be clipped wherever it is seen."""
+"""Clipped share of a surfel's pixels from which on it counts as clipped in all views."""
 MIN_CELLS = 4
-"""Surfels of the smallest patch."""
+"""Minimum number of surfels of a patch."""
 MIN_BINS, MIN_PIXELS = 8, 0.03
-"""Bins of place and direction of the smallest opening, and its part of all clipped pixels outside."""
+"""Minimum number of bins by position and direction of an opening, and its minimum share of all clipped pixels
+outside."""
 MAX_SOURCES = 24
-"""The largest patches and openings are told apart; the rest of them are one source each."""
+"""Number of largest patches and openings kept apart; the rest of each kind is one source."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """``bound`` (S, 3) the photographed radiance, ``is_open`` (S, 3) the channels in which it is a lower
-    bound; the source of each emitter (K,), background bin (B,) and surfel (N,), -1 for none."""
+    """Sources (S) that clip.
+
+    ``bound`` (S, 3) the photographed radiance, ``is_open`` (S, 3) the channels in which it is a lower bound;
+    the source of each emitter (K,), background bin (B,) and surfel (N,), -1 for none.
+    """
 
     bound: NDArray[np.float64]
     is_open: NDArray[np.bool_]
@@ -142,8 +146,10 @@ def _seen_bins(marked: Sequence[TracedView], low: NDArray, high: NDArray) -> NDA
 
 
 def _labelled_bins(share: NDArray, seen: NDArray) -> tuple[NDArray[np.int64], NDArray]:
-    """Openings: connected squares of a face of the box with ``seen`` (B,) pixels. Squares that only took
-    their neighbours' radiance belong to the largest."""
+    """Openings: connected squares of a face of the box with ``seen`` (B,) pixels.
+
+    Squares that only have their neighbours' radiance belong to the largest.
+    """
     clipped = (share >= CLIPPED_SHARE).any(axis=1)
     shape = 6, NEAR.places, NEAR.places, NEAR.directions
     num = clipped.reshape(shape).sum(axis=3)
@@ -186,11 +192,13 @@ def _labelled_surfels(views: Sequence[TracedView], surfels: Surfels) -> tuple[ND
 
 
 def _largest(label: NDArray, least: int) -> NDArray[np.int64]:
-    """Labels by size, largest first; those after :data:`MAX_SOURCES` are joined, those of fewer than
-    ``least`` dropped."""
+    """Labels by size, largest first.
+
+    Those after :data:`MAX_SOURCES` are joined, those with fewer than ``least`` members dropped.
+    """
     num = np.bincount(label[label >= 0])
     order = np.argsort(-num, kind="stable")
-    new = np.full(len(num) + 1, -1, np.int64)  # the last for -1
+    new = np.full(len(num) + 1, -1, np.int64)  # the last entry is for -1
     kept = order[num[order] >= least]
     new[kept] = np.minimum(np.arange(len(kept)), MAX_SOURCES - 1)
     return new[label]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stage of ``materials infer`` that evens exposures and completes clipped pixels."""
+"""The stage of ``materials infer`` that equalises exposures and completes clipped pixels."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from model.reconstruction.stages import Run
 
 
 def completed(traced: TracedCapture, run: Run) -> TracedCapture:
-    """The capture with views of one exposure, completed where they clip. Floating-point images have no limit:
-    renderings and merged brackets already share one exposure."""
+    """The capture with views of one exposure, completed where they clip.
+
+    Floating-point images have no limit: renderings and merged brackets already share one exposure.
+    """
     if any(view.limit is None for view in traced.views):
         return traced
     with run.stage("radiometry"):
@@ -60,7 +62,7 @@ def described(found: Completed) -> dict[str, Any]:
 
 
 def notes_of(found: Completed) -> list[str]:
-    """Notes for the user."""
+    """Sentences about the calibration for the user."""
     notes = []
     stops = np.log2(found.radiometry.gain).mean(axis=1)
     if found.radiometry.changes:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""A reconstruction rendered again: from its cameras, under other light, in motion."""
+"""A reconstruction rendered again: from its cameras, under other light, as an animation."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The verbs ``render`` and ``view`` of ``materials``. Heavy imports happen in the verbs."""
+"""The verbs ``render`` and ``view`` of ``materials``. Heavy imports are inside them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FILM_SUFFIXES = (".gif", ".mp4")
 
 @dataclass(frozen=True)
 class LightWords:
-    """Light, insertions and samples, as they are written."""
+    """Light, insertions and samples as strings."""
 
     sky: Annotated[
         str | None, typer.Option(help="Instead of the asset's lights: an environment map (EXR) or R,G,B.")
@@ -42,7 +42,7 @@ class LightWords:
     ] = 0.0
 
     def parse(self) -> RelightOptions:
-        """Raises ``BadParameter`` for what is no light, place or color."""
+        """The parsed options. Raises ``BadParameter`` for an invalid light, position or colour."""
         from model.reconstruction.render.relight import RelightOptions
 
         return RelightOptions(
@@ -68,9 +68,9 @@ def render(
     ] = (),
     quiet: QuietOption = False,
 ) -> None:
-    """Render an asset under its own or other light, with objects put in: from its cameras, or as a film.
+    """Render an asset under its own or other light, with inserted objects: from its cameras, or as a film.
 
-    A film goes a way through the room and repeats without a seam.
+    A film follows a path through the room and loops seamlessly.
 
     Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
     """
@@ -105,7 +105,7 @@ def view(
         int, typer.Option("--max-side", min=64, max=4096, help="Larger textures are averaged down.")
     ] = 4096,
 ) -> None:
-    """Write a page that shows an asset in 3D, with a light to move; it opens from disk in any browser.
+    """Write a page that shows an asset in 3D, with a movable light; it opens from disk in any browser.
 
     Example: materials view room --out room-page
     """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Renders an asset again: from its own cameras, under its own or other light, with a thing put in.
+"""Renders an asset again: from its own cameras, under its own or other light, with inserted objects.
 
-A package becomes a configuration, and ``datagen``'s renderer does the rest.
+The package becomes a configuration for ``datagen``'s renderer.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from datagen.foundation.progress import Progress
 from datagen.library import Library
 
 SKY_ID = "relight-sky"
-_DARK = 1e-3  # of the sky's radiance: a view that gets less on average is not lit by it
+_DARK = 1e-3  # relative to the sky's radiance: views with a lower mean are not lit by it
 
 
 @dataclass(frozen=True)
 class Insertion:
-    """An object package to stand at ``position_m``, turned about the vertical by ``yaw_rad``."""
+    """An object package to place at ``position_m``, rotated about the vertical by ``yaw_rad``."""
 
     package: Path
     position_m: tuple[float, float, float]
@@ -48,7 +48,7 @@ class Insertion:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A point light: ``intensity`` in W/sr a channel."""
+    """A point light: ``intensity`` in W/sr per channel."""
 
     position_m: tuple[float, float, float]
     intensity: tuple[float, float, float] = (5.0, 5.0, 5.0)
@@ -56,9 +56,12 @@ class Lamp:
 
 @dataclass(frozen=True)
 class RelightOptions:
-    """``sky`` and ``lamps`` replace the asset's lights: an environment map (EXR) or a constant radiance, and
-    point lights. ``views`` are names of the asset's cameras, all of them where empty; ``cameras`` stand in
-    their place, named ``frame-000`` on. ``compensation`` scales the exposure of PNG and film."""
+    """Options of rendering an asset.
+
+    ``sky`` and ``lamps`` replace the asset's lights: an environment map (EXR) or a constant radiance, and
+    point lights. ``views`` are names of the asset's cameras, empty for all; ``cameras`` replace them, named
+    ``frame-000`` onwards. ``compensation`` scales the exposure of PNG and film.
+    """
 
     sky: Path | tuple[float, float, float] | None = None
     insertions: tuple[Insertion, ...] = ()
@@ -81,8 +84,9 @@ class RenderedImage:
 
 
 def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[RenderedImage]:
-    """Views of an environment package. Raises :class:`InputError` for unknown views, no light, bad
-    packages."""
+    """Rendered views of an environment package. Raises :class:`InputError` for unknown views, no light, bad
+    packages.
+    """
     from datagen.rendering.renderer import SceneRenderer
 
     options = options or RelightOptions()
@@ -172,7 +176,7 @@ def _sky_light(sky: Path | tuple[float, float, float]) -> Light:
 
 @contextmanager
 def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path | None]:
-    """A package that holds the environment map, since a configuration takes images from packages only."""
+    """A package with the environment map, since configurations refer to images in packages only."""
     if not isinstance(sky, Path):
         yield None
         return
@@ -196,9 +200,11 @@ def _sky_package(sky: Path | tuple[float, float, float] | None) -> Iterator[Path
 def lit_images(
     path: Path, options: RelightOptions, warn: Callable[[str], None] | None = None
 ) -> Iterator[RenderedImage]:
-    """The images of :func:`render_asset`, in a light that reaches them: where no light of the sky reaches the
-    first one, and where there is no light at all, the asset's own lights or a lamp in the middle of its
-    cameras. ``warn`` is told."""
+    """The images of :func:`render_asset`, with a fallback for dark rooms.
+
+    If no light of the sky reaches the first view, or if there is no light at all, the asset's own lights are
+    used, or a lamp in the middle of its cameras. ``warn`` is called then.
+    """
     with open_package(path) as package:
         asset = package.asset
     assert isinstance(asset, EnvironmentAsset)
@@ -225,7 +231,7 @@ _OWN_LAMP = "a lamp in the middle of its cameras shines (--lamp X,Y,Z places oth
 
 
 def _with_own_lamp(options: RelightOptions, asset: EnvironmentAsset, path: Path) -> RelightOptions:
-    """With a lamp in the middle of the asset's cameras."""
+    """The options with a lamp in the middle of the asset's cameras."""
     if not asset.cameras:
         raise input_error(path, "lights", "none", "a light", "give one with --lamp or --sky")
     x, y, z = (float(v) for v in np.mean([c.camera().position_m for c in asset.cameras], axis=0))
@@ -238,7 +244,7 @@ def _say(warn: Callable[[str], None] | None, text: str) -> None:
 
 
 def _is_unlit(color: NDArray[np.float32], options: RelightOptions) -> bool:
-    """Whether a view is as good as black although there is a sky, and nothing else that shines."""
+    """Whether a view is practically black with a sky as its only light."""
     if options.sky is None or options.lamps:
         return False
     return float(luminance(color).mean()) < _DARK * _sky_luminance(options.sky)
@@ -258,11 +264,12 @@ def write_renders(
     warn: Callable[[str], None] | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Path]:
-    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views under the first's exposure).
+    """Render an asset to ``NAME.exr`` (linear) and ``NAME.png`` (sRGB, all views with the first's exposure).
 
-    ``warn`` is told where the light is another than was asked for (:func:`lit_images`)."""
+    ``warn`` is called if the light differs from the requested one (:func:`lit_images`).
+    """
     options = options or RelightOptions()
-    with open_package(path) as package:  # one that cannot be read leaves no folder behind
+    with open_package(path) as package:  # an unreadable file leaves no folder behind
         total = len(options.views or getattr(package.asset, "cameras", ()))
     out.mkdir(parents=True, exist_ok=True)
     written = []
@@ -282,5 +289,5 @@ def write_renders(
 
 
 def shown_bytes(color: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
-    """A linear image as a screen shows it."""
+    """A linear image as 8-bit sRGB."""
     return (np.clip(srgb_from_linear(color * exposure), 0, 1) * 255 + 0.5).astype(np.uint8)

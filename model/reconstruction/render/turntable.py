@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""An asset in motion: cameras on a way through it, their frames as a GIF or a video.
+"""Animation of an asset: cameras on a path through it, their frames as a GIF or a video.
 
-``orbit`` is a turn within the space that the asset's cameras were in: on an ellipse about their middle, at
-their mean height, looking across if they mostly did, else outwards. ``cameras`` goes through them in order,
-without stopping, and comes back. Both end where they begin, so that a player may repeat them.
+``orbit`` is a turn within the space of the asset's cameras: on an ellipse about their middle, at their mean
+height, looking across if they mostly did, else outwards. ``cameras`` visits them in order, without stopping,
+and returns. Both end at their start, so that the animation can loop.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from model.reconstruction.render.options import FilmOptions
 from model.reconstruction.render.relight import RelightOptions, lit_images, shown_bytes
 
 SUFFIXES = (".gif", ".mp4")
-MIN_RADIUS_M = 0.15  # a capture from one place is shown from a small circle around it
+MIN_RADIUS_M = 0.15  # radius of a small circle for a capture from one position
 _GIF_COLORS = 255
 
 
@@ -44,10 +44,10 @@ def write_turntable(
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> list[Camera]:
-    """Render an environment package along a way into ``out``; returns the cameras.
+    """Render an environment package along a path into ``out``; returns the cameras.
 
-    ``.mp4`` holds VP9, which browsers and common players show. All frames are under the first one's exposure.
-    Raises :class:`InputError` for another suffix, bad packages, no light.
+    ``.mp4`` contains VP9, which browsers and common players support. All frames have the first one's
+    exposure. Raises :class:`InputError` for another suffix, bad packages, no light.
     """
     options = options or TurntableOptions()
     if out.suffix.lower() not in SUFFIXES:
@@ -77,7 +77,7 @@ def write_turntable(
 
 
 def way_cameras(cameras: Sequence[Camera], options: TurntableOptions) -> list[Camera]:
-    """The frames' cameras: the lens of the first camera, centred, with even sides (video wants them)."""
+    """The frames' cameras: the lens of the first camera, centred, with even sides, as video requires."""
     lens = cameras[0]
     scale = min(1.0, options.max_width_px / max(lens.width_px, lens.height_px))
     width, height = (max(16, 2 * round(0.5 * scale * side)) for side in (lens.width_px, lens.height_px))
@@ -91,7 +91,7 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
     forward = np.array([camera.forward for camera in cameras])
     center = 0.5 * (eyes.min(axis=0) + eyes.max(axis=0))
     center[2] = eyes[:, 2].mean()
-    # Cameras may lie anywhere within: a circle of their spread is among them, the box's corners need not be.
+    # The cameras' bounding box may have empty corners: a circle of their spread stays among them.
     radii = np.maximum(np.sqrt(2) * eyes[:, :2].std(axis=0), MIN_RADIUS_M)
     is_across = float(((center - eyes)[:, :2] * forward[:, :2]).sum()) >= 0
     slope = float(np.mean(forward[:, 2] / np.maximum(np.linalg.norm(forward[:, :2], axis=1), 0.2)))
@@ -107,7 +107,7 @@ def _orbit(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
 
 
 def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
-    """A closed spline through the cameras' positions and directions, at even speed by camera."""
+    """A closed spline through the cameras' positions and directions, with equal time between cameras."""
     from scipy.interpolate import CubicSpline
 
     keys = np.array([np.concatenate([c.position_m, c.forward]) for c in cameras])
@@ -126,19 +126,20 @@ def _through(cameras: Sequence[Camera], num: int) -> list[NDArray[np.float64]]:
 
 
 def _write_gif(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_second: float) -> None:
-    """One palette for all frames, or their colours flicker."""
+    """Write a GIF with one palette for all frames; separate ones would make colours flicker."""
     from PIL import Image
 
     step = max(1, len(frames) // 16)
     sample = np.concatenate([frame[::2, ::2] for frame in frames[::step]])
     palette = Image.fromarray(sample).quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT)
     images = [Image.fromarray(frame).quantize(palette=palette) for frame in frames]
-    duration_ms = max(20, round(1000 / frames_per_second / 10) * 10)  # GIF counts hundredths of a second
+    # GIF delays are in hundredths of a second
+    duration_ms = max(20, round(1000 / frames_per_second / 10) * 10)
     images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
 
 
 def _write_video(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_second: float) -> None:
-    """VP9 in MP4: the wheel of OpenCV has no H.264."""
+    """Write VP9 in MP4: the wheel of OpenCV has no H.264."""
     import cv2
 
     height, width = frames[0].shape[:2]
@@ -151,5 +152,5 @@ def _write_video(path: Path, frames: Sequence[NDArray[np.uint8]], frames_per_sec
         writer.write(np.ascontiguousarray(frame[..., ::-1]))
     writer.release()
     written = int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT))
-    if written != len(frames):  # OpenCV says nothing of a full disk
+    if written != len(frames):  # OpenCV does not report a full disk
         raise OSError(f"{path}: {written} of {len(frames)} frames were written; is the disk full?")

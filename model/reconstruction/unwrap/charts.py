@@ -10,7 +10,7 @@ from datagen.foundation.meshes.mesh import Mesh
 
 
 def chart_of_faces(mesh: Mesh) -> NDArray[np.int32]:
-    """(M,) chart of each triangle: those that share a vertex, UVs and all, belong together."""
+    """Chart (M,) of each triangle: triangles that share a vertex with equal UVs belong together."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

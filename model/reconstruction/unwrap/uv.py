@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""UVs for an atlas: the mesh's own where they are a valid unwrap, else new ones by xatlas.
+"""UVs for an atlas: the mesh's own if they are a valid unwrap, else new ones by xatlas.
 
-Valid: all inside the unit square, none missing, no two triangles over the same texel. xatlas runs in
-processes of their own on pieces of the mesh; a piece on which it crashes or takes too long is given to
-Blender's Smart UV Project, where bpy is installed, and what that cannot take is laid out triangle by
-triangle, which always works. Pieces are packed so that a metre is the same length everywhere on
-the atlas.
+Valid: all inside the unit square, none missing, no two triangles on the same texel. xatlas runs in separate
+processes on pieces of the mesh. A piece on which it crashes or takes too long is unwrapped by Blender's Smart
+UV Project, if bpy is installed; if that fails too, its triangles are laid out one by one, which always works.
+Pieces are packed so that a metre has the same length everywhere on the atlas.
 """
 
 from __future__ import annotations
@@ -38,20 +37,22 @@ _CHECK_SIZE = 1024
 _CHECK_OFFSET = (
     0.5123,
     0.4871,
-)  # away from where people put vertices: rays on edges would meet two triangles
-_MAX_OVERLAP = 0.002  # share of the covered area: a few texels along touching charts
-_MAX_UNMAPPED = 0.001  # share of the surface whose UVs have no area
+)  # away from typical vertex positions: rays on edges would hit two triangles
+_MAX_OVERLAP = 0.002  # share of the covered area: tolerates a few texels along touching charts
+_MAX_UNMAPPED = 0.001  # share of the surface with degenerate UVs
 _RANGE_SLACK = 1e-5
 
 
 @dataclass(frozen=True)
 class UvReport:
-    """Quality of an unwrap. ``source``: its origin; ``rejected``: fault of the mesh's own UVs, or '';
-    ``coverage``: share of the atlas with surface; ``metres_per_side``: length on the surface of the atlas's
-    side (median); ``stretch``: 95th over 5th percentile of the density by area, 1 at best;
-    ``padding_texels``: gap between charts on an atlas of 1024 texels a side, 8 at most, None for too many
-    triangles; ``num_blender_faces``: triangles unwrapped by Blender where xatlas failed;
-    ``num_fallback_faces``: triangles placed individually."""
+    """Quality of an unwrap.
+
+    ``source``: its origin; ``rejected``: fault of the mesh's own UVs, or ''; ``coverage``: share of the atlas
+    with surface; ``metres_per_side``: length on the surface of the atlas's side (median); ``stretch``: 95th
+    over 5th percentile of the density by area, 1 at best; ``padding_texels``: gap between charts on an atlas
+    of 1024 texels a side, 8 at most, None for too many triangles; ``num_blender_faces``: triangles unwrapped
+    by Blender after xatlas failed; ``num_fallback_faces``: triangles placed individually.
+    """
 
     source: Literal["mesh", "xatlas"]
     rejected: str
@@ -80,7 +81,9 @@ class UvReport:
 
 
 def unwrapped(mesh: Mesh, jobs: int = 2) -> tuple[Mesh, UvReport]:
-    """The mesh with UVs fit for an atlas; triangles keep their order and corners, vertices may be split."""
+    """The mesh with UVs suitable for an atlas; triangles keep their order and corners, vertices may be
+    split.
+    """
     fault = "" if mesh.uv is None else own_uv_fault(mesh)
     if mesh.uv is not None and not fault:
         return mesh, _report(mesh, "mesh", "")
@@ -190,7 +193,9 @@ def _pieces(mesh: Mesh) -> list[NDArray[np.int64]]:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Corners (M, 3, 2) in metres and the size (2,); triangles that Blender placed, and single ones."""
+    """Corners (M, 3, 2) in metres and the size (2,); number of triangles placed by Blender, and
+    individually.
+    """
 
     corners: NDArray[np.float64]
     size_m: NDArray[np.float64]
@@ -238,7 +243,7 @@ def _run(
 
 
 def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Every triangle by itself, undistorted, its longest edge along a shelf; shelves by falling height.
+    """Every triangle separately, undistorted, its longest edge along a shelf; shelves by decreasing height.
 
     Corners (M, 3, 2) in metres and the sheet's size (2,).
     """
@@ -264,8 +269,9 @@ def triangle_sheet(positions: NDArray, faces: NDArray) -> tuple[NDArray[np.float
 
 
 def shelf_packed(boxes: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Lower left corners (N, 2) of boxes (N, 2) in rows by falling height, and the side of the square they
-    need."""
+    """Lower left corners (N, 2) of boxes (N, 2) in rows by decreasing height, and the side of the square they
+    need.
+    """
     order = np.argsort(-boxes[:, 1], kind="stable")
     best: tuple[NDArray[np.float64], float] | None = None
     widest = float(boxes[:, 0].max())

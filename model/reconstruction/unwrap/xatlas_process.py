@@ -5,8 +5,8 @@
 ``faces`` (M, 3); OUT gets ``corners`` (M, 3, 2), the triangles' corners on the sheet in metres, and
 ``size_m`` (2,).
 
-xatlas drops edges below 1e-4 and triangles of less than 1.2e-7 in its unit: in metres every triangle of a
-finely tessellated tap. It gets the mesh in units of the median edge.
+xatlas drops edges below 1e-4 and triangles of less than 1.2e-7 in its unit: in metres that would be every
+triangle of a finely tessellated tap. The mesh is therefore passed in units of the median edge.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def main(source: str, target: str) -> None:
 
 
 def _median_edge_m(positions: np.ndarray, faces: np.ndarray) -> float:
-    """Median length of the triangles' edges; 1 where all have none."""
+    """Median length of the triangles' edges; 1 if all are zero."""
     corners = positions[faces]
     median = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     return median if median > 0 else 1.0
