@@ -3,10 +3,10 @@
 
     python -m benchmarks.bench_albedo_level SUITE --cache DIR [--views 12 25] [--clip 0.02] [--always]
 
-Renders the scenes of a suite, or takes them from the cache of ``materials evaluate``, and predicts the maps
-of their photographs with the suite's networks, of all of them or of the first so many. ``--clip``: the share
-of the pixels that are brought to the sensor's limit first. Errors are over all surface pixels; "best gain" is
-the factor for the room that would make them least.
+Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
+of their photographs with the suite's networks, for all photographs or the first ``--views`` ones. ``--clip``:
+share of the pixels that are first raised to the sensor's limit. Errors are over all surface pixels; "best
+gain" is the factor for the room that minimises them.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Time of the BSDF ``cook_torrance`` in a room of 20 materials, against Mitsuba's built-in ``roughplastic``.
+"""Time of the BSDF ``cook_torrance`` in a room of 20 materials, relative to Mitsuba's built-in
+``roughplastic``.
 
-The same room (walls, 20 objects, a lamp and a window) is rendered with each BSDF in turn, in one process;
-a pair's ratio is that of two renders that follow each other. ``python -m benchmarks.bench_bsdf`` writes JSON
-with medians and quartiles; the target is a median ratio of at most 1.10.
+The same room (walls, 20 objects, a lamp and a window) is rendered with each BSDF in turn, in one process; a
+pair's ratio is that of two successive renders. ``python -m benchmarks.bench_bsdf`` writes JSON with medians
+and quartiles; the target is a median ratio of at most 1.10.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ BASELINE = "roughplastic"
 
 
 def _material(variant: str, index: int) -> dict[str, Any]:
-    """Material ``index`` of the room: even ones have constants, odd ones have textures."""
+    """Material ``index`` of the room: constants for even indices, textures for odd ones."""
     import mitsuba as mi
 
     rng = np.random.default_rng(index)
@@ -60,7 +61,7 @@ def _material(variant: str, index: int) -> dict[str, Any]:
 
 
 def make_room(variant: str, width: int, height: int) -> Any:
-    """A 6 x 6 x 3 m room with 20 objects, each with a material of its own."""
+    """A 6 x 6 x 3 m room with 20 objects, each with its own material."""
     import mitsuba as mi
 
     transform = mi.ScalarTransform4f
@@ -145,7 +146,7 @@ def run(width: int, height: int, spp: int, num_pairs: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Command line; exit code 1 where the target is missed."""
+    """Command line; exit code 1 if the target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--width", type=int, default=640)
     parser.add_argument("--height", type=int, default=384)

@@ -3,9 +3,9 @@
 
     python -m benchmarks.bench_capture_check SHARD ... --trials 4
 
-On rendered captures: nothing changed; one camera in five turned by 1 degree about an axis across its view,
-rolled by 2 degrees, or moved by 10 cm along its view; the mesh moved by 2 cm in a random direction, or made
-2 % larger. ``--snap 0.02`` makes the mesh as coarse as retopology does.
+On rendered captures, with these changes: none; one camera in five rotated by 1 degree about an axis across
+its view, rolled by 2 degrees, or moved by 10 cm along its view; the mesh moved by 2 cm in a random direction,
+or enlarged by 2 %. ``--snap 0.02`` coarsens the mesh, as retopology does.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ from model.reconstruction.check.capture_check import CheckReport, check_capture
 def changed(
     capture: Capture, rng: np.random.Generator, change: Callable[[NDArray, np.random.Generator], NDArray]
 ) -> tuple[Capture, set[str]]:
-    """One view in five with another pose, and their names; ``change`` is right of world_from_camera."""
+    """The capture with one view in five at another pose, and their names; ``change`` multiplies
+    world_from_camera from the right.
+    """
     wrong = rng.choice(len(capture.views), max(1, len(capture.views) // 5), replace=False)
     views = list(capture.views)
     for index in wrong:
@@ -41,7 +43,7 @@ def changed(
 
 
 def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """By 1 degree about an axis across the view."""
+    """The pose rotated by 1 degree about an axis across the view."""
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     matrix[:3, :3] = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix()
@@ -49,20 +51,20 @@ def turned(matrix: NDArray, rng: np.random.Generator) -> NDArray:
 
 
 def rolled(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """By 2 degrees about the view."""
+    """The pose rolled by 2 degrees."""
     way = rng.choice([-1.0, 1.0])
     matrix[:3, :3] = Rotation.from_rotvec([0.0, 0.0, np.radians(2.0) * way]).as_matrix()
     return matrix
 
 
 def advanced(matrix: NDArray, rng: np.random.Generator) -> NDArray:
-    """By 10 cm along the view."""
+    """The pose moved by 10 cm along the view."""
     matrix[2, 3] = 0.1 * rng.choice([-1.0, 1.0])
     return matrix
 
 
 def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Capture, np.ndarray]:
-    """The mesh moved in a random direction; the offset."""
+    """The capture with its mesh moved in a random direction, and the offset."""
     way = rng.normal(size=3)
     offset = metres * way / np.linalg.norm(way)
     matrix = np.eye(4)
@@ -72,7 +74,7 @@ def moved(capture: Capture, rng: np.random.Generator, metres: float) -> tuple[Ca
 
 
 def enlarged(capture: Capture, factor: float) -> Capture:
-    """The mesh larger about the cameras' middle."""
+    """The capture with its mesh enlarged about the cameras' mean position."""
     middle = np.mean([camera.position_m for camera in capture.cameras], axis=0)
     matrix = np.diag([factor, factor, factor, 1.0])
     matrix[:3, 3] = (1 - factor) * middle
@@ -82,7 +84,9 @@ def enlarged(capture: Capture, factor: float) -> Capture:
 
 
 def snapped(capture: Capture, grid_m: float) -> Capture:
-    """With every vertex moved to a grid, as coarse retopology does; lamps are no longer told apart."""
+    """The capture with every vertex snapped to a grid, like coarse retopology; lamps become ordinary
+    surface.
+    """
     mesh = capture.geometry.mesh
     positions = (np.round(mesh.positions / grid_m) * grid_m).astype(np.float32)
     made = without_degenerate(Mesh(positions, mesh.faces))
@@ -90,7 +94,7 @@ def snapped(capture: Capture, grid_m: float) -> Capture:
 
 
 def warned_views(report: CheckReport) -> set[str]:
-    """Names of the views that are warned of for their edges."""
+    """Names of the views with a warning about their edges."""
     words = ("edges", "the mesh looks")
     return {view.name for view in report.views if any(word in w for w in view.warnings for word in words)}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Equal error against Blender's Cycles: one configuration of the bundled library, everything counted.
+"""Equal-error comparison with Blender's Cycles: one configuration of the bundled library, complete costs.
 
     python -m benchmarks.bench_cycles                      40 views of 640x384 at `standard`; quiet hours
     python -m benchmarks.bench_cycles --size 160 96 --cycles-views 3 --error-views 2              18 minutes
@@ -8,26 +8,26 @@
     python -m benchmarks.bench_cycles --views 4 --size 96 64 --quality draft --out /tmp/cycles   a quick look
 
 Ours: ``datagen run --unit`` on a planned folder, from the start of the process to the committed shard:
-loading, compilation, paths, buffers, denoiser, statistics of all views, compression. Twice: with an empty
-kernel cache, and as the second configuration of a dataset finds it.
+loading, compilation, paths, buffers, denoiser, statistics of all views, compression. Measured twice: with an
+empty kernel cache, and as for the second configuration of a dataset.
 
-The baseline: bpy as BlenderProc drives it (cycles_baseline.py): one process, persistent data, path tracing
-with the same number of segments, OIDN with prefiltered albedo and normal, an EXR a view with depth, normal,
+The baseline: bpy as used by BlenderProc (cycles_baseline.py): one process, persistent data, path tracing with
+the same number of segments, OIDN with prefiltered albedo and normal, one EXR per view with depth, normal,
 diffuse and glossy colour, object and material index. Its scene is a .blend made beforehand from the same
-exported configuration; making it is not counted. It has no roughness, no multi-view statistics and no error
+exported configuration, which is not counted. It has no roughness, no multi-view statistics and no error
 control.
 
 Error: exposed relMSE (``datagen.rendering.error``) of the denoised image on ``--error-views`` views, each
 renderer against two independent converged images of its own, because the materials differ by more than the
-error asked for (agreement of the two is measured and reported; where it is poor the command ends with 1).
-Neither reference is clamped, nor does Blender's *filter glossy* make surfaces rougher in it, so that what
-these take away is an error. Cycles' sample count is found by doubling until the error is at most ours and by
-interpolation in logarithms, three times: with Blender's defaults and as many samples for every pixel, with
-Cycles' adaptive sampling, and with neither clamp nor filter; the fastest is the baseline, or, if none reaches
-the error, the one that comes nearest.
+target error (the agreement of the two is measured and reported; if it is poor the command ends with 1). The
+references have neither a clamp nor Blender's *filter glossy*, which makes surfaces rougher, so that the
+energy removed by these counts as an error. Cycles' sample count is found by doubling until the error is at
+most ours and by interpolation in logarithms, three times: with Blender's defaults and a uniform sample count,
+with Cycles' adaptive sampling, and with neither clamp nor filter. The baseline is the fastest or, if none
+reaches the error, the one that comes nearest.
 
-Every step is kept in --out and skipped when it is there: the same command continues. ``--cycles-views N``
-renders N views with Cycles and states 40 views as the fixed part + 40 x the median of a view.
+Every step is stored in --out and skipped if it exists: the same command resumes. ``--cycles-views N`` renders
+N views with Cycles and extrapolates to 40 views as the fixed part + 40 x the median of a view.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ from datagen.rendering.error import relative_mse
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIRST_SAMPLES = 4
 UNBIASED = ("--clamp", "0", "--filter-glossy", "0")
-"""Neither a clamp nor rougher surfaces after a diffuse bounce, as our references."""
+"""Neither a clamp nor rougher surfaces after a diffuse bounce, as in our references."""
 KINDS: dict[str, tuple[str, ...]] = {"fixed": (), "adaptive": ("--adaptive",), "unbiased": UNBIASED}
 """Ways to run Cycles, with their options."""
-MIN_TIMED = 3  # views; the first pays for the scene, the median of the others is a view's cost
+MIN_TIMED = 3  # views; the first includes the scene's cost, and the median of the others is a view's cost
 
 
 def recipe_of(arguments: argparse.Namespace) -> Recipe:
@@ -82,7 +82,7 @@ def recipe_of(arguments: argparse.Namespace) -> Recipe:
 
 
 def step(path: Path, make: Callable[[], Any]) -> Any:
-    """The JSON at ``path``, made now if it is not there."""
+    """The JSON at ``path``, made now if missing."""
     if not path.is_file():
         result = make()
         partial = path.with_suffix(".partial")
@@ -92,7 +92,7 @@ def step(path: Path, make: Callable[[], Any]) -> Any:
 
 
 def timed(*command: str, log: Path, environment: dict[str, str] | None = None) -> dict[str, float]:
-    """Run a Python module in a process of its own: when it began (epoch), wall and processor seconds."""
+    """Run a Python module in a separate process; returns its start (epoch), wall and processor seconds."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     began, start = time.time(), time.perf_counter()
     with log.open("wb") as out:
@@ -121,7 +121,7 @@ def read_cycles(path: Path) -> NDArray[np.float32]:
 
 
 class Comparison:
-    """The steps, in order; each leaves its result in ``folder``."""
+    """The steps, in order; each stores its result in ``folder``."""
 
     def __init__(self, arguments: argparse.Namespace):
         self.arguments = arguments
@@ -150,7 +150,7 @@ class Comparison:
             timed("benchmarks.cycles_baseline", "build", str(export), str(blend), log=log)
 
     def cycles(self, name: str, views: list[int], samples: int, *options: str) -> dict[str, Any]:
-        """Views of Cycles in ``folder/name``, with the seconds that they took."""
+        """Views rendered by Cycles in ``folder/name``, with their seconds."""
         out = self.folder / name
 
         def make() -> dict[str, Any]:
@@ -213,7 +213,7 @@ class Comparison:
         }
 
     def cycles_error(self, name: str, pairs: dict[int, Any]) -> float:
-        """Mean error of Cycles' images in ``folder/name`` over those error views that are there."""
+        """Mean error of Cycles' images in ``folder/name`` over the existing error views."""
         found = {v: self.folder / name / f"view_{v:03}.exr" for v in self.error_views}
         return float(
             np.mean(
@@ -226,7 +226,7 @@ class Comparison:
         )
 
     def cycles_at(self, target: float, pairs: dict[int, Any], kind: str) -> dict[str, Any]:
-        """Time and error of Cycles where its error is ``target``; ``kind`` is one of ``KINDS``."""
+        """Time and error of Cycles at the error ``target``; ``kind`` is one of ``KINDS``."""
         arguments, options = self.arguments, KINDS[kind]
         samples, curve = self.cycles_samples(target, pairs, kind, options)
         count = max(MIN_TIMED, min(arguments.cycles_views, arguments.views))
@@ -248,7 +248,9 @@ class Comparison:
     def cycles_samples(
         self, target: float, pairs: dict[int, Any], kind: str, options: tuple[str, ...]
     ) -> tuple[int | None, dict[int, float]]:
-        """Least sample count whose error is ``target``, None if the ceiling does not reach it; the curve."""
+        """Smallest sample count with error ``target``, None if the ceiling does not reach it; and the
+        curve.
+        """
         curve: dict[int, float] = {}
         samples = FIRST_SAMPLES
         while samples <= self.arguments.max_cycles_samples:
@@ -301,7 +303,7 @@ class Comparison:
         return images, records, manifest.num_bytes
 
     def run(self) -> dict[str, Any]:
-        """All of it."""
+        """Run all steps."""
         arguments = self.arguments
         self.prepare()
         pairs = self.references()
@@ -343,18 +345,20 @@ class Comparison:
 
 
 def rank(cycles: dict[str, Any]) -> tuple[float, ...]:
-    """Sort key of Cycles' runs: those that reach the error by time, then the others by error."""
+    """Sort key of Cycles' runs: first those that reach the error, by time, then the others, by error."""
     return (0.0, cycles["total_cpu_s"]) if cycles["reached"] else (1.0, round(math.log(cycles["rel_mse"]), 2))
 
 
 def agrees(agreement: dict[str, Any]) -> bool:
-    """Whether converged images of both are of the same room under the same light."""
+    """Whether converged images of both renderers show the same room under the same light."""
     ratios, correlations = agreement["ratio_of_means"], agreement["correlation"]
     return all(0.8 < ratio < 1.25 for ratio in ratios) and min(correlations) > 0.85
 
 
 def interpolated(curve: dict[int, float], target: float) -> int:
-    """Sample count at which the last two points of a falling curve cross ``target``, in logarithms."""
+    """Sample count at which the last two points of a decreasing curve cross ``target``, interpolated in
+    logarithms.
+    """
     *before, high = sorted(curve)
     if not before:
         return high
@@ -365,9 +369,10 @@ def interpolated(curve: dict[int, float], target: float) -> int:
 
 
 def extrapolated(run: dict[str, Any], views: int) -> dict[str, float]:
-    """Fixed part, cost of a view and total for ``views``; the first view's excess belongs to the fixed part.
+    """Fixed part, cost of a view and total for ``views``; the excess of the first view belongs to the fixed
+    part.
 
-    Processor seconds are divided among fixed part and views as wall seconds are.
+    Processor seconds are split between fixed part and views in the same way as wall seconds.
     """
     a_view = statistics.median(run["views_s"][1:])
     leaving = run["wall_s"] - run["start_s"] - sum(run["views_s"])

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Views a second that one core decodes for training: three buffers of each, as stored and as tensors.
+"""Views per second decoded for training by one core: three buffers of each, as stored and as tensors.
 
     python -m benchmarks.bench_decoding DATASET [--buffers beauty diffuse_albedo roughness] [--views 40]
 
 Processor time with one thread; medians over views, after a first pass that fills the file cache. ``decode``
 is EXR bytes to arrays, ``view`` adds reading and checking the view's JSON, ``crop`` adds a crop of 128 pixels
-as tensors (half of the shorter side where that is less).
+as tensors (half of the shorter side if that is less).
 """
 
 from __future__ import annotations

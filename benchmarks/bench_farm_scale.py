@@ -3,9 +3,9 @@
 
     python -m benchmarks.bench_farm_scale                 # real files, 1,000 to 10,000 finished units
 
-Makes folders of finished units (configurations, markers, shards of one record) and times what a user
-waits for: the plan over configurations that are assembled, a rerun, a status, a collection. ``cpu_s`` is
-processor time, which other work on the machine changes little.
+Creates folders of finished units (configurations, markers, shards of one record) and times the operations
+that a user waits for: the plan over assembled configurations, a rerun, a status, a collection. ``cpu_s`` is
+processor time, which depends little on other work on the machine.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from datagen.library import Library
 
 
 def plan_folder(root: Path, num_units: int, library: Library) -> tuple[DatasetFolder, Recipe]:
-    """A folder with the configurations of ``num_units``, 40 cameras each, not planned yet."""
+    """A folder with the configurations of ``num_units``, 40 cameras each, without a plan."""
     folder = DatasetFolder(root)
     for path in (folder.shards_path, folder.units_path, folder.configuration_path("x").parent):
         path.mkdir(parents=True)
@@ -122,7 +122,7 @@ def finish_folder(folder: DatasetFolder, plan: Plan) -> None:
 
 
 def time_real_folders(sizes: list[int], repeats: int) -> list[dict]:
-    """Median seconds (wall, processor) of what a user waits for, on folders of several sizes."""
+    """Median seconds (wall, processor) of operations that a user waits for, on folders of several sizes."""
     rows = []
     library = Library([bundled_library()])
     for size in sizes:

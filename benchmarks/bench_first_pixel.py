@@ -3,13 +3,13 @@
 
     python -m benchmarks.bench_first_pixel                    the bundled library, 640x384, warm caches
     python -m benchmarks.bench_first_pixel --cold             an empty cache of compiled kernels each time
-    python -m benchmarks.bench_first_pixel --profile          what takes the time of building the scene
+    python -m benchmarks.bench_first_pixel --profile          profile of building the scene
 
-A process of its own does what ``datagen run --unit`` does: imports, opens the library, reads plan and
-configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view at one path
-and one auxiliary sample a pixel: what then stands in memory are the first pixels. Warm means that the
-operating system has the files and Dr.Jit the kernels of an earlier run; one run beforehand sees to that.
-Medians of --repeats runs; the target is 10 s on 2 cores.
+A separate process follows the steps of ``datagen run --unit``: imports, opens the library, reads plan and
+configuration, builds the scene (meshes, textures, hierarchy, BSDFs), and renders the first view with one path
+and one auxiliary sample per pixel: the result in memory are the first pixels. Warm means that the operating
+system has the files, and Dr.Jit the kernels, in its cache from one earlier run. Medians of --repeats runs;
+the target is 10 s on 2 cores.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TARGET_S = 10.0
 
 
 def first_pixels(folder: Path, profile: Path | None) -> None:
-    """The measured process; prints the stages as JSON: (name, epoch, processor seconds) at ends."""
+    """The measured process; prints the stages as JSON: name, end (epoch) and processor seconds at the end."""
     marks: list[tuple[str, float, float]] = [("interpreter", time.time(), time.process_time())]
 
     def mark(name: str) -> None:
@@ -76,8 +76,10 @@ def first_pixels(folder: Path, profile: Path | None) -> None:
 
 
 def passes(renderer: Any) -> dict[str, float]:
-    """Wall seconds of a pass of one path for each of 1,024 cells: its kernels recorded before and played
-    again, and recorded anew, which is what each pass would cost without recordings. Medians of 5."""
+    """Wall seconds of a pass of one path for each of 1,024 cells, replayed and recorded anew; medians of 5.
+
+    The latter is the cost of every pass without recordings.
+    """
     sensor = renderer.sensor(renderer.configuration.cameras[0].camera())
     found = {}
     for name in ("recorded anew", "played again"):
@@ -115,7 +117,7 @@ def planned_folder(cache: Path, size: tuple[int, int], views: int, configuration
 
 
 def run_once(folder: Path, is_cold: bool, profile: Path | None) -> dict[str, Any]:
-    """Wall and processor seconds by stage of one process, and of all of it."""
+    """Wall and processor seconds of one process, by stage and in total."""
     with tempfile.TemporaryDirectory() as home:
         environment = {**os.environ, **({"HOME": home} if is_cold else {})}  # kernels lie in ~/.drjit
         command = [sys.executable, "-m", "benchmarks.bench_first_pixel", "--child", str(folder)]

@@ -5,15 +5,15 @@
     python -m benchmarks.bench_infer --capture SHARD --atlas auto
     python -m benchmarks.bench_infer --capture SHARD --views 160 --size 640x384 --atlas 16384
 
-Without ``--capture`` the capture is a room of 24 triangles with a block in it, known analytically: its
-geometry is free, so that what is measured is the work by pixel, view and texel. With a rendered capture and
-``--views`` its cameras are taken in turn, moved by up to 0.3 m and turned by up to 20 degrees, and what they
-see is looked up in the capture's true albedo and shaded from the camera: as many photographs of the same room
-as are asked for, without rendering them. Weights are random unless ``--checkpoint`` names some; time does not
-depend on them but for the solver's, whose grid follows the predicted albedo. Writes JSON with ``--json``.
+Without ``--capture`` the capture is an analytic room of 24 triangles with a block in it: its geometry costs
+nothing, so that the work per pixel, view and texel is measured. With a rendered capture and ``--views`` its
+cameras are used in turn, moved by up to 0.3 m and rotated by up to 20 degrees; their images look up the
+capture's true albedo, shaded from the camera: any number of photographs of the same room, without rendering.
+Weights are random unless ``--checkpoint`` is given; time does not depend on them except for the solver, whose
+grid follows the predicted albedo. Writes JSON with ``--json``.
 
-Memory is counted twice: memory of the process itself, and all resident memory, with the pages of the
-atlas's files that the system may drop whenever it needs the room.
+Memory is counted twice: memory of the process itself, and all resident memory, including pages of the atlas's
+files that the system may drop at any time.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def shot_again(shard: Path, library: Sequence[Path], num: int, size: tuple[int, 
 
 
 class MemoryWatch:
-    """Peaks of a process's own memory and of all that is resident, in GB; samples ten times a second."""
+    """Peaks of a process's own memory and of its resident memory, in GB; samples ten times a second."""
 
     def __init__(self) -> None:
         self.own_gb, self.resident_gb = 0.0, 0.0
@@ -133,7 +133,7 @@ class MemoryWatch:
 def measure(
     capture: Capture, options: InferOptions, checkpoint: Path | None, scratch: Path | None
 ) -> InferReport:
-    """One run into a folder that is thrown away."""
+    """One run into a temporary folder."""
     with tempfile.TemporaryDirectory(prefix="bench-infer-", dir=scratch) as folder:
         source = CheckpointMaps(checkpoint or random_checkpoint(Path(folder)))
         return infer(capture, Path(folder) / "out", source, options)

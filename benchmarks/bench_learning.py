@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of checkpoints and of simple predictions on held-out views.
+"""Errors of checkpoints and of simple baselines on held-out views.
 
     python -m benchmarks.bench_learning DATASET ... --out DIR --compare CHECKPOINT ... [--judge DATASET]
 
@@ -45,7 +45,7 @@ Rows = dict[str, dict[str, float]]
 
 
 def judged_views(data: TrainingData, judge: Path | None) -> list[ViewPlace]:
-    """The validation views, or those of one dataset folder; ``SystemExit`` where there are none."""
+    """The validation views, or those of one dataset folder; ``SystemExit`` if there are none."""
     root = judge.resolve() if judge else Path("/")
     places = [place for place in data.validation if place.shard.resolve().is_relative_to(root)]
     if not places:
@@ -84,8 +84,8 @@ def metal_errors(
 ) -> dict[str, float]:
     """Errors of a checkpoint's specular albedo on metal (any channel above 0.2) and elsewhere.
 
-    Over ``num_views`` validation views, evenly spread: the share of metal among pixels with a surface and in
-    the sum of squared errors, mean squared error and mean prediction on metal and elsewhere.
+    Over ``num_views`` evenly spaced validation views: the share of metal among pixels with a surface and in
+    the sum of squared errors, and mean squared error and mean prediction on metal and elsewhere.
     """
     network, device = load_checkpoint(path).network, torch.device("cpu")
     data = open_data(datasets, network.config, 16)

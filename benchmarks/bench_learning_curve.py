@@ -4,15 +4,15 @@
     python -m benchmarks.bench_learning_curve DATASET [OTHER ...] --out DIR [--counts 5 10 20 40]
         [--steps 400] [--preset small] [--set KEY=VALUE ...] [--threads 2] [--judge DATASET]
 
-Trains the preset on some of a dataset's training configurations, evenly spread over all, with equally many
-optimiser steps a track for each count; a point is the mean squared error of each map over all views of the
-validation split of ``--judge``, the first DATASET if left out. Every OTHER is a curve of its own, judged by
-the same views: the same recipe rendered with fewer samples shows what cheap data costs, another recipe what
-variety brings. Short runs rank the curves; they do not predict the error of a long run.
+Trains the preset on some of a dataset's training configurations, evenly spaced over all, with equally many
+optimiser steps per track for each count; a point is the mean squared error of each map over all views of the
+validation split of ``--judge`` (default: the first DATASET). Every OTHER is a separate curve, judged by the
+same views: the same recipe rendered with fewer samples shows the cost of cheap data, another recipe the
+benefit of variety. Short runs rank the curves; they do not predict the error of a long run.
 
-Writes ``table.md``, ``results.json`` and ``curve.png`` into DIR. Points that are there are not trained again;
-interrupted ones continue. A point costs about ``2 * steps`` times the seconds of a step that
-``benchmarks.bench_network`` prints: 400 steps of ``small`` take about 7 minutes of one core.
+Writes ``table.md``, ``results.json`` and ``curve.png`` into DIR. Existing points are not trained again;
+interrupted ones resume. A point costs about ``2 * steps`` times the seconds of a step printed by
+``benchmarks.bench_network``: 400 steps of ``small`` take about 7 minutes of one core.
 """
 
 from __future__ import annotations
@@ -46,8 +46,11 @@ from model.training.validation import (
 
 
 def part_of(dataset: Path, count: int, judge: Path, out: Path) -> Path:
-    """A dataset folder of ``count`` training configurations of ``dataset`` and the validation ones of
-    ``judge``; shards are linked, or copied where that cannot be. Raises ``SystemExit`` for too few."""
+    """A dataset folder with ``count`` training configurations of ``dataset`` and the validation ones of
+    ``judge``.
+
+    Shards are linked, or copied if that is impossible. Raises ``SystemExit`` for too few.
+    """
     source, judged = Dataset(dataset), Dataset(judge)
     training = [shard for shard in source.index.shards if shard.split == "train"]
     if count > len(training):
@@ -88,14 +91,16 @@ def _index_of(index: DatasetIndex, shards: list[ShardRecord], assets: dict) -> D
 
 
 def short_run(config: TrainingConfig, steps: int) -> TrainingConfig:
-    """The configuration with ``steps`` steps for each track and nothing after, validated at the end only."""
+    """The configuration with ``steps`` steps for each track and no later phases, validated only at the
+    end.
+    """
     phases = tuple(PhaseConfig(name=track, steps=steps) for track in TRACKS)
     validation = config.validation.model_copy(update={"num_views": 0})
     return config.model_copy(update={"phases": phases, "validation": validation})
 
 
 def measure(config: TrainingConfig, dataset: Path, out: Path) -> dict[str, float]:
-    """Metrics over the validation views of a run on ``dataset``, trained where it has not been."""
+    """Metrics over the validation views of a run on ``dataset``, trained if necessary."""
     Trainer(config, [dataset], out, device=torch.device("cpu"), show_progress=True).run()
     data = open_data([dataset], config.network, config.data.crop_px)
     batches = whole_views(data.validation, buffer_names(config.network), torch.device("cpu"))
@@ -129,7 +134,7 @@ def as_table(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str,
 
 
 def plot(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, float], path: Path) -> None:
-    """One panel a map, one line a dataset, the constant dashed."""
+    """One panel per map, one line per dataset, the constant dashed."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -174,7 +179,8 @@ def main() -> None:
             place = args.out / f"{dataset.name}-{count}"
             parts.append(part_of(dataset, count, judge, place / "data"))
             curves.setdefault(dataset.name, {})[count] = measure(config, parts[-1], place / "run")
-    baseline = constant(config, parts[len(args.counts) - 1])  # of the most of the first dataset
+    # relative to the largest count of the first dataset
+    baseline = constant(config, parts[len(args.counts) - 1])
     table = as_table(curves, baseline)
     print(table)
     (args.out / "table.md").write_text(table)

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Errors of the views' maps from the network, with its albedo scale, and from light: one row a room and
+"""Errors of the views' maps from the network, with its albedo scale, and from light: one row per room and
 method.
 
     python -m benchmarks.bench_light SUITE --cache DIR [--rooms NAME ...] [--views 12 80] [--sheet FOLDER]
         [--worse-mesh] [--ablate] [--checkpoint FILE]
 
-Renders the scenes of a suite, or takes them from the cache of ``materials evaluate``, and predicts the maps
-of their first so many photographs with the bundled network, or with that of ``--checkpoint``. Mean squared
-errors are over all surface pixels, and over those of metal (S above 0.2), of white (D above 0.6) and of
-glossy surfaces (R below 0.4). Sheets, one a room, show D of the network, from light and true, and R from
-light and true, of three views.
-``--worse-mesh`` takes vertices that are off by 1 cm, three tenths of the triangles and 5 % holes.
-``--ablate`` adds a row for each step that is left out.
+Renders the scenes of a suite, or reads them from the cache of ``materials evaluate``, and predicts the maps
+of their first ``--views`` photographs with the bundled network, or with that of ``--checkpoint``. Mean
+squared errors are over all surface pixels, and over those of metal (S above 0.2), of white (D above 0.6) and
+of glossy surfaces (R below 0.4). Sheets, one per room, show D of the network, from light and true, and R from
+light and true, of three views. ``--worse-mesh`` uses vertices that are off by 1 cm, three tenths of the
+triangles and 5 % holes. ``--ablate`` adds a row for each omitted step.
 """
 
 from __future__ import annotations
@@ -78,7 +77,9 @@ def measured(maps: list[Maps], truth: list[dict[str, NDArray]]) -> str:
 
 
 def draw_sheet(path: Path, network: list[Maps], light: list[Maps], truth: list[dict[str, NDArray]]) -> None:
-    """D of the network, from light and true, R from light and true, of views a quarter of all apart."""
+    """Write a sheet with D of the network, from light and true, and R from light and true, of evenly spaced
+    views.
+    """
     from PIL import Image
 
     def tile(maps: dict[str, NDArray], name: str) -> NDArray:

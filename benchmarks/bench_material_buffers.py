@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Time of the ground-truth pass against Mitsuba's built-in ``aov`` integrator, on a Mitsuba scene file.
+"""Time of the ground-truth pass relative to Mitsuba's built-in ``aov`` integrator, on a Mitsuba scene file.
 
     python -m benchmarks.bench_material_buffers ../shared/data/scenes/staircase/scene.xml
 
-Each BSDF of the scene is replaced by a ``cook_torrance`` with the same diffuse reflectance, so that textures
-are looked up as they would be. Both passes run in turns on the same view; ``aov`` gives albedo, shading
-normal, depth and shape index, the ground-truth pass all its 17 channels. Writes JSON with medians and
-quartiles.
+Each BSDF of the scene is replaced by a ``cook_torrance`` with the same diffuse reflectance, which preserves
+the texture lookups. Both passes run in turn on the same view; ``aov`` gives albedo, shading normal, depth and
+shape index, the ground-truth pass all its 17 channels. Writes JSON with medians and quartiles.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Whether a worker's memory grows: 200 views of 20 different configurations in one process.
+"""Growth of a worker's memory: 200 views of 20 different configurations in one process.
 
     python benchmarks/bench_memory.py [--configurations 20] [--views 10] [--size 96 64]
 
-Each configuration is a room of its own size, with objects, textured materials, lights and adjustments drawn
-anew, so that scenes, textures and kernels all differ. Resident memory is read after each configuration, once
-everything that can be freed has been. Growth is counted from --warm-up configurations on, when libraries are
-loaded and caches filled; the limit is 100 MB.
+Each configuration is a room of another size, with new random objects, textured materials, lights and
+adjustments, so that scenes, textures and kernels all differ. Resident memory is read after each
+configuration, once all possible memory has been freed. Growth is counted from --warm-up configurations on,
+when libraries are loaded and caches filled; the limit is 100 MB.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def write_library(root: Path) -> Library:
 
 
 def draw_configuration(library: Library, index: int, views: int, size: tuple[int, int]) -> Configuration:
-    """Number ``index``: other scales, materials, colours, lights, and number of objects."""
+    """Configuration ``index``: other scales, materials, colours, lights, and number of objects."""
     rng = np.random.default_rng(1000 + index)
 
     def assignment() -> MaterialAssignment:
@@ -145,7 +145,7 @@ def measure(configurations: int, views: int, size: tuple[int, int]) -> list[floa
 
 
 def main() -> None:
-    """Parse, measure, write; exit code 1 where memory grows beyond the limit."""
+    """Parse, measure, write; exit code 1 if memory grows beyond the limit."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--configurations", type=int, default=20)
     parser.add_argument("--views", type=int, default=10)

@@ -8,9 +8,10 @@
 ``weights``: mean squared error of predicted maps after merging with each choice of weights, and before
 (``views``). ``sizes``: of the ground truth itself after merging into atlases of several sides (2x: twice the
 side of ``auto``). ``seams``: the mean step of merged D between neighbouring texels of smooth true D, where
-the number of views differs (``border``) and where it does not (``inside``), by weights; it is printed alone.
-An atlas is judged as the views see it: at the surface under each pixel's centre, between texels, against the
-pixel's truth; all surface pixels of all views of all shards count alike. ``--json`` keeps the figures.
+the number of views differs (``border``) and where it does not (``inside``), by weights; printed without the
+other figures. An atlas is evaluated in the views: at the surface under each pixel's centre, between texels,
+against the pixel's truth; all surface pixels of all views of all shards have equal weight. ``--json`` stores
+the figures.
 """
 
 from __future__ import annotations
@@ -49,15 +50,19 @@ from model.reconstruction.unwrap.uv import unwrapped
 WEIGHTS: tuple[Weights, ...] = ("none", "angle", "distance", "confidence", "all")
 Maps = list[dict[str, NDArray]]
 MAX_TRUE_STEP = 0.004
-"""Of true D, in any channel, between neighbouring texels whose merged D should not step either."""
+"""Largest step of true D, in any channel, between neighbouring texels whose merged D should not step either.
+"""
 MAX_SIDE = 4096
-"""Side of the largest atlas that ``auto`` may choose here: some rooms stand in a landscape."""
+"""Maximum side of an atlas of size ``auto`` here, since some rooms have a landscape around them."""
 
 
 @dataclass
 class Room:
-    """A rendered capture, looked at and unwrapped; ``uv`` (H, W, 2) of each view's pixels, NaN off the
-    surface; ``truth`` the views' true maps; ``auto`` the atlas's side by the views' density."""
+    """A rendered capture, traced and unwrapped.
+
+    ``uv`` (H, W, 2) of each view's pixels, NaN off the surface; ``truth``, the views' true maps; ``auto``,
+    the side of the atlas that follows from the views' pixel density.
+    """
 
     capture: Capture
     traced: TracedCapture
@@ -78,7 +83,7 @@ class Room:
         return atlas
 
     def atlas_errors(self, atlas: Atlas) -> dict[str, float]:
-        """Sums of squared errors of the atlas as the views see it, by map."""
+        """Sums of squared errors of the atlas in the views, by map."""
         sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
         for uv, truth in zip(self.uv, self.truth, strict=True):
             on_surface = ~np.isnan(uv[..., 0])
@@ -88,7 +93,7 @@ class Room:
         return sums
 
     def view_errors(self, maps: Maps, reference: Maps) -> dict[str, float]:
-        """Sums of squared errors of maps against others by pixel, by map."""
+        """Sums of squared differences between the views' ``maps`` and ``reference``, by map."""
         sums = dict.fromkeys(MATERIAL_MAPS, 0.0)
         for uv, found, truth in zip(self.uv, maps, reference, strict=True):
             on_surface = ~np.isnan(uv[..., 0])
@@ -104,7 +109,7 @@ class Room:
 
 
 def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
-    """Values (K, C) of a map (N, N, C) at UVs (K, 2), between its texels."""
+    """Values (K, C) of a map (N, N, C) at UVs (K, 2), interpolated between its texels."""
     size = array.shape[0]
     x = np.clip(uv[:, 0] * size - 0.5, 0, size - 1)
     y = np.clip((1 - uv[:, 1]) * size - 0.5, 0, size - 1)
@@ -117,9 +122,12 @@ def looked_up(array: NDArray, uv: NDArray) -> NDArray[np.float64]:
 
 
 def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
-    """Sums of the steps of D, mean over channels, between neighbouring texels where both are seen and true D
-    is smooth, and the number of such pairs: at the ``border`` of a view's footprint, where the number of
-    views differs, and ``inside``. Both atlases have the same mesh and side."""
+    """Sums of the steps of D (mean over channels) between neighbouring observed texels with smooth true D,
+    and the number of pairs.
+
+    Separately at the ``border`` of a view's footprint, where the number of views differs, and ``inside``.
+    Both atlases have the same mesh and side.
+    """
     found = {"border": (0.0, 0), "inside": (0.0, 0)}
     for axis in (0, 1):
         turned = [
@@ -143,8 +151,10 @@ def steps(atlas: Atlas, truth: Atlas) -> dict[str, tuple[float, int]]:
 
 
 def pixel_uv(mesh: Mesh, unwrapped_mesh: Mesh, camera: Camera, geometry: ViewGeometry) -> NDArray:
-    """UVs (H, W, 2) of the surface under each pixel's centre, NaN off the surface; the meshes share their
-    triangles' order and corners."""
+    """UVs (H, W, 2) of the surface under each pixel's centre, NaN off the surface.
+
+    The meshes have the same order of triangles and corners.
+    """
     assert unwrapped_mesh.uv is not None
     face = np.maximum(geometry.face, 0)
     rays = camera.ray_directions()

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Time of the network and of a training step, and where it goes.
+"""Time of the network and of a training step, by part.
 
     python -m benchmarks.bench_network [--preset paper] [--batch 8] [--threads 2] [--device cpu] [--out FILE]
-    python -m benchmarks.bench_network --padding      what padding does to the maps (docs/decisions/0010)
+    python -m benchmarks.bench_network --padding      effect of padding on the maps (docs/decisions/0010)
 
 Prints, and writes as JSON: the forward pass of one track at 640 x 384 in float32 and bfloat16; a training
 step of each phase of the preset, split into forward, render, perceptual, backward and optimiser (and, on a
-GPU, the share of the device's bfloat16 peak, given ``--peak-tflops``); decoding of views and the crops a
-second that loading delivers. Times are medians. The batch is made up; decoding reads a shard made in a
-temporary folder.
+GPU, the share of the device's bfloat16 peak, given ``--peak-tflops``); decoding of views and the number of
+crops per second that loading delivers. Times are medians. The batch is synthetic; decoding reads a shard made
+in a temporary folder.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ WIDTH, HEIGHT = 640, 384
 
 
 def finished(run: Callable[[], Any], device: torch.device) -> Callable[[], None]:
-    """``run``, and the device done with it."""
+    """``run`` followed by a wait for the device."""
 
     def wait() -> None:
         run()
@@ -51,7 +51,7 @@ def finished(run: Callable[[], Any], device: torch.device) -> Callable[[], None]
 
 
 def measure_forward(network: NetworkConfig, device: torch.device, repeats: int) -> dict[str, float]:
-    """Seconds of one diffuse track on one view, by number format and memory layout."""
+    """Seconds of the diffuse track on one view, by number format and memory layout."""
     x = torch.rand(1, 9, HEIGHT, WIDTH, device=device) * 2 - 1
     result = {}
     for layout in ("contiguous", "channels_last"):
@@ -108,7 +108,9 @@ def synthetic_view() -> bytes:
 
 
 def measure_decoding(config: TrainingConfig, repeats: int) -> dict[str, float]:
-    """Seconds to read and decode a view in one process, and the crops a second that one process delivers."""
+    """Seconds to read and decode a view in one process, and the number of crops per second that it
+    delivers.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "view.exr"
         path.write_bytes(synthetic_view())
@@ -122,7 +124,7 @@ def measure_decoding(config: TrainingConfig, repeats: int) -> dict[str, float]:
 
 
 def measure_padding() -> list[dict[str, Any]]:
-    """Change of a fresh track's output when its image is put into a larger canvas."""
+    """Change of an untrained track's output when its image is put into a larger canvas."""
     rows = []
     for ignores in (False, True):
         for height, width, canvas in ((368, 640, (384, 640)), (384, 640, (640, 640)), (256, 256, (384, 640))):

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Whether the named qualities still lie on the front of error against time (docs/decisions/0071).
+"""Whether the named qualities are still on the front of error against time (docs/decisions/0071).
 
     python -m benchmarks.bench_qualities                      3 rooms, 4 views of 320x192; exit code 1 if not
     python -m benchmarks.bench_qualities --size 96 64 --out /tmp/qualities         a quick look
 
-Plans configurations of the bundled library and sweeps ``draft`` and ``standard`` (``reference`` too with
-``--reference``, which takes long) against fixed sample counts, with all light traced and with the irradiance
-cache and the clamp that the two have. A quality's excess is its cost over what the front of all those needs
-for the same error, in processor seconds and in light paths. Qualities estimate the error of each view, fixed
-counts do not: over rooms that differ, an excess below 1 is to be expected; a quality pays for it with a
-denoiser run or two more a pass. Allowed: --slack in light paths (which no machine changes), --time-slack in
-processor seconds. Trials are kept in --out and not repeated.
+Plans configurations of the bundled library and compares ``draft`` and ``standard`` (with ``--reference`` also
+``reference``, which takes long) with fixed sample counts, both with all light traced and with the irradiance
+cache and the clamp of these two. A quality's excess is its cost divided by the cost at which the front of the
+fixed counts reaches the same error, in processor seconds and in light paths. Qualities estimate the error of
+each view, fixed counts do not: over rooms that differ, an excess below 1 is expected; on the other hand a
+quality needs one or two more denoiser runs per pass. Allowed: --slack in light paths (independent of the
+machine), --time-slack in processor seconds. Trials are stored in --out and not repeated.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def planned_folder(out: Path, configurations: int) -> Path:
 
 
 def excesses(points: list[Point]) -> dict[str, dict[str, float]]:
-    """Of each quality: its excess over the front of fixed counts, in light paths and in processor time."""
+    """Excess of each quality over the front of fixed counts, in light paths and in processor time."""
     fixed = [p for p in points if not p.setting.quality]
     return {
         p.setting.quality: {
@@ -61,7 +61,7 @@ def excesses(points: list[Point]) -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Sweep, print, fail where a quality is beaten by more than the slack."""
+    """Sweep, print, fail if a quality exceeds the front by more than the slack."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--configurations", type=int, default=3)
     parser.add_argument("--views", type=int, default=4)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether the error that a view records is its true one: `standard` against plain paths, ten rooms, four
+"""Whether the recorded error of a view is its true one: `standard` against plain paths, ten rooms, four
 views.
 
     python -m benchmarks.bench_recorded_error                      96x64: references, views, figures, picture
@@ -7,9 +7,9 @@ views.
 
 Five rooms of the bundled library and five imported scenes (from ../shared/data, or SCENE_DATA). The true
 error is measured as by `datagen verify --recheck`: four independent parts of plain paths of up to 65
-segments, here with shadow rays through the windows, which has the same expectation. Parts are kept in
---cache, so that the command goes on where it was stopped. A view whose true error is known worse than to a
-quarter counts as *not known*.
+segments, here with shadow rays through the windows, which has the same expectation. Parts are stored in
+--cache, so that an interrupted command resumes. A view whose true error has a standard error above a quarter
+counts as *not known*.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ from datagen.rendering.renderer import SceneRenderer
 
 BUNDLED = ("living_room", "kitchen", "bathroom", "dining_room", "study")
 IMPORTED = ("staircase", "veach-ajar", "bathroom2", "staircase2", "contemporary")
-FOLDERS = {"contemporary": "bathroom"}  # of a scene whose name a bundled room has
+FOLDERS = {"contemporary": "bathroom"}  # scenes with the same name as a bundled room
 IMAGE = Path(__file__).resolve().parents[1] / "docs" / "images" / "recorded_error.png"
 
 
 @dataclass(frozen=True)
 class Point:
-    """A view: recorded and true exposed relMSE, the latter's standard error, and how its brightness is
-    off."""
+    """A view: recorded and true exposed relMSE, the latter's standard error, and the error of its
+    brightness.
+    """
 
     room: str
     view: int
@@ -57,7 +58,7 @@ class Point:
 
     @property
     def is_known(self) -> bool:
-        """True where the reference noise is far below the error that is judged."""
+        """True if the reference noise is far below the measured error."""
         return self.true_error < 0.25 * self.true
 
 
@@ -83,7 +84,7 @@ def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tup
 def references(
     renderer: SceneRenderer, room: str, view: int, samples: int, cache: Path
 ) -> list[NDArray[np.float32]]:
-    """Independent images of reflected light, (H, W, 3) each; made where they are not in ``cache`` yet."""
+    """Independent images (H, W, 3) of reflected light, rendered unless they are in ``cache``."""
     from datagen.rendering.transport.integrator import PathTracer
 
     camera = renderer.configuration.cameras[view].camera()
@@ -121,7 +122,11 @@ def points_of(room: str, arguments: argparse.Namespace) -> Iterator[Point]:
 
 
 def figures(points: list[Point]) -> dict[str, Any]:
-    """Shares within a factor, worst ratios of recorded to true, over the views whose true error is known."""
+    """Shares of views whose recorded error is within a factor of the true one, and the worst ratios of
+    recorded to true error.
+
+    Only views with a known true error count.
+    """
     known = [p for p in points if p.is_known]
     ratios = np.array([p.recorded / p.true for p in known])
     return {
@@ -136,7 +141,7 @@ def figures(points: list[Point]) -> dict[str, Any]:
 
 
 def plot(points: list[Point], path: Path) -> None:
-    """Recorded against true error, both logarithmic, with what the references leave open."""
+    """Plot recorded against true error, both logarithmic, with error bars from the references."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 5.6), layout="constrained")

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Savings of the sky guide (docs/decisions/0073): variance and time, room by room.
+"""Savings by the sky guide (docs/decisions/0073): variance and time, room by room.
 
     python -m benchmarks.bench_sky_guide                  6 rooms, 4 views of 160x96; 4 minutes
 
-Rooms of the bundled library as recipes make them, each view traced with ``--samples`` paths a pixel, four
-times with and four times without the guide, with the firefly clamp of the named qualities. Variance is the
-exposed relMSE of one image against the next, halved, mean over views; time is processor time, median over
-images. Their product is the relative time for the same noise. The cost of learning is given beside it.
+Rooms of the bundled library as assembled by recipes, each view traced with ``--samples`` paths per pixel,
+four times with and four times without the guide, with the firefly clamp of the named qualities. Variance is
+half the exposed relMSE of one image against the next, mean over views; time is processor time, median over
+images. Their product is the relative time for the same noise. The cost of learning is listed separately.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CLAMP = 30.0
 
 
 def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
-    """Variance and seconds with and without the guide of one room."""
+    """Variance and seconds of one room with and without the guide."""
     tracer, guide = renderer.tracer, renderer.tracer.sky_guide
     kinds = {"plain": None, "guided": guide}
     variances: dict[str, list[float]] = {name: [] for name in kinds}
@@ -44,14 +44,15 @@ def compare(renderer: SceneRenderer, samples: int) -> dict[str, Any]:
         images: dict[str, list[Any]] = {name: [] for name in kinds}
         for name, chosen in kinds.items():
             tracer.use_sky_guide(chosen)
-            tracer.accumulate(sensor, 1, 0, limit=limit)  # compiles
+            tracer.accumulate(sensor, 1, 0, limit=limit)  # warm-up: compiles kernels
             for seed in range(IMAGES):
                 with watch.stage(name):
                     images[name].append(tracer.accumulate(sensor, samples, 1 + seed, limit=limit).mean())
         reference = np.mean([image for found in images.values() for image in found], axis=0)
         for name, found in images.items():
             pairs = zip(found[::2], found[1::2], strict=True)
-            # (a - b)^2 / 2 over reference^2 + epsilon: both images are shifted to where the reference is
+            # (a - b)^2 / 2 over reference^2 + epsilon: both images are shifted so that their difference is
+            # kept
             differences = [reference + (a - b) / np.sqrt(2.0) for a, b in pairs]
             variances[name] += [relative_mse(image, reference, exposed=True) for image in differences]
     tracer.use_sky_guide(guide)

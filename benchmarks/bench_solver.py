@@ -3,9 +3,9 @@
 
     python -m benchmarks.bench_solver [--threads 2] [--repeats 15] [--device cpu] [--out results.json]
 
-Two guides: ``room`` has 60 flat regions with shading, texture and weak noise, as a predicted albedo has;
-``noise`` is as rough as an albedo can be, so that nearly every pixel falls in its own cell. Prints medians
-and writes JSON.
+Two guides: ``room`` has 60 flat regions with shading, texture and weak noise, like a predicted albedo;
+``noise`` is a white-noise albedo, so that nearly every pixel falls into its own cell. Prints medians and
+writes JSON.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def make_guide(kind: str) -> torch.Tensor:
 
 
 def measure(kind: str, device: torch.device, repeats: int) -> dict[str, float]:
-    """Medians in seconds, the grid's size, and the error that the iteration limit leaves."""
+    """Medians in seconds, the grid's size, and the remaining error at the iteration limit."""
     generator = torch.Generator().manual_seed(1)
     guide = make_guide(kind).to(device)
     target = torch.rand(1, 4, HEIGHT, WIDTH, generator=generator).to(device)
@@ -45,7 +45,7 @@ def measure(kind: str, device: torch.device, repeats: int) -> dict[str, float]:
         if device.type == "cuda":
             torch.cuda.synchronize()
 
-    for warm_up in (2, 0):  # the first watch is thrown away
+    for warm_up in (2, 0):  # the first measurement is discarded
         watch = Stopwatch()
         for _ in range(warm_up or repeats):
             with watch.stage("grid_s"):

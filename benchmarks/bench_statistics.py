@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Speed of the multi-view statistics, and the accuracy of their options.
 
-    python -m benchmarks.bench_statistics                       speed, against the vectorised NumPy oracle
+    python -m benchmarks.bench_statistics                       speed, relative to the vectorised NumPy oracle
     python -m benchmarks.bench_statistics --scene S/scene.xml   the same on a Mitsuba scene, and accuracy
 
-Speed: 40 views of 640x384, 12 best; kernels and oracle take turns on the same views in one run. Growth:
-seconds a view for 10, 20, 40 and 80 views, in turns, with a straight line fitted. Accuracy (for a scene with
-textures): colours are the diffuse reflectance, which no view direction changes, so that in a perfect world
-minimum, median and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by
-pair.
+Speed: 40 views of 640x384, 12 best; kernels and oracle run in turn on the same views. Growth: seconds per
+view for 10, 20, 40 and 80 views, in turn, with a straight line fitted. Accuracy (for a scene with textures):
+colours are the diffuse reflectance, which does not depend on the view direction, so that ideally minimum,
+median and maximum all equal the pixel's own colour; depth test and shadow rays are compared pair by pair.
 
 Writes JSON with medians and interquartile ranges to --out, and a summary to the terminal.
 """
@@ -47,7 +46,7 @@ def furnished_room():
 
 
 def scene_from_file(path: Path):
-    """A Mitsuba scene, its first sensor's pose, and the world axis nearest to that sensor's upward one."""
+    """A Mitsuba scene, its first sensor's pose, and the world axis nearest to that sensor's up direction."""
     import mitsuba as mi
 
     scene = mi.load_file(str(path))
@@ -57,7 +56,7 @@ def scene_from_file(path: Path):
 
 
 def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
-    """Surface interaction through one position of every pixel, and depth along the optical axis (H W,)."""
+    """Surface interaction through one position in every pixel, and depth along the optical axis (H W,)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -72,7 +71,7 @@ def first_hits(scene, camera: Camera, jitter: tuple[float, float] = (0.5, 0.5)):
 
 
 def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsView:
-    """Exact buffers at pixel centres; colour is the diffuse reflectance of 4x4 positions a pixel."""
+    """Exact buffers at pixel centres; colour is the mean diffuse reflectance of 4x4 positions per pixel."""
     import drjit as dr
     import mitsuba as mi
 
@@ -97,7 +96,7 @@ def capture(scene, camera: Camera, name: str, is_textured: bool) -> StatisticsVi
 def place_cameras(
     scene, base: np.ndarray, up: np.ndarray, count: int, width: int, height: int
 ) -> list[Camera]:
-    """``base`` and views from around it in free space, towards points that it sees."""
+    """``base`` and views from free positions around it, towards points visible from it."""
     import mitsuba as mi
 
     rng = np.random.default_rng(0)
@@ -128,7 +127,7 @@ def place_cameras(
 
 
 def seconds_a_view(views: list[StatisticsView], options: StatisticsOptions, scene=None) -> float:
-    """Everything counted: packing, upload, kernels, download."""
+    """Complete time per view: packing, upload, kernels, download."""
     return timed(lambda: list(compute_statistics(views, options, scene))).wall / len(views)
 
 
@@ -166,7 +165,7 @@ def measure_growth(views: list[StatisticsView], repeats: int) -> dict:
 
 
 def measure_visibility(views: list[StatisticsView], scene) -> dict:
-    """Pairs of surface point and other view: how often the depth test differs from a shadow ray."""
+    """Share of pairs of surface point and other view for which the depth test differs from a shadow ray."""
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     rng = np.random.default_rng(1)
     traced_count, extra, missed = 0, 0, 0

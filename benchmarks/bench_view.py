@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Time of a view and its distance from convergence: the converted ``staircase``, everything counted.
+"""Time of a view and its distance from convergence: the converted ``staircase``, complete costs.
 
     python benchmarks/bench_view.py                             640x384, 40 views, as `make` would render them
     python benchmarks/bench_view.py --samples 2 4 8 --views 8   a sweep
-    python benchmarks/bench_view.py --overlap                   sequential and overlapped rendering in turns
+    python benchmarks/bench_view.py --overlap                   sequential and overlapped rendering in turn
 
-A view passes through: path, ground-truth buffers, denoiser, statistics against all views, EXR (zip). Wall
-and CPU seconds (user + system of all threads) are given by stage; on a machine that does other things,
-the CPU seconds divided by the number of cores are the more telling figure. The error is the relMSE of
-``datagen.rendering.error`` against two independent references, which are made once and kept in --cache. The
-scene is converted from ../shared/data by the project's own importer.
+Stages of a view: path, ground-truth buffers, denoiser, statistics against all views, EXR (zip). Wall and CPU
+seconds (user + system of all threads) are given by stage; on a busy machine, the CPU seconds divided by the
+number of cores are more meaningful. The error is the relMSE of ``datagen.rendering.error`` against two
+independent references, which are rendered once and stored in --cache. The scene is converted from
+../shared/data by the project's own importer.
 """
 
 from __future__ import annotations
@@ -77,8 +77,11 @@ def candidates(environment: EnvironmentAsset, size: tuple[int, int]) -> Iterator
 def lit_views(
     base: Configuration, library: Library, environment: EnvironmentAsset, count: int
 ) -> list[Camera]:
-    """The first candidates that are not inside a wall: as bright as a fifth of the first, nothing nearer than
-    0.3 m in more than a twentieth of the image. Judged on images of a tenth of the size."""
+    """The first valid candidates, judged on images of a tenth of the size.
+
+    Those inside walls are left out: images must be at least a fifth as bright as the first, with nothing
+    nearer than 0.3 m in more than a twentieth of the image.
+    """
     recipe = RenderRecipe(path_samples=64, auxiliary_samples=4, denoise=False)
     chosen: list[Camera] = []
     brightness = 0.0
@@ -100,7 +103,7 @@ def lit_views(
 
 
 def configuration_of(library: Library, count: int, size: tuple[int, int]) -> Configuration:
-    """The room as it was imported, with its own lights."""
+    """The imported room with its own lights."""
     (package,) = library.select("environment", for_training=False)
     environment = package.asset
     assert isinstance(environment, EnvironmentAsset)
@@ -121,7 +124,7 @@ def configuration_of(library: Library, count: int, size: tuple[int, int]) -> Con
 def references(
     renderer: SceneRenderer, cache: Path, views: list[int], samples: int
 ) -> dict[int, tuple[Any, Any]]:
-    """Two independent converged images of each view, from the cache or made now."""
+    """Two independent converged images of each view, from the cache or rendered now."""
     folder = cache / "references"
     folder.mkdir(parents=True, exist_ok=True)
     configuration = renderer.configuration
@@ -142,7 +145,7 @@ def references(
 
 
 def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) -> np.ndarray:
-    """Mean of ``samples`` paths a pixel, seen lights included; (H, W, 3) float32."""
+    """Mean of ``samples`` paths per pixel, visible emission included; (H, W, 3) float32."""
     sensor = renderer.sensor(renderer.configuration.cameras[view].camera())
     total: Any = 0.0
     for chunk in range(samples // SAMPLES_A_CHUNK):
@@ -152,10 +155,10 @@ def reference_half(renderer: SceneRenderer, view: int, samples: int, half: int) 
 
 
 def measure(renderer: SceneRenderer, configuration: Configuration, compression: str) -> dict[str, Any]:
-    """Stage by stage, one after the other, so that each stage's seconds are its own."""
+    """Times of the stages, run one after the other so that they are separate."""
     watch = Stopwatch()
     count = len(configuration.cameras)
-    renderer.render_view(0)  # compiles
+    renderer.render_view(0)  # warm-up: compiles kernels
     views: list[RenderedView] = []
     for index in range(count):
         with watch.stage("path + buffers"):
@@ -168,7 +171,7 @@ def measure(renderer: SceneRenderer, configuration: Configuration, compression: 
         for camera, view in zip(configuration.cameras, views, strict=True)
     ]
     statistics = iter(compute_statistics(inputs))
-    next(statistics)  # compiles
+    next(statistics)  # warm-up: compiles kernels
     statistics = iter(compute_statistics(inputs))
     results = []
     for _ in range(count):
@@ -214,7 +217,7 @@ def measure_error(
 
 
 def measure_overlap(renderer: SceneRenderer, count: int, repeats: int) -> dict[str, Any]:
-    """Seconds a view of sequential and of overlapped rendering, in turns, and their paired ratio."""
+    """Seconds per view of sequential and of overlapped rendering, in turn, and their paired ratio."""
     seconds: dict[str, list[float]] = {}
     orders = {
         "sequential": lambda: [renderer.render_view(index) for index in range(count)],

@@ -73,7 +73,9 @@ def print_density(num: int = 200_000) -> None:
 
 
 def print_slopes() -> None:
-    """Largest error of the slopes' distribution function, and seconds for 4e6 samples, by Newton steps."""
+    """Maximum error of the slopes' distribution function, and seconds for 4e6 samples, by number of Newton
+    steps.
+    """
     import drjit as dr
     import mitsuba as mi
     from scipy.special import erf
@@ -114,7 +116,8 @@ def print_slopes() -> None:
 
 
 def _angle_transport(specular: float, roughness: float, num_bins: int, num_slopes: int) -> np.ndarray:
-    """K[o, i]: share of the energy that arrives in angle bin i and leaves by the specular lobe into bin o.
+    """K[o, i]: share of the energy that arrives in angle bin i and leaves through the specular lobe into bin
+    o.
 
     Bins have equal projected solid angle, so that the diffuse term adds the same number everywhere.
     """
@@ -216,7 +219,7 @@ def _random_direction(rng: Any) -> Any:
 
 
 class _LaneTexture:
-    """Stands in for a texture: one value a lane, as it comes."""
+    """Replaces a texture: one value per lane, unchanged."""
 
     def __init__(self, make: Callable[[], Any]):
         self.value = make()
@@ -231,7 +234,7 @@ class _LaneTexture:
 
 
 def _random_case(seed: int, num: int) -> tuple[Any, Any, Any, Any, Any]:
-    """(bsdf with a material a lane, interaction, wo, number sample1, pair sample2)."""
+    """(BSDF with one material per lane, interaction, wo, number sample1, pair sample2)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -263,7 +266,7 @@ def _count(mask: Any) -> int:
 
 
 def _batches(count: int) -> Iterator[int]:
-    """Numbers of batches, with a bar."""
+    """Batch numbers, with a progress bar."""
     with Bars("batches") as bars:
         for batch in range(count):
             bars.tell("cases", batch, count)
@@ -272,7 +275,7 @@ def _batches(count: int) -> Iterator[int]:
 
 
 def print_evaluations(total: float) -> bool:
-    """Counts over ``total`` cases; true where nothing is NaN, infinite or negative."""
+    """Counts over ``total`` cases; True if nothing is NaN, infinite or negative."""
     import drjit as dr
     import mitsuba as mi
 
@@ -292,7 +295,7 @@ def print_evaluations(total: float) -> bool:
                 planes[0] if len(planes) == 1 else dr.maximum(dr.maximum(planes[0], planes[1]), planes[2])
             )
             faults[name] = (*counts, largest)
-        dr.eval(faults)  # one kernel for all, then sums of what it wrote
+        dr.eval(faults)  # one kernel for all, then sums of its output
         for name, (*counts, largest) in faults.items():
             for i, count in enumerate(counts):
                 bad[name][i] += int(dr.sum(count)[0])
@@ -308,7 +311,7 @@ TABLES = {"density": print_density, "slopes": print_slopes}
 
 
 def main() -> int:
-    """Command line; exit code 1 where a value that must not occur occurred."""
+    """Command line; exit code 1 if a forbidden value occurred."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("table", choices=(*TABLES, "energy", "evaluations"))
     parser.add_argument("--total", type=float, default=1e9, help="number of cases")

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: MIT
-"""The whole way without ground truth: Cycles takes photographs, COLMAP finds the cameras, `materials infer`.
+"""The whole pipeline without ground truth: photographs by Cycles, cameras by COLMAP, `materials infer`.
 
     python -m benchmarks.colmap_end_to_end --out DIR                   as in docs/measurements.md: 20 minutes
-    python -m benchmarks.colmap_end_to_end --out DIR --cameras true    cameras as they were, without COLMAP
+    python -m benchmarks.colmap_end_to_end --out DIR --cameras true    with the true cameras, without COLMAP
 
-1. The study of the bundled library, which the bundled checkpoint has not seen, with objects, ceiling light
-   and daylight; cameras on a walk around its middle, looking across.
+1. The study of the bundled library, which is not in the training data of the bundled checkpoint, with
+   objects, ceiling light and daylight; cameras on a walk around its middle, looking across.
 2. Cycles (benchmarks/cycles_photographs.py) renders them with depth of field; :func:`developed` adds shot and
    read noise and makes 8-bit JPEGs: exposure, the sRGB curve ("Standard"), clipping, no tone mapping.
 3. ``colmap`` finds the cameras; ``model_aligner`` moves them into the room's frame by three or more measured
-   camera centres, here all of them with 5 mm of error an axis.
+   camera centres, here all of them with 5 mm of error per axis.
 4. The mesh is the room welded and collapsed to ``--triangles``, without UVs.
 5. ``materials infer``, with the check before it.
 6. Atlas and truth are rendered as maps from every third true camera and compared where both show the same
-   surface (depth within 5 %). Beside them stand a constant, each map's own mean, which is the best that a
-   constant can be, and the photographs themselves in the place of the diffuse albedo.
+   surface (depth within 5 %). Baselines are a constant, each map's own mean, which is the best possible
+   constant, and the photographs themselves as diffuse albedo.
 
-Every step is kept in --out and skipped when it is there.
+Every step is stored in --out and skipped if it exists.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def walk(num: int, size: tuple[int, int]) -> list[ViewCamera]:
 
 
 def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArray[np.uint8]:
-    """A photograph of (H, W, 3) radiance without tone mapping: noise, clipping, the sRGB curve."""
+    """A photograph from (H, W, 3) radiance without tone mapping: noise, clipping, the sRGB curve."""
     rng = np.random.default_rng(seed)
     electrons = np.clip(linear * exposure, 0, None) * FULL_WELL
     electrons = rng.poisson(np.minimum(electrons, 1e7)) + rng.normal(0, READ_NOISE, linear.shape)
@@ -84,7 +84,7 @@ def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArra
 
 
 def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
-    """A JPEG with its focal length in EXIF, as cameras write it."""
+    """A JPEG with its focal length in EXIF, as written by cameras."""
     from PIL import Image
 
     exif = Image.Exif()
@@ -97,7 +97,7 @@ def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
 
 
 def run(*command: str, log: Path, is_module: bool = True) -> None:
-    """A command in a process of its own; raises where it fails, its output is in ``log``."""
+    """A command in a separate process; raises if it fails, with its output in ``log``."""
     start = [sys.executable, "-m"] if is_module else []
     with log.open("ab") as out:
         done = subprocess.run([*start, *command], cwd=REPOSITORY, stdout=out, stderr=subprocess.STDOUT)
@@ -107,7 +107,7 @@ def run(*command: str, log: Path, is_module: bool = True) -> None:
 
 @dataclass
 class EndToEnd:
-    """The steps, in order; each leaves its result in ``out``."""
+    """The steps, in order; each stores its result in ``out``."""
 
     out: Path
     views: int
@@ -162,7 +162,7 @@ class EndToEnd:
             view.name: read_image(rendered / f"{view.name}.exr")[..., :3].astype(np.float32)
             for view in configuration.cameras
         }
-        exposure = exposure_for(np.stack(list(linear.values())))  # one for all, fixed by hand
+        exposure = exposure_for(np.stack(list(linear.values())))  # the same for all, as set by hand
         for number, view in enumerate(configuration.cameras):
             pixels = developed(linear[view.name], exposure, number)
             (images / f"{view.name}.jpg").write_bytes(jpeg(pixels, view.camera()))
@@ -170,7 +170,7 @@ class EndToEnd:
     # ---------------------------------------------------------------- cameras
 
     def calibrate(self) -> None:
-        """COLMAP's model in the room's frame, or the true cameras, beside the photographs."""
+        """COLMAP's model in the room's frame, or the true cameras, with the photographs."""
         if self.capture.is_dir():
             return
         partial = self.capture.with_name(f"{self.capture.name}-partial")
@@ -230,7 +230,7 @@ class EndToEnd:
     # ---------------------------------------------------------------- inference and comparison
 
     def infer(self) -> None:
-        """The command that a user gives."""
+        """Run the command as a user would."""
         mesh, log = str(self.out / "retopology.ply"), self.out / f"infer-{self.cameras}.log"
         options = ("--mesh", mesh, "--out", str(self.result), "--atlas", self.atlas, "--quiet")
         run("model.cli", "infer", str(self.capture), *options, log=log)
@@ -258,7 +258,7 @@ class EndToEnd:
         }
 
     def compare(self) -> dict[str, Any]:
-        """Errors of the atlas in the true views, where its texels were seen."""
+        """Errors of the atlas in the true views, at texels that were observed."""
         from datagen.foundation.bundled import bundled_library
         from datagen.library import Library
 
@@ -302,7 +302,7 @@ class EndToEnd:
         return rendered_maps(made.model_copy(update={"cameras": configuration.cameras}), Library([path]))
 
     def _picture(self, name: str, ours: dict[str, NDArray], truth: dict[str, NDArray]) -> None:
-        """Photograph and true maps over a re-rendering's place and the atlas' maps."""
+        """Picture with photograph and true maps above a re-rendering and the atlas's maps."""
         from PIL import Image
 
         photograph = np.asarray(Image.open(self.out / "images" / f"{name}.jpg"))

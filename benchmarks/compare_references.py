@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Imported scenes against their reference images: Mitsuba's own BSDFs, and the converted materials.
+"""Imported scenes compared with their reference images: Mitsuba's own BSDFs, and the converted materials.
 
     python -m benchmarks.compare_references                     all scenes, JSON and a table
     python -m benchmarks.compare_references --scenes staircase --width 160 --samples 64
 
 Every scene is imported into a temporary library, rendered from its own camera at the reference's aspect with
-the original BSDFs and with the project's, and held against ``reference.exr`` of its author. The third column
-is the conversion by itself: converted against original. Figures: correlation and median ratio of blurred
-luminance (``datagen.importers.reference.agreement``). Writes --out (JSON) and prints a markdown table.
+the original BSDFs and with the project's, and compared with its author's ``reference.exr``. The third column
+is the conversion alone: converted against original. Figures: correlation and median ratio of blurred
+luminance (``datagen.importers.reference.agreement``). Writes --out (JSON) and prints a Markdown table.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def compare_scene(
 
 
 def write_picture(path: Path, reference: np.ndarray, images: dict[str, np.ndarray]) -> None:
-    """Reference, original and converted side by side, at one exposure."""
+    """Write reference, original and converted image side by side, at one exposure."""
     import cv2
 
     from datagen.foundation.color import exposure_for, srgb_from_linear

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Generated rooms beside imported ones: distributions, exposures and pictures.
+"""Generated rooms compared with imported ones: distributions, exposures and pictures.
 
     python -m benchmarks.compare_rooms DATASET --imported SHARD [SHARD ...] --out DIR [--views 8] [--page 24]
 
 DATASET is a dataset folder; an imported SHARD is the tar of a capture with ground truth, such as `materials
-evaluate` renders of a suite's scenes. Counted are surface pixels of ``--views`` views a room, evenly spread;
-every room weighs the same, so that densities are means over rooms. Luminances and exposures are relative to
-the room's median exposure: the unit of radiance is each scene's own.
+evaluate` renders of a suite's scenes. Surface pixels of ``--views`` evenly spaced views per room are counted;
+every room has the same weight, so that densities are means over rooms. Luminances and exposures are relative
+to the room's median exposure, since each scene has its own unit of radiance.
 
 Writes ``distributions.png`` (D, S, R, luminance, exposure), ``beside.jpg`` (imported rooms left, generated
 ones right) and ``page.jpg`` (a view of each of the first ``--page`` rooms of DATASET), all at the exposure of
 contact sheets, and prints a table: shares of S > 0.3 and R < 0.3, clipped pixels at that exposure, with and
-without those of windows' frames, sills, blinds and curtains, and how much exposures vary within a room.
+without those of windows' frames, sills, blinds and curtains, and the variation of exposures within a room.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from datagen.foundation.color import clipped_share, luminance, photographic_expo
 
 MAX_CLIPPED = 0.03
 WINDOW_PARTS = ("window", "blind", "curtain")
-"""Beginnings of the names of a generated room's parts that belong to windows: frames, sills, slats."""
+"""Prefixes of the names of a generated room's parts that belong to windows: frames, sills, slats."""
 BINS = {
     "luminance of D": np.linspace(0, 1, 41),
     "brightest channel of S": np.geomspace(0.02, 1, 41),
@@ -44,8 +44,11 @@ _LOGARITHMIC = ("brightest channel of S", "luminance, exposed", "exposure / room
 
 @dataclass(frozen=True)
 class RoomFigures:
-    """Of one room: ``densities`` by the names of :data:`BINS`, sums to 1 each; of its views exposure,
-    clipped share of all surfaces, and of those outside of windows; a picture of the view that shows most."""
+    """Figures of one room.
+
+    ``densities`` by the names of :data:`BINS`, each with the sum 1; for its views exposure, clipped share of
+    all surfaces, and of those outside of windows; a picture of the view that shows most.
+    """
 
     name: str
     densities: dict[str, NDArray]
@@ -113,7 +116,7 @@ def figures_of(name: str, views: Sequence[View]) -> RoomFigures:
 
 
 def read_room(shard: Path, num_views: int) -> RoomFigures:
-    """Figures of ``num_views`` views of a shard, evenly spread."""
+    """Figures of ``num_views`` evenly spaced views of a shard."""
     reader = ShardReader(shard)
     count = sum(1 for _ in reader.records())
     chosen = {k * count // num_views for k in range(min(num_views, count))} if count > num_views else None
@@ -168,7 +171,7 @@ def draw(groups: dict[str, list[RoomFigures]], path: Path) -> None:
 
 
 def _fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture cut in its middle to the aspect of ``size`` (width, height), and resized."""
+    """A picture cropped at its centre to the aspect of ``size`` (width, height), and resized."""
     from PIL import Image
 
     height, width = picture.shape[:2]

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baseline of bench_cycles.py: Cycles from pip's bpy, set up as BlenderProc does. Never with mitsuba.
+"""Baseline of bench_cycles.py: Cycles from pip's bpy, set up as by BlenderProc. Never in one process with
+mitsuba.
 
     python -m benchmarks.cycles_baseline build EXPORT OUT.blend
     python -m benchmarks.cycles_baseline render BLEND OUT VIEW... --samples 32 --max-depth 8 [--noisy]
 
-``build`` turns an export of cycles_scene.py into a .blend; ``render`` writes a multi-layer EXR a view (half,
-zip: beauty, depth, normal, diffuse and glossy colour, object and material index) and ``times.json`` with the
-moment at which the scene was loaded and those at which each view was finished, as seconds since the epoch.
-Path tracing, persistent data, OIDN with prefiltered albedo and normal; ``--noisy`` leaves the denoiser out
-and writes single precision, for references.
+``build`` converts an export of cycles_scene.py to a .blend; ``render`` writes one multi-layer EXR per view
+(half, zip: beauty, depth, normal, diffuse and glossy colour, object and material index) and ``times.json``
+with the times at which the scene was loaded and each view was finished, as seconds since the epoch. Path
+tracing, persistent data, OIDN with prefiltered albedo and normal; ``--noisy`` omits the denoiser and writes
+single precision, for references.
 """
 
 from __future__ import annotations
@@ -87,14 +88,14 @@ def _add_light(light: dict[str, Any]) -> None:
 
 
 def _area_light(lamp: Any, thing: Any, light: dict[str, Any]) -> float:
-    """Place a flat light; Watts a unit of radiance."""
+    """Place a flat light; returns watts per unit of radiance."""
     origin, u, v = (np.array(light[key]) for key in ("origin_m", "edge_u_m", "edge_v_m"))
     lamp.shape = "RECTANGLE" if light["shape"] == "rectangle" else "ELLIPSE"
     lamp.size, lamp.size_y = float(np.linalg.norm(u)), float(np.linalg.norm(v))
     forward = np.cross(u, v)
     matrix = np.eye(4)
     matrix[:3, 0] = u / np.linalg.norm(u)
-    matrix[:3, 2] = -forward / np.linalg.norm(forward)  # lamps shine along -Z
+    matrix[:3, 2] = -forward / np.linalg.norm(forward)  # lamps emit along -Z
     matrix[:3, 1] = np.cross(matrix[:3, 2], matrix[:3, 0])
     matrix[:3, 3] = origin + 0.5 * (u + v)
     thing.matrix_world = matrix.T.tolist()
@@ -116,17 +117,17 @@ def _add_sky(image: Path) -> None:
 
 
 def set_up(scene: Any, arguments: argparse.Namespace) -> None:
-    """Path tracing with persistent data and the passes; Blender's defaults for everything not named here."""
+    """Set up path tracing with persistent data and the passes; other settings keep Blender's defaults."""
     scene.render.engine = "CYCLES"
     cycles, render, layer = scene.cycles, scene.render, scene.view_layers[0]
     cycles.device = "CPU"
     cycles.samples, cycles.seed = arguments.samples, arguments.seed
     cycles.use_adaptive_sampling = arguments.adaptive
-    cycles.adaptive_threshold = 0.0  # Cycles': from the number of samples
+    cycles.adaptive_threshold = 0.0  # Cycles' default depends on the number of samples
     cycles.sample_clamp_indirect = arguments.clamp
     cycles.blur_glossy = arguments.filter_glossy
     cycles.pixel_filter_type = "BOX"
-    # a path of n segments meets n - 1 surfaces; Cycles does not count the first as a bounce
+    # a path of n segments hits n - 1 surfaces; Cycles does not count the first as a bounce
     bounces = max(0, arguments.max_depth - 2)
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces
     cycles.transmission_bounces = cycles.transparent_max_bounces = bounces
@@ -146,7 +147,7 @@ def set_up(scene: Any, arguments: argparse.Namespace) -> None:
 
 
 def look_through(scene: Any, camera: dict[str, Any], scale: float) -> None:
-    """Place the camera; ``scale`` of the resolution."""
+    """Place the camera; ``scale`` multiplies the resolution."""
     if abs(camera["fx_px"] / camera["fy_px"] - 1) > 1e-6:
         raise ValueError(f"camera {camera['name']}: oblong pixels are not set up here")
     width, height = camera["width_px"], camera["height_px"]
@@ -160,7 +161,7 @@ def look_through(scene: Any, camera: dict[str, Any], scale: float) -> None:
 
 
 def render(arguments: argparse.Namespace) -> None:
-    """Render views one after the other; the moments go to ``times.json``."""
+    """Render views one after the other; the times are written to ``times.json``."""
     import bpy
 
     bpy.ops.wm.open_mainfile(filepath=str(arguments.blend.resolve()), use_scripts=False)
@@ -180,7 +181,7 @@ def render(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Parse and do."""
+    """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     build_command = verbs.add_parser("build")

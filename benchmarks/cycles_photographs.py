@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bpy side of colmap_end_to_end.py: a room's views through Cycles, and its mesh made coarse.
+"""The bpy part of colmap_end_to_end.py: a room's views rendered by Cycles, and its mesh coarsened.
 
     python -m benchmarks.cycles_photographs render BLEND OUT --samples 32 --f-stop 4 --focus 2.5
     python -m benchmarks.cycles_photographs retopology BLEND OUT.ply --triangles 20000
 
-``render`` writes a linear EXR (half) a camera of the .blend of ``cycles_baseline build``, with the depth
-of field of a full-frame camera; those that are there are kept. ``retopology`` joins what is in the room,
-welds it and collapses edges; it has no UVs.
+``render`` writes one linear EXR (half) per camera of the .blend of ``cycles_baseline build``, with the depth
+of field of a full-frame camera; existing ones are kept. ``retopology`` joins the contents of the room, welds
+vertices and collapses edges; the result has no UVs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.cycles_baseline import look_through, set_up
 
-OUTSIDE = "room/outside"  # lawn and hedge: nobody models them
+OUTSIDE = "room/outside"  # lawn and hedge, which nobody would model
 _WELD_M = 2e-4
 
 
@@ -90,7 +90,7 @@ def retopology(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Parse and do."""
+    """Parse and run."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     command = verbs.add_parser("render")

@@ -5,7 +5,7 @@
     python -m benchmarks.cycles_scene reference FOLDER OUT VIEW... --samples 256
 
 ``export`` writes the whole room as one asset package: every placed part with its assigned material,
-variations applied, UVs scaled, so that whoever reads packages reads exactly what our renderer renders.
+variations applied, UVs scaled, so that readers of packages get exactly the scene that our renderer renders.
 ``setup.json`` beside it holds the lights (skies as an equirectangular image and a sun) and the cameras.
 """
 
@@ -49,7 +49,7 @@ def open_folder(path: Path) -> tuple[Configuration, Library, DatasetFolder]:
 
 
 class RoomExport:
-    """Writes one package that holds a whole configuration."""
+    """Writes one package that contains a whole configuration."""
 
     def __init__(self, configuration: Configuration, library: Library, out: Path):
         self.configuration, self.library, self.out = configuration, library, out
@@ -139,7 +139,7 @@ class RoomExport:
 
 
 def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[np.float32]:
-    """Radiance of a sky or environment light without its sun, as Blender lays it out: centre +X, left +Y."""
+    """Radiance of a sky or environment light without its sun, in Blender's layout: centre +X, left +Y."""
     rows, columns = SKY_SIZE
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     azimuth = (0.5 - (np.arange(columns) + 0.5) / columns) * 2 * np.pi
@@ -163,12 +163,12 @@ def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[n
         pixels = read_image(library.package(light.asset).local_file(light.image)).astype(np.float64)
         environment_from_world = np.array(light.world_from_environment)[:3, :3].T
         values = light.scale * lookup(pixels[..., :3])(directions @ environment_from_world.T)
-    # OpenEXR writes memory as it lies, whatever the strides say
+    # OpenEXR writes memory in its order and ignores strides
     return np.ascontiguousarray(values.reshape(rows, columns, 3), np.float32)
 
 
 def export(configuration: Configuration, library: Library, out: Path) -> None:
-    """The package of a configuration, ``setup.json``, and ``sky.exr`` where there is one."""
+    """Write the package of a configuration, ``setup.json``, and ``sky.exr`` if it has a sky."""
     import OpenEXR
 
     RoomExport(configuration, library, out).write()
@@ -188,8 +188,7 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
 
 
 def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
-    """Two independent converged images of each view that is not there yet, ``view_000.npz``; no light in them
-    comes from a cache."""
+    """Two independent converged images of each missing view, ``view_000.npz``, without cached irradiance."""
     from benchmarks.bench_view import reference_half
     from datagen.rendering.renderer import SceneRenderer
 
@@ -210,7 +209,7 @@ def write_references(folder: Path, out: Path, views: list[int], samples: int) ->
 
 
 def main() -> None:
-    """Parse and do."""
+    """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     for verb in ("export", "reference"):

@@ -3,8 +3,8 @@
 
     python -m benchmarks.data_extremes            all tables as Markdown
 
-``tests/benchmarks/test_extremes.py`` holds what a table says; both call the functions below. The boxes
-are in ``oracles``.
+``tests/benchmarks/test_extremes.py`` asserts the tables; both call the functions below. The scene of boxes is
+in ``oracles``.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COLORS = ("color_min", "color_median", "color_max")
 
 
 def scaled_views(views: Sequence[StatisticsView], factor: float) -> list[StatisticsView]:
-    """The same views of a scene that is ``factor`` times as large."""
+    """The views of a scene enlarged by ``factor``."""
     found = []
     for view in views:
         pose = view.camera.world_from_camera.copy()
@@ -48,7 +48,7 @@ def scaled_views(views: Sequence[StatisticsView], factor: float) -> list[Statist
 
 
 def scale_of_scene(factor: float, size: tuple[int, int] = (60, 40)) -> dict[str, float]:
-    """Changes of statistics and projections when the whole scene is ``factor`` times as large."""
+    """Changes of statistics and projections when the whole scene is enlarged by ``factor``."""
     views = make_views((size,), is_noise=False)
     larger = scaled_views(views, factor)
     changed, difference = [], 0.0
@@ -78,7 +78,7 @@ def scale_of_scene(factor: float, size: tuple[int, int] = (60, 40)) -> dict[str,
 
 
 def scale_of_radiance(factor: float, size: tuple[int, int] = (33, 22)) -> float:
-    """Largest relative difference of statistics when all colours are ``factor`` times as bright."""
+    """Largest relative difference of statistics when all colours are multiplied by ``factor``."""
     views = make_views((size,))
     brighter = [replace(v, color=v.color * np.float32(factor)) for v in views]
     largest = 0.0
@@ -99,19 +99,19 @@ def stored_as_half(value: float) -> float:
 
 
 def log_round_trip(dtype: Any) -> float:
-    """Largest error of decoding what was encoded, over [0, 1], for inputs of ``dtype``."""
+    """Largest error of encoding and decoding over [0, 1], for inputs of ``dtype``."""
     values = np.concatenate([np.linspace(0, 1, 20001), np.geomspace(1e-7, 1, 2001)]).astype(dtype)
     return float(np.abs(linear_from_log(log_from_linear(values)).astype(np.float64) - values).max())
 
 
 def alike_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """The same view again and again."""
+    """``num_views`` identical views."""
     (view,) = make_views((size,), num_views=1)
     return [replace(view, name=f"view_{k:03}") for k in range(num_views)]
 
 
 def spread_of_alike_views(num_views: int) -> float:
-    """Largest relative difference between maximum and minimum where all views are alike."""
+    """Largest relative difference between maximum and minimum for identical views."""
     views = alike_views(num_views)
     (result,) = compute_statistics(views, only=(0,))
     own = np.maximum(views[0].color, 1e-30)
@@ -119,7 +119,7 @@ def spread_of_alike_views(num_views: int) -> float:
 
 
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
-    """Views of the boxes from places beside the usual ones, each rendered anew."""
+    """Views of the boxes from positions beside the usual ones, each rendered anew."""
     from datagen.foundation.cameras import look_at
     from oracles.multiview_scenes import POSES, hit_boxes
 
@@ -148,7 +148,9 @@ def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[Statist
 
 
 def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
-    """Image (8, 8, 3) of a floor under a square light of ``radiance``, all ``metres`` times as large."""
+    """Image (8, 8, 3) of a floor under a square light of ``radiance``, all lengths multiplied by
+    ``metres``.
+    """
     size = 10 * metres
     floor = quad([-size / 2, -size / 2, 0], [size, 0, 0], [0, size, 0])
     light = AreaLight(
@@ -169,11 +171,11 @@ def lit_floor(metres: float, radiance: float) -> NDArray[np.float64]:
 
 
 def image_at_scales(cases: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Largest and median relative difference of a pixel from the room of metres and of radiance 1, case by
+    """Largest and median relative difference of a pixel from the room of scale 1 and radiance 1, for each
     case.
 
-    The random numbers are the same: what differs is rounding and where rays start, so that a path may meet
-    the light just within its edge in one room and just outside in the other: a 64th of a pixel.
+    The random numbers are the same: differences come from rounding and from the origins of rays, so that a
+    path may hit the light just within its edge in one room and miss it in the other: a 64th of a pixel.
     """
     expected = lit_floor(1.0, 1.0)
     found = [np.abs(lit_floor(metres, radiance) / radiance / expected - 1) for metres, radiance in cases]
@@ -192,7 +194,7 @@ def _text(cell: object) -> str:
 
 
 def relative(got: NDArray | float, expected: float) -> str:
-    """Relative error as text; none for 0 and what half floats do not reach."""
+    """Relative error as text; none for 0 and for values beyond the range of half floats."""
     if expected == 0 or not 0 < expected < 65519:
         return ""
     return f"{abs(float(got) - expected) / expected:.1e}"

@@ -18,7 +18,7 @@ Action = Callable[[], Any]
 
 
 class Seconds(NamedTuple):
-    """Wall time, and processor time of all threads, which hardly depends on the machine's load."""
+    """Wall time, and processor time of all threads, which depends little on the machine's load."""
 
     wall: float
     cpu: float
@@ -31,7 +31,7 @@ def cpu_seconds() -> float:
 
 
 def timed(action: Action) -> Seconds:
-    """Time of one call; the action waits for its device."""
+    """Time of one call, which includes the wait for its device."""
     wall, cpu = time.perf_counter(), time.process_time()
     action()
     return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
@@ -40,8 +40,8 @@ def timed(action: Action) -> Seconds:
 def interleaved(actions: Mapping[str, Action], repeats: int, warm_up: int = 1) -> dict[str, list[Seconds]]:
     """Times of ``repeats`` calls of each action after ``warm_up`` calls, which compile and fill caches.
 
-    Actions take turns, in reversed order every other time, so that drift of the machine affects all alike;
-    entries of one index belong to one turn.
+    Actions run in turn, in reversed order every other time, so that drift of the machine affects all alike;
+    entries with the same index belong to one turn.
     """
     names = list(actions)
     found: dict[str, list[Seconds]] = {name: [] for name in names}
@@ -66,7 +66,7 @@ def summary(values: list[float], digits: int = 6) -> dict[str, Any]:
 
 
 class Stopwatch:
-    """Times by stage, for work whose stages cannot be called apart."""
+    """Times by stage, for work whose stages cannot be called separately."""
 
     def __init__(self) -> None:
         self.wall: dict[str, list[float]] = {}
@@ -89,7 +89,7 @@ class Stopwatch:
 
 
 def machine() -> dict[str, Any]:
-    """Processor and interpreter that figures belong to."""
+    """Processor and interpreter to which figures apply."""
     return {
         "processor": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
@@ -98,7 +98,7 @@ def machine() -> dict[str, Any]:
 
 
 def write_report(report: Any, out: Path | None, *, is_printed: bool = True) -> None:
-    """Print a report as JSON and write it to ``out``, where given."""
+    """Print a report as JSON and write it to ``out``, if given."""
     text = json.dumps(report, indent=1)
     if is_printed:
         print(text)

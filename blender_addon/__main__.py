@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``python -m blender_addon file.blend --out DIR``: the export without Blender's window, with pip's bpy."""
+"""``python -m blender_addon file.blend --out DIR``: the export without Blender's user interface, with pip's
+bpy.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bakes what a target needs and writes its package."""
+"""Bakes the materials of a target and writes its package."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UV_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class Progress:
-    """``fraction`` of the work done, in [0, 1], and what is being done."""
+    """State of an export: ``fraction`` of the work done, in [0, 1], and the current step."""
 
     fraction: float
     text: str
@@ -36,7 +36,7 @@ class Progress:
 def write_target(
     reader: Reader, contents: Contents, writer: PackageWriter
 ) -> Generator[Progress, None, None]:
-    """Bake what the target needs and write its package."""
+    """Bake the materials of the target and write its package."""
     target = contents.target
     description: dict[str, Any] = {
         "format": FORMAT,
@@ -112,7 +112,7 @@ class _Assembly:
         return self._used_slots[key]
 
     def _find_windows(self) -> None:
-        """The box of texture coordinates in which each material is read, over all meshes that use it."""
+        """Find the box of texture coordinates in which each material is read, over all meshes that use it."""
         for instance in self.contents.gathered.instances:
             mesh = self.contents.gathered.meshes[instance.mesh_key]
             for slot in self._slots(instance.mesh_key):
@@ -257,7 +257,9 @@ class _Assembly:
         return slot_name, baked
 
     def _side_m(self, instance: Instance, slot: int, plan: MaterialPlan, window: Window) -> float:
-        """Side of the square that the window covers on the surface, in Blender units: bumps have a height."""
+        """Side of the square that the window covers on the surface, in Blender units, to scale the heights of
+        bumps.
+        """
         mesh = self.contents.gathered.meshes[instance.mesh_key]
         frame = plan.frame
         layer = (frame.layer if frame is not None else "") or mesh.active_uv
@@ -269,7 +271,7 @@ class _Assembly:
         return 1.0 / density if density else 1.0
 
     def _thing(self, instance: Instance) -> bpy.types.Object:
-        """The object of the session that shows the instance's mesh, standing where the instance stands."""
+        """The object of the session that shows the instance's mesh at the instance's transform."""
         if instance.mesh_key not in self._things:
             self._things[instance.mesh_key] = self.job.session.object_of(
                 self.contents.copies[instance.mesh_key]

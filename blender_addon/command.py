@@ -80,7 +80,7 @@ def settings_from(arguments: argparse.Namespace) -> ExportSettings:
 
 @contextlib.contextmanager
 def quiet_stdout() -> Iterator[None]:
-    """Keep Cycles' own lines, which it writes past Python, off the terminal."""
+    """Hide Cycles' own output, which bypasses Python, from the terminal."""
     sys.stdout.flush()
     saved = os.dup(1)
     null = os.open(os.devnull, os.O_WRONLY)
@@ -95,7 +95,7 @@ def quiet_stdout() -> Iterator[None]:
 
 
 class ProgressLine:
-    """Progress on standard error: a bar on a terminal; elsewhere, as in a log, a line every half a minute."""
+    """Progress on standard error: a bar on a terminal; otherwise, as in a log, a line every half a minute."""
 
     def __init__(self) -> None:
         self.is_terminal = sys.stderr.isatty()
@@ -114,7 +114,7 @@ class ProgressLine:
             print(f"{time.strftime('%H:%M:%S')} {fraction:4.0%} {left} {progress.text}", file=sys.stderr)
 
     def end(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self.is_terminal:
             print("\r\033[K", end="", file=sys.stderr)
 
@@ -125,7 +125,7 @@ def _list(problems: Sequence[Problem]) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Export what is open; returns the exit code."""
+    """Export the open file; returns the exit code."""
     from .export import check, export_steps
 
     try:
@@ -173,7 +173,7 @@ def run(arguments: argparse.Namespace) -> int:
 def leave(code: int) -> NoReturn:
     """End the process with ``code``, without Blender's own clean-up.
 
-    With a scripted driver in the file that is open, it waits for ever for the Python that has ended.
+    If the open file has a scripted driver, that clean-up waits for ever for the finished Python interpreter.
     """
     try:
         sys.stdout.flush()
@@ -198,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return REFUSED
     try:
         with quiet_stdout():
-            # Whatever the preferences say: the file may come from anyone.
+            # Whatever the preferences are: the file is untrusted.
             path = str(arguments.blend.resolve())
             bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
     except RuntimeError:

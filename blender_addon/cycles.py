@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders a scene of a session with Cycles and hands over linear pixels; leaves no Render Result behind."""
+"""Renders a scene of a session with Cycles and returns linear pixels; leaves no Render Result behind."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drivers that Blender did not evaluate because they need Python and the file's scripts are off.
+"""Drivers that Blender did not evaluate because they need Python and the file's scripts are disabled.
 
-The driven property is 0 then, whatever it was when the file was saved.
+The driven property is then 0, whatever it was when the file was saved.
 """
 
 from __future__ import annotations

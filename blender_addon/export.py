@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one export behind the operator, the panel and the command line.
+"""The export behind the operator, the panel and the command line.
 
-:func:`export_steps` is a generator: each step reports its progress, closing it cancels, and whatever happens
-nothing is left in the file and no half-written package on disk.
+:func:`export_steps` is a generator: each step reports its progress, and closing it cancels. In any case no
+data remains in the file and no half-written package on disk.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ REPORT_FILE = "fidelity.html"
 
 @dataclass
 class ExportResult:
-    """Folders written, everything approximated, and counts for the report."""
+    """Written folders, all approximations, and counts for the report."""
 
     report: Path | None = None
     packages: list[Path] = field(default_factory=list)
@@ -51,7 +51,7 @@ def export(out_dir: Path, settings: ExportSettings | None = None) -> ExportResul
 
 
 def check(settings: ExportSettings | None = None) -> list[Problem]:
-    """Every problem that an export would meet before it bakes or writes anything."""
+    """All problems of an export, found before it bakes or writes anything."""
     problems = ProblemList()
     settings = settings or ExportSettings()
     _refuse_old_blender(problems)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of an asset package as node graphs, with the right colour spaces.
 
-Where S is one small grey everywhere, the material is a Principled BSDF of base colour D whose specular level
-gives that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the
-project's own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports
-back to the same channels.
+If S is one small grey everywhere, the material is a Principled BSDF of base colour D with the specular level
+for that F0. Otherwise a Diffuse BSDF of (1 - S) D and a Metallic BSDF of S are added, which is the project's
+own BRDF for any D and S (Principled has one base colour for both), and which the add-on exports back to the
+same channels.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _LARGEST_DIELECTRIC_F0 = 0.2
 
 
 def package_file(folder: Path, name: str) -> Path:
-    """A file that the package names; raises ``ValueError`` where it lies outside or is missing."""
+    """A file named by the package; raises ``ValueError`` if it is outside or missing."""
     parts = PurePosixPath(name).parts
     if not parts or name.startswith("/") or ".." in parts or "\\" in name or ":" in name:
         raise ValueError(f"{folder}/asset.json: path {name!r} leaves the package; refused")
@@ -53,7 +53,7 @@ def make_material(name: str, entry: dict[str, Any], folder: Path, pack: bool) ->
 
 
 class _Nodes:
-    """Makes the nodes of one material."""
+    """Creates the nodes of one material."""
 
     def __init__(self, tree: bpy.types.NodeTree, folder: Path, pack: bool):
         self.tree, self.folder, self.pack = tree, folder, pack
@@ -68,7 +68,7 @@ class _Nodes:
         return node
 
     def _channel(self, value: Any, socket: bpy.types.NodeSocket) -> None:
-        """Set an input to a constant, or link the texture that the channel names."""
+        """Set an input to a constant, or link the channel's texture."""
         if not isinstance(value, dict):
             is_colour = hasattr(socket.default_value, "__len__")
             socket.default_value = (*value, 1.0) if is_colour else float(value)
@@ -161,7 +161,7 @@ class _Nodes:
 
 
 def add_sample(material: bpy.types.Material, collection: bpy.types.Collection) -> None:
-    """A square metre that shows a material."""
+    """Add a square metre of a material."""
     mesh = bpy.data.meshes.new(material.name)
     side = float(material.get("sm_tile_size_m", 1.0))
     mesh.from_pydata([(0, 0, 0), (side, 0, 0), (side, side, 0), (0, side, 0)], [], [(0, 1, 2, 3)])

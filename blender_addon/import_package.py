@@ -22,14 +22,15 @@ from .version import fault_of_version
 
 _MAX_ZIP_BYTES = 4 << 30
 _MAX_JSON_BYTES = 256 * 1024 * 1024
-_SHEAR = 1e-5  # share of a matrix that location, rotation and scale may miss
+_SHEAR = 1e-5  # largest share of a matrix that location, rotation and scale may miss
 _OFF_CENTRE_M = 1e-4
 
 
 @dataclass
 class Imported:
-    """The new collection, and remarks on parts of the package that Blender represents differently or not at
-    all."""
+    """The new collection, and remarks on parts of the package that Blender cannot represent, or only
+    differently.
+    """
 
     collection: bpy.types.Collection
     remarks: list[str] = field(default_factory=list)
@@ -39,9 +40,8 @@ def import_package(path: Path) -> Imported:
     """Load a package (its folder, its ``asset.json`` or a zip) into a new collection of the scene.
 
     An environment's own light becomes the scene's world, and its first camera the scene's camera if it had
-    none. A zip's images are packed.
-
-    Raises ``ValueError`` for what is no package, with the file and the field, and in too old a Blender.
+    none. A zip's images are packed. Raises ``ValueError`` with the file and the field for an invalid package,
+    and in too old a Blender.
     """
     fault = fault_of_version()
     if fault is not None:
@@ -65,7 +65,7 @@ def _unpack(path: Path, folder: Path) -> None:
                 raise ValueError(f"{path}: member {name!r} leaves the package; refused")
         if sum(member.file_size for member in members) > _MAX_ZIP_BYTES:
             raise ValueError(f"{path}: larger than 4 GB when unpacked")
-        for member in members:  # reads no more than the size that the member claims
+        for member in members:  # reads no more than the member's stated size
             target = folder.joinpath(*PurePosixPath(member.filename).parts)
             target.parent.mkdir(parents=True, exist_ok=True)
             with archive.open(member) as packed, target.open("xb") as unpacked:
@@ -134,13 +134,13 @@ def _tag(block: bpy.types.ID, data: dict[str, Any]) -> None:
 def _add_parts(
     collection: bpy.types.Collection, data: dict[str, Any], folder: Path, pack: bool, metres: float
 ) -> None:
-    """The surfaces: one object a part, one mesh for all parts that share file and material."""
+    """Add the surfaces: one object per part, one mesh for all parts that share file and material."""
     materials = {name: make_material(name, entry, folder, pack) for name, entry in data["materials"].items()}
     meshes: dict[tuple[str, str], bpy.types.Mesh] = {}
     for part in data["parts"]:
         matrix = np.array(part.get("asset_from_part", np.eye(4)))
         matrix[:3] /= metres
-        if _is_sheared(matrix):  # objects have no shear: it goes into a mesh of the part's own
+        if _is_sheared(matrix):  # objects have no shear: it is applied to a mesh of the part's own
             mesh = _mesh(part["name"], package_file(folder, part["mesh"]), matrix)
             mesh.materials.append(materials[part["material"]])
             matrix = np.eye(4)
@@ -156,13 +156,13 @@ def _add_parts(
 
 
 def _is_sheared(matrix: NDArray[np.float64]) -> bool:
-    """Whether location, rotation and scale cannot express a matrix."""
+    """Whether location, rotation and scale cannot represent a matrix."""
     kept = np.array(Matrix.LocRotScale(*Matrix(matrix.tolist()).decompose()))
     return bool(np.abs(kept - matrix).max() > _SHEAR * np.abs(matrix[:3, :3]).max() + 1e-6)
 
 
 def read_ply(path: Path) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.int32]]:
-    """Vertex columns by name and triangles of a binary little-endian PLY as the packages hold them."""
+    """Vertex columns by name and triangles of a binary little-endian PLY as in packages."""
     content = path.read_bytes()
     end = content.find(b"end_header\n")
     if not content.startswith(b"ply") or end < 0:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lights, the world, cameras and markers of an asset package as Blender objects: the inverse of ``gather``.
 
-Package values are metres and W; ``metres`` is the scene's unit scale, metres a Blender unit. Parts without a
-counterpart in Blender are left out and listed in ``remarks``, one sentence each.
+Package values are metres and W; ``metres`` is the scene's unit scale, metres per Blender unit. Parts without
+a counterpart in Blender are left out and listed in ``remarks``, one sentence each.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .gather.world import WORLD_FROM_ENVIRONMENT
 
 _SENSOR_MM = 36.0
 _UNLIMITED_CLIP_M = (1e-3, 1e5)  # for cameras without limits; Blender has no infinite ones
-_SKEW = 1e-4  # cosine between the edges of a rectangle above which it counts as none
+_SKEW = 1e-4  # cosine between the edges of a rectangle above which it is refused
 
 
 class Places:
-    """Adds the places of one package to ``collection``."""
+    """Adds the lights, cameras and markers of one package to ``collection``."""
 
     def __init__(self, collection: bpy.types.Collection, metres: float, remarks: list[str]):
         self.collection, self.metres, self.remarks = collection, metres, remarks
@@ -47,7 +47,7 @@ class Places:
     # ---- lights
 
     def add_lights(self, lights: list[dict[str, Any]]) -> None:
-        """Lights of the asset format but for the environment, which is the world."""
+        """Add lights of the asset format, except for the environment, which is the world."""
         makers: dict[str, Callable[[dict[str, Any]], bpy.types.Object | None]] = {
             "point": self._point,
             "sphere": self._sphere,
@@ -97,7 +97,7 @@ class Places:
         return thing
 
     def _blend(self, name: str, half_angle: float, beam_width: float) -> float:
-        """The blend whose smooth edge sends as much flux as a linear one from ``beam_width`` on."""
+        """The blend whose smooth edge emits the same flux as a linear one from ``beam_width`` on."""
         if beam_width >= fitted_beam_width(half_angle, 0.0) - 1e-5:
             return 0.0
         if beam_width < fitted_beam_width(half_angle, 1.0) - 1e-5:
@@ -133,7 +133,7 @@ class Places:
         return thing
 
     def _rotation(self, what: str, along_x: NDArray, along_y: NDArray) -> NDArray[np.float64] | None:
-        """Rotation whose X and Y run along two edges; None, with a remark, where they are not square."""
+        """Rotation with X and Y along two edges; None, with a remark, if they are not perpendicular."""
         lengths = np.linalg.norm([along_x, along_y], axis=1)
         if not lengths.min() > 0 or abs(along_x @ along_y) > _SKEW * lengths.prod():
             self.remarks.append(f"{what} is no rectangle and is left out")
@@ -146,7 +146,7 @@ class Places:
     # ---- the world
 
     def set_world(self, light: dict[str, Any], image: Path | None, pack: bool) -> None:
-        """Make an environment light the scene's world; ``image`` is its equirectangular picture."""
+        """Make an environment light the scene's world; ``image`` is its equirectangular image."""
         scene = bpy.context.scene
         if scene.world is not None:
             self.remarks.append(f"the world {scene.world.name!r} gave way to that of the package")
@@ -173,7 +173,7 @@ class Places:
             texture.image.pack()
         matrix = np.array(light.get("world_from_environment", np.eye(4)))
         turn = Matrix((matrix @ np.linalg.inv(WORLD_FROM_ENVIRONMENT)).tolist()).to_3x3()
-        # turning the picture one way is turning its coordinates the other
+        # rotating the picture one way is rotating its coordinates the other way
         mapping.inputs["Rotation"].default_value = turn.inverted().to_euler()
         background.inputs["Strength"].default_value = light.get("scale", 1.0)
         tree.links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
@@ -183,11 +183,11 @@ class Places:
     # ---- cameras
 
     def add_cameras(self, cameras: list[dict[str, Any]]) -> None:
-        """Cameras. Blender keeps the size and shape of pixels with the scene: the first camera sets them."""
+        """Add cameras. Blender stores size and shape of pixels with the scene: the first camera sets them."""
         scene, render = bpy.context.scene, bpy.context.scene.render
         for index, camera in enumerate(cameras):
             width, height = camera["width_px"], camera["height_px"]
-            aspect = camera["fx_px"] / camera["fy_px"]  # a pixel's height by its width
+            aspect = camera["fx_px"] / camera["fy_px"]  # ratio of a pixel's height to its width
             if index == 0 and scene.camera is None:
                 render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
                 render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
@@ -216,7 +216,7 @@ class Places:
     # ---- markers
 
     def add_markers(self, data: dict[str, Any]) -> None:
-        """Support surfaces, light slots, openings and camera regions as tagged wireframes."""
+        """Add support surfaces, light slots, openings and camera regions as tagged wireframes."""
         for entry in data.get("support_surfaces", ()):
             tags = {"sm_kind": entry["kind"], "sm_clearance_m": entry["clearance_m"]}
             self._rectangle(entry, "support_surface", tags)
@@ -263,7 +263,7 @@ class Places:
 
 
 def _emitting_along(direction: Any) -> NDArray[np.float64]:
-    """A rotation whose -Z is ``direction``; its roll is free."""
+    """A rotation whose -Z is ``direction``; its roll is arbitrary."""
     z = -np.asarray(direction, dtype=np.float64)
     z /= np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [0.0, 1.0, 0.0], z)

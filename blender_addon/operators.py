@@ -25,7 +25,7 @@ from .problems import ExportRefused, Problem
 from .settings import KINDS, ExportSettings
 
 _TICK_S = 0.01
-_STEP_BUDGET_S = 0.2  # how long the window may stay without redraw
+_STEP_BUDGET_S = 0.2  # longest time without redrawing the window
 
 KIND_ITEMS = [(kind, kind.capitalize(), "") for kind in KINDS]
 ROLE_ITEMS = [("none", "None", "Nothing special")] + [
@@ -44,7 +44,7 @@ class ProblemItem(bpy.types.PropertyGroup):
 
 
 class ExportOptions(bpy.types.PropertyGroup):
-    """The panel's settings; they live with the window manager, not in the file."""
+    """The panel's settings, stored in the window manager, not in the file."""
 
     directory: StringProperty(name="Folder", subtype="DIR_PATH", default="//packages/")  # type: ignore[valid-type]
     kind: EnumProperty(name="Kind", items=KIND_ITEMS, default="auto")  # type: ignore[valid-type]
@@ -79,7 +79,7 @@ class ExportOptions(bpy.types.PropertyGroup):
     status: StringProperty()  # type: ignore[valid-type]
 
     def settings(self) -> ExportSettings:
-        """The same as the core function's settings."""
+        """The settings for the export functions."""
         return ExportSettings(
             kind=self.kind,
             tolerance=self.tolerance,
@@ -92,7 +92,7 @@ class ExportOptions(bpy.types.PropertyGroup):
         )
 
     def show(self, problems: list[Problem], status: str) -> None:
-        """Fill the list, the worst first."""
+        """Fill the list, the most severe first."""
         self.problems.clear()
         order = {"error": 0, "approximation": 1, "note": 2}
         for problem in sorted(problems, key=lambda p: order[p.severity]):
@@ -108,7 +108,7 @@ def options() -> ExportOptions:
 
 
 class SCENE_MATERIALS_OT_check(bpy.types.Operator):
-    """List what an export would refuse or approximate, without writing anything"""
+    """List all refusals and approximations of an export, without writing anything"""
 
     bl_idname = "scene_materials.check"
     bl_label = "Check"
@@ -121,7 +121,7 @@ class SCENE_MATERIALS_OT_check(bpy.types.Operator):
 
 
 class SCENE_MATERIALS_OT_export(bpy.types.Operator):
-    """Export what is tagged as asset packages; Esc cancels"""
+    """Export everything tagged as asset packages; Esc cancels"""
 
     bl_idname = "scene_materials.export"
     bl_label = "Scene Materials asset package"
@@ -222,7 +222,7 @@ def _redraw(context: bpy.types.Context) -> None:
 
 
 class SCENE_MATERIALS_OT_tag(bpy.types.Operator):
-    """Say what the selected objects, or the active material or collection, are"""
+    """Set the role of the selected objects, or of the active material or collection"""
 
     bl_idname = "scene_materials.tag"
     bl_label = "Tag"
@@ -283,7 +283,7 @@ class SCENE_MATERIALS_OT_set_property(bpy.types.Operator):
 
 
 class SCENE_MATERIALS_OT_select_problem(bpy.types.Operator):
-    """Select the object that the chosen problem names"""
+    """Select the object named by the chosen problem"""
 
     bl_idname = "scene_materials.select_problem"
     bl_label = "Select object"

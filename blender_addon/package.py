@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Turns baked materials and gathered meshes into the entries of ``asset.json`` and the files beside it."""
+"""Converts baked materials and gathered meshes to entries of ``asset.json`` and files beside it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def channel_entry(name: str, channel: Any, stem: str, writer: PackageWriter, bit
 
 
 def image_file(image: bpy.types.Image, writer: PackageWriter, is_colour: bool) -> str:
-    """Write an image's own bytes where their format is one of the package's, else its pixels losslessly."""
+    """Write an image's own bytes if packages support its format, else its pixels losslessly."""
     stem = slug(Path(image.filepath or image.name).stem)
     suffix = _PASSED_THROUGH.get(Path(image.filepath_raw or image.name).suffix.lower())
     if suffix is not None and not image.is_dirty:
@@ -109,7 +109,7 @@ def uv_density(part: Submesh, matrix: NDArray[np.float64]) -> float | None:
 
 
 def box_uv(mesh: MeshArrays, metres: NDArray[np.float64]) -> NDArray[np.float32]:
-    """UVs (C, 2) projected along the dominant axis of each triangle's plane, one unit a metre.
+    """UVs (C, 2) projected along the dominant axis of each triangle's plane, one unit per metre.
 
     ``metres`` (3,) scales the object's axes to metres. Corners that no triangle uses get 0.
     """

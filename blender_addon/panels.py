@@ -14,7 +14,7 @@ _MATERIAL_TAGS = (("sm_class", "other"), ("sm_replaceable_by", "wood, metal"), (
 
 
 class SCENE_MATERIALS_UL_problems(bpy.types.UIList):
-    """Severity, place and message in a line."""
+    """Severity, place and message in one line."""
 
     def draw_item(
         self,

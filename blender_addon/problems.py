@@ -13,9 +13,9 @@ ERROR, APPROXIMATION, NOTE = "error", "approximation", "note"
 class Problem:
     """One entry of the problem list.
 
-    ``severity``: ``error`` stops the export; ``approximation`` is exported otherwise than Blender shows it;
-    ``note`` changes nothing. ``message`` says what was found and, for an approximation, how far off the
-    result is; ``remedy`` what the artist can do.
+    ``severity``: ``error`` stops the export; ``approximation`` is exported differently from Blender's
+    rendering; ``note`` changes nothing. ``message`` states the finding and, for an approximation, the size of
+    the error; ``remedy`` states what the artist can do.
     """
 
     severity: str
@@ -27,7 +27,7 @@ class Problem:
 
     @property
     def place(self) -> str:
-        """Location in words: ``object 'Cup', material 'Glaze', node 'Glass BSDF'``."""
+        """Location as text: ``object 'Cup', material 'Glaze', node 'Glass BSDF'``."""
         parts = [("object", self.object), ("material", self.material), ("node", self.node)]
         return ", ".join(f"{label} {name!r}" for label, name in parts if name)
 
@@ -59,12 +59,12 @@ class ProblemList:
 
     @property
     def errors(self) -> list[Problem]:
-        """Those that stop an export."""
+        """Problems that stop an export."""
         return [problem for problem in self._entries if problem.severity == ERROR]
 
 
 class ExportRefused(Exception):
-    """The export stopped before anything was written; carries every problem that was found."""
+    """The export stopped before anything was written; carries all problems."""
 
     def __init__(self, problems: Iterable[Problem]):
         self.problems = list(problems)

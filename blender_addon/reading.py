@@ -37,7 +37,7 @@ from .targets import Target
 
 @dataclass
 class Contents:
-    """A target with everything read that it holds."""
+    """A target with all data read from the scene."""
 
     target: Target
     gathered: Gathered = field(default_factory=Gathered)
@@ -49,7 +49,7 @@ class Contents:
 
 
 def rendering_layers() -> dict[str, str]:
-    """Material -> the name of the UV layer that renders, where it is the same on all meshes that have it."""
+    """Material -> the name of the active UV layer, if it is the same on all meshes with the material."""
     found: dict[str, set[str]] = {}
     for thing in bpy.data.objects:
         is_mesh = isinstance(thing.data, bpy.types.Mesh)
@@ -79,7 +79,7 @@ class Reader:
         self._rendering_layers = rendering_layers()
 
     def plan(self, name: str) -> MaterialPlan:
-        """A material's plan, made once; its problems join the list."""
+        """A material's plan, made once; its problems are added to the list."""
         if name not in self._plans:
             self._plans[name] = plan_material(
                 bpy.data.materials[name], self.settings.bake_normals, self._rendering_layers.get(name, "")
@@ -88,7 +88,7 @@ class Reader:
         return self._plans[name]
 
     def uv_layers(self) -> dict[str, tuple[str, ...]]:
-        """Name of each planned material -> the UV maps that its nodes name."""
+        """Name of each planned material -> the UV maps named by its nodes."""
         return {name: plan.dependencies.layer_names for name, plan in sorted(self._plans.items())}
 
     # ---- reading
@@ -119,9 +119,7 @@ class Reader:
                 copy.texspace_size = mesh.texspace_size
                 contents.copies[key] = copy
 
-        depsgraph = (
-            self.depsgraph()
-        )  # asked for anew: between the steps of an export it may be evaluated again
+        depsgraph = self.depsgraph()  # requested again: it may be re-evaluated between the steps of an export
         contents.gathered = gather_instances(depsgraph, target.owners.__contains__, keep, self.problems)
         self._check_materials(contents)
         if not contents.gathered.instances:
@@ -221,7 +219,7 @@ class Reader:
             contents.lights.append(entry)
 
     def approximations(self, material: str) -> tuple[str, ...]:
-        """Differences between a material as exported and as Blender shows it."""
+        """Differences between a material as exported and as rendered by Blender."""
         return tuple(
             (f"{problem.node}: " if problem.node else "") + problem.message
             for problem in self.problems

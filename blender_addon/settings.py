@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings of an export, the same for the operator, the panel and the command line."""
+"""Settings of an export, shared by the operator, the panel and the command line."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ KINDS = ("auto", "environment", "object", "material")
 class ExportSettings:
     """Scope and accuracy of an export.
 
-    ``kind``: ``auto`` follows the ``sm_role`` tags, and takes the scene as one environment where there are
-    none. ``tolerance``: mean absolute change of a channel that a texture may still make when it doubles;
-    the texture stops growing there. ``max_texture_px``: side at which it stops in any case (a power of two).
-    ``bake_normals``: bump and normal maps become a normal texture. ``texture_bits``: 8 or 16.
-    ``only``: names of the objects, collections or materials to export (empty: all that are tagged).
-    ``license``, ``author``, ``source``: provenance where the asset's own tags do not say. ``apply_box_uv``:
-    meshes without UVs get box-projected ones at one unit a metre, so that other materials can be put on them.
-    ``report``: write the fidelity report. ``report_python``: Python executable that has this project, for it.
+    ``kind``: ``auto`` follows the ``sm_role`` tags, and exports the scene as one environment if there are
+    none. ``tolerance``: mean absolute change of a channel below which a texture is not doubled again.
+    ``max_texture_px``: its maximum side in any case (a power of two). ``bake_normals``: bump and normal maps
+    become a normal texture. ``texture_bits``: 8 or 16. ``only``: names of the objects, collections or
+    materials to export (empty: all tagged ones). ``license``, ``author``, ``source``: provenance where the
+    asset has no such tags. ``apply_box_uv``: meshes without UVs get box-projected ones at one unit per metre,
+    so that other materials can be assigned to them. ``report``: write the fidelity report. ``report_python``:
+    Python executable that has this project, for it.
     """
 
     kind: str = "auto"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: what Blender reads, as binary glTF.
+"""``python -m blender_addon.to_gltf FILE OUT.glb [FOLDER ...]``: converts files that Blender reads to binary
+glTF.
 
-Scripts in .blend files stay off. Images outside of the file's folder and of the FOLDERs are left out; what is
-left out is printed in lines that begin with ``to_gltf: ``.
+Scripts in .blend files stay off. Images outside of the file's folder and of the FOLDERs are omitted;
+omissions are printed in lines that begin with ``to_gltf: ``.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _MARK = "to_gltf: "
 
 
 def read(path: Path) -> None:
-    """Replace the scene by that of a file. Raises ``RuntimeError`` as Blender's operators do."""
+    """Replace the scene by that of a file. Raises ``RuntimeError`` like Blender's operators."""
     suffix = path.suffix.lower()
     if suffix == ".blend":
         bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
@@ -35,7 +36,7 @@ def read(path: Path) -> None:
 
 
 def leave_out_images(folders: list[Path]) -> None:
-    """Forget images of files elsewhere."""
+    """Remove images whose files are elsewhere."""
     for image in list(bpy.data.images):
         if image.packed_file is not None or not image.filepath:
             continue
@@ -46,7 +47,7 @@ def leave_out_images(folders: list[Path]) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Exit code; 1 where the file could not be read."""
+    """Convert the file; returns the exit code, 1 if it could not be read."""
     source, out = Path(arguments[0]), Path(arguments[1])
     try:
         read(source)

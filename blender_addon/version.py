@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Supported versions of Blender: earlier ones register the extension, and are refused by name."""
+"""Supported versions of Blender. Earlier versions register the extension, but every command refuses them."""
 
 from __future__ import annotations
 
 import bpy
 
 OLDEST = (4, 5)
-"""Earlier ones keep meshes otherwise and give the inputs of the Principled node other names."""
+"""Earlier versions store meshes differently and name the inputs of the Principled node differently."""
 
 
 def fault_of_version() -> tuple[str, str] | None:
-    """Message that this Blender's version is not supported, with the remedy, or None."""
+    """Message and remedy if this version of Blender is not supported, else None."""
     if bpy.app.version[:2] >= OLDEST:
         return None
     oldest = ".".join(map(str, OLDEST))

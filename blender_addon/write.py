@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes asset packages: JSON, PLY, PNG and EXR bytes from arrays. Needs NumPy only, no bpy.
 
-Equal input gives equal bytes. A package appears whole or not at all: it is written into a folder beside its
-place and renamed.
+Equal input gives equal bytes. A package appears whole or not at all: it is written into a temporary folder
+beside its path and renamed.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def quantize(values: NDArray, bits: int) -> NDArray:
 def png_bytes(pixels: NDArray) -> bytes:
     """PNG of (H, W, C) uint8 or uint16, C = 1, 3 or 4, row 0 at the top.
 
-    Each row takes whichever of the five filters makes the least sum of absolute differences.
+    Each row uses the one of the five filters with the smallest sum of absolute differences.
     """
     height, width, channels = pixels.shape
     depth = 8 * pixels.dtype.itemsize
@@ -108,7 +108,7 @@ def exr_bytes(pixels: NDArray) -> bytes:
     """OpenEXR of (H, W, 3) linear Rec.709 as half floats, ZIP-compressed scan lines, row 0 at the top."""
     height, width, _ = pixels.shape
     half = np.clip(pixels, 0, 65504).astype("<f2")
-    planes = half[..., ::-1]  # EXR keeps channels by name: B, G, R
+    planes = half[..., ::-1]  # EXR sorts channels by name: B, G, R
 
     def attribute(name: str, kind: str, value: bytes) -> bytes:
         return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
@@ -143,7 +143,7 @@ def exr_bytes(pixels: NDArray) -> bytes:
 
 
 def _exr_zip(block: bytes) -> bytes:
-    """OpenEXR's ZIP: bytes split into even and odd, differences, zlib; raw where that does not shrink."""
+    """OpenEXR's ZIP: bytes split into even and odd, differences, zlib; raw if that is not smaller."""
     source = np.frombuffer(block, np.uint8)
     split = np.concatenate([source[0::2], source[1::2]]).astype(np.int16)
     split[1:] = (split[1:] - split[:-1] + (128 + 256)) % 256
@@ -172,8 +172,10 @@ def json_bytes(data: dict[str, Any]) -> bytes:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk: a power cut leaves all or nothing."""
-    if os.name != "posix":  # elsewhere neither can be opened for it
+    """Wait until a file, or the names in a folder, are on disk: after a power failure all or nothing is
+    there.
+    """
+    if os.name != "posix":  # Windows cannot open either for it
         return
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -188,7 +190,7 @@ def _sync(path: Path) -> None:
 class PackageWriter:
     """Collects a package's files in a folder beside ``folder`` and moves it there on success.
 
-    Use as a context manager; an exception removes what was written. Files of equal content are kept once.
+    Use as a context manager; an exception removes the files. Files of equal content are stored once.
     """
 
     def __init__(self, folder: Path):

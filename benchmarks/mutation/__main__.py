@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Mutates modules, one change at a time, and counts the changes that their tests notice.
+"""Mutates modules, one change at a time, and counts the changes detected by their tests.
 
     python -m benchmarks.mutation [TARGET ...] [--number N] [--seed S] [--again] [--work DIR] [--out FILE]
 
-For each target (targets.py) the tests run once while their lines are recorded; then a seeded sample of the
-mutants on those lines is tried, each by the tests that run its line, fastest first, until one fails. All of
-it happens in a copy of the project below ``--work``. Results are written after each mutant to ``--out``;
-the same command goes on after them, and ``--again`` tries those once more that survived. A mutant is known by
-its statement and its function, so that results outlast changes elsewhere.
+For each target (targets.py) the tests run once with line tracing; then a seeded sample of the mutants on
+those lines is tried, each with the tests that run its line, fastest first, until one fails. All of it happens
+in a copy of the project below ``--work``. Results are written after each mutant to ``--out``; the same
+command resumes after them, and ``--again`` repeats the survivors. A mutant is identified by its statement and
+its function, so that results remain valid when other code changes.
 
 ``--list`` prints the survivors, ``--table`` the counts in Markdown; both try nothing.
 """
@@ -35,12 +35,13 @@ from benchmarks.mutation.targets import TARGETS, Target
 
 PROJECT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
-MIN_TIMEOUT_S, PATIENCE = 60.0, 6.0  # of a mutant's tests: at least, and of what they take unmutated
+# time limit of a mutant's tests: minimum, and multiple of their time without mutation
+MIN_TIMEOUT_S, PATIENCE = 60.0, 6.0
 SURVIVED = 0  # exit code of pytest
 
 
 class Copy:
-    """A copy of the project that mutants are tried in, with caches of its own."""
+    """A copy of the project in which mutants are tried, with its own caches."""
 
     def __init__(self, work: Path):
         self.root, self.work = work / "project", work
@@ -59,7 +60,7 @@ class Copy:
             (work / name).mkdir(exist_ok=True)
 
     def environment(self, **more: str) -> dict[str, str]:
-        """Of processes that run in the copy."""
+        """Environment of processes in the copy."""
         own = {
             "PYTHONPATH": str(self.root),
             "HOME": str(self.work / "home"),
@@ -69,7 +70,7 @@ class Copy:
         return {**os.environ, **own, **more}
 
     def run_once(self, tests: tuple[str, ...], **more: str) -> None:
-        """Tests in a process of their own; ends this one where they fail."""
+        """Run tests in a separate process; ends this one if they fail."""
         command = [sys.executable, "-m", "pytest", *self._arguments(tests)]
         if more:
             command += ["-p", "benchmarks.mutation.tracing"]
@@ -80,7 +81,7 @@ class Copy:
             sys.exit(f"the tests fail without any mutant:\n{done.stdout[-3000:]}{done.stderr[-1000:]}")
 
     def run(self, tests: list[str], timeout_s: float) -> tuple[int, str]:
-        """Exit code of pytest, negative where it died or took too long, and what it printed."""
+        """Exit code of pytest, negative if it crashed or timed out, and its output."""
         if self._warm is None:
             command = [sys.executable, "-m", "benchmarks.mutation.warm"]
             self._warm = subprocess.Popen(
@@ -107,7 +108,7 @@ class Copy:
 
 
 def trace(copy: Copy, target: Target) -> dict[str, Any]:
-    """Lines that each test of a target executes, as :mod:`benchmarks.mutation.tracing` records them."""
+    """Lines executed by each test of a target, as recorded by :mod:`benchmarks.mutation.tracing`."""
     for path in (copy.work / "children").iterdir():
         path.unlink()
     found = copy.work / "trace.json"
@@ -123,8 +124,10 @@ def trace(copy: Copy, target: Target) -> dict[str, Any]:
 
 
 def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
-    """Tests that run a mutant's line, fastest first: all where importing runs it, or where it is compiled
-    and cannot be watched."""
+    """Tests that run a mutant's line, fastest first.
+
+    All tests, if the line runs on import, or in compiled code, which cannot be traced.
+    """
     lines = set(range(mutant.first_line, mutant.last_line + 1))
     chosen = [name for name, test in tests.items() if lines & test["lines"].get(module, set())]
     return sorted(chosen, key=lambda name: tests[name]["seconds"])
@@ -133,8 +136,9 @@ def covering(mutant: Mutant, module: str, tests: dict[str, Any]) -> list[str]:
 def draw(
     root: Path, target: Target, tests: dict[str, Any], number: int, seed: int
 ) -> list[tuple[str, Mutant, list[str]]]:
-    """A sample of a target's mutants on lines that tests run, with those tests: at most one a statement,
-    kinds in turn."""
+    """A sample of a target's mutants on lines that tests run, with those tests: at most one per statement,
+    kinds in turn.
+    """
     by_kind: dict[str, list[tuple[str, str, Mutant, list[str]]]] = defaultdict(list)
     for module in target.modules:
         source = (root / module).read_text()
@@ -167,7 +171,7 @@ def _is_signature(mutant: Mutant) -> bool:
 
 
 def _unwatched_lines(source: str) -> set[int]:
-    """Lines of functions that become machine code as a whole."""
+    """Lines of functions that are compiled as a whole."""
     import ast
 
     lines: set[int] = set()
@@ -182,11 +186,11 @@ def _unwatched_lines(source: str) -> set[int]:
 def attempt(
     copy: Copy, module: str, mutant: Mutant, names: list[str], tests: dict[str, Any]
 ) -> dict[str, Any]:
-    """Try one mutant: its verdict, and which test noticed."""
+    """Try one mutant; returns its verdict, and the test that detected it."""
     path = copy.root / module
     source, times = path.read_text(), path.stat()
     usual = sum(tests[name]["seconds"] for name in names)
-    if "@compiled" in source:  # what other functions have taken into their machine code is not renewed
+    if "@compiled" in source:  # functions compiled with an inlined copy would not be renewed
         shutil.rmtree(copy.work / "numba", ignore_errors=True)
         usual += 30.0
     start = time.perf_counter()
@@ -208,7 +212,7 @@ def attempt(
 
 
 def equivalents() -> dict[str, str]:
-    """Reasons why mutants change nothing that could be noticed, by key."""
+    """Reasons why mutants are equivalent to the original, by key."""
     return {row["key"]: row["why"] for row in yaml.safe_load(EQUIVALENT.read_text())}
 
 
@@ -232,7 +236,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 
 
 def survivors(results: dict[str, dict[str, Any]]) -> str:
-    """Those that no test noticed, with the reason where one is known."""
+    """Mutants that no test detected, with the reason if one is known."""
     known, lines = equivalents(), []
     for key, row in results.items():
         if row["verdict"] == "survived":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Record of the lines of some files that a process runs."""
+"""Records which lines of some files a process runs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ class Tracer:
 
 
 def trace_child() -> None:
-    """For a process that a test started: each line is written when it is first run, whatever ends it."""
+    """Trace a process started by a test: each line is written when it first runs, however the process
+    ends.
+    """
     folder = os.environ.get("MUTATION_CHILDREN")
     if folder:
         file = (Path(folder) / f"{os.getpid()}.txt").open("a")

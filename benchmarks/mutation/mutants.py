@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Mutants of a module: single changes of its source text, found in its syntax tree.
 
-Text is replaced where the tree says that a piece of it stands, so that all else, line numbers included,
-stays. Messages, annotations and imports are left alone.
+Text is replaced at the positions given by the tree, so that everything else, line numbers included, stays.
+Messages, annotations and imports are not mutated.
 """
 
 from __future__ import annotations
@@ -63,18 +63,21 @@ SWAPS = {
 }
 SWAPS |= {new: old for old, new in SWAPS.items() if new != "bit_count"}
 UNWRAPPED = ("clip", "sqrt", "abs", "square", "normalize", "detach", "log", "exp", "sorted")
-"""Functions of which a mutant is their first argument."""
+"""Functions that a mutant replaces by their first argument."""
 UNCHAINED = ("clamp_min", "clamp_max", "sqrt", "cumsum")
-"""Methods of which a mutant is their object."""
+"""Methods that a mutant replaces by their object."""
 WORDS = ("Problem", "input_error", "InputError", "ValueError", "RuntimeError", "print", "filterwarnings")
 """Calls whose arguments only word a message."""
-SMALLEST = 1e-5  # a number below it guards against rounding; its mutant is no guard
+SMALLEST = 1e-5  # smaller numbers guard against rounding; their mutants would change nothing
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """``text`` between two offsets of a module's source becomes ``new``. ``first_line`` and ``last_line``
-    are those of the statement; ``key`` stays while the statement and the function around it do."""
+    """A change: ``text`` between two offsets of a module's source becomes ``new``.
+
+    ``first_line`` and ``last_line`` are those of the statement; ``key`` is stable as long as the statement
+    and its function are.
+    """
 
     key: str
     kind: str
@@ -103,7 +106,7 @@ class _Finder:
         self.found: list[tuple[str, str, ast.stmt, int, int, str]] = []
 
     def offset(self, line: int, column: int) -> int:
-        """Of a place that the tree gives, whose columns count bytes."""
+        """Offset of a position in the tree, whose columns count bytes."""
         return self._starts[line - 1] + len(self._lines[line - 1].encode()[:column].decode())
 
     def span(self, node: ast.AST) -> tuple[int, int]:
@@ -184,7 +187,7 @@ class _Finder:
         if isinstance(node, ast.Compare):
             self._compare(node, function, of)
         elif isinstance(node, ast.BinOp):
-            if not (_is_text(node.left) or _is_text(node.right)):  # of paths and messages
+            if not (_is_text(node.left) or _is_text(node.right)):  # in paths and messages
                 self._operator(node.op, self.span(node.left)[1], self.span(node.right)[0], function, of)
         elif isinstance(node, ast.BoolOp):
             self._between(node.values[0], node.values[1], isinstance(node.op, ast.And), function, of)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files to mutate and the tests that cover each: the smallest files that do."""
+"""Files to mutate and the tests that cover each, by the smallest sufficient files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """Modules that are mutated, the tests that shall notice, and how many mutants are drawn."""
+    """Modules to mutate, the tests that should detect it, and the number of mutants."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Plugin of pytest that records the lines of some files that each test runs, and the test's duration.
+"""Pytest plugin that records the lines of some files that each test runs, and the test's duration.
 
 ``MUTATION_FILES`` names the files (separated by ``:``), ``MUTATION_TRACE`` the JSON file that is written:
 ``{test: {"seconds": s, "lines": {file: [line, ...]}}}``. Lines run by a fixture count for every test that
-uses it. Other processes that a test starts write their lines into ``MUTATION_CHILDREN``, a folder.
+uses it. Child processes of a test write their lines into ``MUTATION_CHILDREN``, a folder.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""A process that has imported what takes long, and runs each call of pytest in a fork of itself.
+"""A process that has imported slow modules and runs each call of pytest in a fork of itself.
 
-Reads one JSON object a line: ``arguments`` of pytest, ``environment`` to add, ``timeout_s`` and the file for
-its ``output``; answers with the exit code, negative where a signal ended it. Modules of the project are
-imported by the fork alone.
+Reads one JSON object per line: ``arguments`` of pytest, ``environment`` to add, ``timeout_s`` and the file
+for its ``output``; answers with the exit code, negative after a signal. Modules of the project are imported
+by the fork alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import time
 from contextlib import suppress
 from typing import Any
 
-# Nothing here starts threads when it is imported, which a fork would lose.
+# No import here may start threads, which a fork would lose.
 LIBRARIES = (
     "pytest", "hypothesis", "numpy", "scipy.ndimage", "scipy.sparse", "pydantic", "yaml", "torch", "numba",
     "trimesh", "psutil", "OpenEXR",
@@ -27,9 +27,9 @@ CLOCK_SHARE = 10.0
 
 
 def serve() -> None:
-    """Answer until the input ends."""
+    """Answer requests until the input ends."""
     for name in LIBRARIES:
-        with suppress(ImportError):  # an optional one
+        with suppress(ImportError):  # an optional module
             importlib.import_module(name)
     for line in sys.stdin:
         request = json.loads(line)
@@ -55,8 +55,11 @@ def _run(request: dict[str, Any]) -> None:
 
 
 def outcome_of(process: int, timeout_s: float) -> int:
-    """Exit code of a process that is killed after ``timeout_s`` of processor time, since other work may keep
-    tests from running, or ten times that by the clock, since they may sleep."""
+    """Exit code of a process that is killed after ``timeout_s`` of processor time, or ten times that of wall
+    time.
+
+    Processor time excludes delays by other work; wall time covers tests that sleep.
+    """
     end = time.monotonic() + CLOCK_SHARE * timeout_s
     while time.monotonic() < end and _processor_s(process) < timeout_s:
         found, status = os.waitpid(process, os.WNOHANG)
@@ -69,14 +72,14 @@ def outcome_of(process: int, timeout_s: float) -> int:
 
 
 def _processor_s(process: int) -> float:
-    """Of a process and all that it started."""
+    """Processor time in seconds of a process and its children."""
     import psutil
 
     total = 0.0
-    with suppress(psutil.Error):  # one of them ended meanwhile
+    with suppress(psutil.Error):  # a child ended meanwhile
         top = psutil.Process(process)
         for one in (top, *top.children(recursive=True)):
-            total += sum(one.cpu_times()[:4])  # user, system, and both of children that ended
+            total += sum(one.cpu_times()[:4])  # user, system, and both of finished children
     return total
 
 

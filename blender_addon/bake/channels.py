@@ -5,8 +5,8 @@ With lobe weights w, diffuse reflectances r, F0s s and slope widths a = roughnes
 
     S = sum w s        D = sum w r / (1 - S)        R = sqrt(sum w m a / sum w m),  m = mean component of s
 
-D divides by 1 - S because the project's BSDF renders (1 - S) D / pi: so what is kept through a mix is the
-light that is reflected diffusely, not the parameter (docs/decisions/0030). A single lobe keeps its own.
+D is divided by 1 - S because the project's BSDF renders (1 - S) D / pi: a mix thus preserves the diffusely
+reflected light, not the parameter (docs/decisions/0030). A single lobe keeps its own D.
 """
 
 from __future__ import annotations
@@ -30,16 +30,17 @@ from .expression import (
     widen,
 )
 
-_MIN_DIFFUSE_SHARE: Expression = constant(1e-3)  # a mix that is all specular leaves 0 / 0 for D
+_MIN_DIFFUSE_SHARE: Expression = constant(1e-3)  # a mix that is entirely specular would give 0 / 0 for D
 _NO_SPECULAR: Expression = constant(
     1e-6
-)  # without any specular part the mean slope width is 0 / 0; so it becomes 1
+)  # without any specular part the mean slope width would be 0 / 0; it becomes 1
 
 
 @dataclass(frozen=True)
 class Channels:
-    """Expressions of the channels; ``opacity`` is None where the surface is opaque, ``emission`` None where
-    it does not emit."""
+    """Expressions of the channels; ``opacity`` is None if the surface is opaque, ``emission`` None if it does
+    not emit.
+    """
 
     diffuse_albedo: Expression
     specular_albedo: Expression
@@ -60,7 +61,7 @@ class Channels:
 
 
 def channels_of(closures: Closures) -> Channels:
-    """The channels of a surface. A surface without any lobe is black and rough, as Blender renders it."""
+    """The channels of a surface. A surface without any lobe is black and rough, as in Blender."""
     opacity: Expression = clamp_sum(complement(closures.transparency))
     lobes = _normalized(closures.lobes, opacity)
     diffuse: Expression = BLACK
@@ -82,14 +83,16 @@ def channels_of(closures: Closures) -> Channels:
 
 
 def clamp_sum(expression: Expression) -> Expression:
-    """Clamp unless it is the plain value of a socket or a constant inside [0, 1] already."""
+    """The clamped expression, unless it is already the plain value of a socket or a constant inside [0,
+    1].
+    """
     if is_constant(expression, 1):
         return expression
     return clamp(expression)
 
 
 def _normalized(lobes: list[Lobe], opacity: Expression) -> list[Lobe]:
-    """Weights relative to the opaque share, so that a mask does not darken what it leaves."""
+    """Lobes with weights relative to the opaque share, so that a mask does not darken the rest."""
     if is_constant(opacity, 1):
         return lobes
     bare = _unclamped(opacity)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A graph of closures as a list of weighted lobes, each a diffuse reflectance, an F0 and a roughness.
+"""A graph of closures as a list of weighted lobes, each with a diffuse reflectance, an F0 and a roughness.
 
-Mix Shader weights its inputs, Add Shader sums them, groups are looked through. Closures without a counterpart
-in the project's BSDF are approximated with a statement of the error or refused by name: the policy for each
-closure is in the function that handles it and, in words, in docs/blender.md.
+Mix Shader weights its inputs, Add Shader sums them, groups are entered. Closures without a counterpart in the
+project's BSDF are approximated with a statement of the error, or refused by name: the policy for each closure
+is in the function that handles it, and described in docs/blender.md.
 """
 
 from __future__ import annotations
@@ -37,14 +37,17 @@ from .expression import (
 from .graph import Graph, Stack, input_of, source_of, value_of
 
 TRANSMISSION_POLICIES = ("refuse", "opaque", "mask")
-"""Values of ``sm_transmission``: the treatment of materials that transmit light."""
+"""Values of ``sm_transmission``: the treatment of transmissive materials."""
 _SMALL_TRANSMISSION = 0.1
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """One weighted closure: ``diffuse`` is its diffuse reflectance (already without what the specular part
-    takes), ``specular`` its F0, ``roughness`` perceptual (None: no specular part), all as expressions."""
+    """One weighted closure.
+
+    ``diffuse`` is its diffuse reflectance (already reduced by the specular part), ``specular`` its F0,
+    ``roughness`` perceptual (None: no specular part), all as expressions.
+    """
 
     weight: Expression
     diffuse: Expression
@@ -55,8 +58,11 @@ class Lobe:
 
 @dataclass
 class Closures:
-    """Closures of a surface graph, combined. ``transparency`` is the weight that lets light straight through;
-    ``emission`` is radiance per unit strength; ``normals`` are linked Normal inputs (stack, socket)."""
+    """Closures of a surface graph, combined.
+
+    ``transparency`` is the weight that transmits light straight; ``emission`` is radiance per unit strength;
+    ``normals`` are linked Normal inputs (stack, socket).
+    """
 
     lobes: list[Lobe] = field(default_factory=list)
     transparency: Expression = ZERO
@@ -65,7 +71,7 @@ class Closures:
 
 
 class ClosureWalk:
-    """Walks the closures of one material. ``policy`` is one of :data:`TRANSMISSION_POLICIES`."""
+    """Traverses the closures of one material. ``policy`` is one of :data:`TRANSMISSION_POLICIES`."""
 
     def __init__(self, material: str, problems: ProblemList, policy: str = "refuse"):
         self.material, self.problems, self.policy = material, problems, policy
@@ -146,14 +152,14 @@ class ClosureWalk:
         handler(self, source.stack, node, weight)
 
     def _colour_as_shader(self, socket: bpy.types.NodeSocket, stack: Stack, weight: Expression) -> None:
-        source = source_of(stack, socket)  # Cycles turns a colour that meets a shader input into emission
+        source = source_of(stack, socket)  # Cycles treats a colour linked to a shader input as emission
         assert source.node is not None and source.socket is not None
         self._report(
             ERROR, source.node, "a colour is linked to a shader input", "put a shader node between them"
         )
 
     def _drop(self, node: bpy.types.Node, value: Expression, what: str, off_by: str) -> None:
-        """Note an input that has no counterpart, unless it is off."""
+        """Note an input without a counterpart, unless it is off."""
         if not is_constant(value, 0):
             amount = f" (= {value.value[0]:.3g})" if isinstance(value, Constant) else ""
             self._report(APPROXIMATION, node, f"{what}{amount} is left out: {off_by}")
@@ -235,7 +241,7 @@ class ClosureWalk:
             self._report(ERROR, node, "thin film interference cannot be exported", "set its thickness to 0")
 
     def _transmit(self, node: bpy.types.Node, transmission: Expression) -> Expression:
-        """The share that becomes transparency, after the material's policy for transmission."""
+        """The share that becomes transparency, by the material's policy for transmission."""
         if is_constant(transmission, 0):
             return ZERO
         amount = transmission.value[0] if isinstance(transmission, Constant) else 1.0
@@ -269,7 +275,7 @@ class ClosureWalk:
         self.result.emission = add(self.result.emission, multiply(weight, widen(radiance)))
 
     def _round(self, stack: Stack, node: bpy.types.Node) -> None:
-        """Drop the anisotropy of a highlight."""
+        """Ignore the anisotropy of a highlight."""
         self._drop(
             node,
             self._value(stack, node, "Anisotropy"),

@@ -36,11 +36,10 @@ _ON_MESH = {"VERTEX_COLOR", "BEVEL", "AMBIENT_OCCLUSION", "WIREFRAME", "TANGENT"
 class Dependencies:
     """Dependencies of values.
 
-    ``uv_layers`` read ("" is the layer that renders; ``named`` lists the names by which nodes call it);
-    ``frames`` in which image textures read them, None for
-    any other use of UVs; ``repeats``: no image ends at its border; ``image_px``: largest width and height of
-    the images; ``mesh``: needs the mesh itself; ``world``: needs the instance's place; ``object_info``: needs
-    Object Info values.
+    ``uv_layers`` that are read ("" is the active render layer; ``named`` lists the names by which nodes refer
+    to it); ``frames`` in which image textures read them, None for any other use of UVs; ``repeats``: no image
+    ends at its border; ``image_px``: largest width and height of the images; ``mesh``: needs the mesh itself;
+    ``world``: needs the instance's transform; ``object_info``: needs Object Info values.
     """
 
     uv_layers: set[str] = field(default_factory=set)
@@ -58,19 +57,19 @@ class Dependencies:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether everything repeats with each unit of the one frame that images are read in."""
+        """Whether everything repeats with each unit of the single frame in which images are read."""
         return self.repeats and None not in self.frames
 
     @property
     def layer_names(self) -> tuple[str, ...]:
-        """Every UV layer that nodes call by a name."""
+        """All UV layers that nodes refer to by name."""
         return tuple(sorted(layer for layer in self.uv_layers | self.named if layer))
 
     @property
     def detail_px(self) -> tuple[int, int] | None:
-        """Texels a unit of the one frame, along u and v, that hold all detail: those of the images.
+        """Texels per unit of the single frame, along u and v, that preserve all detail: those of the images.
 
-        None where anything but images varies, or where they are read in several frames.
+        None if anything but images varies, or if they are read in several frames.
         """
         if self.needs_mesh or None in self.frames or len(self.frames) != 1:
             return None
@@ -78,7 +77,7 @@ class Dependencies:
 
     @property
     def needs_mesh(self) -> bool:
-        """Whether a bake on a plane cannot stand in for the mesh."""
+        """Whether a bake on a plane cannot replace one on the mesh."""
         return self.mesh or self.world or len(self.uv_layers) > 1
 
     @property
@@ -86,7 +85,7 @@ class Dependencies:
         return self.world or self.object_info
 
     def merge(self, other: Dependencies) -> None:
-        """Add what ``other`` depends on."""
+        """Add the dependencies of another."""
         self.uv_layers |= other.uv_layers
         self.named |= other.named
         self.frames |= other.frames
@@ -97,15 +96,15 @@ class Dependencies:
         self.object_info |= other.object_info
 
     def see_image(self, width: int, height: int) -> None:
-        """Count in the size of an image."""
+        """Include the size of an image."""
         self.image_px = (max(self.image_px[0], width), max(self.image_px[1], height))
 
 
 class DependencyWalk:
-    """Walks upstream of expressions of one material's tree.
+    """Traverses a material's tree upstream of expressions.
 
-    ``rendering_layer``: the name of the UV layer that renders on every mesh with the material, if it is the
-    same on all: nodes that call it by that name and nodes that call none read the same.
+    ``rendering_layer``: the name of the active UV layer of every mesh with the material, if it is the same on
+    all: nodes that name it and nodes without a name then read the same layer.
     """
 
     def __init__(
@@ -118,7 +117,7 @@ class DependencyWalk:
         self._is_normal = False
 
     def of(self, *expressions: Expression) -> Dependencies:
-        """Everything that the expressions depend on."""
+        """All dependencies of the expressions."""
         self._seen, self._result = set(), Dependencies()
         for expression in expressions:
             for value in sorted(sockets(expression), key=lambda s: (s.path, s.node, s.socket)):
@@ -182,7 +181,7 @@ class DependencyWalk:
         elif self._is_normal and kind == "NORMAL_MAP" and node.space == "TANGENT":
             self._layer(node.uv_map)
         elif self._is_normal and kind == "BUMP":
-            pass  # what matters is what its height depends on
+            pass  # only the dependencies of its height matter
         elif kind in _ON_MESH:
             self._result.mesh = True
         elif kind in ("FRESNEL", "LAYER_WEIGHT"):
@@ -213,7 +212,7 @@ class DependencyWalk:
                 self._result.mesh = True
 
     def _layer(self, layer: str) -> str:
-        """Note a UV layer that is read; returns what it is called from here on."""
+        """Record a UV layer that is read; returns its name from now on."""
         if layer and layer == self.rendering_layer:
             self._result.named.add(layer)
             layer = ""
@@ -222,14 +221,14 @@ class DependencyWalk:
 
     def _uv(self, layer: str) -> None:
         self._layer(layer)
-        self._result.frames.add(None)  # read other than by an image through an affine map
+        self._result.frames.add(None)  # read by anything but an image through an affine map
 
     def _image(self, stack: Stack, node: bpy.types.Node) -> None:
         if node.image is None:
             self._report(ERROR, node, "the Image Texture has no image", "choose an image or remove the node")
             return
         if node.image.source in ("FILE", "TILED") and not node.image.has_data and not node.image.packed_file:
-            pixels_exist = node.image.size[0] > 0  # loads it
+            pixels_exist = node.image.size[0] > 0  # accessing the size loads the image
             if not pixels_exist:
                 self._report(
                     ERROR,
@@ -255,7 +254,7 @@ class DependencyWalk:
             self._result.frames.add(UvFrame(self._layer(frame.layer), frame.matrix))
             self._result.see_image(*node.image.size)
             if node.image.source == "TILED":
-                self._result.frames.add(None)  # each tile has a size of its own
+                self._result.frames.add(None)  # each tile has its own size
             if node.extension != "REPEAT" or node.image.source == "TILED":
                 self._result.repeats = False
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bakes channel expressions to arrays with Cycles' EMIT bake, in a scene of its own.
+"""Bakes channel expressions to arrays with Cycles' EMIT bake, in a separate scene.
 
-Everything that is created (scene, copies of materials and groups, images, meshes) belongs to a
-:class:`BakeSession` and is removed when it closes, whatever happened in between.
+All created data (scene, copies of materials and groups, images, meshes) belongs to a :class:`BakeSession` and
+is removed when it closes, also after errors.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _VECTOR_MATH = {
 _SCALAR_MATH = {**_VECTOR_MATH, "sqrt": "SQRT"}
 Array = NDArray[np.float32]
 _NOT_BAKED = -1.0
-"""Value of texels that the bake leaves alone; an EMIT or NORMAL bake never gives it. (A bake that clears its
-image sets alpha to 1 everywhere, so that alpha does not tell which texels were hit.)"""
+"""Value of texels that the bake does not write; an EMIT or NORMAL bake never gives it. (A bake that clears
+its image sets alpha to 1 everywhere, so that alpha does not show which texels were hit.)"""
 
 
 @dataclass(frozen=True)
 class WorkingMaterial:
-    """A copy of a material whose channel values are top-level sockets, switched to the output one by one.
+    """A copy of a material whose channel values are top-level sockets, connected to the output one by one.
 
-    ``surface`` is what the output showed before, for the bake of normals.
+    ``surface`` is the original surface, for the bake of normals.
     """
 
     material: bpy.types.Material
@@ -82,7 +82,7 @@ class BakeSession:
         return self._scene
 
     def own(self, collection: Any, block: Any) -> Any:
-        """Have a datablock removed when the session closes."""
+        """Register a datablock for removal when the session closes."""
         self._created.append((collection, block))
         return block
 
@@ -158,7 +158,7 @@ class BakeSession:
         node: bpy.types.Node,
         single_user: set[tuple[str, ...]],
     ) -> None:
-        """Give a group node a tree of its own, once."""
+        """Give a group node its own tree, once."""
         if path not in single_user:
             node.node_tree = self.own(bpy.data.node_groups, node.node_tree.copy())
             node.node_tree.name = f"{_PREFIX}group"
@@ -191,7 +191,7 @@ class BakeSession:
 
     @contextmanager
     def only(self, thing: bpy.types.Object) -> Iterator[None]:
-        """Make an object the sole, selected and active one for operators."""
+        """Make an object the only, selected and active one for operators."""
         layer = self.scene.view_layers[0]
         for other in self.scene.collection.objects:
             other.hide_render = other != thing
@@ -283,7 +283,7 @@ class _Builder:
         self._built: dict[Expression, bpy.types.NodeSocket | Constant] = {}
 
     def build(self, expression: Expression) -> bpy.types.NodeSocket | Constant:
-        """The top-level socket that carries an expression; constants stay constants."""
+        """The top-level socket with an expression's value; constants stay constants."""
         if isinstance(expression, Constant):
             return expression
         if expression not in self._built:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Values of a shader graph as small expressions: constants, sockets of the graph, and arithmetic on them.
 
-A channel of the project's BSDF is such an expression. Building one folds constants, so that what stays
-constant, or is just one socket, shows; what remains is built from math nodes and baked. Widths: 1 is a
-scalar, 3 a linear Rec.709 colour or a vector. A scalar meets a colour by repetition.
+A channel of the project's BSDF is such an expression. Building one folds constants, which reveals expressions
+that are constant or just one socket; the others are built from math nodes and baked. Widths: 1 is a scalar, 3
+a linear Rec.709 colour or a vector. A scalar combined with a colour is repeated.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class SocketValue:
-    """The value of an output socket: ``path`` names the group nodes from the material's tree down to it."""
+    """The value of an output socket; ``path`` names the group nodes from the material's tree down to it."""
 
     path: tuple[str, ...]
     node: str
@@ -89,7 +89,7 @@ def _is_complement(expression: Expression) -> bool:
 
 
 def operate(name: str, *arguments: Expression) -> Expression:
-    """Apply an operation, folding what is known and dropping neutral elements."""
+    """Apply an operation, folding constants and dropping neutral elements."""
     width = max(argument.width for argument in arguments)
     if all(isinstance(argument, Constant) for argument in arguments):
         function = OPERATIONS[name]
@@ -116,7 +116,7 @@ def operate(name: str, *arguments: Expression) -> Expression:
         if name in ("minimum", "maximum") and a == b:
             return a
         if name == "divide" and a == b and a.width == width:
-            return ONE  # where both are 0 nothing of the lobe is seen, so that its value does not matter
+            return ONE  # if both are 0 the lobe is invisible, so that its value does not matter
         if name == "subtract" and is_constant(a, 1) and _is_complement(b) and b.width == width:
             return b.arguments[1]  # type: ignore[union-attr]
     return Operation(name, arguments, width)
@@ -143,7 +143,7 @@ def divide(a: Expression, b: Expression) -> Expression:
 
 
 def clamp(expression: Expression) -> Expression:
-    """Into [0, 1]."""
+    """Clamp to [0, 1]."""
     return operate("minimum", operate("maximum", expression, ZERO), ONE)
 
 
@@ -187,7 +187,7 @@ def fresnel_f0(ior: Expression) -> Expression:
 
 
 def sockets(expression: Expression) -> set[SocketValue]:
-    """All graph sockets that the expression reads."""
+    """All graph sockets read by the expression."""
     if isinstance(expression, SocketValue):
         return {expression}
     if isinstance(expression, Operation):

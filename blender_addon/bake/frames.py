@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Affine maps between a UV layer and the texture coordinates that an image is read with."""
+"""Affine maps from a UV layer to the texture coordinates of an image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .graph import Stack, input_of, source_of, value_of
 
 @dataclass(frozen=True)
 class UvFrame:
-    """Texture coordinates = ``matrix`` @ (u, v, 1) of the UV layer ``layer`` ("": the one that renders).
+    """Texture coordinates = ``matrix`` @ (u, v, 1) of the UV layer ``layer`` ("": the active render layer).
 
     ``matrix`` is two rows of three numbers, rounded so that equal maps compare equal.
     """
@@ -45,7 +45,7 @@ IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 
 def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] | None:
-    """3x3 homogeneous map of a Mapping node in the UV plane, None where it is not constant or not planar."""
+    """3x3 homogeneous map of a Mapping node in the UV plane, None if it is not constant or not planar."""
     if node.vector_type not in ("POINT", "TEXTURE"):
         return None
     values: list[tuple[float, ...]] = []
@@ -72,7 +72,7 @@ def _mapping_matrix(stack: Stack, node: bpy.types.Node) -> NDArray[np.float64] |
 
 
 def image_frame(stack: Stack, node: bpy.types.Node) -> UvFrame | None:
-    """The frame in which an Image Texture reads its image; None where it is no affine map of a UV layer."""
+    """The frame in which an Image Texture reads its image; None if it is no affine map of a UV layer."""
     legacy = node.texture_mapping
     if (
         tuple(legacy.translation) != (0, 0, 0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Follows links of a shader graph to where a value really comes from. Reads the graph, never changes it.
+"""Follows links of a shader graph to the origin of a value. Reads the graph, never changes it.
 
-A *stack* is the tuple of group nodes from the material's tree down to the tree being looked at; reroutes,
-muted nodes, muted links and group boundaries are looked through.
+A *stack* is the tuple of group nodes from the material's tree down to the current tree; reroutes, muted
+nodes, muted links and group boundaries are passed through.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ class Graph:
     tree: bpy.types.NodeTree
 
     def output_node(self) -> bpy.types.Node | None:
-        """The output node that Cycles renders."""
+        """The output node used by Cycles."""
         return self.tree.get_output_node("CYCLES")
 
 
 @dataclass(frozen=True)
 class Source:
     """Source of an input's value: an output ``socket`` of ``node``, or an unlinked input ``socket`` (``node``
-    is None), or neither (both None: a muted node without a passage)."""
+    is None), or neither (both None: a muted node without an internal link).
+    """
 
     stack: Stack
     node: bpy.types.Node | None
@@ -122,7 +123,7 @@ def default_of(socket: bpy.types.NodeSocket) -> Constant:
 
 
 _OF_IMAGES = ("TEX_IMAGE", "SEPARATE_COLOR", "SEPRGB")
-# Values that mean the same for every export: the graph is seen as by a camera ray that hits the front.
+# Values with the same meaning for every export: those for a camera ray that hits the front.
 LIGHT_PATH_VALUES = {"Is Camera Ray": 1.0}
 
 
@@ -153,9 +154,9 @@ def value_of(stack: Stack, socket: bpy.types.NodeSocket) -> Expression:
 
 
 def _known_product(source: Source) -> Constant | None:
-    """0 where a Math node multiplies a component of an image by it: importers switch textures off so.
+    """0 if a Math node multiplies a component of an image by 0, which importers write to switch textures off.
 
-    Of anything else a bake finds out that it is constant; an image would not pass through for it.
+    Other constants are detected by the bake, but an image could not be passed through unchanged for them.
     """
     node = source.node
     if node is None or node.type != "MATH" or node.operation != "MULTIPLY":
@@ -167,7 +168,7 @@ def _known_product(source: Source) -> Constant | None:
 
 
 def node_at(tree: bpy.types.NodeTree, path: tuple[str, ...], name: str) -> tuple[Stack, bpy.types.Node]:
-    """The node that an expression's socket belongs to, with the stack that leads to it."""
+    """The node of an expression's socket, with the stack that leads to it."""
     stack: Stack = ()
     for group in path:
         stack = (*stack, tree.nodes[group])

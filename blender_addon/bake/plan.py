@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Decides for each channel of a material how it becomes a constant or a texture. Changes no data.
+"""Chooses for each channel of a material how it becomes a constant or a texture. Changes no data.
 
 - ``constant``: nothing upstream varies; evaluated once.
-- ``image``: the channel is an image file read through the UV map; the file passes through.
+- ``image``: the channel is an image file read through the UV map; the file is used unchanged.
 - ``plane``: depends on UVs only; baked once per material on a plane.
-- ``mesh``: depends on object coordinates, attributes or place; baked per mesh (or per instance).
+- ``mesh``: depends on object coordinates, attributes or transform; baked per mesh (or per instance).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NORMAL = "normal"
 
 @dataclass(frozen=True)
 class PlainImage:
-    """A channel that is one image: ``channel`` rgb, r, g, b or a; ``encoding`` srgb or linear."""
+    """A channel that is one unchanged image: ``channel`` rgb, r, g, b or a; ``encoding`` srgb or linear."""
 
     image: bpy.types.Image
     channel: str
@@ -42,9 +42,9 @@ class PlainImage:
 class MaterialPlan:
     """Export plan of one material.
 
-    ``constants`` need no bake beyond a value; ``images`` pass through, a normal map among them if normals are
-    wanted and ``bakes_normal`` is not needed for them; ``varying`` are baked on a plane, or on the mesh if
-    ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
+    ``constants`` need no bake except for a value; ``images`` are used unchanged, including a normal map if
+    normals are exported and ``bakes_normal`` is not needed for them; ``varying`` are baked on a plane, or on
+    the mesh if ``needs_mesh``. ``frame`` maps the mesh's UVs to the textures' (None: no texture).
     """
 
     name: str
@@ -60,7 +60,7 @@ class MaterialPlan:
 
     @property
     def needs_mesh(self) -> bool:
-        """Whether a part of its own mesh has to be baked."""
+        """Whether a part with its own mesh must be baked."""
         return (bool(self.varying) or self.bakes_normal) and self.dependencies.needs_mesh
 
     @property
@@ -69,7 +69,7 @@ class MaterialPlan:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether one UV unit holds everything."""
+        """Whether one UV unit contains everything."""
         return self.dependencies.is_periodic
 
 
@@ -78,7 +78,7 @@ def plan_material(
 ) -> MaterialPlan:
     """Plan one material; problems are in the plan. ``bakes_normal``: Normal inputs become a texture.
 
-    ``rendering_layer``: the UV layer that renders on all meshes with the material, "" if they differ.
+    ``rendering_layer``: the active UV layer of all meshes with the material, "" if they differ.
     """
     problems = ProblemList()
     policy = str(material.get("sm_transmission", "refuse"))
@@ -134,7 +134,8 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         if (image := plain_image(tree, expression, name in SCALAR_CHANNELS)) is not None
     }
     for name, image in list(plain.items()):
-        if image.channel == "a" and _is_opaque(image.image):  # a JPEG, say, which has no such component
+        # for example a JPEG, which has no such component
+        if image.channel == "a" and _is_opaque(image.image):
             plan.constants[name] = Constant((1.0,))
             del plain[name], varying[name]
     normal = plain_normal(plan.normals, walk.rendering_layer) if plan.bakes_normal else None
@@ -156,7 +157,7 @@ def _classify(plan: MaterialPlan, walk: DependencyWalk, problems: ProblemList) -
         return
     read_frames = plan.dependencies.frames
     if plan.dependencies.needs_mesh or not plan.dependencies.uv_layers:
-        plan.frame = None  # laid out anew, or without texture
+        plan.frame = None  # with a new layout, or without texture
     elif len(read_frames) == 1 and None not in read_frames:
         (plan.frame,) = read_frames
     else:
@@ -183,7 +184,7 @@ def _note_interpolation(
 
 
 def force_bake(plan: MaterialPlan, on_mesh: bool) -> MaterialPlan:
-    """The same plan with pass-through images baked too, because their coordinates cannot be kept."""
+    """The same plan with all images baked, because their coordinates cannot be kept."""
     varying = {
         name: expression
         for name, expression in plan.channels.baked().items()
@@ -211,7 +212,7 @@ def _strip_clamp(expression: Expression) -> tuple[Expression, bool]:
 
 
 def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: bool) -> PlainImage | None:
-    """The image that the expression is, if it is nothing but an image read through an affine UV map."""
+    """The image of an expression that is nothing but an image read through an affine UV map, else None."""
     bare, _ = _strip_clamp(expression)
     is_luminance = isinstance(bare, Operation) and bare.name in ("luminance", "average")
     if is_luminance:
@@ -242,7 +243,7 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
         return None
     if (channel == "rgb") == is_scalar:
         if not is_scalar or not _is_grey(image):
-            return None  # one component as a colour, or a coloured image read as a value: bake
+            return None  # one component used as a colour, or a coloured image as a value: bake
         channel = "r"
     is_blended = channel != "a" and image.channels == 4 and image.alpha_mode in ("STRAIGHT", "PREMUL")
     if is_blended and not _is_opaque(image):
@@ -255,7 +256,9 @@ def plain_image(tree: bpy.types.NodeTree, expression: Expression, is_scalar: boo
 def plain_normal(
     normals: list[tuple[Stack, bpy.types.NodeSocket]], rendering_layer: str
 ) -> PlainImage | None:
-    """The tangent-space normal map that all linked Normal inputs are, unscaled and unturned."""
+    """The tangent-space normal map shared by all linked Normal inputs, without scale and rotation, else
+    None.
+    """
     sources = [source_of(stack, socket) for stack, socket in normals]
     node = sources[0].node
     if node is None or node.type != "NORMAL_MAP" or any(source.node != node for source in sources):

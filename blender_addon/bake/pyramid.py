@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Resolution of a baked channel: box-filtered levels of a fine bake, and the error of each. No bpy.
 
-Images are (H, W, C) float32, row 0 at the bottom (v = 0); H and W are powers of two. A mask (H, W) says which
-texels the surface covers; the others are filled from their neighbours and do not count.
+Images are (H, W, C) float32, row 0 at the bottom (v = 0); H and W are powers of two. A mask (H, W) marks the
+texels covered by the surface; the others are filled from their neighbours and excluded from errors.
 """
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ _BLOCK_ROWS = 64
 
 @dataclass(frozen=True)
 class Level:
-    """An image that represents a finer one: ``error`` is the mean absolute difference over covered texels
-    between the finer one and this one interpolated linearly."""
+    """An image that replaces a finer one.
+
+    ``error`` is the mean absolute difference over covered texels between the finer one and this one
+    interpolated linearly.
+    """
 
     image: Image
     error: float
@@ -47,12 +50,14 @@ def _axis_weights(size: int, target: int, repeats: bool) -> tuple[NDArray, NDArr
 
 
 def interpolate(image: Image, height: int, width: int, repeats: bool = True) -> Image:
-    """Bilinear lookup at the texel centres of a finer grid; at the borders as renderers do, which repeat."""
+    """Bilinear lookup at the texel centres of a finer grid, with repetition at the borders as in
+    renderers.
+    """
     return _interpolate_rows(image, slice(0, height), height, width, repeats)
 
 
 def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeats: bool = True) -> Image:
-    """Rows ``rows`` of :func:`interpolate`. An axis that keeps its size is left alone."""
+    """Rows ``rows`` of :func:`interpolate`. An axis of unchanged size is not interpolated."""
     if image.shape[0] == height:
         result = image[rows]
     else:
@@ -65,7 +70,7 @@ def _interpolate_rows(image: Image, rows: slice, height: int, width: int, repeat
 
 
 def _shifted(values: NDArray, rows: int, columns: int) -> NDArray:
-    """``values`` moved by whole texels, zeros moving in."""
+    """``values`` moved by whole texels, with zeros moving in."""
     result = np.zeros_like(values)
     height, width = values.shape[:2]
     if abs(rows) < height and abs(columns) < width:
@@ -91,9 +96,9 @@ def dilate(image: Image, mask: Mask) -> tuple[Image, Mask]:
 
 
 def fill(image: Image, mask: Mask) -> Image:
-    """Colour the texels outside the mask: two rings from their neighbours, the rest by push-pull.
+    """Fill the texels outside of the mask: two rings from their neighbours, the rest by push-pull.
 
-    The rings are what a lookup at the border of a chart meets; coarser levels would mix in other charts.
+    The rings are read by lookups at the border of a chart; coarser levels would mix in other charts.
     """
     if mask.all():
         return image
@@ -118,10 +123,10 @@ def fill(image: Image, mask: Mask) -> Image:
 def smallest_level(
     image: Image, mask: Mask, tolerance: float, least: int = 1, counted: Mask | None = None
 ) -> Level:
-    """The coarsest level within ``tolerance`` of ``image``; each axis is halved on its own.
+    """The coarsest level within ``tolerance`` of ``image``; each axis is halved separately.
 
     A channel that varies along one axis only keeps a single row or column. Returns the image itself (error 0)
-    where no level is good enough. ``counted`` restricts the texels over which the error is taken.
+    if no level is good enough. ``counted`` restricts the texels over which the error is computed.
     """
     counted = mask if counted is None else counted
     best = Level(fill(image, mask), 0.0)
@@ -148,8 +153,8 @@ def smallest_level(
 def level_error(level: Image, image: Image, mask: Mask, enough: float = math.inf) -> float:
     """Mean absolute difference over covered texels, of the worst component.
 
-    Rows are added in blocks, which stay in the cache, until the sum alone brings the mean above ``enough``:
-    what is returned then is a lower bound.
+    Rows are added in cache-sized blocks until the sum alone brings the mean above ``enough``; the result is
+    then a lower bound.
     """
     height, width = image.shape[:2]
     count = np.count_nonzero(mask)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs a material's plan: constants, textures of the size that they need, and the UV map that reads them."""
+"""Runs a material's plan: constants, textures of sufficient size, and the UV map that reads them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _FIRST_PX = 256
 _ODD_PX = (
     181  # a second size with no common factor, so that a regular pattern cannot alias the same way twice
 )
-BORDER = 1 / 32  # of the texture's side, around what a window or a layout holds
-_FLAT = 1e-4  # a texture that varies by less is a constant
+BORDER = 1 / 32  # of the texture's side, as margin around a window or a layout
+_FLAT = 1e-4  # a texture with less variation is a constant
 
 Window = tuple[float, float, float, float]
 UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
@@ -32,8 +32,10 @@ UNIT_WINDOW: Window = (0.0, 0.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class BakedTexture:
-    """``pixels`` (H, W, C) float32, row 0 at v = 0, linear; ``error``: mean absolute difference to twice the
-    resolution (or to the finest bake)."""
+    """``pixels`` (H, W, C) float32, row 0 at v = 0, linear.
+
+    ``error``: mean absolute difference to twice the resolution (or to the finest bake).
+    """
 
     pixels: Array
     error: float
@@ -42,7 +44,7 @@ class BakedTexture:
 def padded_window(low: NDArray, high: NDArray) -> Window:
     """A window around a box of texture coordinates, with half a texel of a 16-texel texture on each side.
 
-    So the lookup, which repeats, never meets the opposite border.
+    The lookup, which repeats, thus never reads the opposite border.
     """
     size = np.maximum(high - low, 1e-3)
     middle = (low + high) / 2
@@ -58,10 +60,10 @@ def padded_mask(size: int) -> NDArray[np.bool_]:
 
 
 def _enough_px(plan: MaterialPlan, window: Window) -> int | None:
-    """Side of a square texture over the window that holds all that the material's images hold.
+    """Side of a square texture over the window that preserves all detail of the material's images.
 
-    Where its texels are the images' own they are read at their centres; else twice as many are taken. None
-    where anything but images varies.
+    If its texels are the images' own, they are read at their centres; else twice the resolution is used. None
+    if anything but images varies.
     """
     detail = plan.dependencies.detail_px
     if detail is None or plan.frame is None:
@@ -77,8 +79,11 @@ Channel = tuple[float, ...] | BakedTexture | PlainImage
 
 @dataclass
 class BakedMaterial:
-    """``channels`` by name. The mesh's UVs become texture coordinates by ``frame`` and then the window's
-    (u0, v0, u1, v1) move to the unit square; ``uv`` (C, 2) replaces them where the mesh was laid out anew."""
+    """Baked ``channels`` of a material by name.
+
+    The mesh's UVs become texture coordinates by ``frame``; then the window (u0, v0, u1, v1) is mapped to the
+    unit square. ``uv`` (C, 2) replaces them if the mesh has a new layout.
+    """
 
     channels: dict[str, Channel] = field(default_factory=dict)
     frame: UvFrame | None = None
@@ -87,7 +92,7 @@ class BakedMaterial:
     normal: BakedTexture | None = None
 
     def texture_coordinates(self, uv: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Map a mesh's UVs (C, 2) to those that the textures want."""
+        """Map a mesh's UVs (C, 2) to texture coordinates."""
         if self.frame is not None:
             uv = self.frame.apply(uv)
         u0, v0, u1, v1 = self.window
@@ -112,7 +117,9 @@ class MaterialBaker:
         size_m: float = 1.0,
         layer_names: tuple[str, ...] = (),
     ) -> BakedMaterial:
-        """Everything of a material that needs no mesh. ``layer_names``: UV layers that its nodes name."""
+        """Bake the channels of a material that need no mesh. ``layer_names``: UV layers named by its
+        nodes.
+        """
         result = BakedMaterial(frame=plan.frame, window=window)
         result.channels.update(plan.images)
         pending = {**plan.constants, **plan.varying}
@@ -152,7 +159,7 @@ class MaterialBaker:
         uv: NDArray[np.float32],
         object_info: dict[str, tuple[float, ...]] | None = None,
     ) -> BakedMaterial:
-        """Bake a slot of a mesh (an object of the session) under its bake layout ``uv``."""
+        """Bake a slot of a mesh (an object of the session) in its bake layout ``uv``."""
         result = BakedMaterial(uv=uv)
         mesh = thing.data
         pending = {**plan.constants, **plan.varying}
@@ -175,7 +182,7 @@ class MaterialBaker:
         return self._finish(result, plan)
 
     def _idle_material(self) -> bpy.types.Material:
-        """A material for the slots that are not being baked; every slot needs an image to bake to."""
+        """A material for slots that are not being baked; every slot needs an image as target."""
         material = self.session.own(bpy.data.materials, bpy.data.materials.new(".sm_idle"))
         material.use_nodes = True
         node = material.node_tree.nodes.new("ShaderNodeTexImage")
@@ -199,10 +206,10 @@ class MaterialBaker:
         covered: Callable[[int], NDArray[np.bool_]] | None = None,
         enough: int | None = None,
     ) -> Channel:
-        """Bake at rising sizes until a level of half the size or less represents the bake.
+        """Bake at increasing sizes until a level of half the size or less reproduces the bake.
 
-        ``covered`` gives, for a size, the texels that count where the bake itself hits more. ``enough`` is a
-        size that holds all detail, if one is known.
+        ``covered`` returns, for a size, the texels that count if the bake itself hits more. ``enough`` is a
+        size that preserves all detail, if one is known.
         """
         limit, tolerance = self.settings.max_texture_px, self.settings.tolerance
         is_cut = enough is None or enough > limit
@@ -252,7 +259,7 @@ class MaterialBaker:
         covered: Callable[[int], NDArray[np.bool_]] | None,
         enough: int | None = None,
     ) -> BakedTexture | None:
-        """The normal texture, None where the surface is flat."""
+        """The normal texture, None if the surface is flat."""
         channel = self._grow(thing, working, NORMAL, material, covered, enough)
         return channel if isinstance(channel, BakedTexture) else None
 
@@ -264,7 +271,7 @@ class MaterialBaker:
         pixels: Array,
         mask: NDArray[np.bool_],
     ) -> bool:
-        """Whether a bake at an unrelated size shows the same statistics: if not, the first one aliases."""
+        """Whether a bake at an unrelated size has the same statistics; if not, the first one aliases."""
         other, other_mask = self._bake(thing, working, name, _ODD_PX)
         if not other_mask.any():
             return False
@@ -298,7 +305,7 @@ class MaterialBaker:
 
 
 def _tidy(name: str, pixels: Array) -> Array:
-    """One component for scalars; clip to the channel's range (emission has no upper end)."""
+    """Pixels with one component for scalars, clipped to the channel's range (emission has no upper limit)."""
     if name in SCALAR_CHANNELS:
         pixels = pixels[..., :1]
     if name == "emission":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A UV layout without overlaps for the faces of one material slot, on a mesh that belongs to the session."""
+"""A UV layout without overlaps for the faces of one material slot, on a mesh of the session."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LARGEST_CHECKED = 200_000  # triangles; above, testing the mesh's own layout co
 def bake_layout(
     session: BakeSession, thing: bpy.types.Object, arrays: MeshArrays, slot: int
 ) -> NDArray[np.float32]:
-    """UVs (C, 2) under which the slot's faces can be baked; the mesh gets a layer ``BAKE_UV`` for them.
+    """UVs (C, 2) for baking the slot's faces; the mesh gets a layer ``BAKE_UV`` for them.
 
-    A border of the unit square stays free, since texture lookups repeat. The mesh's own UVs serve if they are
-    a valid unwrap; otherwise Smart UV Project makes new ones.
+    A border of the unit square stays free, since texture lookups repeat. The mesh's own UVs are used if they
+    are a valid unwrap; otherwise Smart UV Project makes new ones.
     """
     mesh = thing.data
     if BAKE_UV not in mesh.uv_layers:
@@ -62,8 +62,8 @@ def _smart_project(session: BakeSession, thing: bpy.types.Object, arrays: MeshAr
 def _select(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
     """Select the chosen polygons with their edges and vertices.
 
-    By attributes: Blender 5.0 makes ``.select_edge`` of the wrong type in some meshes, and setting ``select``
-    of their edges ends the program.
+    Written as attributes: in some meshes Blender 5.0 creates ``.select_edge`` with the wrong type, and
+    setting ``select`` of their edges crashes the program.
     """
     totals = np.empty(len(mesh.polygons), np.int32)
     mesh.polygons.foreach_get("loop_total", totals)

@@ -14,9 +14,9 @@ from ..problems import APPROXIMATION, ERROR, ProblemList
 
 @dataclass(frozen=True)
 class CameraData:
-    """``asset_from_camera`` (4, 4) rigid, position in metres; intrinsics in pixels.
+    """A pinhole camera: ``asset_from_camera`` (4, 4) rigid, position in metres; intrinsics in pixels.
 
-    ``clip_m``: near and far limit along the optical axis, as Cycles applies them to camera rays.
+    ``clip_m``: near and far limit along the optical axis, as applied by Cycles to camera rays.
     """
 
     name: str
@@ -36,7 +36,7 @@ def gather_camera(
     metres_per_unit: float,
     problems: ProblemList,
 ) -> CameraData | None:
-    """One perspective camera; others are refused by name. Pixels may be other than square."""
+    """One perspective camera; others are refused by name. Pixels may be non-square."""
     camera = thing.data
     if camera.type != "PERSP":
         problems.add(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything that the dependency graph shows, once: meshes by identity, instances with their matrices."""
+"""Visible content of the dependency graph: meshes by identity, instances with their matrices."""
 
 from __future__ import annotations
 
@@ -27,8 +27,11 @@ _MATRIX_EPSILON = 1e-12
 
 @dataclass
 class Instance:
-    """One appearance of a mesh. ``matrix`` (4, 4) world_from_object in Blender units; ``owner`` is the object
-    in the scene that brings it; ``materials`` by slot; ``object_info`` are the Object Info node's outputs."""
+    """One instance of a mesh.
+
+    ``matrix`` (4, 4) world_from_object in Blender units; ``owner`` is the object in the scene that creates
+    it; ``materials`` by slot; ``object_info`` are the Object Info node's outputs.
+    """
 
     name: str
     owner: str
@@ -44,14 +47,14 @@ class Instance:
 
 @dataclass
 class Gathered:
-    """``meshes`` by key, and where they appear."""
+    """``meshes`` by key, and their instances."""
 
     meshes: dict[int, MeshArrays] = field(default_factory=dict)
     instances: list[Instance] = field(default_factory=list)
 
 
 def hash_name(name: str) -> int:
-    """Cycles' random id of an object that is no instance, from its name (util/hash.h)."""
+    """Cycles' random id of an object that is not an instance, from its name (util/hash.h)."""
     mask = 0xFFFFFFFF
     value = 0
     for byte in name.encode():
@@ -84,10 +87,10 @@ def gather_instances(
     keep: Callable[[int, bpy.types.Mesh, tuple[str | None, ...]], None],
     problems: ProblemList,
 ) -> Gathered:
-    """Read all visible surfaces whose owner ``is_wanted``, in one go: the evaluated data does not outlive it.
+    """Read all visible surfaces whose owner ``is_wanted``, within one iteration of the dependency graph.
 
     ``keep`` is called with the key, the evaluated mesh and the materials of each instance, and may copy the
-    mesh: it is gone once the iteration moves on.
+    mesh, which is freed when the iteration continues.
     """
     result = Gathered()
     for shown in depsgraph.object_instances:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's lights in radiometric units, as dictionaries of the asset format.
 
-With P = energy * colour * 2^exposure (the light's own exposure): point of radius 0, I = P / 4 pi; sphere,
-L = P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi; without
-Normalize L = P / pi for spheres and areas. Lengths become metres by ``m`` (metres per unit), under which
-radiance stays and intensity grows by m^2. All are held against Cycles in the tests.
+With P = energy * colour * 2^exposure (the light's own exposure): point of radius 0, I = P / 4 pi; sphere, L =
+P / (4 pi^2 r^2); area, L = P / (pi A), emitting along -Z; sun, E = P; spot, I = P / 4 pi; without Normalize L
+= P / pi for spheres and areas. Lengths are converted to metres by ``m`` (metres per unit), under which
+radiance stays and intensity grows by m^2. Tests compare all of them with Cycles.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Light = dict[str, Any]
 def gather_light(
     thing: bpy.types.Object, matrix: NDArray[np.float64], metres_per_unit: float, problems: ProblemList
 ) -> Light | None:
-    """One light object at ``matrix`` (4, 4) world_from_object, or None with a problem noted."""
+    """One light object at ``matrix`` (4, 4) world_from_object, or None with a problem recorded."""
     data = thing.data
     power = _power(data, thing.name, problems)
     if power is None or not power.any():
@@ -110,7 +110,9 @@ def spot_profile(cosine: NDArray, half_angle: float, blend: float) -> NDArray:
 
 
 def fitted_beam_width(half_angle: float, blend: float) -> float:
-    """Half angle of full intensity whose linear fall-off (in angle) to ``half_angle`` sends as much flux."""
+    """Half angle of full intensity at which a linear fall-off (in angle) to ``half_angle`` emits the same
+    flux.
+    """
     angle = (np.arange(4096) + 0.5) / 4096 * half_angle
     weight = np.sin(angle)
     wanted = float((spot_profile(np.cos(angle), half_angle, blend) * weight).sum())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Evaluated meshes as arrays, and their split into triangles of one material with shared vertices.
 
-Letters: V vertices, C corners, T triangles. Corners index vertices; triangles index corners. Everything is
-in the object's own frame, in Blender units.
+Letters: V vertices, C corners, T triangles. Corners index vertices; triangles index corners. All coordinates
+are in the object's own frame, in Blender units.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ IntArray = NDArray[np.int32]
 class MeshArrays:
     """One evaluated mesh.
 
-    ``positions`` (V, 3); ``corner_vertices`` (C,); ``normals`` unit, (V, 3) where the mesh is smooth all
-    over, else (C, 3); ``triangles`` (T, 3) corners; ``triangle_polygons`` (T,) the face of each triangle;
+    ``positions`` (V, 3); ``corner_vertices`` (C,); ``normals`` unit, (V, 3) if the whole mesh is smooth, else
+    (C, 3); ``triangles`` (T, 3) corners; ``triangle_polygons`` (T,) the face of each triangle;
     ``triangle_slots`` (T,) material slots; ``uv_layers`` name -> (C, 2), v upwards; ``active_uv`` is the
-    layer that renders, or "".
+    active render layer, or "".
     """
 
     positions: FloatArray
@@ -44,8 +44,10 @@ class MeshArrays:
 
 @dataclass(frozen=True)
 class Submesh:
-    """Triangles of one material, ready for a file: ``positions``, ``normals`` (N, 3), ``uv`` (N, 2) or None,
-    ``faces`` (T, 3) int32."""
+    """Triangles of one material, ready for a file.
+
+    ``positions``, ``normals`` (N, 3), ``uv`` (N, 2) or None, ``faces`` (T, 3) int32.
+    """
 
     positions: FloatArray
     normals: FloatArray
@@ -62,7 +64,7 @@ def _read(
 
 
 def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
-    """Read an evaluated mesh; triangulates polygons as Blender renders them."""
+    """Read an evaluated mesh; polygons are triangulated as by Blender's renderer."""
     num_corners, num_triangles = len(mesh.loops), len(mesh.loop_triangles)
     corner_vertices = _read(mesh.attributes[".corner_vert"].data, "value", (num_corners,), np.int32)
     positions = _read(mesh.attributes["position"].data, "vector", (len(mesh.vertices), 3), np.float32)
@@ -76,7 +78,7 @@ def gather_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
     if "material_index" in mesh.attributes:
         per_polygon = _read(mesh.attributes["material_index"].data, "value", (len(mesh.polygons),), np.int32)
         slots = per_polygon[polygons]
-    last_slot = max(len(mesh.materials) - 1, 0)  # Blender renders an index past the end with the last slot
+    last_slot = max(len(mesh.materials) - 1, 0)  # Blender uses the last slot for an index beyond the end
     layers = {layer.name: _read(layer.uv, "vector", (num_corners, 2), np.float32) for layer in mesh.uv_layers}
     active = next((layer.name for layer in mesh.uv_layers if layer.active_render), "")
     return MeshArrays(
@@ -102,8 +104,8 @@ def submesh(
 ) -> Submesh:
     """The triangles of one slot (None: all), with corners that agree in everything merged to one vertex.
 
-    ``uv`` (C, 2) are the texture coordinates to write. ``is_mirrored`` reflects x and turns the winding, for
-    instances whose matrix mirrors. Triangles that refer to one vertex twice are dropped.
+    ``uv`` (C, 2) are the texture coordinates to write. ``is_mirrored`` reflects x and reverses the winding,
+    for instances with a mirroring matrix. Triangles that refer to one vertex twice are dropped.
     """
     triangles = mesh.triangles if slot is None else mesh.triangles[mesh.triangle_slots == slot]
     vertices = mesh.corner_vertices[triangles]
@@ -139,7 +141,7 @@ def submesh(
 
 
 def _compact(indices: IntArray, size: int) -> tuple[IntArray, IntArray]:
-    """Used entries in rising order, and ``indices`` renumbered to them."""
+    """Used entries in increasing order, and ``indices`` renumbered to them."""
     is_used = np.zeros(size, bool)
     is_used[indices] = True
     number = np.cumsum(is_used, dtype=np.int32) - 1
@@ -155,7 +157,7 @@ def _merge(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     first, inverse = first[order], rank[inverse]
-    for column in columns:  # a collision of the hash would silently weld two vertices: refuse to merge then
+    for column in columns:  # a hash collision would silently weld two vertices: nothing is merged then
         if not np.array_equal(column[first][inverse], column):
             return np.arange(len(hashes)), np.arange(len(hashes))
     return first, inverse
@@ -175,8 +177,11 @@ def is_unit_unwrap(mesh: MeshArrays, uv: FloatArray, slot: int | None = None) ->
 
 
 def _num_overlapping_samples(corners: FloatArray, area: FloatArray, size: int = 256) -> float:
-    """Share of samples, spread over the triangles by area, that meet another triangle in their grid cell's
-    centre. Deterministic: cell centres are tested against the triangles whose box holds them."""
+    """Share of samples, distributed over the triangles by area, whose grid cell's centre lies in another
+    triangle.
+
+    Deterministic: cell centres are tested against the triangles whose bounding box contains them.
+    """
     covered = np.zeros((size, size), np.int32)
     low = np.clip(np.ceil(corners.min(axis=1) * size - 0.5).astype(int), 0, size - 1)
     high = np.clip(np.floor(corners.max(axis=1) * size - 0.5).astype(int), -1, size - 1)

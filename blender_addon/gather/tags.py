@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Custom properties that tag the objects, collections and materials of a file. docs/blender.md lists them for
-artists."""
+"""Custom properties that tag the objects, collections and materials of a file; docs/blender.md lists them for
+artists.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +31,12 @@ USAGES = ("any", "evaluation_only")
 
 
 def role_of(block: bpy.types.ID) -> str:
-    """``sm_role`` of an object or collection, "" where it has none."""
+    """``sm_role`` of an object or collection, or ""."""
     return str(block.get("sm_role", ""))
 
 
 def words(value: Any) -> tuple[str, ...]:
-    """A tag that lists words: ``"wood, metal"`` or a sequence of strings."""
+    """A tag with a list of words: ``"wood, metal"`` or a sequence of strings."""
     if value is None:
         return ()
     parts = value.split(",") if isinstance(value, str) else [str(part) for part in value]
@@ -43,7 +44,7 @@ def words(value: Any) -> tuple[str, ...]:
 
 
 def numbers(value: Any) -> tuple[float, ...]:
-    """A tag that holds numbers: an array property, one number, or ``"0.9, 1.1"``."""
+    """A tag with numbers: an array property, one number, or ``"0.9, 1.1"``."""
     if isinstance(value, str):
         return tuple(float(part) for part in value.split(","))
     if hasattr(value, "__len__"):
@@ -76,7 +77,7 @@ def material_classes(material: bpy.types.Material, problems: ProblemList) -> tup
 
 
 def replaceable_by(material: bpy.types.Material, problems: ProblemList) -> tuple[str, ...]:
-    """``sm_replaceable_by`` of a material: classes that may take its place."""
+    """``sm_replaceable_by`` of a material: classes that may replace it."""
     return check_words(
         words(material.get("sm_replaceable_by")),
         MATERIAL_CLASSES,
@@ -92,7 +93,7 @@ def surfaces(material: bpy.types.Material, tag: str, problems: ProblemList) -> t
 
 
 def provenance(block: bpy.types.ID, fallback: dict[str, str], problems: ProblemList) -> dict[str, str]:
-    """Licence, author, source and usage, from ``sm_license`` and so on; a licence there must be."""
+    """Licence, author, source and usage, from ``sm_license`` and so on; a licence is required."""
     result = {}
     for key in ("license", "author", "source", "usage"):
         value = str(block.get(f"sm_{key}", "") or fallback.get(key, ""))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Names in other alphabets, in the letters of ids and files: Küche is kueche, Öl-Eiche oel-eiche.
+"""Transliteration of other alphabets to the letters of ids and file names: Küche is kueche, Öl-Eiche
+oel-eiche.
 
-German writes its umlauts as two letters; accents are left out; letters that are no others with an accent
-(ø, ł, ß), Greek and Cyrillic go by the tables. Characters without a Latin form here become their code points,
-so that two such names stay two.
+German umlauts become two letters; other accents are removed; letters that are not a base letter with an
+accent (ø, ł, ß), Greek and Cyrillic are looked up in tables. Characters without a Latin form here become
+their code points, so that two such names stay distinct.
 """
 
 from __future__ import annotations
@@ -31,14 +32,16 @@ _TABLE = {**_LATIN, **_GREEK, **_CYRILLIC}
 
 
 def transliterated(text: str) -> str:
-    """``text`` in ASCII; punctuation of other alphabets is a blank."""
+    """``text`` in ASCII; punctuation of other alphabets becomes a blank."""
     text = unicodedata.normalize("NFC", text)
     neighbours = zip(text, f" {text}", f"{text[1:]} ", strict=False)
     return "".join(_letters(c, after.isupper() or before.isupper()) for c, before, after in neighbours)
 
 
 def _letters(letter: str, is_shouted: bool) -> str:
-    """``is_shouted``: a letter beside it is a capital, so that a capital becomes capitals only."""
+    """Latin letters for a letter. ``is_shouted``: an adjacent letter is a capital, so that a capital becomes
+    capitals only.
+    """
     if letter.isascii():
         return letter
     small = letter.lower()

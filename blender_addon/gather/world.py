@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world as an environment light: a constant radiance, or an equirectangular image of what it shows."""
+"""The world as an environment light: a constant radiance, or an equirectangular image."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def gather_world(
 ) -> tuple[dict[str, Any], NDArray[np.float32] | None] | None:
     """The environment light and, if it is no constant, its image (H, W, 3), row 0 at the top.
 
-    None where the world is black or missing. An equirectangular image, at most turned about Z, keeps its
+    None if the world is black or missing. An equirectangular image, rotated at most about Z, keeps its
     pixels; any other graph is rendered as a panorama ``size_px`` wide.
     """
     world = scene.world
@@ -58,7 +58,7 @@ def gather_world(
 
 
 def _background(stack: Stack, socket: bpy.types.NodeSocket) -> Expression | None:
-    """Radiance of a graph of backgrounds as an expression; None where only a render can determine it."""
+    """Radiance of a graph of backgrounds as an expression; None if only a render can determine it."""
     source = source_of(stack, socket)
     node = source.node
     if node is None:
@@ -105,7 +105,7 @@ def _plain_panorama(world: bpy.types.World) -> tuple[NDArray[np.float32], float,
 
 
 def _turn_about_z(stack: Stack, socket: bpy.types.NodeSocket) -> float | None:
-    """The angle by which the image is turned in the world, None where the coordinates are anything else."""
+    """The angle by which the image is rotated in the world, None for any other coordinates."""
     source = source_of(stack, socket)
     if source.node is None:
         return 0.0
@@ -125,7 +125,7 @@ def _turn_about_z(stack: Stack, socket: bpy.types.NodeSocket) -> float | None:
     before = _turn_about_z(source.stack, source.node.inputs["Vector"])
     if before is None or not source_of(source.stack, source.node.inputs["Vector"]).is_linked:
         return None
-    return before - rotation[2]  # turning the coordinates one way turns the picture the other
+    return before - rotation[2]  # rotating the coordinates one way rotates the picture the other way
 
 
 def _panorama(world: bpy.types.World, session: BakeSession, size_px: int) -> NDArray[np.float32]:

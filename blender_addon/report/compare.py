@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders the report's scenes with Cycles here and with Mitsuba in a process of its own, and compares."""
+"""Renders the report's scenes with Cycles here and with Mitsuba in a separate process, and compares them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def report_steps(
 ) -> Generator[Progress, None, None]:
     """Write the page to ``path``.
 
-    ``materials``: name -> UV maps that its nodes name. ``things``: names of the exported objects, among them
+    ``materials``: name -> UV maps named by its nodes. ``things``: names of the exported objects, including
     lights and cameras.
     """
     scene = bpy.context.scene
@@ -165,7 +165,7 @@ def _render_with_mitsuba(folder: Path, packages: Sequence[Path], python: str) ->
 
 
 def _own_python() -> str:
-    """This interpreter where Blender is its module (pip's bpy); none inside Blender's own program."""
+    """This interpreter if Blender is its module (pip's bpy); none inside Blender's own program."""
     return sys.executable if not bpy.app.binary_path else ""
 
 
@@ -175,7 +175,7 @@ def _second(folder: Path, package: str, index: int) -> np.ndarray | None:
 
 
 def _textures(folder: Path, material: str) -> str:
-    """Export of a material's channels, in words."""
+    """Description of the export of a material's channels."""
     import json
 
     entries = json.loads((folder / "packages" / "report_materials" / "asset.json").read_text())["materials"]

@@ -29,9 +29,9 @@ img { display: block; image-rendering: auto; }
 
 @dataclass(frozen=True)
 class Comparison:
-    """One thing rendered by both: linear images (H, W, 3), or None where there was no second renderer.
+    """A material or light rendered by both: linear images (H, W, 3), or None without the second renderer.
 
-    ``limit``: relative error that is still fine.
+    ``limit``: acceptable relative error.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Comparison:
 
     @property
     def mean_ratio(self) -> float:
-        """Mean radiance, exported over original."""
+        """Mean radiance of the exported, relative to the original."""
         assert self.mitsuba is not None
         return float(self.mitsuba.mean() / max(float(self.cycles.mean()), 1e-9))
 
@@ -62,7 +62,7 @@ class CameraCheck:
 
 
 def picture(comparison: Comparison) -> bytes:
-    """PNG: original, exported, and the difference four times enhanced, side by side at one exposure."""
+    """PNG: original, exported, and the difference amplified four times, side by side at one exposure."""
     exposure = 0.8 / max(float(np.percentile(comparison.cycles, 95)), 1e-9)
     images = [comparison.cycles * exposure]
     if comparison.mitsuba is not None:
@@ -112,7 +112,7 @@ def page(
     problems: Sequence[Problem],
     remark: str,
 ) -> str:
-    """The whole page; ``remark`` says how it was rendered, or why not."""
+    """The whole page; ``remark`` describes the rendering, or why there is none."""
     listed = "".join(
         f"<tr><td>{problem.severity}</td><td>{html.escape(problem.place)}</td>"
         f"<td>{html.escape(problem.message)}</td><td>{html.escape(problem.remedy)}</td></tr>"

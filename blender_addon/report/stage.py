@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small scenes to compare renderers with: each material on a sphere and a plane, each light over a floor.
+"""Small scenes for comparing renderers: each material on a sphere and a plane, each light over a floor.
 
-All blocks belong to a :class:`~blender_addon.bake.execute.BakeSession` and vanish with it.
+All blocks belong to a :class:`~blender_addon.bake.execute.BakeSession` and are removed with it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..bake.execute import BakeSession
 
 PICTURE_PX = 112
 SAMPLES = 48
-_SPACING = 40.0  # between samples: their planes then shade each other by less than a thousandth
+_SPACING = 40.0  # distance between samples, at which their planes shade each other by less than a thousandth
 _PREFIX = ".sm_report"
 _SPHERE_ROWS, _SPHERE_COLUMNS = 48, 96
 
@@ -81,7 +81,7 @@ def material_stage(
 ) -> list[bpy.types.Object]:
     """Build the scene of all materials under a sun and a uniform sky; returns a camera for each, in order.
 
-    ``layers``: for each material the UV maps that its nodes name; all are the shape's own map.
+    ``layers``: for each material the UV maps named by its nodes; all are the shape's own map.
     """
     scene = _prepare(session, "report_materials")
     sun = session.own(bpy.data.lights, bpy.data.lights.new(f"{_PREFIX}_sun", "SUN"))
@@ -108,7 +108,7 @@ def material_stage(
 
 
 def light_stage(session: BakeSession, light: bpy.types.Object | None, world: bpy.types.World | None) -> None:
-    """A grey floor square under one light, or a grey sphere in a world; the scene's camera sees it."""
+    """A grey floor square under one light, or a grey sphere in a world, with a camera."""
     scene = _prepare(session, "report_light")
     grey = session.own(bpy.data.materials, bpy.data.materials.new(f"{_PREFIX}_grey"))
     grey.use_nodes = True
