@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Cost of generated rooms: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
+"""Cost and variety of generated rooms: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
 
-For N seeds of every kind: processor seconds of a room with its package, tries, bytes, pieces.
+For N seeds of every kind: processor seconds of a room with its package, tries, bytes; the least, median and
+largest number of pieces, floor area, proportion, number of windows and their width; the share of windows with
+curtains, blind and radiator.
 """
 
 from __future__ import annotations
@@ -9,6 +11,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +21,15 @@ import numpy as np
 from datagen.parametric.kinds import KINDS
 from datagen.parametric.packing import package_of
 from datagen.parametric.room import make_room
+from datagen.parametric.shell import Shell
 
 
 def measure(num_seeds: int) -> dict[str, Any]:
     """Figures over all kinds, and the slowest room of each kind."""
     seconds: dict[str, list[float]] = {kind: [] for kind in sorted(KINDS)}
     tries, num_bytes, pieces = [], [], []
+    shells: list[Shell] = []
+    dressing: Counter[str] = Counter()
     for kind in seconds:
         for seed in range(num_seeds):
             start = time.process_time()
@@ -32,7 +39,10 @@ def measure(num_seeds: int) -> dict[str, Any]:
             tries.append(room.tries)
             num_bytes.append(len(data))
             pieces.append(len(room.furnished.items))
+            shells.append(room.furnished.shell)
+            dressing.update(p.item.name for p in room.furnished.items)
     every = np.concatenate([np.array(values) for values in seconds.values()])
+    windows = [window for shell in shells for window in shell.windows]
     return {
         "rooms": len(every),
         "kinds": len(seconds),
@@ -43,9 +53,22 @@ def measure(num_seeds: int) -> dict[str, Any]:
         "max_tries": max(tries),
         "kilobytes_median": round(float(np.median(num_bytes)) / 1e3),
         "kilobytes_max": round(max(num_bytes) / 1e3),
-        "pieces": [min(pieces), int(np.median(pieces)), max(pieces)],
+        "pieces": _range(pieces),
+        "area_m2": _range([shell.width * shell.depth for shell in shells]),
+        "proportion": _range([max(s.width, s.depth) / min(s.width, s.depth) for s in shells]),
+        "windows": _range([len(shell.windows) for shell in shells]),
+        "window_width_m": _range([window.width for window in windows]),
+        "of_windows": {
+            name: round(dressing[name] / max(len(windows), 1), 2)
+            for name in ("curtains", "blind", "radiator")
+        },
         "slowest": {kind: round(max(values), 3) for kind, values in seconds.items()},
     }
+
+
+def _range(values: Sequence[float]) -> list[float]:
+    """Least, median and largest."""
+    return [round(float(x), 2) for x in np.quantile(values, (0.0, 0.5, 1.0))]
 
 
 def main() -> None:
