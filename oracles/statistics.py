@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Multi-view statistics in float64 NumPy, twice: pixel by pixel in plain loops, and vectorised over pixels.
 
-The loops follow method 2 word for word and are what must be right. The vectorised version must equal them,
-tells how close every pixel is to a decision that float32 could take the other way, and is the yardstick for
-speed.
-Both know nothing of the kernels that they check. A view is any object with ``camera``, ``color`` (H, W, 3),
-``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
+The loops follow method 2 literally and are correct by inspection. The vectorised version must equal them; it
+also returns how close every pixel is to a decision that float32 could take differently, and is the baseline
+for speed. Both are independent of the kernels that they check. A view is any object with ``camera``,
+``color`` (H, W, 3), ``depth_z_m`` (H, W, 1), ``normal_world`` (H, W, 3) and ``surface_mask`` (H, W, 1).
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ _INTRINSICS = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
 
 
 class _MapSource:
-    """Images of a room that was never rendered: the diffuse albedo stands for the photograph."""
+    """Images of the room without rendering: the diffuse albedo serves as the photograph."""
 
     def __init__(self, maps: dict[str, NDArray]):
         self.maps = maps

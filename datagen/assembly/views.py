@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cameras at positions and directions of a person who photographs a room.
+"""Placement of cameras, as a person would photograph a room.
 
 Candidates are drawn in free space, aimed at objects, and rendered at low resolution by rays on the real
 triangles. Candidates that are too close, show too little, are too dark or overlap too little with other views

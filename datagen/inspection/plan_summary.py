@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Summary of a plan's views in a few words, before anything is rendered."""
+"""Short summary of a plan's views, before anything is rendered."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Verifies one shard: its members, each view by itself, then its views against one another."""
+"""Verifies one shard: its members, each view alone, then its views against each other."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ from datagen.inspection.reprojection import Geometry, check_reprojection
 class ShardJob:
     """A shard to verify.
 
-    ``file`` is how the report names it, ``record`` what the index says of it, ``buffers`` those that every
-    view must hold, ``textured`` material names to the range of values of their roughness texture
-    (None: not known).
+    ``file`` is its name in the report, ``record`` its entry in the index, ``buffers`` those that every view
+    must have, ``textured`` material names to the range of values of their roughness texture (None: unknown).
     """
 
     path: Path
@@ -39,7 +38,7 @@ class ShardJob:
 
 
 def verify_shard(job: ShardJob) -> Report:
-    """All checks of one shard by itself; never raises because of the shard's content."""
+    """All checks of a single shard; never raises for faults of its content."""
     where = job.file
     report = Report(where, num_shards=1)
     if not job.path.is_file():
@@ -58,7 +57,7 @@ def verify_shard(job: ShardJob) -> Report:
 
 
 class _ShardVerifier:
-    """Walks the members of one shard once; keeps what checks across views need."""
+    """Reads the members of one shard once and keeps the data needed for checks across views."""
 
     def __init__(self, job: ShardJob, where: str, report: Report):
         self.job, self.where, self.report = job, where, report
@@ -79,7 +78,7 @@ class _ShardVerifier:
             self.add(check, str(p.where), got, p.expected)
 
     def run(self) -> None:
-        """Read every member, then check what needs all views."""
+        """Read every member, then run the checks that need all views."""
         self.report.applied["member"] += 1
         seen: set[str] = set()
         try:

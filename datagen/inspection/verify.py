@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Reads a dataset and reports what is wrong with its content, shard by shard: ``datagen verify``.
+"""Reads a dataset and reports faults of its content, shard by shard: ``datagen verify``.
 
-Nothing that is found ends the reading: a damaged member is a fault of its own, and the rest is still looked
-at. The checks themselves are in ``checks``, ``reprojection`` and ``shard_check``.
+No fault ends the verification: a damaged member is one fault, and the rest is still checked. The checks
+themselves are in ``checks``, ``reprojection`` and ``shard_check``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def verify_dataset(
     """Verify a dataset folder, or a single shard (``.tar``).
 
     ``library`` has the materials with roughness textures; without it that check is skipped, with a note.
-    ``progress(done, total)`` counts shards. Raises :class:`InputError` only where ``path`` is neither.
+    ``progress(done, total)`` counts shards. Raises :class:`InputError` only if ``path`` is neither.
     """
     report = Report(str(path))
     if path.is_file() and path.suffix == ".tar":
@@ -127,7 +127,7 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
 
 
 def _leftovers(folder: Path) -> set[Path]:
-    """Remains of killed attempts; a folder without its plan (a copy of the shards, say) has none."""
+    """Remains of killed attempts; none in a folder without a plan, such as a copy of the shards."""
     from datagen.farm.leftovers import find_leftovers
 
     try:
@@ -152,10 +152,10 @@ def _check_split(index: DatasetIndex, where: str) -> list[Fault]:
 
 
 def expected_roughness(configuration: Configuration, library: Library) -> dict[str, float]:
-    """Material name, as in the views' records, to the range of roughness that its texture gives it.
+    """Range of roughness that a texture gives each material, by its name in the views' records.
 
     Materials of constant roughness are left out. The range is that between the 1st and 99th percentile, after
-    the configuration's own offset. Raises :class:`InputError` where the library lacks an asset or an image.
+    the configuration's own offset. Raises :class:`InputError` if the library lacks an asset or an image.
     """
     ranges: dict[str, float] = {}
     for placed in (configuration.environment, *configuration.objects):
@@ -219,9 +219,9 @@ def verify_command(
 ) -> int:
     """Verify, print a table (or JSON) and return the exit code.
 
-    Without ``library_paths`` the library that the dataset folder was made from is used, if it is still there.
-    ``recheck`` views are rendered again by plain path tracing, with ``recheck_samples`` paths a pixel;
-    without a library that is refused.
+    Without ``library_paths`` the library from which the dataset was made is used, if it still exists.
+    ``recheck`` views are rendered again by plain path tracing, with ``recheck_samples`` paths per pixel,
+    which needs a library.
     """
     from datagen.farm.folder import library_of, rooms_of
     from datagen.library import Library
@@ -251,7 +251,7 @@ def verify_command(
 
 
 def print_report(report: Report) -> None:
-    """The report as a table of checks and a list of findings."""
+    """Print the report as a table of checks and a list of findings."""
     from rich.table import Table
 
     from datagen.foundation.console import table_console

@@ -61,7 +61,7 @@ def csv_columns() -> list[str]:
 
 
 def write_results(results: Results, out: Path) -> list[Path]:
-    """``tradeoff.csv``, ``.json``, ``.html`` and the figures ``front.png``, ``sweeps.png``."""
+    """Write ``tradeoff.csv``, ``.json``, ``.html`` and the figures ``front.png``, ``sweeps.png``."""
     out.mkdir(parents=True, exist_ok=True)
     points = points_of(results.trials)
     figures = {"front.png": _png(front_figure(points, results)), "sweeps.png": None}

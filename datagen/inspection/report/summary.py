@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draws the figures of all shards together: content of the page's sections, as plain data."""
+"""Combines the figures of all shards: content of the page's sections, as plain data."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from datagen.inspection.plan_summary import lack_for_training
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, Axis, nice_axis
 from datagen.library import Library, asset_classes
 
-_COARSE = 8  # cells a side in which "missing" is told in words
+_COARSE = 8  # cells per side of the grid in which missing regions are described
 _MISSING_SHARE = 1e-3
-"""A coarse cell with a smaller share of all surface pixels than this is called missing."""
+"""A coarse cell with a smaller share of all surface pixels counts as missing."""
 _UNKNOWN = "not in the library at hand"
 MAX_LISTED_FAULTS = 20
 
@@ -121,7 +121,7 @@ def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
 def assets(
     gathered: Sequence[dict[str, Any]], index: DatasetIndex, library: Library | None
 ) -> dict[str, Any]:
-    """Every asset with class, use and licence; pixels by material class; assets that were never used."""
+    """Every asset with class, use and licence; pixels by material class; unused assets."""
     placed: Counter[str] = Counter()
     used_in: Counter[str] = Counter()
     pixels: Counter[str] = Counter()
@@ -169,7 +169,7 @@ def assets(
 
 
 def _class_of(material: str, library: Library | None) -> str:
-    """Main class of a material as the views' records name it."""
+    """Main class of a material by its name in the views' records."""
     if library is None:
         return _UNKNOWN
     identity, _, slot = _without_variant(material).partition("/")
@@ -183,7 +183,7 @@ def _class_of(material: str, library: Library | None) -> str:
 
 
 def _without_variant(material: str) -> str:
-    """The records name a material by its asset's id, or ``asset/slot``; ``#2`` marks a second variation."""
+    """Name of a material without the mark ``#2`` of a second variation: its asset's id, or ``asset/slot``."""
     return re.sub(r"#\d+$", "", material)
 
 
@@ -195,7 +195,7 @@ def _detail(identity: str, library: Library | None) -> str:
 
 
 def splits(index: DatasetIndex) -> dict[str, Any]:
-    """Configurations and views a split, and every asset that more than one split uses."""
+    """Configurations and views per split, and every asset used by more than one split."""
     used: dict[str, set[str]] = {}
     views: Counter[str] = Counter()
     for shard in index.shards:
@@ -308,7 +308,7 @@ def _badness(faults: Sequence[Any]) -> tuple[int, int]:
 
 
 def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> tuple[str, str]:
-    """(configuration, view) that a fault's ``where`` points at; "" where it points at more than a view."""
+    """(configuration, view) of a fault's ``where``; "" where it concerns more than one view."""
     for file, configuration in files.items():
         at = where.find(file)
         if at >= 0:
@@ -319,7 +319,7 @@ def place_of(where: str, files: dict[str, str], names: dict[str, set[str]]) -> t
 
 
 def _stand_out(gathered: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Views at the ends of a few scales: where to look even though nothing is wrong."""
+    """Views at the extremes of a few scales, worth a look even without faults."""
     views = [(shard["id"], view) for shard in gathered for view in shard["views"]]
     found = []
     for title, name, sign in (

@@ -65,8 +65,8 @@ class Walk:
     ) -> None:
         """Continue from ``si``.
 
-        Where the path ``bounces``, it goes in ``direction``, sampled with density ``pdf``; elsewhere straight
-        on. ``passes``: where the ray passes through the surface without a vertex.
+        On a bounce (``bounces``) the new direction is ``direction``, sampled with density ``pdf``; otherwise
+        the ray continues straight on. ``passes``: the ray passes through the surface without a vertex.
         """
         self.ray = si.spawn_ray(dr.select(bounces, direction, self.ray.d))
         self.previous = dr.select(bounces, mi.Interaction3f(si), self.previous)
