@@ -4,7 +4,7 @@
 
 REPORT.gallery = (() => {
   const { element } = REPORT;
-  const CARD_WIDTH = 176, CARD_HEIGHT = 176, EXTRA_ROWS = 2;
+  const MIN_CARD_WIDTH = 220, TEXT_HEIGHT = 64, EXTRA_ROWS = 2;
   let rows = [], shown = [], scroller, canvas, status, faults;
 
   let orders = {
@@ -40,20 +40,23 @@ REPORT.gallery = (() => {
 
   const effort = (view) => [`${view.samples} samples`, view.rel_mse === null ? null : `error ${REPORT.charts.number(view.rel_mse, 2)}`].filter(Boolean).join(", ");
 
-  let first = -1, last = -1, perRow = 0;
+  let first = -1, last = -1, drawnWidth = 0;
 
   function draw(isForced = false) {
-    const columns = Math.max(1, Math.floor(scroller.clientWidth / CARD_WIDTH));
+    const width = scroller.clientWidth;
+    const columns = Math.max(2, Math.floor(width / MIN_CARD_WIDTH));
+    const cardWidth = Math.floor(width / columns), cardHeight = Math.round(cardWidth / 1.6) + TEXT_HEIGHT;
     const numRows = Math.ceil(shown.length / columns);
-    canvas.style.height = `${numRows * CARD_HEIGHT}px`;
-    const from = Math.max(0, Math.floor(scroller.scrollTop / CARD_HEIGHT) - EXTRA_ROWS);
-    const to = Math.min(numRows, Math.ceil((scroller.scrollTop + scroller.clientHeight) / CARD_HEIGHT) + EXTRA_ROWS);
-    if (!isForced && from === first && to === last && columns === perRow) return;
-    [first, last, perRow] = [from, to, columns];
+    canvas.style.height = `${numRows * cardHeight}px`;
+    canvas.style.setProperty("--card-width", `${cardWidth}px`);
+    const from = Math.max(0, Math.floor(scroller.scrollTop / cardHeight) - EXTRA_ROWS);
+    const to = Math.min(numRows, Math.ceil((scroller.scrollTop + scroller.clientHeight) / cardHeight) + EXTRA_ROWS);
+    if (!isForced && from === first && to === last && width === drawnWidth) return;
+    [first, last, drawnWidth] = [from, to, width];
     canvas.replaceChildren(...shown.slice(from * columns, to * columns).map((view, i) => {
       const index = from * columns + i;
       const more = [view.faults ? "findings" : null, view.split, view.mean_count === null ? null : `${view.mean_count.toFixed(1)} obs.`, view.hasPixels ? null : "no pixels"].filter(Boolean).join(", ");
-      return element("li", { "aria-setsize": shown.length, "aria-posinset": index + 1, style: `top:${Math.floor(index / columns) * CARD_HEIGHT}px;left:${(index % columns) * CARD_WIDTH}px` },
+      return element("li", { "aria-setsize": shown.length, "aria-posinset": index + 1, style: `top:${Math.floor(index / columns) * cardHeight}px;left:${(index % columns) * cardWidth}px` },
         element("a", { href: `#view/${view.key}`, class: view.faults >= 1000 ? "error" : view.faults ? "warning" : null }, REPORT.overview.thumbnail(view.id, view.name),
           element("span", { text: `${view.name}, ${view.id}` }), element("small", { text: more }),
           element("small", { text: effort(view) })));

@@ -51,7 +51,7 @@ REPORT.overview = (() => {
       data.is_complete ? "" : element("p", { class: "notice", text: `${data.missing.length} configurations are missing: ${data.missing.slice(0, 8).join(", ")}${data.missing.length > 8 ? " ..." : ""}` }),
       ...data.unreadable.map(([file, why]) => element("p", { class: "notice", text: `${file} cannot be read and is left out of every figure: ${why}` })),
       cards([
-        ["Views", number(data.num_views), `${data.num_configurations} configurations, ${data.resolution.join(" × ")} pixels`],
+        ["Views", number(data.num_views), `${data.num_configurations} ${data.num_configurations === 1 ? "configuration" : "configurations"}, ${data.resolution.join(" × ")} pixels`],
         ["Disk", bytes(e.num_bytes), e.bytes_per_view ? `${bytes(e.bytes_per_view)} a view` : ""],
         ["Time", e.why_not ? "unknown" : duration(e.hours * 3600), e.why_not || `of all units together, ${number(e.views_per_hour)} views an hour a unit`],
         ["Cost", e.cost === null || e.cost === undefined ? "unknown" : number(e.cost, 4), e.cost === null || e.cost === undefined ? "--cost gives the price of an hour" : `at ${number(e.price_per_hour)} an hour of a unit`],
