@@ -163,7 +163,7 @@ WRONG = [
     # training
     ("materials bogus", ("No such command",)),
     ("materials train empty --out r", ("index.json", *CHECK_PATH)),
-    ("materials train rooms --out r --preset huge", ("huge", "paper, small, smoke", "correct it")),
+    ("materials train rooms --out r --preset huge", ("huge", "paper, small, light, smoke", "correct it")),
     ("materials train rooms --out r --config nope.yaml", ("nope.yaml: no such file", *CHECK_PATH)),
     ("materials train rooms --out r --config empty", ("empty: is a directory", *CHECK_PATH)),
     ("materials train rooms --out r --config broken.yaml", ("broken.yaml:2:1: ", "correct the file")),
