@@ -42,15 +42,15 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
     )
     parser.add_argument("--version", action="version", version=f"scene_materials {version()}")
     parser.add_argument("blend", type=Path, nargs="?", help="the file (inside Blender: the open one)")
-    parser.add_argument("--out", type=Path, help="folder that the packages go into")
+    parser.add_argument("--out", type=Path, help="folder for the packages")
     parser.add_argument("--kind", choices=KINDS, default=default.kind)
-    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="export this one only")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="export only this asset")
     parser.add_argument("--tolerance", type=float, default=default.tolerance,
-                        help="mean change of a channel at which its texture stops growing")  # fmt: skip
+                        help="mean change of a channel below which its texture is not enlarged")  # fmt: skip
     parser.add_argument("--max-texture", type=int, default=default.max_texture_px, metavar="PX")
     parser.add_argument("--texture-bits", type=int, choices=(8, 16), default=default.texture_bits)
     parser.add_argument("--bake-normals", action="store_true")
-    parser.add_argument("--license", default="", help="SPDX identifier where the file's tags give none")
+    parser.add_argument("--license", default="", help="SPDX identifier, if the file's tags have none")
     parser.add_argument("--author", default="")
     parser.add_argument("--source", default="")
     parser.add_argument("--report", action="store_true", help="write fidelity.html beside the packages")

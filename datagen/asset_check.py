@@ -88,7 +88,7 @@ class _Checker:
     def check_texture(self, field: str, texture: Texture) -> None:
         channels, fault = self.check_image(texture.texture)
         if fault:
-            expected = f"finite pixels, at most {MAX_IMAGE_SIDE_PX} a side"
+            expected = f"finite pixels, at most {MAX_IMAGE_SIDE_PX} per side"
             self.error(field, f"{texture.texture!r}: {fault}", expected, "replace the image")
             return
         needed = {"rgb": 1, "r": 1, "g": 2, "b": 3, "a": 4}[texture.channel]
@@ -99,7 +99,7 @@ class _Checker:
         ):
             self.error(f"{field}.channel", repr(texture.channel), f"one of the image's {channels} channels")
         if texture.encoding == "srgb" and texture.texture.lower().endswith(".exr"):
-            self.error(f"{field}.encoding", "'srgb'", "'linear', which is what EXR files hold")
+            self.error(f"{field}.encoding", "'srgb'", "'linear', as in all EXR files")
 
     def check_material(self, field: str, material: Material) -> None:
         for channel in MATERIAL_CHANNELS:

@@ -88,7 +88,7 @@ class Library:
                     package.path,
                     "id",
                     repr(package.id),
-                    f"an id of its own; {other.path} has it too",
+                    f"a unique id; {other.path} has the same",
                     "rename one",
                 )
             )

@@ -35,7 +35,7 @@ class RecipeChanges:
     library: LibraryOption = None
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the recipe's.")] = None
     configurations: Annotated[int | None, typer.Option(help="Number of configurations.")] = None
-    views: Annotated[int | None, typer.Option(help="Views a configuration.")] = None
+    views: Annotated[int | None, typer.Option(help="Views per configuration.")] = None
 
     def load(self, path: Path) -> tuple[Path, Recipe]:
         """The recipe's file, which may be a bundled one, and the recipe: flags over file over defaults."""
@@ -62,10 +62,13 @@ class RunOptions:
     ] = None
     unit: Annotated[int | None, typer.Option(min=0, help="One unit alone, by its index in the plan.")] = None
     attempts: Annotated[
-        int, typer.Option(min=0, help="Tries a unit before it is set aside; 0: --unit once, in this process.")
+        int,
+        typer.Option(
+            min=0, help="Tries per unit before it counts as failed; 0: --unit once, in this process."
+        ),
     ] = 3
     deep: Annotated[bool, typer.Option("--deep", help="Hash every shard again for the index.")] = False
-    sheets: Annotated[bool, typer.Option(help="Write a contact sheet a configuration.")] = True
+    sheets: Annotated[bool, typer.Option(help="Write a contact sheet for each configuration.")] = True
     space_check: Annotated[
         bool, typer.Option(help="Refuse to begin if the disk is too small for the estimate.")
     ] = True

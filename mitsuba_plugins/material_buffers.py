@@ -302,7 +302,7 @@ def _make_view(
 def _check_spp(spp: int) -> None:
     if spp < 1:
         raise input_error(
-            "material_buffers", "spp", spp, "at least 1 sample a pixel", "raise it (16 is clean)"
+            "material_buffers", "spp", spp, "at least 1 sample per pixel", "raise it (16 is clean)"
         )
 
 

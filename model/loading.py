@@ -119,7 +119,7 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             return [_sample(record, _read_rows(place, record, self.buffers, 0, height), 0, 0, height, width)]
         if size > min(height, width):
             where = f"{place.shard}:{place.name}"
-            raise input_error(where, "size", f"{width} x {height}", f"at least the crop, {size} px a side")
+            raise input_error(where, "size", f"{width} x {height}", f"at least the crop, {size} px per side")
         corners = []
         for _ in range(self.crops_per_view):
             top = int(generator.integers(0, height - size + 1))

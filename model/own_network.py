@@ -42,7 +42,7 @@ class OwnNetwork(nn.Module):
             self.module = made(**config.arguments)
         except TypeError as error:
             problem = Problem(
-                "network", "arguments", str(error), f"what {config.factory} takes", "correct it"
+                "network", "arguments", str(error), f"arguments of {config.factory}", "correct it"
             )
             raise InputError(problem) from None
 

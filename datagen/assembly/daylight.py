@@ -162,7 +162,7 @@ def environment_image(library: Library, asset_id: str) -> str:
         "lights",
         "no environment light with an image",
         "one, since the recipe names this asset in lights.environment_images",
-        "name an asset whose lights hold an environment image",
+        "name an asset whose lights include an environment image",
     )
 
 

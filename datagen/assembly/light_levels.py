@@ -87,7 +87,7 @@ def light_room(
         raise input_error(
             f"environment {room.environment.id}",
             "lights",
-            f"no light reaches the places where cameras may be ({counts or 'no light at all'})",
+            f"no light reaches the camera positions ({counts or 'no light at all'})",
             "at least one light that does",
             "add light slots, openings or lights to its asset.json, or mend its camera regions",
         )

@@ -303,7 +303,7 @@ def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem
                     where,
                     "splits.disjoint",
                     f"no {kind} for the {split} split",
-                    "one of its own for every split, sharing no file with another split's",
+                    "a separate one for every split, sharing no file with another split's",
                     f"add one to the library, or set splits.disjoint to false or splits.{split} to 0",
                 )
             )

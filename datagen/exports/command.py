@@ -29,7 +29,7 @@ def export(
     folder: Annotated[Path, typer.Argument(help="Dataset folder.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     split: Annotated[
-        Literal["train", "validation", "test"] | None, typer.Option(help="One alone; all if left out.")
+        Literal["train", "validation", "test"] | None, typer.Option(help="Only this split; all if left out.")
     ] = None,
     configuration: Annotated[
         list[str] | None, typer.Option(help="Id of a configuration, repeatable; all if left out.")
@@ -37,9 +37,9 @@ def export(
     library: Annotated[
         list[str] | None, typer.Option(help="Library folder, repeatable; the dataset's own if left out.")
     ] = None,
-    neighbours: Annotated[int, typer.Option(min=1, help="Flow: views that each view flows to.")] = 2,
+    neighbours: Annotated[int, typer.Option(min=1, help="Flow: number of target views for each view.")] = 2,
     min_overlap: Annotated[
-        float, typer.Option(min=0, max=1, help="Flow: least share of a view that the other sees.")
+        float, typer.Option(min=0, max=1, help="Flow: minimum share of a view that is visible in the other.")
     ] = 0.2,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned output and stop.")] = False,
 ) -> None:

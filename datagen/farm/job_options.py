@@ -67,15 +67,15 @@ class SlurmOptions:
     notice_s: Annotated[
         int, typer.Option("--notice", min=1, help="Seconds of notice before the time limit.")
     ] = 120
-    attempts: Annotated[int, typer.Option(min=1, help="Tries a unit before it is set aside.")] = 3
+    attempts: Annotated[int, typer.Option(min=1, help="Tries per unit before it counts as failed.")] = 3
     setup: Annotated[str, typer.Option(help="Shell code that makes `datagen` callable on a node.")] = ""
     partition: Annotated[str, typer.Option(help="Slurm partition, or PBS queue.")] = ""
     account: Annotated[str, typer.Option(help="Account.")] = ""
     max_array: Annotated[int, typer.Option(min=2, help="The cluster's longest array (MaxArraySize).")] = 1001
     qos: Annotated[str, typer.Option(help="Slurm quality of service.")] = ""
-    constraint: Annotated[str, typer.Option(help="Features that the units' nodes have.")] = ""
+    constraint: Annotated[str, typer.Option(help="Required features of the units' nodes.")] = ""
     exclude: Annotated[str, typer.Option(help="Nodes to leave out.")] = ""
-    mail_user: Annotated[str, typer.Option(help="Address that Slurm writes to.")] = ""
+    mail_user: Annotated[str, typer.Option(help="Address for Slurm's mails.")] = ""
     mail_type: Annotated[str, typer.Option(help="Events of Slurm's mails, such as END,FAIL.")] = ""
     sbatch_options: Annotated[
         tuple[str, ...],
@@ -110,7 +110,7 @@ class SlurmOptions:
                         _WHERE,
                         option_name(field.name),
                         repr(value),
-                        f"something like {form[1]}",
+                        f"a value such as {form[1]}",
                         "correct it",
                     )
                 )

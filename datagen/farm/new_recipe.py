@@ -41,7 +41,7 @@ def new(
     views: Annotated[int | None, typer.Option(min=1, help="Views of each.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels.")] = None,
     quality: Annotated[str | None, typer.Option(help="draft, standard or reference.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed: another one, other rooms.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random choices.")] = 0,
 ) -> None:
     """Ask four questions and write a recipe; options answer them in advance.
 

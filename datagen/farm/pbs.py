@@ -30,7 +30,9 @@ class PbsEngine:
             if getattr(options, name):
                 option, got = option_name(name), repr(getattr(options, name))
                 remedy = "leave it out, or edit the script that --dry-run writes"
-                problems.append(Problem("farm submit", option, got, "nothing: PBS does not know it", remedy))
+                problems.append(
+                    Problem("farm submit", option, got, "nothing: PBS does not support it", remedy)
+                )
         if options.notice_s >= seconds_of(options.time_limit):
             expected = f"less than --time {options.time_limit}"
             problems.append(Problem("farm submit", "--notice", str(options.notice_s), expected))

@@ -179,7 +179,7 @@ class ShellEngine:
         return None
 
     def send(self, script: Path, after: Sequence[str]) -> str:
-        raise input_error(script, got="a list of commands", expected="a queue that takes it")
+        raise input_error(script, got="a list of commands", expected="a queue that accepts it")
 
     def jobs(self, root: Path) -> list[str]:
         return []

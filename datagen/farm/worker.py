@@ -41,7 +41,7 @@ def check_writable(root: Path) -> None:
     except OSError as error:
         remedy = "make it writable, free space, or choose another folder"
         got = (error.strerror or str(error)).lower()
-        raise input_error(root, "", got, "a folder to write in", remedy) from None
+        raise input_error(root, "", got, "a writable folder", remedy) from None
 
 
 def planned_unit(plan: Plan, root: Path, index: int) -> PlannedUnit:

@@ -19,7 +19,7 @@ Z_UP_FROM_Y_UP = np.array(
 def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.float64]:
     """(4, 4) transform from the file's frame to metres with Z up."""
     if not (np.isfinite(unit_scale) and unit_scale > 0):
-        raise input_error("unit scale", got=unit_scale, expected="a positive number of metres in a unit")
+        raise input_error("unit scale", got=unit_scale, expected="a positive number of metres per unit")
     scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
     return scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))
 

@@ -95,7 +95,7 @@ def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray:
     width, height = image_size(path, formats)
     if max(width, height) > MAX_IMAGE_SIDE_PX:
         raise input_error(
-            path, "size", f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} a side", "shrink it"
+            path, "size", f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} per side", "shrink it"
         )
     check_claim((width, height), 8, path.stat().st_size, path)  # at most four channels of 16 bits
     data = path.read_bytes()

@@ -70,7 +70,7 @@ def trace_capture(capture: Capture, progress: Callable[[int, int], None] | None 
         if progress is not None:
             progress(number, len(capture.views))
     if not any(view.geometry.surface_mask.any() for view in views):
-        expected = "cameras that look at the mesh"
+        expected = "cameras that face the mesh"
         remedy = "check that mesh and cameras share their frame, axes and unit"
         raise input_error(capture.name, "geometry", "no view sees the mesh", expected, remedy)
     return TracedCapture(capture, geometry, tuple(views))

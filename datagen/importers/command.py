@@ -26,7 +26,7 @@ class ImportWords:
     author: Annotated[str, typer.Option(help="Author, if none is found beside it.")] = ""
     source: Annotated[str, typer.Option(help="Origin, such as a web address.")] = ""
     evaluation_only: Annotated[
-        bool, typer.Option("--evaluation-only", help="Never offer it to plans that make training data.")
+        bool, typer.Option("--evaluation-only", help="Exclude it from training data.")
     ] = False
     category: Annotated[str, typer.Option(help="Category of an object; guessed if left out.")] = ""
     classes: Annotated[
@@ -35,20 +35,20 @@ class ImportWords:
     ] = ()
     up: Annotated[str, typer.Option(help="Axis that points up in the file: auto, y or z.")] = "auto"
     unit_scale: Annotated[
-        float | None, typer.Option(help="Metres in a unit of the file; guessed for OBJ, PLY and STL.")
+        float | None, typer.Option(help="Metres per unit of the file; guessed for OBJ, PLY and STL.")
     ] = None
     tile_size_m: Annotated[
         float | None, typer.Option("--tile-size", help="Side of a material's tile in metres.")
     ] = None
-    dielectric: Annotated[str, typer.Option(help="See-through materials: refuse or replace.")] = "refuse"
+    dielectric: Annotated[str, typer.Option(help="Transparent materials: refuse or replace.")] = "refuse"
     dielectric_as: Annotated[
         tuple[str, ...],
-        typer.Option(help="MATERIAL=STAND-IN for one see-through material, repeatable."),
+        typer.Option(help="MATERIAL=REPLACEMENT for one transparent material, repeatable."),
     ] = ()
     missing: Annotated[str, typer.Option(help="Missing files: refuse or replace.")] = "refuse"
     annotations: Annotated[
         Path | None,
-        typer.Option(help="YAML that states support surfaces, openings, light slots and camera regions."),
+        typer.Option(help="YAML with support surfaces, openings, light slots and camera regions."),
     ] = None
     defines: Annotated[
         tuple[str, ...],
@@ -56,7 +56,7 @@ class ImportWords:
     ] = ()
     allowed: Annotated[
         tuple[Path, ...],
-        typer.Option("--allow", help="Another folder that the source may name files in, repeatable."),
+        typer.Option("--allow", help="Another folder from which the source may read files, repeatable."),
     ] = ()
     as_zip: Annotated[bool, typer.Option("--zip", help="Write packages as zips.")] = False
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace assets of the same id.")] = False
@@ -113,10 +113,10 @@ def import_command(
     library: Annotated[Path, typer.Option("--library", help="Library folder to import into.")],
     words: ImportWords,
     split: Annotated[
-        bool, typer.Option("--split", help="An object for each separate thing of a glTF.")
+        bool, typer.Option("--split", help="Make an object of each separate group in a glTF file.")
     ] = False,
 ) -> None:
-    """Turn other people's files into asset packages, and list the approximations.
+    """Convert files of other programs to asset packages, and list the approximations.
 
     Example: datagen import staircase/scene.xml --library my-library --dielectric replace
     """

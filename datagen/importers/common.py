@@ -161,7 +161,7 @@ def provenance(
             "license",
             "nothing",
             "an SPDX identifier such as CC0-1.0 or CC-BY-4.0",
-            "give it with --license; only the holder of the rights can know it",
+            "give it with --license; only the rights holder can state it",
         )
     names = {folder.name, source.stem}
     is_known = bool(names & set(EVALUATION_SCENES)) or origin.title in EVALUATION_SCENES.values()

@@ -147,7 +147,7 @@ def _import_one(
         from datagen.importers.mitsuba_xml import import_mitsuba_scene
 
         if options.kind not in ("auto", "environment"):
-            raise input_error(source.path, "kind", options.kind, "environment, which is what a scene becomes")
+            raise input_error(source.path, "kind", options.kind, "environment: scenes become environments")
         return [import_mitsuba_scene(source.path, out_library, options)]
     if source.kind == "gltf":
         from datagen.importers.gltf import import_gltf
@@ -169,7 +169,5 @@ def _import_one(
     from datagen.importers.material_folder import import_material_folder
 
     if options.kind not in ("auto", "material"):
-        raise input_error(
-            source.path, "kind", options.kind, "material, which is what a texture folder becomes"
-        )
+        raise input_error(source.path, "kind", options.kind, "material: texture folders become materials")
     return [import_material_folder(source.path, out_library, replace(options, kind="material"))]

@@ -100,7 +100,7 @@ class GltfMaterialConverter:
             )
         matrices = use.matrices
         if any(not np.allclose(m, matrices[0]) for m in matrices):
-            expected = "one UV transform a material"
+            expected = "one UV transform per material"
             self.problem(f"material {material.slot!r}", "different texture transforms", expected, "bake them")
         matrix = matrices[0] if matrices and not np.allclose(matrices[0], np.eye(3)) else None
         return replace(material, uv_set=min(use.sets, default=0), uv_matrix=matrix)

@@ -138,7 +138,7 @@ class _MaterialImporter:
         tile = self.options.tile_size_m
         if tile is None:
             tile = DEFAULT_TILE_M
-            self.findings.note(f"{name}: one tile taken as {tile:g} m wide; give --tile-size if it is known")
+            self.findings.note(f"{name}: tile width assumed to be {tile:g} m; give --tile-size if known")
         material = Material(
             classes=self.classes(color, title),
             diffuse_albedo=self.textures.color(channels.diffuse),

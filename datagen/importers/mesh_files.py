@@ -80,7 +80,7 @@ def _plausible_unit(source: MeshSource, path: Path, options: ImportOptions, find
             if unit_m != 1.0:
                 findings.note(
                     f"{path.stem}: {longest:.4g} units long, taken as {name} ({longest * unit_m:.3g} m); "
-                    "--unit-scale says otherwise"
+                    "--unit-scale overrides this"
                 )
             return unit_m
     return 1.0
@@ -121,7 +121,7 @@ def _material_of(
         file = named_file(path.parent, text.split(" -")[0].strip(), path, f"{name}: map_Kd", options.allowed)
         kind = _IMAGE_TYPES.get(file.suffix.lower())
         if not file.is_file() and options.missing == "replace":
-            findings.approximate(f"{name or 'default'}: missing image {file.name}, its colour stands alone")
+            findings.approximate(f"{name or 'default'}: missing image {file.name}, only its colour is used")
         elif not file.is_file() or kind is None:
             got = f"{text!r}" + ("" if file.is_file() else " (no such file)")
             remedy = "convert or restore it" if file.is_file() else "restore it, or --missing replace"

@@ -93,7 +93,7 @@ class MaterialConverter(NodeValues):
             self.problem(
                 node.where,
                 f"type {node.type!r}",
-                "a BSDF that the importer knows: diffuse, plastic, roughplastic, conductor, roughconductor, "
+                "a supported BSDF: diffuse, plastic, roughplastic, conductor, roughconductor, "
                 "dielectric, thindielectric, roughdielectric, principled, twosided, mask, blendbsdf, "
                 "bumpmap, normalmap, null",
                 "replace the BSDF in the scene",
@@ -291,7 +291,7 @@ class MaterialConverter(NodeValues):
             or second.opacity is not None
         ):
             self.problem(
-                node.where, "a blend with a see-through BSDF", "a blend of opaque ones", "replace it"
+                node.where, "a blend with a transparent BSDF", "a blend of opaque ones", "replace it"
             )
             return first
 

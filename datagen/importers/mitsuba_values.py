@@ -72,7 +72,7 @@ class NodeValues:
                 self.problem(
                     f"{node.where}: {key}",
                     repr(value),
-                    "a number or a name that Mitsuba knows",
+                    "a number or one of Mitsuba's names",
                     "use a number",
                 )
                 number = 1.5
@@ -192,7 +192,7 @@ class NodeValues:
             self.problem(
                 node.where,
                 "textures with different to_uv",
-                "one UV transform a material",
+                "one UV transform per material",
                 "bake them to one layout",
             )
         return matrices[0]

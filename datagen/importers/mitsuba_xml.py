@@ -235,7 +235,7 @@ class _SceneImporter:
             else:
                 default = "remove" if kind == "thin" or is_pane(shape.mesh) else "opaque"
                 if self.options.dielectric_as.get(name, default) == "remove":
-                    key = f"{name}: see-through, left out (light passes straight)"
+                    key = f"{name}: transparent, left out (light passes straight)"
                     removed[key] = removed.get(key, 0) + 1
                 else:
                     shape.draft = shape.draft.with_note("clear glass as opaque opal glass")
@@ -248,7 +248,7 @@ class _SceneImporter:
                     input_error(
                         self.path,
                         f"material {name!r}",
-                        f"see-through, on {where}",
+                        f"transparent, on {where}",
                         "opaque materials: the project's BSDF does not transmit light",
                         "import with --dielectric replace, or choose with --dielectric-as NAME=opaque|remove",
                     ).problems[0]

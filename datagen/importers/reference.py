@@ -112,7 +112,7 @@ def native_configuration(
     """An environment alone, under its own lights, from its own cameras."""
     asset = package.asset
     if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
-        raise input_error(package.path, "cameras", "none", "an environment with a camera of its own")
+        raise input_error(package.path, "cameras", "none", "an environment with its own camera")
     lights: list[Light] = []
     for light in asset.lights:
         if isinstance(light, EnvironmentLight) and light.image is not None and light.asset is None:

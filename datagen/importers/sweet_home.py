@@ -232,9 +232,9 @@ class _SweetHomeImporter:
             raise input_error(
                 self._label(piece),
                 "license",
-                "nothing that is known",
+                "no known licence",
                 "a licence in the catalogue or its LICENSE.TXT",
-                "give it with --license; only the holder of the rights can know it",
+                "give it with --license; only the rights holder can state it",
             )
         texts = [
             self.catalogue.read(member).decode("utf-8", "replace")
@@ -315,7 +315,7 @@ class _SweetHomeImporter:
             findings.note(mended_note(sum(num_mended), len(num_mended)))
         pieces, panes = _with_outer_panes(pieces, panes)
         if panes:
-            findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat see-through panes left out")
+            findings.approximate(f"{', '.join(m.slot for _, m, _ in panes)}: flat transparent panes left out")
         if not pieces:
             raise input_error(self._label(piece), got="no visible surface", expected="at least one")
         low, high = _bounds([mesh for _, _, mesh in pieces])

@@ -195,7 +195,7 @@ class PhongConverter:
                 Problem(self.where, f"material {slot!r}", f"{name!r} (no such file)", "its image", remedy)
             )
         else:
-            self._note(f"{slot}: missing image {name}: its colour stands alone")
+            self._note(f"{slot}: missing image {name}: only its colour is used")
         return None
 
     def _cut_out(self, image: ImageSource, phong: PhongMaterial, slot: str) -> ScalarValue | None:
@@ -228,12 +228,12 @@ class PhongConverter:
         if chosen is None and self.options.dielectric == "refuse":
             remedy = "import with --dielectric replace, or choose with --dielectric-as NAME=opaque|remove"
             expected = "opaque materials: the project's BSDF does not transmit light"
-            got = f"see-through (d {phong.opacity:g})"
+            got = f"transparent (d {phong.opacity:g})"
             self.problems.append(Problem(self.where, f"material {slot!r}", got, expected, remedy))
         elif chosen is None:
-            self._note(f"{slot}: see-through (d {phong.opacity:g}) as opaque opal glass, flat panes left out")
+            self._note(f"{slot}: transparent (d {phong.opacity:g}) as opaque opal glass, flat panes left out")
             return "pane"
-        self._note(f"{slot}: see-through (d {phong.opacity:g}) as opaque")
+        self._note(f"{slot}: transparent (d {phong.opacity:g}) as opaque")
         return "opaque"
 
     def _emission(self, slot: str, phong: PhongMaterial) -> Color | None:

@@ -62,12 +62,12 @@ def verify(
     library: LibraryOption = None,
     workers: WorkersOption = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Let warnings fail as well.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Treat warnings as errors.")] = False,
     recheck: Annotated[
         int, typer.Option(min=0, help="Render N random views again by plain path tracing, and compare.")
     ] = 0,
     recheck_samples: Annotated[
-        int, typer.Option(min=4, help="Paths a pixel of each, a multiple of 4.")
+        int, typer.Option(min=4, help="Paths per pixel of each view, a multiple of 4.")
     ] = 256,
 ) -> None:
     """Check a dataset for semantic faults; exit code 1 if there are any.

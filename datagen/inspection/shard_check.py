@@ -90,7 +90,7 @@ class _ShardVerifier:
         except InputError as error:
             self.add_problems("member", error)
         for name in self.images:
-            self.add("member", f"{self.where}:{name}", "an image without a record", "both")
+            self.add("member", f"{self.where}:{name}", "an image without a record", "an image and a record")
         self.check_against_configuration()
         self.check_across_views()
 

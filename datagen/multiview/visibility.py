@@ -116,7 +116,7 @@ class PackedViews:
             raise InputError(Problem(name, "", "no views", "at least one view", "add views"))
         if depth_z_m is not None and len(depth_z_m) != len(cameras):
             raise InputError(
-                Problem(name, "depth_z_m", f"{len(depth_z_m)} buffers", f"{len(cameras)}, one a camera", "")
+                Problem(name, "depth_z_m", f"{len(depth_z_m)} buffers", f"{len(cameras)}, one per camera", "")
             )
         select_variant()
         import mitsuba as mi

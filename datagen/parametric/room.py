@@ -79,8 +79,8 @@ def make_room(kind: str, seed: str, has_scenery: bool = True) -> MadeRoom:
         f"room of kind {kind}",
         "seed",
         f"{seed!r}: {MAX_TRIES} rooms drawn, none sound (last: {rejected[-1]})",
-        "a room in which everything has its place",
-        "take another seed, or leave this kind out",
+        "a sound room",
+        "use another seed, or exclude this kind",
     )
 
 

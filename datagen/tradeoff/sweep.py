@@ -45,9 +45,9 @@ class SweepOptions:
         tuple[int, ...], typer.Option("--configuration", help="Index of a configuration, repeatable.")
     ] = (0,)
     size: Annotated[tuple[int, int], typer.Option(help="Resolution, pixels.")] = (160, 96)
-    views: Annotated[int, typer.Option(min=1, help="Views a configuration, spread evenly.")] = 4
+    views: Annotated[int, typer.Option(min=1, help="Views per configuration, evenly spaced.")] = 4
     reference_samples: Annotated[
-        int, typer.Option(min=16, help="Paths a pixel in each of the reference's two images.")
+        int, typer.Option(min=16, help="Paths per pixel in each of the reference's two images.")
     ] = 512
     sweeps: Annotated[
         tuple[str, ...],

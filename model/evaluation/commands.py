@@ -20,7 +20,7 @@ def evaluate(
     ] = None,
     checkpoint: Annotated[
         Path | None,
-        typer.Option("--checkpoint", help="In place of the bundled weights (.safetensors)."),
+        typer.Option("--checkpoint", help="Weights (.safetensors) in place of the bundled ones."),
     ] = None,
     compare: Annotated[
         Path | None,
@@ -31,7 +31,7 @@ def evaluate(
     ] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Judge reconstructions on test scenes: tables of maps, re-renderings and time, and a page of pictures.
+    """Evaluate reconstructions on test scenes: tables of maps, re-renderings and time; a page of pictures.
 
     Interrupt it with Ctrl-C and start it again with the same arguments: it continues.
 

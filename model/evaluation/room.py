@@ -185,7 +185,13 @@ def assert_not_trained_on(scene: PlannedScene | PreparedScene, card: CheckpointC
         if record.num_views and not record.assets:
             remedy = "judge a checkpoint whose data record lists its assets"
             problems.append(
-                Problem("checkpoint", f"data {record.name}", "no hashes of assets", "what it saw", remedy)
+                Problem(
+                    "checkpoint",
+                    f"data {record.name}",
+                    "no hashes of assets",
+                    "hashes of its training data",
+                    remedy,
+                )
             )
         for asset_id, sha in sorted(record.assets.items()):
             if sha in ours:

@@ -45,7 +45,7 @@ class FrameOptions:
             "--unit",
             parser=_metres,
             metavar="METRES",
-            help="Metres in a unit of cameras and mesh, or auto (default).",
+            help="Metres per unit of cameras and mesh, or auto (default).",
         ),
     ] = None
     max_width_px: Annotated[int, typer.Option("--max-width", min=16, help="Wider views are shrunk.")] = (
@@ -71,6 +71,9 @@ class CaptureOptions(FrameOptions):
     mesh_up: Annotated[Literal["same", Axis], typer.Option(help="Up axis of the mesh.")] = "same"
     encoding: Annotated[Encoding, typer.Option(help="Transfer function of the photographs' values.")] = "auto"
     exposure: Annotated[
-        Exposure, typer.Option(help="auto: EXIF and common surfaces; exif alone; or common.")
+        Exposure,
+        typer.Option(
+            help="Exposures by EXIF and common surfaces (auto), by EXIF alone, or unchanged (common)."
+        ),
     ] = "auto"
     limits: Limits | None = None

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from model.reconstruction.stages import MapSource
 
 CaptureArgument = Annotated[
-    Path, typer.Argument(help="Cameras of any form (docs/captures.md), a shard, a package, capture.json.")
+    Path,
+    typer.Argument(
+        help="Cameras in any supported format (docs/captures.md), a shard, a package, capture.json."
+    ),
 ]
 OutOption = Annotated[Path, typer.Option("--out", help="Folder of the result; unfinished work continues.")]
 CheckpointOption = Annotated[
@@ -100,14 +103,14 @@ def infer(
 
 @with_options
 def photos(
-    folder: Annotated[Path, typer.Argument(help="Photographs; or a capture with cameras of its own.")],
+    folder: Annotated[Path, typer.Argument(help="Photographs; or a capture with its own cameras.")],
     out: OutOption,
     frame: FrameOptions,
     options: AssetOptions,
     checkpoint: CheckpointOption = None,
     colmap: Annotated[str, typer.Option(help="COLMAP's program.")] = "colmap",
     frames: Annotated[int, typer.Option(min=2, help="Frames of the turntable.")] = 24,
-    samples: Annotated[int, typer.Option(min=1, help="Light paths a pixel of it.")] = 8,
+    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel of it.")] = 8,
     quiet: QuietOption = False,
 ) -> None:
     """Turn a folder of photographs into an asset: COLMAP's cameras and mesh, materials, a turntable.

@@ -102,7 +102,7 @@ def _problems_of(
     if size_px is not None and (width, height) != size_px:
         complain("size", f"{width} x {height}", f"{size_px[0]} x {size_px[1]} as the rest of the data")
     if min(height, width) < min_side_px:
-        complain("size", f"{width} x {height}", f"at least the crop, {min_side_px} px a side")
+        complain("size", f"{width} x {height}", f"at least the crop, {min_side_px} px per side")
     if not record.exposure > 0:
         complain("exposure", str(record.exposure), "a positive factor")
     for name, values in buffers.items():
@@ -186,7 +186,7 @@ class BatchPlan(Sampler[list[int]]):
                 "crops",
                 order.epoch_length,
                 f"at least {step}, one step's",
-                "use more views, more crops a view, or a smaller batch",
+                "use more views, more crops per view, or a smaller batch",
             )
 
     def __len__(self) -> int:

@@ -87,7 +87,9 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
         first = places["train"][0]
         got = f"{size[0]} x {size[1]}"
         remedy = "set data.crop_px to less"
-        raise input_error(f"{first.shard}:{first.name}", "size", got, f"at least {crop_px} px a side", remedy)
+        raise input_error(
+            f"{first.shard}:{first.name}", "size", got, f"at least {crop_px} px per side", remedy
+        )
     return TrainingData(tuple(places["train"]), tuple(places["validation"]), size, tuple(records))
 
 

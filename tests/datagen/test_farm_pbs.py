@@ -164,8 +164,8 @@ def test_what_pbs_cannot_say_is_refused_all_at_once(desk: Desk) -> None:
         submit(desk.folder.root, options, "pbs")
     told = [f"{p.field}: {p.expected}" for p in caught.value.problems]
     assert told == [
-        "--qos: nothing: PBS does not know it",
-        "--sbatch-option: nothing: PBS does not know it",
+        "--qos: nothing: PBS does not support it",
+        "--sbatch-option: nothing: PBS does not support it",
         "--notice: less than --time 1",
     ]
 

@@ -440,8 +440,8 @@ def test_glass_is_refused_or_replaced_by_name(tmp_path: Path) -> None:
     assert len(asset.parts) == 2  # the cube and the ball; panes let light pass
     assert asset.materials["Clear"].classes == ("glass",)
     text = "\n".join(record.approximations)
-    assert "Clear: see-through, left out" in text
-    assert "Pane: see-through, left out" in text
+    assert "Clear: transparent, left out" in text
+    assert "Pane: transparent, left out" in text
     assert "opal glass" in text
     options = ImportOptions(license="CC0-1.0", dielectric_as={"Clear": "remove", "Pane": "opaque"})
     _, asset = imported(tmp_path / "c", GLASS, options)

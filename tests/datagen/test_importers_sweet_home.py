@@ -303,7 +303,7 @@ def test_see_through_materials_follow_the_policy(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         import_sweet_home(path, tmp_path / "refused")
     assert [str(p) for p in refused.value.problems] == [
-        f"{path}: Test#{name}: material 'clear' = see-through (d 0.25); expected opaque materials: the "
+        f"{path}: Test#{name}: material 'clear' = transparent (d 0.25); expected opaque materials: the "
         "project's BSDF does not transmit light; import with --dielectric replace, or choose with "
         "--dielectric-as NAME=opaque|remove"
         for name in ("crate", "bowl")

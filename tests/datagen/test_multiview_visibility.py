@@ -191,7 +191,7 @@ def test_bad_input_is_refused():
         PackedViews([camera], [np.zeros((5, 10))])
     with pytest.raises(InputError, match="NaN or Inf"):
         PackedViews([camera], [np.full((10, 10), np.inf)])
-    with pytest.raises(InputError, match="one a camera"):
+    with pytest.raises(InputError, match="one per camera"):
         PackedViews([camera], [])
     with pytest.raises(InputError, match="mode"):
         VisibilityOptions("raster")  # type: ignore[arg-type]

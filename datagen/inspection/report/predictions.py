@@ -88,7 +88,7 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
     names = [*labels, *(path.resolve().name for path in folders[len(labels) :])][: len(folders)]
     for name in sorted({name for name in names if names.count(name) > 1 or not name.strip()}):
         remedy = "name each with --label, in the order of --predictions"
-        problems.append(Problem("--label", "", repr(name), "a name of its own for each method", remedy))
+        problems.append(Problem("--label", "", repr(name), "a distinct name for each method", remedy))
     if problems:
         raise InputError(*problems)
     slugs: list[str] = []

@@ -80,7 +80,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
         found.append(PosedImage(name, camera, distortion))
     problems += finder.absent(path, missing, UNSIZED)
     if not found and not problems:
-        problems.append(Problem(path, "cameras", "none was placed", "at least one", EXPORT_AGAIN))
+        problems.append(Problem(path, "cameras", "none with a pose", "at least one", EXPORT_AGAIN))
     if problems:
         raise InputError(*problems)
     unplaced = num_cameras - len(found)

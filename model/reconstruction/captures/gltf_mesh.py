@@ -36,7 +36,9 @@ def read_gltf(path: Path, budget: Budget) -> Mesh:
 
 def _primitive(file: GltfFile, placed: PlacedNode, primitive: dict[str, Any]) -> Mesh:
     if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-        raise file.error(placed.name, "Draco compression", "uncompressed meshes", "export it without")
+        raise file.error(
+            placed.name, "Draco compression", "uncompressed meshes", "export it without compression"
+        )
     attributes = primitive["attributes"]
     positions = file.accessor(attributes["POSITION"], placed.name).astype(np.float32)
     indices = np.arange(len(positions))

@@ -141,7 +141,7 @@ def _read_heic(path: Path) -> NDArray[np.uint8]:
 
     width, height = photograph_size(path)
     if max(width, height) > MAX_IMAGE_SIDE_PX:
-        got, expected = f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} a side"
+        got, expected = f"{width}x{height}", f"at most {MAX_IMAGE_SIDE_PX} per side"
         raise input_error(path, "size", got, expected, "shrink it")
     check_claim((width, height), 4, path.stat().st_size, path)
     try:

@@ -33,7 +33,7 @@ def read_raw(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
 
     width, height = raw_size(path)
     if max(width, height) > MAX_IMAGE_SIDE_PX:
-        expected = f"at most {MAX_IMAGE_SIDE_PX} a side"
+        expected = f"at most {MAX_IMAGE_SIDE_PX} per side"
         raise input_error(path, "size", f"{width}x{height}", expected, "shrink it")
     check_claim((width, height), 8, path.stat().st_size, path)
     try:

@@ -177,7 +177,7 @@ def _calibrated(
         unit_m, said = judged_unit(float(np.linalg.norm(size)))
         notes.append(said)
     elif not (np.isfinite(unit_m) and unit_m > 0):
-        raise input_error("--unit", "", unit_m, "metres in a unit, above 0", "correct it")
+        raise input_error("--unit", "", unit_m, "metres per unit, above 0", "correct it")
     finder = ImageFinder(calibration.folder)
     names: set[str] = set()
     photographs, problems = [], []

@@ -99,7 +99,7 @@ def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
             problems.extend(error.problems)
     problems += finder.absent(path, missing, UNSIZED)
     if not found and not problems:
-        problems.append(Problem(path, "", "no cameras", "a row a camera", EXPORT_AGAIN))
+        problems.append(Problem(path, "", "no cameras", "one row per camera", EXPORT_AGAIN))
     if problems:
         raise InputError(*problems)
     return Calibration(tuple(found), folder)

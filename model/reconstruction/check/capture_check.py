@@ -130,7 +130,7 @@ def _nothing_seen(capture: Capture, looks: Sequence[Look]) -> Exception:
         f"{_box(centers.min(axis=0), centers.max(axis=0))}"
     )
     remedy = "check that mesh and cameras share their frame, axes (--mesh-up) and unit (--unit)"
-    return input_error(capture.name, "geometry", got, "cameras that look at the mesh", remedy)
+    return input_error(capture.name, "geometry", got, "cameras that face the mesh", remedy)
 
 
 def _box(low: NDArray, high: NDArray) -> str:

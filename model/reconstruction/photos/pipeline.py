@@ -70,7 +70,7 @@ def photographs_in(folder: Path) -> list[Path]:
         raise InputError(*unread_problems(folder, unread))
     if len(found) < MIN_PHOTOGRAPHS:
         expected = f"{MIN_PHOTOGRAPHS} photographs or more that overlap, or a capture with cameras"
-        raise input_error(folder, "photographs", len(found), expected, "name the folder that holds them")
+        raise input_error(folder, "photographs", len(found), expected, "name their folder")
     return found
 
 

@@ -35,10 +35,10 @@ class LightWords:
         tuple[str, ...],
         typer.Option(help="PACKAGE@X,Y,Z[,DEGREES], repeatable; bundled:ID is a package too."),
     ] = ()
-    samples: Annotated[int, typer.Option(min=1, help="Light paths a pixel.")] = 16
-    no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Leave the denoiser out.")] = False
+    samples: Annotated[int, typer.Option(min=1, help="Light paths per pixel.")] = 16
+    no_denoise: Annotated[bool, typer.Option("--no-denoise", help="Render without the denoiser.")] = False
     stops: Annotated[
-        float, typer.Option(help="Exposure compensation of PNG and film: -1 shows half as bright.")
+        float, typer.Option(help="Exposure compensation of PNG and film: -1 halves the brightness.")
     ] = 0.0
 
     def parse(self) -> RelightOptions:

@@ -20,7 +20,7 @@ class FilmOptions:
         typer.Option(help="Film: orbit inside the room, or through the asset's cameras."),
     ] = "orbit"
     frames: Annotated[int, typer.Option(min=2, help="Film: number of frames.")] = 48
-    frames_per_second: Annotated[float, typer.Option("--fps", help="Film: frames a second.")] = 12.0
+    frames_per_second: Annotated[float, typer.Option("--fps", help="Film: frames per second.")] = 12.0
     max_width_px: Annotated[
         int, typer.Option("--max-width", min=16, help="Film: wider frames are shrunk.")
     ] = 480

@@ -56,7 +56,7 @@ def write_turntable(
         asset = package.asset
         if not isinstance(asset, EnvironmentAsset) or not asset.cameras:
             expected = "an environment with cameras"
-            raise input_error(path, "kind", asset.kind, expected, "give what `materials infer` wrote")
+            raise input_error(path, "kind", asset.kind, expected, "give an output of `materials infer`")
         made = way_cameras([c.camera() for c in asset.cameras], options)
     frames: list[NDArray[np.uint8]] = []
     exposure = 0.0
