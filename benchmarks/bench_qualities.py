@@ -29,7 +29,7 @@ from datagen.tradeoff.sweep import Sweep, SweepOptions
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FIXED = "path_samples=2,4,8,16,32,64,128,256"
-CLAMP = 30.0  # of draft and standard
+CLAMP = 30.0  # firefly clamp of draft and standard
 SLACK, TIME_SLACK = 1.25, 1.5
 
 

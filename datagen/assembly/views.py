@@ -72,7 +72,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Subject:
-    """Targets of cameras: centres of placed things, and points on the furniture of the room."""
+    """Targets of cameras: centres of placed objects, and points on the furniture of the room."""
 
     scene: WorldScene
     thing_centers: Floats

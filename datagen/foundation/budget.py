@@ -49,7 +49,7 @@ _NOUNS: dict[LimitName, str] = {
 class Limits:
     """Limits of an import; ``_NOUNS`` explains each count.
 
-    If a mesh has more vertices than corners of triangles, every three vertices count as a triangle.
+    A mesh counts as many triangles as it has faces or, if more, a third of its vertices.
     """
 
     nodes: int = 200_000

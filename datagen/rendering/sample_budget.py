@@ -159,7 +159,7 @@ def _clamped_error(
         return 0.0
     level = luminance(finished)
     kept, *lost = (ndimage.gaussian_filter(image, CLAMP_BLUR_PX) for image in (level, *removed))
-    light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # where there is none: 0
+    light = np.maximum(kept + 0.5 * (lost[0] + lost[1]), 1e-300)  # keeps 0 / 0 out of unlit areas
     weight = (scale * level) ** 2 / ((scale * level) ** 2 + EPSILON)
     return float((weight * (lost[0] / light) * (lost[1] / light)).mean())
 

@@ -114,10 +114,10 @@ class MapMeasures:
         }
 
     def calibration(self) -> dict[str, list[float]]:
-        """By map: rank correlation of confidence and negative error; ratio of the root mean square errors of
-        the least and the most confident quarter.
+        """Calibration of the confidence, by map; empty without confidence.
 
-        Empty without confidence.
+        Rank correlation of confidence and negative error, and ratio of the root mean square errors of the
+        least and the most confident quarter.
         """
         if not self._sure:
             return {}

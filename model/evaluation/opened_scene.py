@@ -96,9 +96,10 @@ class OpenedScene:
         views: tuple[str, ...] | None = None,
         *stopped_by: Any,
     ) -> Rendering:
-        """Rendering of views of a scenery (None: all of the light's) with ``seed`` added to the scenery's.
+        """A rendering of ``scenery`` under ``light``, in a folder named by everything that affects the
+        pixels.
 
-        Its folder is named by everything that affects the pixels.
+        ``views`` None: all views of the light; ``seed`` is added to the scenery's.
         """
         seed += scenery.configuration.seed
         cameras = self.views_of(light)

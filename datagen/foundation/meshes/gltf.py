@@ -242,10 +242,9 @@ class GltfFile:
         return count
 
     def weight(self, primitive: dict[str, Any], user: str) -> int:
-        """Number of triangles that a primitive counts as, without reading it.
+        """Number of triangles that a primitive charges to a budget, without reading it.
 
-        If it has more vertices, three of them count as one triangle. Its attributes must have one entry per
-        vertex.
+        Its faces or, if more, a third of its vertices. Its attributes must have one entry per vertex.
         """
         attributes = primitive.get("attributes", {})
         if "POSITION" not in attributes:

@@ -30,9 +30,7 @@ class Mesh:
 
     @property
     def weight(self) -> int:
-        """Number of triangles that the mesh counts as: if it has more vertices, three of them count as
-        one.
-        """
+        """Number of triangles charged to a budget: the faces or, if more, a third of the vertices."""
         return max(len(self.faces), -(-len(self.positions) // 3))
 
     def transformed(self, target_from_source: NDArray[np.float64]) -> Mesh:
