@@ -47,7 +47,7 @@ class RoomFigures:
     """Figures of one room.
 
     ``densities`` by the names of :data:`BINS`, each with the sum 1; for its views exposure, clipped share of
-    all surfaces, and of those outside of windows; a picture of the view with most surface.
+    all surfaces, and of those outside of windows; a picture of the view with most instances.
     """
 
     name: str
