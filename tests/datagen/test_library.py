@@ -58,7 +58,7 @@ def test_duplicate_ids_missing_folders_and_broken_packages_are_all_reported(
     with pytest.raises(InputError) as caught:
         Library([library_folder, other, tmp_path / "absent"])
     text = str(caught.value)
-    assert "an id of its own" in text
+    assert "a unique id" in text
     assert "bad/asset.json: kind" in text
     assert "absent: no such folder" in text
 

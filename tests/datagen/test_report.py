@@ -501,7 +501,7 @@ def test_options_for_predictions_are_checked(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name / "x").mkdir(parents=True)
     folders = [tmp_path / "a" / "x", tmp_path / "b" / "x"]
-    with pytest.raises(InputError, match="a name of its own"):
+    with pytest.raises(InputError, match="a distinct name"):
         parse_methods(folders, [])
     assert [m.slug for m in parse_methods(folders, ["A+", "A-"])] == ["a", "a-1"]
     with pytest.raises(InputError) as caught:

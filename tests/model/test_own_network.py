@@ -135,7 +135,7 @@ def test_a_checkpoint_cannot_call_what_is_no_network(tmp_path: Path) -> None:
 
 def test_arguments_that_it_does_not_take_are_named() -> None:
     with pytest.raises(
-        InputError, match=r"unexpected keyword argument 'depth'.*what tests.model.toy_network:Toy"
+        InputError, match=r"unexpected keyword argument 'depth'.*arguments of tests.model.toy_network:Toy"
     ):
         make_network(NetworkConfig(factory=TOY, arguments={"depth": 3}))
 
