@@ -62,7 +62,7 @@ def _api_index(pages: dict[str, list[str]]) -> str:
         for module in modules:
             path = REPOSITORY.joinpath(*module.split("."))
             file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-            first = " ".join(_docstring(file).split("\n\n")[0].split()).replace("|", "\\|")
+            first = _ROLE.sub("", " ".join(_docstring(file).split("\n\n")[0].split())).replace("|", "\\|")
             lines.append(f"| [`{module}`]({owner}.md#{module}) | {first} |")
         lines.append("")
     return "\n".join(lines)
