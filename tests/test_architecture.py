@@ -75,7 +75,8 @@ MATRIX = {
         "model.reconstruction.level": f"{_GROUND} datagen.multiview model.reconstruction.captures "
         "datagen.geometry model.reconstruction.stages",
         "model.reconstruction.light": f"{_RENDER} {_NETWORKS} model.checkpoint model.reconstruction.captures "
-        f"{_ATLAS} model.reconstruction.level model.reconstruction.found_lights model.reconstruction.stages",
+        f"{_ATLAS} model.reconstruction.level model.reconstruction.found_lights model.reconstruction.stages "
+        "model.reconstruction.radiometry",
         "model.reconstruction.radiometry": f"{_GROUND} {_TRACED} datagen.light model.reconstruction.stages",
         "model.reconstruction.unwrap": f"{_GROUND} {_ATLAS}",
         "model.reconstruction.merge": f"{_GROUND} datagen.multiview {_ATLAS} model.reconstruction.unwrap",

@@ -8,7 +8,7 @@ The capture's geometry may name emitters; others are found where a surface's rad
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,18 @@ class Emitters:
     def __len__(self) -> int:
         return len(self.radiance)
 
+    @property
+    def is_dark(self) -> NDArray[np.bool_]:
+        """Whether each emitter (K,) has no photographed radiance."""
+        return ~self.radiance.any(axis=1)
+
+    def with_radiance(self, radiance: NDArray) -> Emitters:
+        """The emitters with another ``radiance`` (K, 3)."""
+        cross = np.cross(self.vertices[:, 1] - self.vertices[:, 0], self.vertices[:, 2] - self.vertices[:, 0])
+        area = 0.5 * np.linalg.norm(cross, axis=1)
+        power = area * (radiance @ LUMINANCE_WEIGHTS)[self.of_face[self.triangles]]
+        return replace(self, radiance=radiance.astype(np.float32), power=power.astype(np.float32))
+
 
 def photographed_emitters(
     views: Sequence[TracedView], mesh: Mesh, emits: NDArray[np.bool_], region_of_face: NDArray[np.int32]
@@ -70,10 +82,8 @@ def photographed_emitters(
     sides = seen_sides([view.geometry for view in views], len(mesh.faces))
     triangles = np.flatnonzero(emits).astype(np.int32)
     vertices = mesh.positions[mesh.faces[triangles]].astype(np.float32)
-    cross = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
-    area = 0.5 * np.linalg.norm(cross, axis=1)
-    power = area * (radiance @ LUMINANCE_WEIGHTS)[of_face[triangles]]
-    return Emitters(of_face, radiance, sides, triangles, vertices, power.astype(np.float32))
+    dark = Emitters(of_face, radiance, sides, triangles, vertices, np.zeros(len(triangles), np.float32))
+    return dark.with_radiance(radiance)
 
 
 class EmitterSampler:

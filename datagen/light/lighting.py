@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
 from datagen.light.bake import Baker, Irradiance, cosine_rays
-from datagen.light.emitters import photographed_emitters
+from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
 from datagen.light.radiance_field import RadianceField, surface_cells
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
@@ -73,22 +73,34 @@ def light_surfels(
     region_of_face: NDArray[np.int32],
     options: GatherOptions,
     step: Callable[[str], AbstractContextManager[None]] = lambda name: nullcontext(),
+    unseen: Callable[[Lit], Emitters] | None = None,
 ) -> Lit:
-    """Surfels of the views and their incident light. ``step`` is a context manager around each stage."""
+    """Surfels of the views and their incident light.
+
+    ``step`` is a context manager around each stage. ``unseen`` completes the emitters by those in no
+    photograph, from the light without them.
+    """
     with step("surfels"):
         surfels = build_surfels(views)
     with step("field"):
         emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
-        scene_field = RadianceField(traced.scene, surfels, emitters, background)
-        size_m = surfels.grid.cell_m * CELLS_ACROSS
-        hidden = np.zeros(len(surfels))
-        if options.estimates_unseen:
-            region = region_of_face[surfels.face]
-            scene_field, hidden = _estimated(scene_field, surfels, size_m, region, options)
-    with step("irradiance"):
-        return _lit(surfels, Baker(scene_field, size_m), hidden, options.irradiance_rays, options)
+        region = region_of_face[surfels.face]
+
+    def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
+        with step("field"):
+            scene_field = RadianceField(traced.scene, surfels, emitters, background)
+            size_m = surfels.grid.cell_m * CELLS_ACROSS
+            hidden = np.zeros(len(surfels))
+            if options.estimates_unseen:
+                scene_field, hidden = _estimated(scene_field, surfels, size_m, region, options)
+        with step("irradiance"):
+            return _lit(surfels, Baker(scene_field, size_m), hidden, options.irradiance_rays, options)
+
+    if unseen is not None and emitters.is_dark.any():
+        emitters = unseen(lit_by(emitters, replace(options, fits_estimates=False)))
+    return lit_by(emitters, options)
 
 
 def relight(

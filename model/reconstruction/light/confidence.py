@@ -34,6 +34,9 @@ none."""
 HIDDEN_LIGHT = (0.3, 0.5)
 """Limits on the share of a smooth region's light from unphotographed lamps, whose position is unknown: below
 the first it has full weight, above the second none."""
+INFERRED_LIGHT = (0.02, 0.08)
+"""Limits on the share of a smooth region's light from named lamps in no photograph, for S and R: below the
+first they have full weight, above the second none."""
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
 """Limits on the photographed share of a surfel's hemisphere: below the first its light has no weight, above
@@ -121,6 +124,11 @@ def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
     Where it is low, the network's maps are blended in.
     """
     return (1 - _ramp(hidden, HIDDEN_LIGHT)).astype(np.float32)
+
+
+def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:
+    """Factor (N,) of the confidences of S and R by the share (N,) of light of unphotographed lamps."""
+    return (1 - _ramp(share, INFERRED_LIGHT)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:

@@ -10,13 +10,14 @@ views (``view_maps``), blended with the network's by ``confidence``. See docs/li
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
+from datagen.light.emitters import Emitters
 from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from model.reconstruction.light.confidence import (
@@ -24,12 +25,14 @@ from model.reconstruction.light.confidence import (
     sureness,
     surfel_confidence,
     trust_in_hidden,
+    trust_in_inferred,
 )
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
 from model.reconstruction.light.shading_correction import shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
+from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
 
 _SEED = 99  # seed of the specular part of all observations, other than the solver's
@@ -72,7 +75,14 @@ def materials_from_light(
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
     ordered, predicted = [views[index] for index in order], [maps[index] for index in order]
-    lit = light_surfels(ordered, traced, emits, region_of_face, options, report.step)
+    unseen: list[UnseenLamps] = []
+
+    def completed(dark: Lit) -> Emitters:
+        predicted_albedo = surfel_means(dark.surfels, [m["diffuse_albedo"] for m in predicted])
+        unseen.append(unseen_lamps(dark, traced.mesh, region_of_face[dark.surfels.face], predicted_albedo))
+        return unseen[0].emitters
+
+    lit = light_surfels(ordered, traced, emits, region_of_face, options, report.step, completed)
     surfels = lit.surfels
     report.num_surfels, report.num_observations = len(surfels), len(surfels.observations.view)
     report.photographed_share = float(lit.irradiance.photographed.mean())
@@ -104,7 +114,11 @@ def materials_from_light(
         sure = np.ones(len(surfels))
         if doubt_at is not None:
             sure = sureness(doubt_at(surfels.position_m, surfels.normal), lit.diffuse)
-        solved, albedo = _solved_surfels(lit, segments, segmentation, specular, sure, options)
+        inferred = np.zeros(len(surfels))
+        for lamps in unseen:
+            inferred = lamps.share(lit, region)
+        lit = replace(lit, hidden=np.maximum(lit.hidden, inferred))
+        solved, albedo = _solved_surfels(lit, segments, segmentation, specular, sure, inferred, options)
     with report.step("maps"):
         found: list[dict[str, NDArray]] = [{} for _ in views]
         for place, (index, view, view_maps) in enumerate(zip(order, ordered, predicted, strict=True)):
@@ -144,6 +158,7 @@ def _solved_surfels(
     segmentation: Segmentation,
     specular: NDArray[np.float32],
     sure: NDArray,
+    inferred: NDArray,
     options: LightOptions,
 ) -> tuple[SolvedSurfels, NDArray[np.float32]]:
     """Inputs of the views' maps, and the surfels' diffuse albedo (N, 3)."""
@@ -160,6 +175,7 @@ def _solved_surfels(
     replaced = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit
     confidence *= replaced[:, None]
     confidence[:, 0] *= impossible.evidence()
+    confidence[:, 1:] *= trust_in_inferred(inferred)[:, None]
     diffuse = lit.diffuse
     if options.is_corrected:
         correction = shading_correction(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Photographs brought to one exposure and completed where they clip.
 
-A clipped pixel is a lower bound. It takes the median of the views in which its surface is below the limit;
-without any, it belongs to a source whose radiance follows from its illumination of other surfaces
+A clipped pixel is a lower bound. It gets the median of the views in which its surface is below the limit.
+Without any, it belongs to a source whose radiance is estimated from its illumination of other surfaces
 (``recovered``), unless enough light arrives there for the surface to be bright by reflection alone.
 """
 
@@ -20,15 +20,18 @@ from datagen.light.background import NEAR, photographed_background
 from datagen.light.emitters import photographed_emitters
 from datagen.light.surfels import Surfels, build_surfels
 from model.reconstruction.radiometry.exposures import Radiometry, find_radiometry
-from model.reconstruction.radiometry.recovered import doubt_of, gather, recovered
+from model.reconstruction.radiometry.recovered import SourceField, doubt_of, gather, recovered
 from model.reconstruction.radiometry.sources import Sources, find_sources, source_of_pixels
 
 
 @dataclass(frozen=True)
 class Completed:
-    """``views`` of one exposure, completed; the cameras' calibration; the ``sources`` that clip in every
-    view, their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; shares of clipped pixels, and of
-    those that remain incomplete."""
+    """Result of :func:`completed_views`.
+
+    ``views`` of one exposure, completed; the cameras' calibration; the ``sources`` that clip in every view,
+    their ``radiance`` (S, 3) and the ``spread`` (S,) of its logarithm; shares of clipped pixels, and of those
+    that remain incomplete.
+    """
 
     views: list[TracedView]
     radiometry: Radiometry
@@ -47,8 +50,10 @@ def completed_views(
     *,
     is_evened: bool = True,
 ) -> Completed:
-    """``views`` with radiance of one exposure and without limit; ``is_evened``: whether exposures are
-    estimated. Raises ValueError where the views see no extended surface."""
+    """``views`` with radiance of one exposure and without limit.
+
+    ``is_evened``: whether exposures are estimated. Raises ValueError if the views show no extended surface.
+    """
     surfels = build_surfels(views)
     radiometry = find_radiometry(views, surfels) if is_evened else Radiometry(np.ones((len(views), 3)))
     found = list(views)
@@ -66,9 +71,9 @@ def completed_views(
     sources = find_sources(found, surfels, emitters, background, emits, region_of_face, traced.mesh)
     radiance, spread, doubt_at = sources.bound, np.zeros(len(sources)), None
     if len(sources):
-        scenery = traced, surfels, emitters, background, sources
-        told = recovered(gather(*scenery, region_of_face), sources)
-        radiance, spread, doubt_at = told.radiance, told.spread, doubt_of(*scenery, told)
+        field = SourceField(traced.scene, surfels, emitters, background)
+        told = recovered(gather(field, sources, region_of_face), sources)
+        radiance, spread, doubt_at = told.radiance, told.spread, doubt_of(field, sources, told)
     for index, view in enumerate(found):
         if view.clipped_mask is None:
             continue

@@ -5,21 +5,21 @@ At a surfel i below the limit, with the known light E_i and the contribution F_i
 
     ln L_i = ln D_g + ln (E_i + sum_k F_ik Le_k),
 
-where the albedo D_g of a region is unknown, too: the contrast within a region, between surfels that a source
-does and does not illuminate, determines Le. The unknowns are the logarithms of each source's colour, bounded
-below by the photographs, by least squares with Student's t weights and weak priors.
+where the albedo D_g of a region is unknown, too: the contrast within a region, between surfels with and
+without light of a source, determines Le. The unknowns are the logarithms of each source's colour, bounded
+below by the photographs, estimated by least squares with Student's t weights and weak priors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
-from datagen.geometry.traced import TracedGeometry
 from datagen.light.background import Background
 from datagen.light.bake import Baker
 from datagen.light.emitters import Emitters
@@ -28,27 +28,34 @@ from datagen.light.radiance_field import Cells, RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels
 from model.reconstruction.radiometry.sources import Colored, Sources
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 MAX_POINTS, RAYS = 2500, 576
-"""Points that serve, and rays of each: noise of what a source lights would make it look too dim."""
+"""Number of points used, and rays per point: noise of a source's contribution biases its radiance down."""
 DOUBT_RAYS = 64
 MIN_VIEWS, MIN_PHOTOGRAPHED = 2, 0.5
-"""Views of a surfel that serves, and the part of its light that photographs must show."""
+"""Minimum number of views of a usable surfel, and minimum photographed share of its light."""
 MAX_FACTOR = 3000.0
-"""Of the radiance that photographs show."""
-_SCALE = 0.15  # of Student's t, in ln L
+"""Maximum ratio to the photographed radiance."""
+_SCALE = 0.15  # scale of Student's t, in ln L
 _FREEDOM = 2.0
-_EFFECTIVE = 1000.0  # independent points that all together count as: errors of neighbours are alike
+# number of independent points that all together count as, since neighbours' errors are correlated
+_EFFECTIVE = 1000.0
 _ALBEDO, _ALBEDO_SPREAD = np.log(0.4), 0.8  # prior of ln D_g
 _BRIGHTER, _BRIGHTER_SPREAD = np.log(5.0), 2.0  # prior of ln (Le / bound)
-_HUE_SPREAD = 1.0  # of ln Le among channels
+_HUE_SPREAD = 1.0  # spread of ln Le among channels
 _ROUNDS = 40
 _STARTS = np.log(np.array([1.05, 3.0, 10.0, 30.0, 100.0, 300.0]))
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """Of P points: ``radiance`` (P, 3), light ``known`` (P, 3) beside the sources', ``form`` (P, S) the
-    contribution of a source of radiance 1, and the ``group`` (P,) of equal albedo."""
+    """Light of P points.
+
+    ``radiance`` (P, 3), light ``known`` (P, 3) without the sources', ``form`` (P, S) the contribution of a
+    source of radiance 1, and the ``group`` (P,) of equal albedo.
+    """
 
     radiance: NDArray[np.float64]
     known: NDArray[np.float64]
@@ -64,61 +71,74 @@ class Recovered:
     spread: NDArray[np.float64]
 
 
-class _Field:
-    """The radiance field of a room with substituted colours."""
+@dataclass(frozen=True)
+class Prior:
+    """Normal distributions of ln D_g, with means ``albedo`` (G, 3), and of ln (Le / bound), with means
+    ``brighter`` (S,), and their standard deviations."""
 
-    def __init__(self, traced: TracedGeometry, surfels: Surfels, emitters: Emitters, background: Background):
-        self._traced, self._surfels = traced, surfels
+    albedo: NDArray[np.float64]
+    brighter: NDArray[np.float64]
+    albedo_spread: float = _ALBEDO_SPREAD
+    brighter_spread: NDArray[np.float64] | float = _BRIGHTER_SPREAD
+
+
+class SourceField:
+    """The radiance field of a room with substituted colours of its ``sources``."""
+
+    def __init__(self, scene: mi.Scene, surfels: Surfels, emitters: Emitters, background: Background):
+        self._scene, self.surfels = scene, surfels
         self._emitters, self._background = emitters, background
         corners = emitters.vertices.astype(np.float64)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._area = 0.5 * np.linalg.norm(cross, axis=1)
 
+    def colored(self, sources: Sources, radiance: NDArray) -> Colored:
+        """The room with the ``radiance`` (S, 3) of the sources."""
+        return sources.colored(radiance, self._emitters, self._background, self.surfels)
+
     def alone(self, sources: Sources, radiance: NDArray) -> Colored:
-        """The ``radiance`` (S, 3) of the sources, and nothing else."""
+        """The room with light from its sources of ``radiance`` (S, 3) alone."""
         whole = replace(sources, is_open=np.ones_like(sources.is_open))
         return whole.colored(
             radiance,
             replace(self._emitters, radiance=np.zeros_like(self._emitters.radiance)),
             replace(self._background, radiance=np.zeros_like(self._background.radiance)),
-            replace(self._surfels, radiance=np.zeros_like(self._surfels.radiance)),
+            replace(self.surfels, radiance=np.zeros_like(self.surfels.radiance)),
         )
 
     def baker(self, colored: Colored) -> Baker:
-        grid, emitters = self._surfels.grid, self._emitters
+        grid, emitters = self.surfels.grid, self._emitters
         power = self._area * (colored.emitters @ LUMINANCE_WEIGHTS)[emitters.of_face[emitters.triangles]]
         shining = replace(emitters, radiance=colored.emitters, power=power.astype(np.float32))
         background = replace(self._background, radiance=colored.background)
-        photographed = np.ones(len(self._surfels), dtype=bool)
+        photographed = np.ones(len(self.surfels), dtype=bool)
         cells = Cells(grid.surfel, grid.low, grid.cell_m, grid.shape, colored.surfels, photographed)
-        field = RadianceField(self._traced.scene, self._surfels, shining, background, cells)
+        field = RadianceField(self._scene, self.surfels, shining, background, cells)
         return Baker(field, grid.cell_m * CELLS_ACROSS)
 
+    def forms(self, sources: Sources, position_m: NDArray, normal: NDArray) -> NDArray[np.float64]:
+        """Diffuse shading (P, S) at positions and normals (P, 3) by each source of radiance 1."""
+        form = np.zeros((len(position_m), len(sources)))
+        for first in range(0, len(sources), 3):  # three sources at a time, one per channel
+            hues = np.zeros((len(sources), 3))
+            last = min(first + 3, len(sources))
+            hues[np.arange(first, last), np.arange(last - first)] = 1.0
+            part = self.baker(self.alone(sources, hues)).irradiance(position_m, normal, RAYS).diffuse
+            form[:, first:last] = part[:, : last - first]
+        return form
 
-def gather(
-    traced: TracedGeometry,
-    surfels: Surfels,
-    emitters: Emitters,
-    background: Background,
-    sources: Sources,
-    region_of_face: NDArray[np.int32],
-) -> Gathered:
+
+def gather(field: SourceField, sources: Sources, region_of_face: NDArray[np.int32]) -> Gathered:
     """Irradiance of the surfels from the sources."""
-    field = _Field(traced, surfels, emitters, background)
+    surfels = field.surfels
     clear = np.bincount(surfels.surfel_of_observation(), surfels.observations.weight >= 0.5, len(surfels))
     usable = np.flatnonzero((sources.of_surfel < 0) & (clear >= MIN_VIEWS))
     chosen = np.sort(np.random.default_rng(0).permutation(usable)[:MAX_POINTS])
     position, normal = surfels.position_m[chosen], surfels.normal[chosen]
-    dark = sources.colored(np.zeros_like(sources.bound), emitters, background, surfels)
+    dark = field.colored(sources, np.zeros_like(sources.bound))
     lit = field.baker(dark).irradiance(position, normal, RAYS)
     share = np.maximum(lit.known, MIN_KNOWN)[:, None]
-    form = np.zeros((len(chosen), len(sources)))
-    for first in range(0, len(sources), 3):  # three sources at a time, one in each channel
-        hues = np.zeros((len(sources), 3))
-        last = min(first + 3, len(sources))
-        hues[np.arange(first, last), np.arange(last - first)] = 1.0
-        part = field.baker(field.alone(sources, hues)).irradiance(position, normal, RAYS).diffuse / share
-        form[:, first:last] = part[:, : last - first]
+    form = field.forms(sources, position, normal) / share
     kept = lit.photographed >= MIN_PHOTOGRAPHED
     kept &= (surfels.radiance[chosen] > 0).all(axis=1)
     return Gathered(
@@ -130,43 +150,42 @@ def gather(
 
 
 def doubt_of(
-    traced: TracedGeometry,
-    surfels: Surfels,
-    emitters: Emitters,
-    background: Background,
-    sources: Sources,
-    found: Recovered,
+    field: SourceField, sources: Sources, found: Recovered
 ) -> Callable[[NDArray, NDArray], NDArray[np.float32]]:
-    """Uncertain luminance (N,) of the diffuse shading at positions and normals (N, 3): the part from sources
-    of uncertain radiance, weighted by the uncertainty."""
-    field = _Field(traced, surfels, emitters, background)
+    """Uncertain luminance (N,) of the diffuse shading at positions and normals (N, 3).
+
+    The part from sources of uncertain radiance, weighted by the uncertainty.
+    """
     baker = field.baker(field.alone(sources, found.radiance * np.minimum(found.spread, 1)[:, None]))
     return lambda position_m, normal: (
         baker.irradiance(position_m, normal, DOUBT_RAYS).diffuse @ LUMINANCE_WEIGHTS
     )
 
 
-def recovered(gathered: Gathered, sources: Sources) -> Recovered:
+def recovered(gathered: Gathered, sources: Sources, prior: Prior | None = None) -> Recovered:
     """Radiance of the sources; in channels below the limit, that of the photographs."""
+    if prior is None:
+        num_groups = int(gathered.group.max(initial=-1)) + 1
+        prior = Prior(np.full((num_groups, 3), _ALBEDO), np.full(len(sources), _BRIGHTER))
     bound = np.maximum(sources.bound, 1e-6 * max(float(sources.bound.max(initial=0)), 1e-12))
-    fitted = [_fitted(gathered, sources, bound, start) for start in _STARTS]
+    fitted = [_fitted(gathered, sources, bound, prior, start) for start in _STARTS]
     _, factor, spread = min(fitted, key=lambda found: found[0])
     return Recovered(np.where(sources.is_open, bound * np.exp(factor), sources.bound), spread)
 
 
 def _fitted(
-    gathered: Gathered, sources: Sources, bound: NDArray, start: float
+    gathered: Gathered, sources: Sources, bound: NDArray, prior: Prior, start: float
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Cost, ln (Le / bound) (S, 3) and its spread (S,), from ``start`` on, by Gauss-Newton with damping."""
-    num, count = len(sources), int(gathered.group.max(initial=-1)) + 1
+    num = len(sources)
     is_open = sources.is_open
     factor = np.where(is_open, start, 0.0)
     damping = 1e-2
-    cost, gradient, hessian = _derivatives(gathered, is_open, bound, factor, count)
+    cost, gradient, hessian = _derivatives(gathered, is_open, bound, factor, prior)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient).reshape(3, num).T
         tried = np.where(is_open, np.clip(factor - np.clip(step, -1, 1), 0.0, np.log(MAX_FACTOR)), 0.0)
-        found = _derivatives(gathered, is_open, bound, tried, count)
+        found = _derivatives(gathered, is_open, bound, tried, prior)
         if found[0] < cost:
             settled = cost - found[0] < 1e-6 * cost
             factor, (cost, gradient, hessian) = tried, found
@@ -183,10 +202,11 @@ def _fitted(
 
 
 def _derivatives(
-    gathered: Gathered, is_open: NDArray, bound: NDArray, factor: NDArray, count: int
+    gathered: Gathered, is_open: NDArray, bound: NDArray, factor: NDArray, prior: Prior
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Cost, gradient (3 S,) and Hessian (3 S, 3 S) by channel and source, the regions' albedo eliminated."""
-    num, points = len(factor), max(len(gathered.group), 1)
+    num, points, count = len(factor), max(len(gathered.group), 1), len(prior.albedo)
+    brighter, brighter_spread = prior.brighter[:, None], np.reshape(prior.brighter_spread, (-1, 1))
     radiance = bound * np.exp(factor)
     unit = min(1.0, _EFFECTIVE / points)
     cost, gradient, hessian = 0.0, np.zeros(3 * num), np.zeros((3 * num, 3 * num))
@@ -195,16 +215,17 @@ def _derivatives(
         parts = gathered.form * np.where(opened, radiance[:, channel], 0.0)
         light = np.maximum(gathered.known[:, channel] + parts.sum(axis=1), 1e-12)
         wanted = np.log(gathered.radiance[:, channel]) - np.log(light)
-        albedo = np.full(count, _ALBEDO)
+        expected = prior.albedo[:, channel]
+        albedo = expected
         for _ in range(4):
             rest = wanted - albedo[gathered.group]
             weight = unit * (_FREEDOM + 1) / (_FREEDOM + (rest / _SCALE) ** 2) / _SCALE**2
-            total = np.bincount(gathered.group, weight, count) + 1 / _ALBEDO_SPREAD**2
-            albedo = np.bincount(gathered.group, weight * wanted, count) + _ALBEDO / _ALBEDO_SPREAD**2
+            total = np.bincount(gathered.group, weight, count) + 1 / prior.albedo_spread**2
+            albedo = np.bincount(gathered.group, weight * wanted, count) + expected / prior.albedo_spread**2
             albedo = np.minimum(albedo / total, np.log(0.95))
         rest = wanted - albedo[gathered.group]
         cost += unit * 0.5 * (_FREEDOM + 1) * float(np.log1p((rest / _SCALE) ** 2 / _FREEDOM).sum())
-        cost += 0.5 * float((((albedo - _ALBEDO) / _ALBEDO_SPREAD) ** 2).sum())
+        cost += 0.5 * float((((albedo - expected) / prior.albedo_spread) ** 2).sum())
         slope = -parts / light[:, None]
         of_group = np.stack(
             [np.bincount(gathered.group, weight * column, count) for column in slope.T], axis=1
@@ -214,12 +235,12 @@ def _derivatives(
         hessian[rows, rows] += slope.T @ (weight[:, None] * slope) - of_group.T @ (of_group / total[:, None])
         gradient[rows] += slope.T @ (weight * rest)
     hue = np.log(radiance) - np.log(radiance).mean(axis=1, keepdims=True)
-    cost += 0.5 * float((((factor - _BRIGHTER) / _BRIGHTER_SPREAD) ** 2)[is_open].sum())
+    away = np.where(is_open, (factor - brighter) / brighter_spread, 0.0)
+    cost += 0.5 * float((away**2).sum())
     cost += 0.5 * float(((hue / _HUE_SPREAD) ** 2).sum())
-    brighter = np.where(is_open, (factor - _BRIGHTER) / _BRIGHTER_SPREAD**2, 0.0)
-    gradient += (brighter + np.where(is_open, hue, 0.0) / _HUE_SPREAD**2).T.ravel()
+    gradient += (away / brighter_spread + np.where(is_open, hue, 0.0) / _HUE_SPREAD**2).T.ravel()
     own = np.tile(np.arange(num), 3)
     same = (own[:, None] == own[None]).astype(np.float64)
     hessian += (np.eye(3 * num) - same / 3) / _HUE_SPREAD**2
-    hessian += np.diag(np.where(is_open.T.ravel(), 1 / _BRIGHTER_SPREAD**2, 1e6))
+    hessian += np.diag(np.where(is_open, 1 / brighter_spread**2, 1e6).T.ravel())
     return cost, gradient, hessian

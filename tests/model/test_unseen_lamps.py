@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""Lamps that the geometry names and no photograph shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.foundation.meshes.mesh import Mesh
+from datagen.geometry.traced import smooth_regions
+from datagen.geometry.views import TracedView
+from datagen.light.emitters import Emitters
+from datagen.light.lighting import Lit
+from model.reconstruction.light import stage
+from model.reconstruction.light.stage import LightMaterials
+from model.reconstruction.light.unseen_lamps import UnseenLamps, lamp_kinds
+from tests.model.light_room import LAMP, photographed_room, quads
+from tests.model.test_light_room import predicted, solved, wall_error
+
+pytestmark = pytest.mark.usefixtures("mitsuba_variant")
+
+
+def without_lamp() -> tuple[TracedView, ...]:
+    """The photographs of the room without the pixels of its lamp."""
+    lamp = [quad.name for quad in quads()].index("lamp")
+    views = []
+    for view in photographed_room():
+        shows = view.geometry.face // 2 == lamp
+        geometry = replace(
+            view.geometry,
+            face=np.where(shows, -1, view.geometry.face),
+            depth_z_m=np.where(shows[..., None], np.float32(0), view.geometry.depth_z_m),
+        )
+        views.append(replace(view, geometry=geometry, valid_mask=view.valid_mask & ~shows))
+    return tuple(views)
+
+
+@lru_cache(maxsize=1)
+def room() -> LightMaterials:
+    return solved(without_lamp(), predicted(without_lamp()))
+
+
+def test_radiance_follows_from_the_surfaces_around() -> None:
+    """Within 8 %, with a network that takes all surfaces for the same grey."""
+    (found,) = room().lit.baker.field.emitters.radiance
+    np.testing.assert_allclose(found, LAMP, rtol=0.08)
+
+
+def test_albedo_in_the_light_of_an_unseen_lamp() -> None:
+    """Within 8 %, where a photographed lamp gives 3.5 %."""
+    assert wall_error(room()) < 0.08
+
+
+def test_network_takes_over_where_its_light_prevails() -> None:
+    """It gives four tenths of the room's light: half of D, and all of S and R, are the network's."""
+    assert 0 < room().solved.replaced.max() < 0.5
+    assert room().solved.confidence[:, 1:].max() == 0
+
+
+def test_a_lamp_that_counts_as_dark_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The twin of the two tests above."""
+
+    def dark(lit: Lit, *_: object) -> UnseenLamps:
+        return UnseenLamps(lit.baker.field.emitters)
+
+    monkeypatch.setattr(stage, "unseen_lamps", dark)
+    found = solved(without_lamp(), predicted(without_lamp()))
+    assert not found.lit.baker.field.emitters.radiance.any()
+    assert wall_error(found) > 0.3
+    assert found.solved.confidence[:, 0].max() > 0.5
+
+
+def test_order_of_views_changes_nothing() -> None:
+    views = without_lamp()
+    order = np.random.default_rng(3).permutation(len(views))
+    shuffled = solved(tuple(views[index] for index in order), predicted(views))
+    for place, index in enumerate(order):
+        for name, values in room().maps[index].items():
+            assert values.tobytes() == shuffled.maps[place][name].tobytes()
+
+
+def boxes(sides: list[float]) -> Mesh:
+    """Cubes of these sides in a row."""
+    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
+    quad = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    face = quad[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    positions = [side * corner + np.array([10 * k, 0, 0], np.float32) for k, side in enumerate(sides)]
+    faces = [face + 8 * k for k in range(len(sides))]
+    return Mesh(np.concatenate(positions), np.concatenate(faces).astype(np.int32))
+
+
+def kinds_of(sides: list[float], shown: dict[int, float]) -> tuple[NDArray, NDArray]:
+    """Kind and radiance of each cube; ``shown`` is the radiance of one side of photographed ones."""
+    mesh = boxes(sides)
+    every = np.arange(len(mesh.faces), dtype=np.int32)
+    region = smooth_regions(mesh)
+    assert region.max() + 1 == 6 * len(sides)
+    radiance = np.zeros((region.max() + 1, 3), np.float32)
+    for cube, value in shown.items():
+        radiance[region[12 * cube]] = value
+    corners = mesh.triangles().astype(np.float32)
+    none = np.zeros(len(every), np.float32)
+    emitters = Emitters(region, radiance, none + 1, every, corners, none)
+    kind, found = lamp_kinds(emitters, mesh)
+    first = region[::12]
+    return kind[first], found[first, 0]
+
+
+def test_all_sides_of_a_lamp_shine_alike() -> None:
+    kind, radiance = kinds_of([1.0, 2.0], {0: 5.0, 1: 3.0})
+    np.testing.assert_array_equal(kind, -1)
+    np.testing.assert_allclose(radiance, [5, 3])
+
+
+def test_a_lamp_has_the_radiance_of_those_like_it() -> None:
+    """Of the mean of both photographed ones; larger ones are of another kind, of unknown radiance."""
+    kind, radiance = kinds_of([1.0, 2.0, 1.0, 1.0, 2.0, 3.0], {0: 4.0, 2: 6.0})
+    np.testing.assert_allclose(radiance, [4, 0, 6, 5, 0, 0])
+    np.testing.assert_array_equal(kind, [-1, 0, -1, -1, 0, 1])
