@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Configurations: one room with things, materials, lights and cameras, ready to render; readable JSON.
+"""Configurations: one room with objects, materials, lights and cameras, ready to render; readable JSON.
 
-A configuration names every asset by id and content hash and holds everything that was decided: no draw is
-left to the renderer. It is a pure function of (recipe, index, library).
+A configuration names every asset by id and content hash and holds all decisions: the renderer makes no random
+choice of content. It is a pure function of (recipe, index, library).
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ Split = Literal["train", "validation", "test"]
 class ColorAdjustment(StrictModel):
     """Variation of a material: applied to D and S in linear HSV, to R by an offset; results are clamped.
 
-    ``hue_shift`` in turns; ``saturation_scale`` and ``value_scale`` multiply; ``roughness_offset`` adds.
-    S is only recoloured where it is coloured (metals); its value is never scaled.
+    ``hue_shift`` in turns; ``saturation_scale`` and ``value_scale`` multiply; ``roughness_offset`` adds. S is
+    changed only where it is coloured (metals); its value is never scaled.
     """
 
     hue_shift: Annotated[float, Field(ge=-1, le=1)] = 0.0
@@ -44,8 +44,8 @@ class ColorAdjustment(StrictModel):
 class MaterialAssignment(StrictModel):
     """The material assigned to a slot of a placed asset.
 
-    ``asset`` is a material package, or None for the material that the asset brought. ``uv_scale`` multiplies
-    the part's UVs (tiles); None computes it from the part's ``uv_per_m`` and the material's ``tile_size_m``.
+    ``asset`` is a material package, or None for the asset's own material. ``uv_scale`` multiplies the part's
+    UVs (tiles); None computes it from the part's ``uv_per_m`` and the material's ``tile_size_m``.
     """
 
     asset: Slug | None = None
@@ -56,9 +56,8 @@ class MaterialAssignment(StrictModel):
 class PlacedAsset(StrictModel):
     """An environment or object in the world; ``name`` is unique in the configuration.
 
-    ``world_from_asset`` holds scale, yaw and position. ``materials`` maps slot to assignment; slots that are
-    not named keep their own material. ``emission`` replaces the radiance of emissive slots, (0, 0, 0) turns
-    one off.
+    ``world_from_asset`` holds scale, yaw and position. ``materials`` maps slot to assignment; other slots
+    keep their own material. ``emission`` replaces the radiance of emissive slots; (0, 0, 0) turns one off.
     """
 
     name: str
@@ -83,7 +82,7 @@ class ViewCamera(StrictModel):
     clip_m: ClipRange = None
 
     def camera(self) -> Camera:
-        """The same as a :class:`datagen.foundation.cameras.Camera`."""
+        """As a :class:`datagen.foundation.cameras.Camera`."""
         return Camera.of(self, self.world_from_camera)
 
     @classmethod
@@ -104,18 +103,18 @@ class ViewCamera(StrictModel):
 
 
 METAL_SPECULAR, GLOSSY_ROUGHNESS = 0.3, 0.3
+"""S (brightest channel) above and R below which a surface pixel counts as metal and as gloss."""
 MIN_METAL_SHARE, MIN_GLOSS_SHARE = 0.06, 0.15
 """Shares of metal and gloss among the surface pixels that training needs."""
-"""S (brightest channel) above and R below which a surface pixel counts as metal and as gloss."""
 
 
 class ViewCoverage(StrictModel):
     """Summary of the views' content, from rays at low resolution.
 
-    ``median_observations``: how many views see the median surface pixel, its own included; ``thin_share`` of
-    the surface pixels are seen by two or fewer. ``room_share`` of the views show two walls or a wall and the
-    ceiling. ``metal_share`` and ``gloss_share`` of the surface pixels are metal and gloss, by the
-    means of their materials.
+    ``median_observations``: number of views that show the median surface pixel, its own included;
+    ``thin_share``: share of the surface pixels visible in two views or fewer. ``room_share`` of the views
+    show two walls or a wall and the ceiling. ``metal_share`` and ``gloss_share`` of the surface pixels are
+    metal and gloss, by the means of their materials.
     """
 
     median_observations: NonNegative
@@ -126,13 +125,13 @@ class ViewCoverage(StrictModel):
 
 
 class Configuration(StrictModel):
-    """Everything that rendering needs. ``lights`` is the complete list besides emissive parts.
+    """Complete input of rendering. ``lights`` lists all lights besides emissive parts.
 
-    ``assets`` maps every asset id in use (environment, objects, materials, images of lights) to the SHA-256
-    of its package; rendering refuses a library whose packages differ. ``rejections`` counts why candidate
-    placements and cameras were thrown away, by stage and reason (``camera.too_close``).
-    ``coverage`` summarises the content of the views; None in configurations from elsewhere.
-    ``seed`` seeds the renderer's sampler.
+    ``assets`` maps every used asset id (environment, objects, materials, images of lights) to the SHA-256 of
+    its package; rendering refuses a library whose packages differ. ``rejections`` counts the reasons for
+    which candidate placements and cameras were rejected, by stage and reason (``camera.too_close``).
+    ``coverage`` summarises the content of the views; None in configurations from other sources. ``seed``
+    seeds the renderer's sampler.
     """
 
     format: Literal["scene-materials/configuration"] = "scene-materials/configuration"
