@@ -236,7 +236,21 @@ def test_lamp_that_no_geometry_names_is_found() -> None:
         assert 2.4 < rectangle.origin_m[2] < 2.48  # between surface and room
     hardly_seen = replace(lit.irradiance, photographed=0.4 * lit.irradiance.photographed)
     assert shining_patches(replace(lit, irradiance=hardly_seen)) == ()
-    assert shining_patches(lit_by(named)) == ()  # the twin: the lamp is named, and nothing else shines
+    dark = lit_by(named)
+    assert shining_patches(dark) == ()  # the twin: the lamp is named, and nothing else shines
+    # on the floor a panel that is brighter than white, and the light of a hidden lamp as bright
+    distance = np.linalg.norm(dark.surfels.position_m - [1.2, 1.5, 0.0], axis=1)
+    assert len(shining_patches(_brightened(dark, np.where(distance < 0.4, 9.0, 1.0)))) == 1
+    assert shining_patches(_brightened(dark, 1 + 8 * np.exp(-np.square(distance / 0.5)))) == ()
+
+
+def _brightened(lit: Lit, factor: NDArray) -> Lit:
+    """``lit`` with the radiance of surfels and their observations times ``factor`` (N,)."""
+    surfels, observations = lit.surfels, lit.surfels.observations
+    seen = observations.radiance * factor[surfels.surfel_of_observation(), None]
+    seen = replace(observations, radiance=seen.astype(np.float32))
+    radiance = (surfels.radiance * factor[:, None]).astype(np.float32)
+    return replace(lit, surfels=replace(surfels, radiance=radiance, observations=seen))
 
 
 def exported(folder: Path, lights: FoundLights) -> Reconstruction:

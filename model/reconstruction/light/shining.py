@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Lamps that the geometry does not name: surfels whose emission is several times the light that any albedo
-could reflect, in nearly all views (mirrors reflect a lamp in some views only).
+could reflect, in nearly all views (mirrors reflect a lamp in some views only), and several times that of the
+surface around. Light of a hidden lamp on a wall ends gradually.
 
 Neighbouring cells of one side are clustered and exported as rectangles across the side's axis, just in front
 of the surface: the triangles of a ceiling extend beyond its lamp.
@@ -31,6 +32,8 @@ MIN_CELLS, MIN_SHARE = 4, 0.003
 """Minimum size of a lamp in cells, and its minimum share of the radiant power of all surfels."""
 MAX_BLOCK = 16
 """Cells along the longest side of a rectangle."""
+MIN_EDGE, RING_CELLS = 2.0, (1.5, 3.5)
+"""Minimum radiance of a lamp, relative to the surface of its side that is so many cells away."""
 _GAP = 0.25  # cells between the surface and its rectangle
 
 
@@ -44,27 +47,38 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
     shining = bright[_faintest(lit, bright) > EXCESS * arriving[bright]]
     if not len(shining):
         return ()
-    key = np.flatnonzero(grid.surfel >= 0)[shining]
-    side, rest = key % NUM_SIDES, key // NUM_SIDES
+    keys = np.flatnonzero(grid.surfel >= 0)
+    sides, rest = keys % NUM_SIDES, keys // NUM_SIDES
     row, z = np.divmod(rest, grid.shape[2])
-    cell = np.stack([row // grid.shape[1], row % grid.shape[1], z], axis=1)
-    apart = np.column_stack([cell, side * 4 * int(max(grid.shape))])  # keeps sides far from each other
-    pairs = cKDTree(apart).query_pairs(1.5, p=np.inf, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(key),) * 2)
+    cells = np.stack([row // grid.shape[1], row % grid.shape[1], z], axis=1)
+    apart = np.column_stack([cells, sides * 4 * int(max(grid.shape))])  # keeps sides far from each other
+    pairs = cKDTree(apart[shining]).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(shining),) * 2)
     count, cluster = connected_components(graph, directed=False)
+    others = np.setdiff1d(np.arange(len(keys)), shining)
+    around = cKDTree(apart[others])
     found = []
     for number in range(count):
-        mine = cluster == number
-        share = sent[shining[mine]].sum() / sent.sum()
-        if mine.sum() >= MIN_CELLS and share >= MIN_SHARE:
-            which = shining[mine]
-            patch = _patch(cell[mine], int(side[mine][0]), which, lit)
+        which = shining[cluster == number]
+        share = sent[which].sum() / sent.sum()
+        if len(which) < MIN_CELLS or share < MIN_SHARE:
+            continue
+        near, far = (_within(around, apart[which], reach) for reach in RING_CELLS)
+        ring = others[np.setdiff1d(far, near)]
+        if not len(ring) or np.median(sent[which]) >= MIN_EDGE * np.median(sent[ring]):
+            patch = _patch(cells[which], int(sides[which][0]), which, lit)
             found.append((share, patch))
     found.sort(key=lambda item: -item[0])
     return tuple(
         FoundPatch(f"panel-{number}", patch.rectangles, patch.place_m, patch.area_m2, patch.radiance)
         for number, (_, patch) in enumerate(found)
     )
+
+
+def _within(tree: cKDTree, points: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
+    """Indices of points of ``tree`` within ``reach`` of any of ``points`` along every axis, ascending."""
+    lists = tree.query_ball_point(points, reach, p=np.inf)
+    return np.unique(np.concatenate([np.asarray(found, dtype=np.int64) for found in lists]))
 
 
 def _faintest(lit: Lit, surfels: NDArray[np.int64]) -> NDArray[np.float64]:
