@@ -5,8 +5,8 @@ VENV ?= .venv
 OUT ?= demo-output
 WORKERS ?= 2
 ONLY ?= tests
-# Processes of pytest. Each renders with threads of its own and takes up to 5 GB.
-JOBS ?= 2
+# Processes of pytest, one more than the cores, as many tests wait. Each takes up to 5 GB.
+JOBS ?= 3
 PYTEST = $(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile
 FAST := $(addprefix tests/,test_architecture.py mitsuba_plugins/test_variant.py \
   datagen/test_formats.py datagen/test_package.py datagen/test_library.py datagen/test_importers_gltf.py \
