@@ -29,7 +29,7 @@ from datagen.formats.view import ViewRecord
 from datagen.formats.view_places import ViewPlace, index_shard, read_member
 from datagen.foundation.buffers import BUFFERS
 from datagen.foundation.errors import InputError, Problem, input_error
-from datagen.foundation.exr import claimed_size, decode_view
+from datagen.foundation.exr import decode_view
 
 _BLOCK_VIEWS = 8
 _ORDER, _CROPS, _MIXING = 0x51, 0x52, 0x53
@@ -112,61 +112,39 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             yield from samples
 
     def _samples(self, place: ViewPlace, generator: np.random.Generator) -> list[dict[str, Any]]:
-        record = _read_record(place)
+        record, buffers = read_view(place, self.buffers)
         height, width = record.camera.height_px, record.camera.width_px
         size = self.crop_px
         if size is None:
-            return [_sample(record, _read_rows(place, record, self.buffers, 0, height), 0, 0, height, width)]
+            return [_sample(record, buffers, 0, 0, height, width)]
         if size > min(height, width):
             where = f"{place.shard}:{place.name}"
             raise input_error(where, "size", f"{width} x {height}", f"at least the crop, {size} px per side")
-        corners = []
+        samples = []
         for _ in range(self.crops_per_view):
             top = int(generator.integers(0, height - size + 1))
-            corners.append((top, int(generator.integers(0, width - size + 1))))
-        first, end = min(corners)[0], max(corners)[0] + size
-        buffers = _read_rows(place, record, self.buffers, first, end)
-        return [_sample(record, buffers, top, left, size, size, first) for top, left in corners]
+            left = int(generator.integers(0, width - size + 1))
+            samples.append(_sample(record, buffers, top, left, size, size))
+        return samples
 
 
 def read_view(place: ViewPlace, names: Sequence[str]) -> tuple[ViewRecord, dict[str, NDArray]]:
     """Record and buffers (H, W, C) as stored of one view. Raises :class:`InputError` that names the view."""
-    record = _read_record(place)
-    return record, _read_rows(place, record, names, 0, record.camera.height_px)
-
-
-def _read_record(place: ViewPlace) -> ViewRecord:
     where = f"{place.shard}:{place.name}"
     try:
-        data = json.loads(read_member(place, place.record))
-    except InputError:
-        raise
+        record = parse_model(ViewRecord, json.loads(read_member(place, place.record)), where)
+        buffers = decode_view(read_member(place, place.exr), names, num_threads=1)
+    except InputError as error:
+        raise InputError(
+            *(Problem(where, p.field, p.got, p.expected, p.remedy) for p in error.problems)
+        ) from None
     except (ValueError, RecursionError) as error:
         raise input_error(where, "", str(error), "valid JSON", _REMEDY) from None
-    return parse_model(ViewRecord, data, where)
-
-
-def _read_rows(
-    place: ViewPlace, record: ViewRecord, names: Sequence[str], first: int, end: int
-) -> dict[str, NDArray]:
-    """Rows ``first`` to ``end`` - 1 of a view's buffers."""
-    where = f"{place.shard}:{place.name}"
-    camera, data = record.camera, read_member(place, place.exr)
-    try:
-        size = claimed_size(data, where)
-        if size != (camera.width_px, camera.height_px):
-            expected = f"{camera.width_px} x {camera.height_px} as its camera says"
-            raise input_error(where, "size", f"{size[0]} x {size[1]}", expected, _REMEDY)
-        is_whole = end - first == camera.height_px
-        buffers = decode_view(data, names, num_threads=1, rows=None if is_whole else (first, end))
-    except InputError as error:
-        problems = (Problem(where, p.field, p.got, p.expected, p.remedy) for p in error.problems)
-        raise InputError(*problems) from None
-    for name, values in buffers.items():  # channels may be sampled more coarsely than the file's size
-        if values.shape[:2] != (end - first, camera.width_px):
-            expected = f"{camera.width_px} x {end - first}"
-            raise input_error(where, name, f"{values.shape[1]} x {values.shape[0]}", expected, _REMEDY)
-    return buffers
+    expected = (record.camera.height_px, record.camera.width_px)
+    for name, values in buffers.items():
+        if values.shape[:2] != expected:
+            raise input_error(where, name, f"{values.shape[:2]}", f"{expected} as its camera says", _REMEDY)
+    return record, buffers
 
 
 def _ranks(rank: int | None, num_ranks: int | None) -> tuple[int, int]:
@@ -188,15 +166,8 @@ def _places(source: Path, split: Split | None) -> list[ViewPlace]:
 
 
 def _sample(
-    record: ViewRecord,
-    buffers: dict[str, NDArray],
-    top: int,
-    left: int,
-    height: int,
-    width: int,
-    first_row: int = 0,
+    record: ViewRecord, buffers: dict[str, NDArray], top: int, left: int, height: int, width: int
 ) -> dict[str, Any]:
-    """A window of a view, of which ``buffers`` hold the rows from ``first_row`` on."""
     camera = record.camera
     focal = ((camera.fx_px, 0.0, camera.cx_px - left), (0.0, camera.fy_px, camera.cy_px - top), (0, 0, 1))
     sample: dict[str, Any] = {
@@ -208,6 +179,6 @@ def _sample(
     }
     for name, values in buffers.items():
         kind = np.int64 if values.dtype.kind == "u" else np.float32
-        cut = values[top - first_row : top - first_row + height, left : left + width].transpose(2, 0, 1)
+        cut = values[top : top + height, left : left + width].transpose(2, 0, 1)
         sample[name] = torch.from_numpy(np.ascontiguousarray(cut, dtype=kind))
     return sample

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import struct
 import tarfile
 from pathlib import Path
 
@@ -42,20 +41,6 @@ def test_exr_round_trip_is_exact(compression: str) -> None:
         np.testing.assert_array_equal(array, to_storage(BUFFERS[name], buffers[name]), err_msg=name)
 
 
-@pytest.mark.parametrize("compression", ["none", "rle", "zips", "zip", "piz"])
-def test_rows_are_those_of_the_whole_view(compression: str) -> None:
-    data = encode_view(make_buffers(83, 20, seed=5), compression)
-    whole = decode_view(data)
-    for first, end in ((0, 83), (0, 1), (15, 17), (16, 32), (31, 70), (80, 83), (82, 83)):
-        rows = decode_view(data, rows=(first, end))
-        assert set(rows) == set(whole)
-        for name, array in rows.items():
-            np.testing.assert_array_equal(array, whole[name][first:end], err_msg=f"{name} {first} {end}")
-    for wrong in ((-1, 4), (4, 4), (5, 84)):
-        with pytest.raises(InputError, match=r"rows = .*; expected rows from 0 to 83"):
-            decode_view(data, rows=wrong)
-
-
 def test_exr_bytes_depend_on_content_alone() -> None:
     buffers = make_buffers(24, 40, seed=3)
     shuffled = {name: array.copy() for name, array in reversed(list(buffers.items()))}
@@ -85,23 +70,12 @@ def test_damaged_exr_is_refused_or_decoded(data: st.DataObject) -> None:
         position = data.draw(st.integers(0, len(good) - 1))
         flip = data.draw(st.integers(1, 255))
         bad = good[:position] + bytes([good[position] ^ flip]) + good[position + 1 :]
-    for rows in (None, (3, 9)):
-        try:
-            decoded = decode_view(bad, rows=rows)
-        except InputError:
-            continue
-        for name, array in decoded.items():
-            assert array.ndim == 3 and array.shape[2] == BUFFERS[name].num_channels
-
-
-def test_rows_of_damaged_tables_are_refused() -> None:
-    data = encode_view(make_buffers(40, 16, seed=1))
-    # Three blocks; the first begins where the table of their offsets ends.
-    table = next(at for at in range(len(data)) if struct.unpack_from("<Q", data, at)[0] == at + 24)
-    for damage in (b"\xff" * 8, struct.pack("<Q", len(data) - 2), struct.pack("<Q", 8)):
-        bad = data[: table + 8] + damage + data[table + 16 :]
-        with pytest.raises(InputError, match="an intact EXR file"):
-            decode_view(bad, rows=(20, 30))
+    try:
+        decoded = decode_view(bad)
+    except InputError:
+        return
+    for name, array in decoded.items():
+        assert array.ndim == 3 and array.shape[2] == BUFFERS[name].num_channels
 
 
 def test_missing_buffer_is_named() -> None:

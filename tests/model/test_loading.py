@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from torch.utils.data import DataLoader
 
 from datagen.formats.shard import ShardReader
 from datagen.foundation.errors import InputError
-from datagen.foundation.exr import encode_view
 from model.loading import ViewStream
 from tests.model.training_data import make_dataset, make_shard
 
@@ -107,18 +105,6 @@ def test_batches_and_splits_of_a_dataset(tmp_path) -> None:
     assert len(ViewStream([folder], ["beauty"], split=None)) == 5
     batch = next(iter(DataLoader(train, batch_size=3)))
     assert batch["beauty"].shape == (3, 3, 16, 16) and batch["world_from_camera"].shape == (3, 4, 4)
-
-
-def test_the_size_is_that_of_the_camera(shards) -> None:
-    stream = ViewStream(shards, ["beauty"], crop_px=16)
-    shard = ShardReader(shards[0])
-    other = encode_view({"beauty": next(iter(shard)).buffers["beauty"][:40]})
-    place = stream.places[0]
-    longer = shards[0].with_name("longer.tar")
-    longer.write_bytes(shards[0].read_bytes() + other)
-    stream.places = [replace(place, shard=longer, exr=(shards[0].stat().st_size, len(other)))]
-    with pytest.raises(InputError, match=r"size = 64 x 40; expected 64 x 48 as its camera says"):
-        list(stream)
 
 
 def test_wrong_uses_are_told(shards, tmp_path) -> None:
