@@ -5,7 +5,6 @@ verbs.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -124,9 +123,6 @@ for verb in (check, infer, photos, render, view, evaluate):
 
 def main() -> None:
     """Entry point."""
-    # Before torch loads OpenMP: threads that wait for others sleep. Where other programs use the cores,
-    # spinning takes five times the processor time of small steps, and four times as long.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     run_command(app)
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 
@@ -35,17 +34,6 @@ def test_help_imports_nothing_heavy():
     result = CliRunner().invoke(app, ["--help"])
     assert result.exit_code == 0
     assert "train" in result.output and "infer" in result.output
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the OpenMP of other systems is not GNU's")
-def test_threads_that_wait_sleep(dataset):
-    command = [sys.executable, "-m", "model.cli", "train", str(dataset), "--out", "none", "--preset", "smoke"]
-    environment = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
-    environment["OMP_DISPLAY_ENV"] = "verbose"
-    told = subprocess.run(
-        [*command, "--dry-run"], cwd=REPOSITORY, check=True, stderr=subprocess.PIPE, env=environment
-    )
-    assert b"GOMP_SPINCOUNT = '0'" in told.stderr
 
 
 def test_training_reads_neither_mitsuba_nor_bpy():
