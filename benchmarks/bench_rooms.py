@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Cost and variety of generated rooms: ``python -m benchmarks.bench_rooms [--seeds N] [--json FILE]``.
 
-For N seeds of every kind: processor seconds of a room with its package, tries, bytes; the least, median and
-largest number of pieces, floor area, proportion, number of windows and their width; the share of windows with
-curtains, blind and radiator.
+For N seeds of every kind: processor seconds of a room with its package, tries, bytes; minimum, median and
+maximum of the number of pieces, floor area, proportion, number of windows and their width; the share of
+windows with curtains, blind and radiator.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def measure(num_seeds: int) -> dict[str, Any]:
 
 
 def _range(values: Sequence[float]) -> list[float]:
-    """Least, median and largest."""
+    """Minimum, median and maximum."""
     return [round(float(x), 2) for x in np.quantile(values, (0.0, 0.5, 1.0))]
 
 

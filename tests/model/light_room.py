@@ -146,6 +146,16 @@ def photographed_room(samples: int = 64) -> tuple[TracedView, ...]:
     return tuple(views)
 
 
+def without_pixels(view: TracedView, hidden: NDArray[np.bool_]) -> TracedView:
+    """The view without the pixels where ``hidden`` (H, W)."""
+    geometry = replace(
+        view.geometry,
+        face=np.where(hidden, -1, view.geometry.face),
+        depth_z_m=np.where(hidden[..., None], np.float32(0), view.geometry.depth_z_m),
+    )
+    return replace(view, geometry=geometry, valid_mask=view.valid_mask & ~hidden)
+
+
 @dataclass(frozen=True)
 class Photograph:
     """Pixels of a view of the room."""

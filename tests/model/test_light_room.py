@@ -19,7 +19,7 @@ from model.reconstruction.light.options import LightOptions
 from model.reconstruction.light.solve import MAX_ALBEDO
 from model.reconstruction.light.stage import LightMaterials, materials_from_light, surfel_albedo
 from model.reconstruction.light.view_maps import WHITE_PAINT
-from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry
+from tests.model.light_room import LAMP, SIDES, SKY, photographed_room, quads, room_geometry, without_pixels
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 EXPOSURE = 0.5
@@ -169,12 +169,7 @@ def without(axis: int, low_m: float, high_m: float) -> tuple[TracedView, ...]:
         to_plane = way @ view.camera.world_from_camera[:3, 2]
         at = view.camera.position_m[axis] + way[..., axis] * depth / to_plane
         hidden = (at > low_m) & (at < high_m) & (view.geometry.face >= 0)
-        geometry = replace(
-            view.geometry,
-            face=np.where(hidden, -1, view.geometry.face),
-            depth_z_m=np.where(hidden[..., None], np.float32(0), view.geometry.depth_z_m),
-        )
-        views.append(replace(view, geometry=geometry, valid_mask=view.valid_mask & ~hidden))
+        views.append(without_pixels(view, hidden))
     return tuple(views)
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,7 +17,7 @@ from datagen.light.lighting import Lit
 from model.reconstruction.light import stage
 from model.reconstruction.light.stage import LightMaterials
 from model.reconstruction.light.unseen_lamps import UnseenLamps, lamp_kinds
-from tests.model.light_room import LAMP, photographed_room, quads
+from tests.model.light_room import LAMP, photographed_room, quads, without_pixels
 from tests.model.test_light_room import predicted, solved, wall_error
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -27,16 +26,7 @@ pytestmark = pytest.mark.usefixtures("mitsuba_variant")
 def without_lamp() -> tuple[TracedView, ...]:
     """The photographs of the room without the pixels of its lamp."""
     lamp = [quad.name for quad in quads()].index("lamp")
-    views = []
-    for view in photographed_room():
-        shows = view.geometry.face // 2 == lamp
-        geometry = replace(
-            view.geometry,
-            face=np.where(shows, -1, view.geometry.face),
-            depth_z_m=np.where(shows[..., None], np.float32(0), view.geometry.depth_z_m),
-        )
-        views.append(replace(view, geometry=geometry, valid_mask=view.valid_mask & ~shows))
-    return tuple(views)
+    return tuple(without_pixels(view, view.geometry.face // 2 == lamp) for view in photographed_room())
 
 
 @lru_cache(maxsize=1)

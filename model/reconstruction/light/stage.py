@@ -75,12 +75,13 @@ def materials_from_light(
     options, report = options or LightOptions(), report or LightReport()
     order = sorted(range(len(views)), key=lambda index: camera_row(views[index]).tobytes())
     ordered, predicted = [views[index] for index in order], [maps[index] for index in order]
-    unseen: list[UnseenLamps] = []
+    lamps: UnseenLamps | None = None
 
     def completed(dark: Lit) -> Emitters:
+        nonlocal lamps
         predicted_albedo = surfel_means(dark.surfels, [m["diffuse_albedo"] for m in predicted])
-        unseen.append(unseen_lamps(dark, traced.mesh, region_of_face[dark.surfels.face], predicted_albedo))
-        return unseen[0].emitters
+        lamps = unseen_lamps(dark, traced.mesh, region_of_face[dark.surfels.face], predicted_albedo)
+        return lamps.emitters
 
     lit = light_surfels(ordered, traced, emits, region_of_face, options, report.step, completed)
     surfels = lit.surfels
@@ -114,9 +115,7 @@ def materials_from_light(
         sure = np.ones(len(surfels))
         if doubt_at is not None:
             sure = sureness(doubt_at(surfels.position_m, surfels.normal), lit.diffuse)
-        inferred = np.zeros(len(surfels))
-        for lamps in unseen:
-            inferred = lamps.share(lit, region)
+        inferred = lamps.share(lit, region) if lamps is not None else np.zeros(len(surfels))
         lit = replace(lit, hidden=np.maximum(lit.hidden, inferred))
         solved, albedo = _solved_surfels(lit, segments, segmentation, specular, sure, inferred, options)
     with report.step("maps"):
