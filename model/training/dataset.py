@@ -40,6 +40,8 @@ _GEOMETRY_BUFFERS = ("normal_world", "depth_z_m", "surface_mask")
 _REMEDY = "make the shard again, or train with data.on_bad_view: skip"
 _ORDER_PURPOSE, _CROP_PURPOSE = 0x0D, 0xC4
 _RANGE_SLACK = 1e-3  # half floats round 1 - eps up to 1
+_RADIANCE = ("beauty", *COLOR_STATISTICS, "mirror_sharp", "mirror_broad")
+_ALBEDO = ("reflectance", MATERIAL_MAPS.diffuse_albedo, MATERIAL_MAPS.specular_albedo)
 
 
 def buffer_names(network: NetworkConfig) -> tuple[str, ...]:
@@ -273,8 +275,18 @@ class CropDataset(Dataset[dict[str, Tensor]]):
         return sample
 
     def _degrade(self, sample: dict[str, Tensor], generator: torch.Generator) -> None:
-        """Add errors of recorded light, and photon noise (``light_jitter_stops``, ``noise``), in place."""
+        """Change the colours, and add errors of recorded light and photon noise (``light_color_stops``,
+        ``light_jitter_stops``, ``noise``), in place.
+        """
         config = self.config
+        if config.light_color_stops > 0:
+            order = torch.randperm(3, generator=generator)
+            stops = (2 * torch.rand(3, 1, 1, generator=generator) - 1) * config.light_color_stops
+            for name in sample:
+                if name in _RADIANCE:
+                    sample[name] = sample[name][order] * 2.0**stops
+                elif name in _ALBEDO:
+                    sample[name] = sample[name][order]
         if config.light_jitter_stops > 0:
             scale = 2.0 ** ((2 * float(torch.rand(1, generator=generator)) - 1) * config.light_jitter_stops)
             for name in LIGHT_BUFFERS:

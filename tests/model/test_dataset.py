@@ -170,6 +170,31 @@ def test_light_jitter_scales_recorded_light_alone(tmp_path):
     assert -0.5 <= min(stops) < -0.1 and 0.1 < max(stops) <= 0.5
 
 
+def test_light_color_changes_channels_of_light_and_of_materials_alike(tmp_path):
+    folder = make_dataset(tmp_path / "lit", {"room-0": ("train", 3)}, has_light=True)
+    places = index_shard(next(folder.glob("shards/*.tar")))
+    network = NETWORK.model_copy(update={"light_inputs": ("reflectance", "known_share", "mirror_broad")})
+    plain = CropDataset(places, CONFIG, network, seed=2)
+    colored = CropDataset(places, CONFIG.model_copy(update={"light_color_stops": 0.5}), network, seed=2)
+    radiance = ("beauty", "color_median", "color_max", "color_min", "mirror_broad")
+    albedo = ("reflectance", "diffuse_albedo", "specular_albedo")
+    orders, stops = set(), []
+    for crop in range(20):
+        before, after = plain[crop], colored[crop]
+        colors = before["reflectance"].flatten(1), after["reflectance"].flatten(1)
+        order = [next(c for c in range(3) if torch.equal(colors[0][c], channel)) for channel in colors[1]]
+        assert sorted(order) == [0, 1, 2]
+        orders.add(tuple(order))
+        reordered = before["beauty"][order].sum(dim=(1, 2))
+        gain = (after["beauty"].sum(dim=(1, 2)) / reordered).reshape(3, 1, 1)
+        for name, value in before.items():
+            expected = value[order] * gain if name in radiance else value[order] if name in albedo else value
+            torch.testing.assert_close(after[name], expected, atol=1e-6, rtol=1e-4, msg=name)
+        stops += torch.log2(gain).ravel().tolist()
+    assert len(orders) == 6
+    assert -0.5 <= min(stops) < -0.3 and 0.3 < max(stops) <= 0.5
+
+
 def test_noise_grows_with_the_root_of_exposed_radiance(shard):
     plain = CropDataset(index_shard(shard), CONFIG, NETWORK, seed=2)
     noisy = CropDataset(index_shard(shard), CONFIG.model_copy(update={"noise": 0.1}), NETWORK, seed=2)
