@@ -68,6 +68,9 @@ class NetworkConfig(StrictModel):
     light_inputs: tuple[LightInput, ...] = Field(default=(), exclude_if=lambda value: not value)
     """Buffers of the light that the views record, as input of both tracks; datasets contain them if their
     recipe has ``statistics: {light: true}``."""
+    blends_reflectance: bool = Field(default=False, exclude_if=lambda value: not value)
+    """D is a blend of a prediction and of ``reflectance``, with share and gain predicted by pixel: recorded
+    reflectance has the texture at full resolution and, where the light is known, the level."""
     factory: str | None = Field(default=None, exclude_if=lambda value: value is None)
     """``package.module:Class`` of a custom network in place of the two tracks (model.own_network)."""
     arguments: dict[str, Any] = Field(default={}, exclude_if=lambda value: not value)
@@ -80,6 +83,8 @@ class NetworkConfig(StrictModel):
         fields = type(self).model_fields.items()
         own = ("factory", "arguments")
         changed = [n for n, f in fields if n not in own and getattr(self, n) != f.default]
+        if self.blends_reflectance and "reflectance" not in self.light_inputs:
+            raise ValueError("expected reflectance in light_inputs, as blends_reflectance is true")
         if self.factory is not None and changed:
             raise ValueError(f"expected no {', '.join(changed)} beside factory, whose settings are arguments")
         return self
@@ -104,6 +109,24 @@ TRACK_OUTPUTS: dict[TrackName, dict[str, int]] = {
     "diffuse": {"diffuse_albedo": 3},
     "specular": {"specular_albedo": 3, "roughness": 1},
 }
+_BLEND_CHANNELS = (3, 1, 3)  # predicted D, share of the reflectance, its gain
+_MAX_GAIN_STOPS = 2.0
+
+
+def track_channels(track: TrackName, config: NetworkConfig) -> int:
+    """Output channels of a track's convolutions."""
+    if track == "diffuse" and config.blends_reflectance:
+        return sum(_BLEND_CHANNELS)
+    return sum(TRACK_OUTPUTS[track].values())
+
+
+def blend_reflectance(outputs: Tensor, reflectance: Tensor) -> Tensor:
+    """D (B, 3, H, W) from the diffuse track's ``outputs`` (B, 7, H, W) in [0, 1] and recorded ``reflectance``
+    (B, 3, H, W).
+    """
+    base, share, gain = outputs.split(_BLEND_CHANNELS, dim=1)
+    scale = torch.exp2(_MAX_GAIN_STOPS * (2.0 * gain - 1.0))
+    return torch.lerp(base, (reflectance.clamp(0.0, MAX_REFLECTANCE) * scale).clamp(max=1.0), share)
 
 
 def encode_color(linear: Tensor, exposure: Tensor | float) -> Tensor:
@@ -343,9 +366,9 @@ class MaterialNetwork(nn.Module):
         super().__init__()
         self.config = config or NetworkConfig()
         tracks: dict[str, nn.Module] = {}
-        for name, outputs in TRACK_OUTPUTS.items():
+        for name in TRACK_OUTPUTS:
             num_in = sum(input_channels(n) for n in track_inputs(name, self.config))
-            tracks[name] = Track(num_in, sum(outputs.values()), self.config)
+            tracks[name] = Track(num_in, track_channels(name, self.config), self.config)
         self.tracks = nn.ModuleDict(tracks)
 
     def parts(self) -> dict[str, nn.Module]:
@@ -371,6 +394,8 @@ class MaterialNetwork(nn.Module):
                 x = x.contiguous(memory_format=torch.channels_last)
             outputs = TRACK_OUTPUTS[track]
             predicted = self.tracks[track](x)
+            if track == "diffuse" and self.config.blends_reflectance:
+                predicted = blend_reflectance(predicted, buffers["reflectance"])
             for name, part in zip(outputs, predicted.split(list(outputs.values()), dim=1), strict=True):
                 maps[name] = part
         return maps

@@ -78,9 +78,9 @@ class DataConfig(StrictModel):
     """Maximum relative deviation of a crop's Gaussian noise in ``beauty`` at an exposed radiance of 1; it
     grows with the square root of radiance, as photon noise does."""
     light_color_stops: float = Field(default=0.0, ge=0, le=4)
-    """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel, with
-    u uniform between minus and plus this: channels of light do not mix, so that this is a room with other
-    colours. 0 leaves both out."""
+    """Each crop's colour channels are permuted at random, and its radiance is multiplied by 2^u per channel,
+    with u uniform between minus and plus this: channels of light do not mix, so that this is a room with
+    other colours. 0 leaves both out."""
     block_views: int = Field(default=32, ge=1)
     """Crops are shuffled within blocks of this many views, each of which is decoded once per loader process.
     """
@@ -129,7 +129,7 @@ class TrainingConfig(StrictModel):
     validation: ValidationConfig = ValidationConfig()
     initial_checkpoint: Path | None = None
     """Start from the weights of this checkpoint. Its network must be the same, except that it may lack
-    ``light_inputs``: their weights start at 0."""
+    ``light_inputs``, whose weights start at 0, and ``blends_reflectance``."""
     checkpoint_every_steps: int = Field(default=500, ge=1)
     log_every_steps: int = Field(default=10, ge=1)
 

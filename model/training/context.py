@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from datagen.foundation.errors import input_error
 from model.checkpoint import DataRecord, load_checkpoint
 from model.confidence import ConfidenceNets
-from model.networks import TRACK_OUTPUTS, MaterialNetwork, NetworkConfig, input_channels, track_inputs
+from model.networks import TRACK_OUTPUTS, MaterialNetwork, input_channels, track_inputs
 from model.own_network import OwnNetwork, make_network, try_network
 from model.training.conditions import generator_for
 from model.training.config import TrainingConfig
@@ -136,11 +136,13 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
         return models, ()
     first = load_checkpoint(path)
     given, wanted = first.card.network, config.network
-    with_light = given.model_copy(update={"light_inputs": wanted.light_inputs})
-    if with_light != wanted or not set(given.light_inputs) <= set(wanted.light_inputs):
+    light = {name: getattr(wanted, name) for name in ("light_inputs", "blends_reflectance")}
+    is_wider = given.blends_reflectance <= wanted.blends_reflectance
+    is_wider &= set(given.light_inputs) <= set(wanted.light_inputs)
+    if not is_wider or given.model_copy(update=light) != wanted:
         raise input_error(path, "network", given, f"{wanted}, or the same with fewer light_inputs")
-    if isinstance(first.network, MaterialNetwork):
-        models.network.load_state_dict(_widened(first.network, wanted))
+    if isinstance(first.network, MaterialNetwork) and isinstance(models.network, MaterialNetwork):
+        models.network.load_state_dict(_widened(first.network, models.network))
     else:
         models.network.load_state_dict(first.network.state_dict())
     if first.confidence is not None:
@@ -148,20 +150,27 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
     return models, first.card.data
 
 
-def _widened(network: MaterialNetwork, config: NetworkConfig) -> dict[str, Tensor]:
-    """Weights of ``network`` extended to the inputs of ``config``.
+def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tensor]:
+    """Weights of ``wider`` with those of ``network`` in place of its own.
 
-    Weights of new inputs are 0, so that the maps are unchanged until training changes them.
+    Weights of new inputs are 0, so that the outputs of ``network`` are unchanged until training changes them.
+    New outputs keep the random weights of ``wider``, and do not affect the others.
     """
     weights = dict(network.state_dict())
     for track in TRACK_OUTPUTS:
         given = set(track_inputs(track, network.config))
         is_given = torch.cat(
-            [torch.full((input_channels(n),), n in given) for n in track_inputs(track, config)]
+            [torch.full((input_channels(n),), n in given) for n in track_inputs(track, wider.config)]
         )
         for name in (f"tracks.{track}.enc1.weight", f"tracks.{track}.global_start.weight"):
             narrow = weights[name]
             wide = narrow.new_zeros(len(narrow), len(is_given), *narrow.shape[2:])
             wide[:, is_given] = narrow
+            weights[name] = wide
+        for layer in ("conv1", "conv2", "link.add"):
+            name = f"tracks.{track}.dec1.{layer}.weight"
+            narrow, wide = weights[name], wider.state_dict()[name].clone()
+            wide[: len(narrow)] = 0
+            wide[: len(narrow), : narrow.shape[1]] = narrow
             weights[name] = wide
     return weights

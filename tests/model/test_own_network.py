@@ -12,7 +12,15 @@ from typer.testing import CliRunner
 
 from datagen.foundation.errors import InputError
 from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint
-from model.networks import INPUTS, MaterialNetwork, NetworkConfig, assemble_inputs, encode_input, track_inputs
+from model.networks import (
+    INPUTS,
+    MaterialNetwork,
+    NetworkConfig,
+    assemble_inputs,
+    blend_reflectance,
+    encode_input,
+    track_inputs,
+)
 from model.own_network import OwnNetwork, make_network, network_inputs, try_network
 from model.training.config import parse_overrides, resolve_config
 from model.training.dataset import buffer_names
@@ -234,5 +242,39 @@ def test_training_with_light_starts_from_a_checkpoint_without(dataset: Path, tmp
         Trainer(fewer, [dataset], tmp_path / "fewer", device=CPU)
 
 
+def test_diffuse_albedo_blends_recorded_reflectance() -> None:
+    base, reflectance = torch.full((1, 3, 2, 2), 0.2), torch.full((1, 3, 2, 2), 0.6)
+
+    def blended(share: float, gain: float) -> torch.Tensor:
+        outputs = torch.cat([base, base[:, :1] * 0 + share, base * 0 + gain], dim=1)
+        return blend_reflectance(outputs, reflectance)
+
+    for share, gain, expected in ((0, 0.9, 0.2), (1, 0.5, 0.6), (1, 0.25, 0.3), (1, 1, 1), (0.25, 0.5, 0.3)):
+        torch.testing.assert_close(blended(share, gain), torch.full_like(base, expected))
+    with pytest.raises(ValueError, match="expected reflectance in light_inputs"):
+        NetworkConfig(blends_reflectance=True)
+
+
+def test_training_with_reflectance_starts_from_a_checkpoint_without(dataset: Path, tmp_path: Path) -> None:
+    first = Trainer(_config(), [dataset], tmp_path / "first", device=CPU).run()
+    lit = ("network.light_inputs=[reflectance]", "network.blends_reflectance=true")
+    trainer = Trainer(_config(*lit, f"initial_checkpoint={first}"), [dataset], tmp_path / "lit", device=CPU)
+    narrow, wide = load_checkpoint(first).network, trainer.models.network.eval()
+    batch = synthetic_batch(2, 32, CPU)
+    expected, found = narrow(batch, batch["exposure"]), wide(batch, batch["exposure"])
+    for name in ("specular_albedo", "roughness"):
+        torch.testing.assert_close(found[name], expected[name], rtol=0, atol=1e-6)
+    x = assemble_inputs("diffuse", batch, batch["exposure"], wide.config)
+    outputs = wide.tracks["diffuse"](x)
+    torch.testing.assert_close(outputs[:, :3], expected["diffuse_albedo"], rtol=0, atol=1e-6)
+    share, gain = outputs[:, 3:4], outputs[:, 4:]
+    assert ((share - 0.5).abs() < 0.1).all() and ((gain - 0.5).abs() < 0.1).all()
+    reflectance = batch["reflectance"].clamp(0, 2) * 2 ** (4 * gain - 2)
+    mixed = (1 - share) * outputs[:, :3] + share * reflectance.clamp(max=1)
+    torch.testing.assert_close(found["diffuse_albedo"], mixed, rtol=0, atol=1e-6)
+    assert load_checkpoint(trainer.run()).card.network.blends_reflectance
+
+
 def test_cards_without_light_are_as_they_were() -> None:
-    assert not {"light_inputs", "factory", "arguments"} & NetworkConfig().model_dump().keys()
+    optional = {"light_inputs", "blends_reflectance", "factory", "arguments"}
+    assert not optional & NetworkConfig().model_dump().keys()
