@@ -122,6 +122,9 @@ class TrainingConfig(StrictModel):
     """Gradients with a larger norm, over all weights that a phase trains, are scaled down to it; None: no
     clipping. At a high rate one steep batch can push outputs into the flat part of tanh, from which no
     gradient leads back."""
+    average_decay: float = Field(default=0.0, ge=0, lt=1)
+    """Validation and checkpoints use weights averaged over the last steps, about 1 / (1 - average_decay) of
+    them; 0: those of the last step."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the networks' activations; losses and weights stay float32."""
     channels_last: bool = False

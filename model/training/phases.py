@@ -23,6 +23,7 @@ from model.training.context import TrainingContext
 from model.training.dataset import CropDataset, make_loader
 from model.training.losses import LossTerms
 from model.training.validation import network_predictor
+from model.training.weight_average import WeightAverage
 
 
 class TrackModule(nn.Module):
@@ -62,6 +63,7 @@ class Phase:
         self.num_steps = num_steps or context.num_steps(index)
         self.optimizer = torch.optim.Adam(module.parameters(), self.learning_rate(0), betas=config.adam_betas)
         self.parameters = list(module.parameters())
+        self.average = WeightAverage(self.parameters, config.average_decay) if config.average_decay else None
         self.module = module
         if context.ranks.count > 1:
             self.module = DistributedDataParallel(module)
@@ -97,6 +99,10 @@ class Phase:
                 raise
             where, _, rest = text.strip().partition(": ")
             raise InputError(Problem(where, got=rest)) from None
+
+    def averaged_weights(self) -> AbstractContextManager[None]:
+        """Context in which the networks have the weights of checkpoints."""
+        return self.average.applied() if self.average else nullcontext()
 
     def gradient_sync(self, is_last: bool) -> AbstractContextManager[Any]:
         """Context in which ranks exchange gradients only in the last micro-batch of a step."""

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from datagen.formats.base import canonical_json, write_bytes_atomically
@@ -15,6 +14,7 @@ from datagen.foundation.errors import input_error
 from model.checkpoint import CheckpointCard, load_checkpoint, save_checkpoint, software_versions
 from model.training.config import PhaseName
 from model.training.context import TrainingContext
+from model.training.phases import Phase
 from model.training.run_state import (
     RUN_FILE,
     RunProgress,
@@ -74,10 +74,12 @@ class RunFolder:
         restore_module(context.models, state[1], self.path)
         return state
 
-    def save(self, progress: RunProgress, optimizer: torch.optim.Optimizer | None = None) -> None:
-        """Write the state; without an optimiser between phases."""
+    def save(self, progress: RunProgress, phase: Phase | None = None) -> None:
+        """Write the state; without a phase between phases."""
         if self.context.ranks.is_first:
-            save_state(self.path, progress, self.context.models, optimizer)
+            optimizer, average = (phase.optimizer, phase.average) if phase else (None, None)
+            averages = average.tensors() if average else {}
+            save_state(self.path, progress, self.context.models, optimizer, averages)
         self.context.ranks.barrier()
 
     def save_best(self, phase: PhaseName, step: int, metrics: dict[str, float]) -> None:

@@ -90,12 +90,17 @@ class NonFiniteError(RuntimeError):
 
 
 def save_state(
-    folder: Path, progress: RunProgress, module: nn.Module, optimizer: torch.optim.Optimizer | None
+    folder: Path,
+    progress: RunProgress,
+    module: nn.Module,
+    optimizer: torch.optim.Optimizer | None,
+    averages: Mapping[str, Tensor] | None = None,
 ) -> None:
-    """Write the state of a run atomically."""
+    """Write the state of a run atomically; ``averages`` are of a phase's weights."""
     from safetensors.torch import save
 
     tensors = {f"module.{name}": value for name, value in module.state_dict().items()}
+    tensors |= averages or {}
     if optimizer is not None:
         for index, state in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{index}.{name}": torch.as_tensor(value) for name, value in state.items()}

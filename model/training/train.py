@@ -80,6 +80,8 @@ class Trainer:
                 phase = Phase(context, index)
                 if self.progress.step > 0:
                     restore_optimizer(phase.optimizer, restored)
+                    if phase.average:
+                        phase.average.restore(restored)
                 batches = phase.batches(self.progress.step)
                 while self.progress.step < phase.num_steps:
                     # One step of the optimiser.
@@ -106,7 +108,7 @@ class Trainer:
                     if step % config.checkpoint_every_steps == 0 or stops:
                         if log is not None:
                             log.flush()
-                        folder.save(self.progress, phase.optimizer)
+                        folder.save(self.progress, phase)
                     if stops:
                         raise KeyboardInterrupt
 
@@ -158,6 +160,8 @@ class Trainer:
             if config.gradient_clip_norm is not None:
                 torch.nn.utils.clip_grads_with_norm_(phase.parameters, config.gradient_clip_norm, norm)
             phase.optimizer.step()
+            if phase.average:
+                phase.average.update(self.progress.step + 1)
         return values
 
     def _stop_on_non_finite(self, phase: Phase, batch: dict[str, Tensor], values: dict[str, float]) -> None:
@@ -184,12 +188,13 @@ class Trainer:
         """Validate, and keep the weights if they are the phase's best so far."""
         if log is not None:
             name, step = phase.config.name, self.progress.total_step
-            metrics = phase_metrics(self.context, name, self.validation_views, log, step)
             best = self.progress.best_score
-            score = score_of(metrics) if metrics else None
-            if score is None or best is None or score < best:
-                self.folder.save_best(name, step, metrics)
-                best = score
+            with phase.averaged_weights():
+                metrics = phase_metrics(self.context, name, self.validation_views, log, step)
+                score = score_of(metrics) if metrics else None
+                if score is None or best is None or score < best:
+                    self.folder.save_best(name, step, metrics)
+                    best = score
             if score is not None:
                 log.scalars(step, name, epoch, "validation", {**metrics, "score": score})
                 log.flush()

@@ -156,6 +156,47 @@ def test_an_interrupted_run_continues_bit_for_bit(dataset, whole, tmp_path, stop
     assert logs[0] == logs[1]
 
 
+def test_checkpoints_have_averaged_weights(dataset, tmp_path):
+    """Exponential averages of the weights after each step; training itself, and resuming, do not change."""
+    settings = ("phases=[{name: diffuse, steps: 6}]", "learning_rate=0.01", "checkpoint_every_steps=2")
+    Trainer(_config(*settings), [dataset], tmp_path / "plain", device=CPU).run()
+    expected, steps = [], []
+
+    def run(folder: Path, stop_at: int | None) -> None:
+        trainer = Trainer(_config(*settings, "average_decay=0.9"), [dataset], folder, device=CPU)
+        original = trainer.step
+
+        def step(phase, batches):
+            if not steps:
+                expected[:] = [p.detach().clone() for p in phase.parameters]
+            values = original(phase, batches)
+            steps.append(len(steps) + 1)
+            decay = min(0.9, steps[-1] / (10 + steps[-1]))
+            for mean, p in zip(expected, phase.parameters, strict=True):
+                mean.mul_(decay).add_(p.detach(), alpha=1 - decay)
+            if steps[-1] == stop_at:
+                trainer.request_stop()
+            return values
+
+        trainer.step = step
+        trainer.run()
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "parts", stop_at=3)
+    run(tmp_path / "parts", stop_at=None)
+    assert steps == [1, 2, 3, 4, 5, 6]
+    network = load_checkpoint(tmp_path / "parts" / "final.safetensors").network
+    found = list(network.tracks["diffuse"].parameters())
+    for mean, p in zip(expected, found, strict=True):
+        torch.testing.assert_close(p.detach(), mean, rtol=1e-5, atol=1e-6)
+    plain = load_checkpoint(tmp_path / "plain" / "final.safetensors").network
+    assert any(
+        (a - b).abs().max() > 1e-4 for a, b in zip(plain.parameters(), network.parameters(), strict=True)
+    )
+    logs = [read_log(tmp_path / name, "train", "total") for name in ("plain", "parts")]
+    assert logs[0] == logs[1]
+
+
 def test_a_killed_run_goes_back_to_its_last_state(dataset, whole, tmp_path):
     """Killed without warning between two saved states: the steps in between are done again, with the same
     result."""
