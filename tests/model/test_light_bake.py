@@ -20,6 +20,7 @@ from datagen.light.emitters import Emitters
 from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CellGrid, Observations, Surfels, weighted_medians
 from model.reconstruction.light.solve import (
+    NETWORK_VARIANCE,
     ROUGHNESS_LEVELS,
     SPECULAR_LEVELS,
     Costs,
@@ -255,16 +256,29 @@ def test_hypotheses_that_explain_alike_share() -> None:
     np.testing.assert_allclose(found.specular_albedo, 0.04, atol=0.003)
 
 
-def test_unexplained_segments_keep_the_network() -> None:
-    """Halfway at a residual of 0.09; whole from 0.12 on, for metals too."""
-    half, whole = decided(costs_of_levels(0.09, 0.05)), decided(costs_of_levels(0.12, 0.05))
-    np.testing.assert_allclose(half.specular_albedo, 0.05, atol=0.002)
-    np.testing.assert_allclose(half.roughness, 0.5, atol=0.02)
-    np.testing.assert_allclose(whole.specular_albedo, 0.04, atol=1e-6)
-    np.testing.assert_allclose(whole.roughness, 0.6, atol=1e-6)
-    metal = decided(costs_of_levels(0.3, 0.0), metal=0.13)
-    assert metal.is_metal.all()
-    np.testing.assert_allclose(metal.specular_albedo, 0.04, atol=1e-6)
+def test_unexplained_segments_have_no_confidence() -> None:
+    """None from a residual of 0.06 on, and half at 0.045; metals, which mirror every fault, at twice that."""
+    for residual, expected in ((0.03, 1.0), (0.045, 0.5), (0.06, 0.0)):
+        found = decided(costs_of_levels(residual, 0.05))
+        np.testing.assert_allclose(found.confidence[:, :2], expected, atol=1e-3)
+    for residual, expected in ((0.06, 1.0), (0.09, 0.5), (0.12, 0.0)):
+        metal = decided(costs_of_levels(0.4, 0.0), metal=residual)
+        assert metal.is_metal.all()
+        np.testing.assert_allclose(metal.confidence, expected, atol=1e-3)
+
+
+def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
+    """By the variance over the hypotheses, as the mean of two estimates with independent errors has it."""
+    clear = decided(costs_of_levels(0.01, 0.01))
+    assert clear.confidence[0, 2] > 0.95
+    costs = costs_of_levels(0.01, 0.01, (1, 2))
+    costs[-1, 2] = 0.01
+    unclear = decided(costs, evidence=0.999)
+    variance = (ROUGHNESS_LEVELS[-1] - ROUGHNESS_LEVELS[1]) ** 2 / 4
+    np.testing.assert_allclose(
+        unclear.confidence[0, 2], NETWORK_VARIANCE / (NETWORK_VARIANCE + variance), rtol=0.05
+    )
+    np.testing.assert_allclose(unclear.confidence[0, :2], 1.0)
 
 
 def test_cost_is_that_of_a_dense_solve() -> None:

@@ -32,9 +32,12 @@ MIN_METAL = 0.2
 
 
 MIN_EVIDENCE = 0.05
-FULL_TRUST, NO_TRUST = 0.06, 0.12
-"""Limits on a segment's residual: below the first, it has its best hypothesis; above the second, the
-network's, since its light is not the photographed light."""
+DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
+"""Limits on a segment's residual: below the first it has full confidence; above the second none, since no
+hypothesis explains it. Unexplained dielectrics are mostly metals among inexact light or geometry; metals are
+mirrors of both, and fit worse when right."""
+NETWORK_VARIANCE = 0.03
+"""Variance of the network's R, against which the variance of R over the hypotheses is weighed."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that makes a hypothesis of S and R e times less likely."""
@@ -77,14 +80,16 @@ class Costs:
 class SolvedSegments:
     """Materials of G segments.
 
-    ``specular_albedo`` (G, 3), ``roughness`` (G,), ``is_metal`` (G,), and ``residual`` (G,), the mean cost
-    without priors.
+    ``specular_albedo`` (G, 3), ``roughness`` (G,), ``is_metal`` (G,), ``residual`` (G,), the mean cost
+    without priors, and ``confidence`` (G, 3) of D, S and R in [0, 1], by the residual and by how much the
+    likely hypotheses differ.
     """
 
     specular_albedo: NDArray[np.float32]
     roughness: NDArray[np.float32]
     is_metal: NDArray[np.bool_]
     residual: NDArray[np.float32]
+    confidence: NDArray[np.float32]
 
 
 def segment_costs(
@@ -143,9 +148,10 @@ def decide(
     of_glossy = costs.dielectric[:, :, 1:].reshape(len(root), -1).min(axis=1)
     residual = np.minimum(of_matte, of_glossy)
     noise = np.maximum(residual, MIN_NOISE)
-    found_s, found_r = _expected(glossy / (GLOSSY_TEMPERATURE * noise)[:, None, None])
+    found_s, found_r, square_r = _expected(glossy / (GLOSSY_TEMPERATURE * noise)[:, None, None])
     matte = expit((of_glossy - of_matte + MATTE_ALLOWANCE * noise) / (MATTE_TEMPERATURE * noise))
     found_s, found_r = (1 - matte) * found_s, matte + (1 - matte) * found_r
+    variance = matte + (1 - matte) * square_r - found_r**2
     best = np.minimum(glossy.reshape(len(root), -1).min(axis=1), of_matte + of_s[:, 0] + of_r[:, -1])
     unlike = 1 - np.minimum(root**2 / MIN_METAL, 1)  # networks rarely predict metal, but then reliably
     metal = costs.metal + of_r
@@ -158,22 +164,31 @@ def decide(
     found_s = np.where(is_metal[:, None], costs.metal_albedo[rows, metal_level], found_s[:, None])
     found_r = np.where(is_metal, _refined(metal, metal_level), found_r)
     residual = np.where(is_metal, costs.metal[rows, metal_level], residual)
-    trust = np.clip((NO_TRUST - residual) / (NO_TRUST - FULL_TRUST), 0, 1)
-    found_s = trust[:, None] * found_s + (1 - trust[:, None]) * specular_albedo
-    found_r = trust * found_r + (1 - trust) * roughness
+    low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
+    confidence = np.repeat(np.clip((high - residual) / (high - low), 0, 1)[:, None], 3, axis=1)
+    confidence[:, 2] *= np.where(is_metal, 1.0, NETWORK_VARIANCE / (NETWORK_VARIANCE + variance))
     return SolvedSegments(
-        found_s.astype(np.float32), found_r.astype(np.float32), is_metal, residual.astype(np.float32)
+        found_s.astype(np.float32),
+        found_r.astype(np.float32),
+        is_metal,
+        residual.astype(np.float32),
+        confidence.astype(np.float32),
     )
 
 
-def _expected(cost: NDArray) -> tuple[NDArray, NDArray]:
-    """S and R (G,), means over the hypotheses of ``cost`` (G, levels, nonzero speculars), weighted by
-    likelihood.
+def _expected(cost: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """S, R and R squared (G,), means over the hypotheses of ``cost`` (G, levels, nonzero speculars), weighted
+    by likelihood.
 
     The mean has a lower squared error than the most likely hypothesis.
     """
     weight = softmax(-cost.reshape(len(cost), -1), axis=1).reshape(cost.shape)
-    return weight.sum(axis=1) @ SPECULAR_LEVELS[1:], weight.sum(axis=2) @ ROUGHNESS_LEVELS
+    of_level = weight.sum(axis=2)
+    return (
+        weight.sum(axis=1) @ SPECULAR_LEVELS[1:],
+        of_level @ ROUGHNESS_LEVELS,
+        of_level @ ROUGHNESS_LEVELS**2,
+    )
 
 
 def _refined(cost: NDArray, best: NDArray) -> NDArray[np.float32]:

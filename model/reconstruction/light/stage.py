@@ -171,8 +171,10 @@ def _solved_surfels(
     confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
-    replaced = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit
-    confidence *= replaced[:, None]
+    of_segment = segments.confidence[segment]
+    trust = impossible.trust() * trust_in_hidden(lit.hidden) * is_lit
+    confidence *= trust[:, None] * of_segment
+    replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
     confidence[:, 1:] *= trust_in_inferred(inferred)[:, None]
     diffuse = lit.diffuse
