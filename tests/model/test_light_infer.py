@@ -65,7 +65,10 @@ def test_atlas_has_the_walls_albedos_whatever_was_predicted(tmp_path: Path) -> N
     assert set(report.seconds) - told_of_the_end == {"statistics", "write maps"}  # within predict
     assert {("light", 1, 10), ("export", 1, 5), ("trace", 0, 1)} <= set(told)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
-    assert written["photographed_share"] > 0.95 and min(written["confidence"]) > 0.95
+    assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95
+    assert (
+        0.4 < written["confidence"][2] < 0.95
+    )  # an untrained network predicts gloss, matte explains as much
     assert written["num_surfels"] > 1000 and len(written["lights"]) == 1
     assert "light" in report.seconds and set(written["seconds"]) >= {"surfels", "irradiance", "solve", "maps"}
     _, other = inferred(tmp_path, 4, "both")
@@ -92,4 +95,4 @@ def test_clipped_lamp_is_found_from_what_it_lights(tmp_path: Path) -> None:
     np.testing.assert_allclose(source["radiance"], LAMP_RADIANCE, rtol=0.1)
     assert report.radiometry["clipped_share"] > 0.02 and source["spread"] < 0.2
     assert any("sensor's limit" in note for note in report.notes)
-    assert walls_found(found) > 0.65 and min(report.light["confidence"]) > 0.9
+    assert walls_found(found) > 0.65 and min(report.light["confidence"][:2]) > 0.9
