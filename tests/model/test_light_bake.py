@@ -200,6 +200,7 @@ def test_known_materials_are_found(metal: bool) -> None:
         np.full((2, 3), 0.04),
         np.full(2, 0.6),
         np.ones(2),
+        np.full(2, 8),
         np.arange(2),
         np.full(2, 30),
         PriorWeights(),
@@ -212,7 +213,7 @@ def test_known_materials_are_found(metal: bool) -> None:
     assert found.residual.max() < 1e-4
 
 
-def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0) -> SolvedSegments:
+def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0, views: int = 4) -> SolvedSegments:
     """Of one segment whose hypotheses cost ``dielectric`` (levels, speculars), and metal of S 0.9 ``metal``;
     a network that says S 0.04, R 0.6."""
     num_levels = len(ROUGHNESS_LEVELS)
@@ -223,7 +224,7 @@ def decided(dielectric: NDArray, metal: float = 0.5, evidence: float = 1.0) -> S
     )
     group, size = np.zeros(1, np.int64), np.array([100])
     prior = np.full((1, 3), 0.04), np.full(1, 0.6)
-    return decide(costs, *prior, np.full(1, evidence), group, size, PriorWeights())
+    return decide(costs, *prior, np.full(1, evidence), np.full(1, views), group, size, PriorWeights())
 
 
 def costs_of_levels(noise: float, matte: float, best: tuple[int, int] = (2, 3)) -> NDArray:
@@ -273,12 +274,12 @@ def test_roughness_between_likely_hypotheses_has_less_confidence() -> None:
     assert clear.confidence[0, 2] > 0.95
     costs = costs_of_levels(0.01, 0.01, (1, 2))
     costs[-1, 2] = 0.01
-    unclear = decided(costs, evidence=0.999)
     variance = (ROUGHNESS_LEVELS[-1] - ROUGHNESS_LEVELS[1]) ** 2 / 4
-    np.testing.assert_allclose(
-        unclear.confidence[0, 2], NETWORK_VARIANCE / (NETWORK_VARIANCE + variance), rtol=0.05
-    )
-    np.testing.assert_allclose(unclear.confidence[0, :2], 1.0)
+    for views in (1, 4, 40):
+        unclear = decided(costs, evidence=0.999, views=views)
+        expected = views * NETWORK_VARIANCE / (views * NETWORK_VARIANCE + variance)
+        np.testing.assert_allclose(unclear.confidence[0, 2], expected, rtol=0.05)
+        np.testing.assert_allclose(unclear.confidence[0, :2], 1.0)
 
 
 def test_cost_is_that_of_a_dense_solve() -> None:

@@ -177,4 +177,5 @@ def solve_points(
     group = np.zeros(num_segments, np.int64)
     group[segmentation.segment] = segmentation.region
     size = np.bincount(segmentation.segment, minlength=num_segments)
-    return decide(costs, mean[:, 3:6], mean[:, 6], evidence**EVIDENCE_POWER, group, size, weights)
+    views = np.bincount(segment, seen, num_segments) / total
+    return decide(costs, mean[:, 3:6], mean[:, 6], evidence**EVIDENCE_POWER, views, group, size, weights)

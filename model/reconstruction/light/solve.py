@@ -37,7 +37,8 @@ DIELECTRIC_RESIDUAL, METAL_RESIDUAL = (0.03, 0.06), (0.06, 0.12)
 hypothesis explains it. Unexplained dielectrics are mostly metals among inexact light or geometry; metals are
 mirrors of both, and fit worse when right."""
 NETWORK_VARIANCE = 0.03
-"""Variance of the network's R, against which the variance of R over the hypotheses is weighed."""
+"""Variance of the network's R per view of a segment, against which that of R over the hypotheses is weighed:
+from few views, likely hypotheses share errors of light and geometry that their variance does not show."""
 MIN_NOISE = 0.001
 GLOSSY_TEMPERATURE = 0.04
 """Difference of costs, relative to the residual, that makes a hypothesis of S and R e times less likely."""
@@ -126,6 +127,7 @@ def decide(
     specular_albedo: NDArray,
     roughness: NDArray,
     evidence: NDArray,
+    views: NDArray,
     group: NDArray,
     size: NDArray,
     weights: PriorWeights,
@@ -133,8 +135,9 @@ def decide(
     """The expected material of each segment.
 
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's, ``evidence`` (G,) in (0, 1],
-    ``group`` (G,) the smooth region and ``size`` (G,) the number of surfels. A dielectric is the mean of
-    matte (S 0, R 1 by convention) and of the glossy hypotheses, weighted by likelihood. Metal has hysteresis:
+    ``views`` (G,) the mean number of views of a surfel, ``group`` (G,) the smooth region and ``size`` (G,)
+    the number of surfels. A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy
+    hypotheses, weighted by likelihood. Metal has hysteresis:
     once :data:`METAL_SHARE` of a region is metal, segments of the region that metal explains about as well as
     a dielectric become metal too.
     """
@@ -166,7 +169,8 @@ def decide(
     residual = np.where(is_metal, costs.metal[rows, metal_level], residual)
     low, high = np.where(is_metal[:, None], METAL_RESIDUAL, DIELECTRIC_RESIDUAL).T
     confidence = np.repeat(np.clip((high - residual) / (high - low), 0, 1)[:, None], 3, axis=1)
-    confidence[:, 2] *= np.where(is_metal, 1.0, NETWORK_VARIANCE / (NETWORK_VARIANCE + variance))
+    of_network = NETWORK_VARIANCE * views
+    confidence[:, 2] *= np.where(is_metal, 1.0, of_network / (of_network + variance))
     return SolvedSegments(
         found_s.astype(np.float32),
         found_r.astype(np.float32),
