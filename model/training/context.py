@@ -136,11 +136,12 @@ def _initial_models(config: TrainingConfig) -> tuple[Models, tuple[DataRecord, .
         return models, ()
     first = load_checkpoint(path)
     given, wanted = first.card.network, config.network
-    light = {name: getattr(wanted, name) for name in ("light_inputs", "blends_reflectance")}
-    is_wider = given.blends_reflectance <= wanted.blends_reflectance
-    is_wider &= set(given.light_inputs) <= set(wanted.light_inputs)
-    if not is_wider or given.model_copy(update=light) != wanted:
-        raise input_error(path, "network", given, f"{wanted}, or the same with fewer light_inputs")
+    light = {"light_inputs": wanted.light_inputs, "blends_reflectance": wanted.blends_reflectance}
+    is_narrower = set(given.light_inputs) <= set(wanted.light_inputs)
+    is_narrower &= wanted.blends_reflectance or not given.blends_reflectance
+    if not is_narrower or given.model_copy(update=light) != wanted:
+        expected = f"{wanted}, or the same with fewer light_inputs or without blends_reflectance"
+        raise input_error(path, "network", given, expected)
     if isinstance(first.network, MaterialNetwork) and isinstance(models.network, MaterialNetwork):
         models.network.load_state_dict(_widened(first.network, models.network))
     else:
@@ -156,7 +157,7 @@ def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tens
     Weights of new inputs are 0, so that the outputs of ``network`` are unchanged until training changes them.
     New outputs keep the random weights of ``wider``, and do not affect the others.
     """
-    weights = dict(network.state_dict())
+    weights, own = dict(network.state_dict()), wider.state_dict()
     for track in TRACK_OUTPUTS:
         given = set(track_inputs(track, network.config))
         is_given = torch.cat(
@@ -169,7 +170,7 @@ def _widened(network: MaterialNetwork, wider: MaterialNetwork) -> dict[str, Tens
             weights[name] = wide
         for layer in ("conv1", "conv2", "link.add"):
             name = f"tracks.{track}.dec1.{layer}.weight"
-            narrow, wide = weights[name], wider.state_dict()[name].clone()
+            narrow, wide = weights[name], own[name].clone()
             wide[: len(narrow)] = 0
             wide[: len(narrow), : narrow.shape[1]] = narrow
             weights[name] = wide

@@ -271,10 +271,10 @@ class CropDataset(Dataset[dict[str, Tensor]]):
             widened = float(torch.rand(1, generator=generator)) * self.config.spread_jitter_stops
             if name in sample:
                 sample[name] = sample[name] * 2.0 ** (sign * widened)
-        self._degrade(sample, generator)
+        self._augment(sample, generator)
         return sample
 
-    def _degrade(self, sample: dict[str, Tensor], generator: torch.Generator) -> None:
+    def _augment(self, sample: dict[str, Tensor], generator: torch.Generator) -> None:
         """Change the colours, and add errors of recorded light and photon noise (``light_color_stops``,
         ``light_jitter_stops``, ``noise``), in place.
         """

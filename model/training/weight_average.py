@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-_WARM_UP = 10.0  # the first steps average over a ninth of their number, so that initial weights fade
+_WARM_UP = 10.0  # n early steps average over about n / 10 of them, so that initial weights fade
 
 
 class WeightAverage:

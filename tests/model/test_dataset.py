@@ -150,12 +150,17 @@ def test_crops_are_reproducible_and_differ(shard):
     assert stops.std() > 0.2
 
 
-def test_light_jitter_scales_recorded_light_alone(tmp_path):
-    folder = make_dataset(tmp_path / "lit", {"room-0": ("train", 3)}, has_light=True)
-    places = index_shard(next(folder.glob("shards/*.tar")))
+def lit_crops(folder, **options):
+    """Crops with recorded light, drawn with the same seed whatever the ``options`` of the data."""
+    if not (folder / "lit").exists():
+        make_dataset(folder / "lit", {"room-0": ("train", 3)}, has_light=True)
+    places = index_shard(next(folder.glob("lit/shards/*.tar")))
     network = NETWORK.model_copy(update={"light_inputs": ("reflectance", "known_share", "mirror_broad")})
-    plain = CropDataset(places, CONFIG, network, seed=2)
-    jittered = CropDataset(places, CONFIG.model_copy(update={"light_jitter_stops": 0.5}), network, seed=2)
+    return CropDataset(places, CONFIG.model_copy(update=options), network, seed=2)
+
+
+def test_light_jitter_scales_recorded_light_alone(tmp_path):
+    plain, jittered = lit_crops(tmp_path), lit_crops(tmp_path, light_jitter_stops=0.5)
     stops = []
     for crop in range(20):
         before, after = plain[crop], jittered[crop]
@@ -171,11 +176,7 @@ def test_light_jitter_scales_recorded_light_alone(tmp_path):
 
 
 def test_light_color_changes_channels_of_light_and_of_materials_alike(tmp_path):
-    folder = make_dataset(tmp_path / "lit", {"room-0": ("train", 3)}, has_light=True)
-    places = index_shard(next(folder.glob("shards/*.tar")))
-    network = NETWORK.model_copy(update={"light_inputs": ("reflectance", "known_share", "mirror_broad")})
-    plain = CropDataset(places, CONFIG, network, seed=2)
-    colored = CropDataset(places, CONFIG.model_copy(update={"light_color_stops": 0.5}), network, seed=2)
+    plain, colored = lit_crops(tmp_path), lit_crops(tmp_path, light_color_stops=0.5)
     radiance = ("beauty", "color_median", "color_max", "color_min", "mirror_broad")
     albedo = ("reflectance", "diffuse_albedo", "specular_albedo")
     orders, stops = set(), []

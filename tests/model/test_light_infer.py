@@ -66,9 +66,8 @@ def test_atlas_has_the_walls_albedos_whatever_was_predicted(tmp_path: Path) -> N
     assert {("light", 1, 10), ("export", 1, 5), ("trace", 0, 1)} <= set(told)
     written = json.loads((tmp_path / "both-3-inf" / "report.json").read_text())["light"]
     assert written["photographed_share"] > 0.95 and min(written["confidence"][:2]) > 0.95
-    assert (
-        0.4 < written["confidence"][2] < 0.95
-    )  # an untrained network predicts gloss, matte explains as much
+    # Roughness is less certain: the untrained network predicts gloss where matte explains as much.
+    assert 0.4 < written["confidence"][2] < 0.95
     assert written["num_surfels"] > 1000 and len(written["lights"]) == 1
     assert "light" in report.seconds and set(written["seconds"]) >= {"surfels", "irradiance", "solve", "maps"}
     _, other = inferred(tmp_path, 4, "both")

@@ -137,9 +137,8 @@ def decide(
     ``specular_albedo`` (G, 3) and ``roughness`` (G,) are the network's, ``evidence`` (G,) in (0, 1],
     ``views`` (G,) the mean number of views of a surfel, ``group`` (G,) the smooth region and ``size`` (G,)
     the number of surfels. A dielectric is the mean of matte (S 0, R 1 by convention) and of the glossy
-    hypotheses, weighted by likelihood. Metal has hysteresis:
-    once :data:`METAL_SHARE` of a region is metal, segments of the region that metal explains about as well as
-    a dielectric become metal too.
+    hypotheses, weighted by likelihood. Metal has hysteresis: once :data:`METAL_SHARE` of a region is metal,
+    segments of the region that metal explains about as well as a dielectric become metal too.
     """
     doubt = 1.0 / np.maximum(evidence, MIN_EVIDENCE)
     root = np.sqrt(np.maximum(specular_albedo.mean(axis=1), 0))
