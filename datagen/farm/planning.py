@@ -38,7 +38,7 @@ def start_folder(recipe: Recipe, library: Library, root: Path) -> DatasetFolder:
         recipe_sha256=sha256_hex(canonical_json(recipe)),
         library_sha256=library.sha256,
         library_paths=tuple(str(path) for path in library.paths),
-        versions=pixel_versions(),
+        versions=pixel_versions(has_light=recipe.statistics.light),
     )
     root.mkdir(parents=True, exist_ok=True)
     folder.check_same_start(recipe, record)
@@ -138,7 +138,7 @@ def _is_assembled(folder: DatasetFolder, recipe: Recipe, library: Library, index
 
 def write_plan(folder: DatasetFolder, recipe: Recipe, library: Library) -> Plan:
     """Write the plan from the configurations on disk, which completes planning."""
-    versions = pixel_versions()
+    versions = pixel_versions(has_light=recipe.statistics.light)
     variant = resolve_variant(recipe.render.variant)
     units = []
     used: set[str] = set()

@@ -147,9 +147,10 @@ def run_unit(run: UnitRun, stages: Iterable[str] = ("render", "stats", "pack")) 
 def _check_planned(run: UnitRun, configuration: Configuration) -> None:
     """Refuse files that changed since the plan, and software versions that would give other pixels."""
     where = run.folder.configuration_path(run.unit.id)
-    if run.versions != pixel_versions():
-        differing = {name for name, _ in set(run.versions.items()) ^ set(pixel_versions().items())}
-        got = ", ".join(f"{name} {pixel_versions().get(name)}" for name in sorted(differing))
+    versions = pixel_versions(has_light=run.recipe.statistics.light)
+    if run.versions != versions:
+        differing = {name for name, _ in set(run.versions.items()) ^ set(versions.items())}
+        got = ", ".join(f"{name} {versions.get(name)}" for name in sorted(differing))
         planned = ", ".join(f"{name} {run.versions.get(name)}" for name in sorted(differing))
         remedy = "use the environment that planned it, or plan again in another folder"
         raise input_error(run.folder.plan_path, "versions", got, f"{planned} as planned", remedy)

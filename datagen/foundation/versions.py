@@ -8,14 +8,19 @@ from importlib.metadata import PackageNotFoundError, version
 DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 10
 """Increased whenever a change of the code changes the bytes of a dataset but not its configurations."""
+LIGHT_REVISION = 1
+"""Increased whenever a change of the code changes nothing but recorded light: it concerns datasets with
+``statistics: {light: true}`` only."""
 PLAN_REVISION = 2
 """Increased whenever a change of the code changes the configurations or generated rooms of a recipe."""
 _PACKAGES = ("mitsuba", "drjit", "numpy", "OpenEXR", "pyoidn")
 
 
-def pixel_versions() -> dict[str, str]:
-    """Name to version of everything that affects the bytes of a recipe's views."""
+def pixel_versions(*, has_light: bool = False) -> dict[str, str]:
+    """Name to version of everything that affects the bytes of a recipe's views, which may record light."""
     found = {"result_revision": str(RESULT_REVISION), "plan_revision": str(PLAN_REVISION)}
+    if has_light:
+        found["light_revision"] = str(LIGHT_REVISION)
     for name in (DISTRIBUTION, *_PACKAGES):
         try:
             found[name] = version(name)

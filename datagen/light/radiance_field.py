@@ -386,10 +386,14 @@ def _side(normal: Any) -> Any:
 
 
 def _surfel_cells(surfels: Surfels) -> Cells:
+    """Cells of the surfels whose radiance the photographs show: all but the mixed ones.
+
+    A slat of a blind of a pixel's width has the radiance of the sky in its photographs.
+    """
     grid = surfels.grid
-    return Cells(
-        grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, np.ones(len(surfels), dtype=bool)
-    )
+    index = np.where((grid.surfel >= 0) & ~surfels.is_mixed[grid.surfel], grid.surfel, -1).astype(np.int32)
+    photographed = np.ones(len(surfels), dtype=bool)
+    return Cells(index, grid.low, grid.cell_m, grid.shape, surfels.radiance, photographed)
 
 
 def _pyramid(cells: Cells) -> list[Cells]:

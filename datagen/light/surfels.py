@@ -66,8 +66,9 @@ class Surfels:
     """Surfels of a room.
 
     ``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,) triangle,
-    ``radiance`` (N, 3) median over views, ``camera_m`` (V, 3) positions of the cameras. Per view:
-    ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
+    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether all of its pixels lie at depth edges,
+    where the radiance is partly that of other surfaces, ``camera_m`` (V, 3) positions of the cameras. Per
+    view: ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
     """
 
     grid: CellGrid
@@ -75,6 +76,7 @@ class Surfels:
     normal: Floats32
     face: NDArray[np.int32]
     radiance: Floats32
+    is_mixed: NDArray[np.bool_]
     observations: Observations
     camera_m: Floats32
     pixel_surfel: tuple[NDArray[np.int32], ...]
@@ -102,7 +104,7 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
     low, cell_m, shape = _extent(views, cameras)
     cells = [_cells_of(view, row, low, cell_m, shape) for view, row in zip(views, cameras, strict=True)]
     occupied = np.zeros(int(np.prod(shape)) * NUM_SIDES, np.bool_)
-    for cell, _ in cells:
+    for cell, _, _ in cells:
         occupied[cell[cell >= 0]] = True
     surfel = np.full(len(occupied), -1, np.int32)
     num = int(occupied.sum())
@@ -110,11 +112,12 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
     grid = CellGrid(low, cell_m, shape, surfel)
 
     def observe(index: int) -> tuple[NDArray, ...]:
-        cell, weight = cells[index]
+        cell, weight, borders = cells[index]
         view = views[index]
         return _observe_view(
             cell,
             weight,
+            borders,
             np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
             view.geometry.depth_z_m.ravel(),
             cameras[index],
@@ -127,8 +130,9 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
 
     with ThreadPoolExecutor(num_threads()) as pool:
         seen = list(pool.map(observe, range(len(views))))
-    pixel_surfel = tuple(np.where(cell >= 0, surfel[np.maximum(cell, 0)], -1) for cell, _ in cells)
-    return _gathered(views, cameras, grid, seen, pixel_surfel, tuple(weight for _, weight in cells))
+    pixel_surfel = tuple(np.where(cell >= 0, surfel[np.maximum(cell, 0)], -1) for cell, _, _ in cells)
+    pixel_weight = tuple(weight for _, weight, _ in cells)
+    return _gathered(views, cameras, grid, seen, pixel_surfel, pixel_weight)
 
 
 def camera_row(view: TracedView) -> NDArray[np.float64]:
@@ -232,10 +236,13 @@ def surfels_around(place, side, low, cell_m, shape, surfel, near, share):
 
 @compiled
 def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
-    """Cell (P,) of each pixel, -1 for none, and its weight (P,); ``clipped`` (P,) or empty."""
+    """Cell (P,) of each pixel, -1 for none, its weight (P,), and whether it lies at a depth edge (P,);
+    ``clipped`` (P,) or empty.
+    """
     width, height = int(camera[16]), int(camera[17])
     cell = np.full(width * height, -1, np.int32)
     weight = np.zeros(width * height, np.float32)
+    borders = np.zeros(width * height, np.bool_)
     here, there = np.zeros(3), np.zeros(3)
     for index in range(width * height):
         z = depth[index]
@@ -252,30 +259,32 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
                 continue
             other = index + dy * width + dx
             if depth[other] <= 0:
-                is_edge = True
+                borders[index] = True
                 break
             place_pixel(other, depth[other], width, camera, there)
             off, along = 0.0, 0.0
             for axis in range(3):
                 off += normal[index, axis] * (there[axis] - here[axis])
                 along += normal[index, axis] * normal[other, axis]
-            if abs(off) > tolerance or along < 0.8:
-                is_edge = True
+            if abs(off) > tolerance:
+                borders[index] = True
                 break
+            is_edge |= along < 0.8
         is_bound = len(clipped) > 0 and clipped[index]
-        weight[index] = EDGE_WEIGHT if is_edge or is_bound else 1.0
-    return cell, weight
+        weight[index] = EDGE_WEIGHT if is_edge or borders[index] or is_bound else 1.0
+    return cell, weight, borders
 
 
 @compiled
-def _observe_view(cell, weight, color, depth, camera, low, cell_m, shape, surfel, num):
-    """Surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), and the pixel (K,)
-    nearest to the cell centre with its squared distance (K,).
+def _observe_view(cell, weight, borders, color, depth, camera, low, cell_m, shape, surfel, num):
+    """Surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), the pixel (K,)
+    nearest to the cell centre with its squared distance (K,), and whether all pixels lie at depth edges (K,).
     """
     sums = np.zeros((num, 3), np.float32)
     total = np.zeros(num, np.float32)
     nearest = np.full(num, -1, np.int32)
     distance = np.full(num, np.inf, np.float32)
+    is_mixed = np.ones(num, np.bool_)
     here = np.zeros(3)
     width = int(camera[16])
     for index in range(len(cell)):
@@ -284,6 +293,7 @@ def _observe_view(cell, weight, color, depth, camera, low, cell_m, shape, surfel
         at = surfel[cell[index]]
         w = weight[index]
         total[at] += w
+        is_mixed[at] &= borders[index]
         for channel in range(3):
             sums[at, channel] += w * color[index, channel]
         place_pixel(index, depth[index], width, camera, here)
@@ -298,12 +308,12 @@ def _observe_view(cell, weight, color, depth, camera, low, cell_m, shape, surfel
     for row in range(len(found)):
         for channel in range(3):
             radiance[row, channel] = sums[found[row], channel] / total[found[row]]
-    return found, radiance, total[found], nearest[found], distance[found]
+    return found, radiance, total[found], nearest[found], distance[found], is_mixed[found]
 
 
 def _cells_of(
     view: TracedView, row: NDArray, low: NDArray, cell_m: float, shape: NDArray
-) -> tuple[NDArray[np.int32], Floats32]:
+) -> tuple[NDArray[np.int32], Floats32, NDArray[np.bool_]]:
     usable = view.valid_mask & (view.geometry.surface_mask[..., 0] > 0)
     clipped = np.zeros(0, np.bool_) if view.clipped_mask is None else view.clipped_mask.any(axis=2).ravel()
     return _classify(
@@ -357,8 +367,11 @@ def _gathered(
         normal[surfel[mine]] = geometry.normal_world.reshape(-1, 3)[at]
         face[surfel[mine]] = geometry.face.ravel()[at]
     radiance = weighted_medians(observations.start, observations.radiance, observations.weight)
+    is_mixed = np.logical_and.reduceat(np.concatenate([part[5] for part in seen])[order], start[:-1])
     camera_m = np.array([row[9:12] for row in cameras], np.float32)
-    return Surfels(grid, position, normal, face, radiance, observations, camera_m, pixel_surfel, pixel_weight)
+    return Surfels(
+        grid, position, normal, face, radiance, is_mixed, observations, camera_m, pixel_surfel, pixel_weight
+    )
 
 
 @compiled

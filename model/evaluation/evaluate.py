@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from datagen.formats.base import sha256_file
-from datagen.foundation.buffers import MATERIAL_MAPS
+from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
 from datagen.foundation.peak_memory import forget_peak, peak_mb, processor_s
@@ -48,6 +48,7 @@ from model.evaluation.results import MethodResult, SuiteResult, read_result, wri
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
+from model.own_network import network_inputs
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps
@@ -57,6 +58,8 @@ _MEASURES = 4
 """Revision of the measures: figures of another revision are measured again."""
 _RECONSTRUCTION = 12
 """Revision of ``infer``: maps of another revision are computed again."""
+_LIGHT = 1
+"""Further revision for methods that use the light in the photographs."""
 _TAKEN = 1
 """Further revision for photographs with faults."""
 
@@ -164,15 +167,17 @@ def _judge(
         camera=camera.name if camera else "",
     )
     weights = ""
+    further: list[Any] = []
     if isinstance(method, NetworkMethod):
         if not Path(method.checkpoint).is_file():
             return base.model_copy(update={"skipped": f"no checkpoint at {Path(method.checkpoint).name}"})
         weights = sha256_file(Path(method.checkpoint))
         base = base.model_copy(update={"checkpoint": f"{Path(method.checkpoint).stem} {weights[:12]}"})
+        further = _light_revision(method) if method.materials == "network" else [_LIGHT]
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
-    faults = [_TAKEN, camera.model_dump(mode="json")] if camera else []
-    key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *faults)
+    further += [_TAKEN, camera.model_dump(mode="json")] if camera else []
+    key = key_of(_RECONSTRUCTION, own, weights, suite.atlas, scene.inputs, maps, *further)
     folder = scene.root / f"{'-'.join([method.name, *([camera.name] if camera else [])])}-{key}"
     lights = {light: s.configuration.model_dump(mode="json") for light, s in scene.sceneries.items()}
     rendering = [None if r is None else r.model_dump(mode="json") for r in (suite.render, suite.truth)]
@@ -197,6 +202,12 @@ def _judge(
     result = base.model_copy(update=measured)
     write_result(path, result)
     return result
+
+
+def _light_revision(method: NetworkMethod) -> list[int]:
+    """Revision of the light that is an input of the method's network; empty without such inputs."""
+    inputs = network_inputs(read_card(Path(method.checkpoint)).network)
+    return [_LIGHT] if set(LIGHT_BUFFERS) & set(inputs) else []
 
 
 def _maps_identity(method: Method, scene: str) -> list[str]:
@@ -289,7 +300,7 @@ def _reconstruct(
         source = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)
     if not (folder / "report.json").is_file():
         if isinstance(method, NetworkMethod):
-            shared = predictions_folder(scene, method, camera, source.identity)
+            shared = predictions_folder(scene, method, camera, source.identity, *_light_revision(method))
             link_files(shared, folder / "views")
             infer(capture, folder, source, options, tell)
             link_files(folder / "views", shared)

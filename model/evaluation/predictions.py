@@ -13,12 +13,14 @@ from model.evaluation.suite import NetworkMethod
 
 
 def predictions_folder(
-    scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str
+    scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str, *revisions: int
 ) -> Path:
-    """Folder for predictions of ``weights`` (their hash), named by everything that affects them."""
+    """Folder for predictions of ``weights`` (their hash), named by everything that affects them, further
+    ``revisions`` included.
+    """
     faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
     names = scene.prepared.input_names
-    return scene.root / f"predictions-{key_of(weights, method.is_filtered, names, faults)}"
+    return scene.root / f"predictions-{key_of(weights, method.is_filtered, names, faults, *revisions)}"
 
 
 def link_files(source: Path, target: Path) -> None:
