@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.foundation.color import luminance
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
 from datagen.light.bake import Baker, Irradiance, cosine_rays
 from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
-from datagen.light.radiance_field import RadianceField, surface_cells
+from datagen.light.radiance_field import RadianceField, surface_cells, unmixed_cells
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1
@@ -27,6 +28,8 @@ MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
 """Number of surfels whose rays search for unphotographed surface, and of rays per surfel."""
 MAX_RATIO_SURFELS = 8000
 """Number of surfels whose reflectance gives the mean of the room."""
+MIXED_RAYS = 48
+"""Rays per mixed surfel for the bound on its radiance."""
 ESTIMATE_ROUNDS = 5
 """Unphotographed surfaces illuminate each other: each round adds a bounce. The first assumes unknown light to
 be as bright as known light; from the fifth on, the mean changes by less than 2 %."""
@@ -86,6 +89,9 @@ def light_surfels(
         emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
+        surfels = bounded(
+            surfels, RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
+        )
         region = region_of_face[surfels.face]
 
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
@@ -101,6 +107,23 @@ def light_surfels(
     if unseen is not None and emitters.is_dark.any():
         emitters = unseen(lit_by(emitters, replace(options, fits_estimates=False)))
     return lit_by(emitters, options)
+
+
+def bounded(surfels: Surfels, unmixed: RadianceField) -> Surfels:
+    """The surfels, where mixed ones reflect no more than their light in the field of the others.
+
+    In its photographs, a slat of a blind of a pixel's width has the radiance of the sky behind it.
+    """
+    mixed = np.flatnonzero(surfels.is_mixed)
+    if not len(mixed):
+        return surfels
+    baker = Baker(unmixed, surfels.grid.cell_m * CELLS_ACROSS)
+    lit = baker.irradiance(surfels.position_m[mixed], surfels.normal[mixed], MIXED_RAYS)
+    arriving = luminance(lit.diffuse) / np.maximum(lit.known, MIN_KNOWN)
+    scale = np.minimum(1, arriving / np.maximum(luminance(surfels.radiance[mixed]), 1e-12))
+    radiance = surfels.radiance.copy()
+    radiance[mixed] *= scale[:, None].astype(np.float32)
+    return replace(surfels, radiance=radiance)
 
 
 def relight(

@@ -386,14 +386,17 @@ def _side(normal: Any) -> Any:
 
 
 def _surfel_cells(surfels: Surfels) -> Cells:
-    """Cells of the surfels whose radiance the photographs show: all but the mixed ones.
-
-    A slat of a blind of a pixel's width has the radiance of the sky in its photographs.
-    """
     grid = surfels.grid
-    index = np.where((grid.surfel >= 0) & ~surfels.is_mixed[grid.surfel], grid.surfel, -1).astype(np.int32)
-    photographed = np.ones(len(surfels), dtype=bool)
-    return Cells(index, grid.low, grid.cell_m, grid.shape, surfels.radiance, photographed)
+    return Cells(
+        grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, np.ones(len(surfels), dtype=bool)
+    )
+
+
+def unmixed_cells(surfels: Surfels) -> Cells:
+    """Cells of all surfels but the mixed ones."""
+    cells = _surfel_cells(surfels)
+    is_mixed = (cells.index >= 0) & surfels.is_mixed[cells.index]
+    return replace(cells, index=np.where(is_mixed, -1, cells.index).astype(np.int32))
 
 
 def _pyramid(cells: Cells) -> list[Cells]:

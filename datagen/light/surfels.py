@@ -26,6 +26,9 @@ CELLS_ACROSS = 300
 """Cells along the diagonal of the photographed volume: 2.5 cm in a room of 7 m."""
 MIN_CELL_PIXELS = 1.0
 """Minimum side of a cell in pixels at the median depth: smaller cells would be missed by whole views."""
+MAX_EDGE_SHARE = 0.5
+"""Share of its pixels at depth edges above which a surfel is mixed. Not all pixels of a blind are told: slats
+in adjacent pixels lie in one plane."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
@@ -66,7 +69,7 @@ class Surfels:
     """Surfels of a room.
 
     ``position_m`` (N, 3) on the surface, ``normal`` (N, 3) unit, towards the cameras, ``face`` (N,) triangle,
-    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether all of its pixels lie at depth edges,
+    ``radiance`` (N, 3) median over views, ``is_mixed`` (N,) whether most of its pixels lie at depth edges,
     where the radiance is partly that of other surfaces, ``camera_m`` (V, 3) positions of the cameras. Per
     view: ``pixel_surfel`` (P,), index of the surfel of each pixel, -1 for none, and ``pixel_weight`` (P,).
     """
@@ -278,13 +281,14 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
 @compiled
 def _observe_view(cell, weight, borders, color, depth, camera, low, cell_m, shape, surfel, num):
     """Surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), the pixel (K,)
-    nearest to the cell centre with its squared distance (K,), and whether all pixels lie at depth edges (K,).
+    nearest to the cell centre with its squared distance (K,), and the numbers (K, 2) of all pixels and of
+    those at depth edges.
     """
     sums = np.zeros((num, 3), np.float32)
     total = np.zeros(num, np.float32)
     nearest = np.full(num, -1, np.int32)
     distance = np.full(num, np.inf, np.float32)
-    is_mixed = np.ones(num, np.bool_)
+    pixels = np.zeros((num, 2), np.int32)
     here = np.zeros(3)
     width = int(camera[16])
     for index in range(len(cell)):
@@ -293,7 +297,8 @@ def _observe_view(cell, weight, borders, color, depth, camera, low, cell_m, shap
         at = surfel[cell[index]]
         w = weight[index]
         total[at] += w
-        is_mixed[at] &= borders[index]
+        pixels[at, 0] += 1
+        pixels[at, 1] += borders[index]
         for channel in range(3):
             sums[at, channel] += w * color[index, channel]
         place_pixel(index, depth[index], width, camera, here)
@@ -308,7 +313,7 @@ def _observe_view(cell, weight, borders, color, depth, camera, low, cell_m, shap
     for row in range(len(found)):
         for channel in range(3):
             radiance[row, channel] = sums[found[row], channel] / total[found[row]]
-    return found, radiance, total[found], nearest[found], distance[found], is_mixed[found]
+    return found, radiance, total[found], nearest[found], distance[found], pixels[found]
 
 
 def _cells_of(
@@ -367,7 +372,8 @@ def _gathered(
         normal[surfel[mine]] = geometry.normal_world.reshape(-1, 3)[at]
         face[surfel[mine]] = geometry.face.ravel()[at]
     radiance = weighted_medians(observations.start, observations.radiance, observations.weight)
-    is_mixed = np.logical_and.reduceat(np.concatenate([part[5] for part in seen])[order], start[:-1])
+    pixels = np.add.reduceat(np.concatenate([part[5] for part in seen])[order], start[:-1])
+    is_mixed = pixels[:, 1] > MAX_EDGE_SHARE * pixels[:, 0]
     camera_m = np.array([row[9:12] for row in cameras], np.float32)
     return Surfels(
         grid, position, normal, face, radiance, is_mixed, observations, camera_m, pixel_surfel, pixel_weight

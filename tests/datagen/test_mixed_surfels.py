@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Surfels thinner than a pixel: slats of a blind before a bright sky, above a floor."""
+"""Surfels of things thinner than a pixel: slats of a blind before a bright sky."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.cameras import Camera, look_at
@@ -16,23 +15,34 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
 from datagen.light.emitters import photographed_emitters
-from datagen.light.radiance_field import RadianceField
+from datagen.light.lighting import bounded
+from datagen.light.radiance_field import RadianceField, unmixed_cells
 from datagen.light.surfels import Surfels, build_surfels
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
-FLOOR, SLAT, SKY = 0.2, 0.05, 20.0
+WALL, SLAT, SKY = 0.2, 0.05, 20.0
+"""Radiance of the room's surfaces, of the slats and of the sky."""
 NUM_SLATS, SPACING_M, SLAT_M = 9, 0.11, 0.02
 SUBPIXELS = 6
+NUM_WALL_FACES = 10
 
 
 def _geometry() -> CaptureGeometry:
-    """A floor of 4 x 4 m (faces 0 and 1), and slats along x at y = 2 m, 2 cm high and 11 cm apart:
-    no two adjacent pixels show different ones."""
-    low = [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)]
-    corners = [low]
+    """A room of 4 x 4.5 x 2.5 m that is open at y = 2 m, and slats along x there, 2 cm high and 11 cm apart:
+    no two adjacent pixels show different ones.
+    """
+    x, y, low, z = 2, 2, -2.5, 2.5
+    corners = [
+        [(-x, low, 0), (x, low, 0), (x, y, 0), (-x, y, 0)],
+        [(-x, low, z), (-x, y, z), (x, y, z), (x, low, z)],
+        [(-x, low, 0), (-x, low, z), (x, low, z), (x, low, 0)],
+        [(-x, low, 0), (-x, y, 0), (-x, y, z), (-x, low, z)],
+        [(x, low, 0), (x, low, z), (x, y, z), (x, y, 0)],
+    ]
     for k in range(NUM_SLATS):
-        z = 1.0 + SPACING_M * k
-        corners.append([(-1, 2, z), (1, 2, z), (1, 2, z + SLAT_M), (-1, 2, z + SLAT_M)])
+        height = 1.0 + SPACING_M * k
+        top = height + SLAT_M
+        corners.append([(-1, y, height), (1, y, height), (1, y, top), (-1, y, top)])
     positions = np.array(corners, np.float32).reshape(-1, 3)
     faces = [[4 * k + i for i in c] for k in range(len(corners)) for c in ((0, 1, 2), (0, 2, 3))]
     parts = (GeometryPart("room", 0, len(faces), None),)
@@ -49,7 +59,7 @@ def _photographed(traced: TracedGeometry) -> tuple[TracedView, ...]:
         n = SUBPIXELS
         fine = Camera(64 * n, 48 * n, 48.0 * n, 48.0 * n, 32.0 * n, 24.0 * n, matrix)
         face = traced.trace_view(fine).face.reshape(48 * n, 64 * n)
-        radiance = np.where(face < 0, SKY, np.where(face < 2, FLOOR, SLAT))
+        radiance = np.where(face < 0, SKY, np.where(face < NUM_WALL_FACES, WALL, SLAT))
         mean = radiance.reshape(48, n, 64, n).mean(axis=(1, 3))
         color = np.repeat(mean[..., None], 3, axis=2).astype(np.float32)
         views.append(TracedView(camera, color, traced.trace_view(camera), np.ones((48, 64), bool)))
@@ -66,57 +76,44 @@ def views(traced: TracedGeometry) -> tuple[TracedView, ...]:
     return _photographed(traced)
 
 
-def _radiance_from_slats(
-    views: tuple[TracedView, ...], traced: TracedGeometry, surfels: Surfels
-) -> tuple[NDArray, NDArray]:
-    """Radiance (N, 3) of rays from the floor to the slats, and whether it counts as
-    photographed (N,).
-    """
-    import mitsuba as mi
-
-    nothing_emits = np.zeros(2 + 2 * NUM_SLATS, bool)
-    emitters = photographed_emitters(views, traced.mesh, nothing_emits, np.zeros(len(nothing_emits), np.int32))
+def _field(views: tuple[TracedView, ...], traced: TracedGeometry, surfels: Surfels) -> RadianceField:
+    """The radiance field without mixed surfels."""
+    nothing_emits = np.zeros(NUM_WALL_FACES + 2 * NUM_SLATS, bool)
+    regions = np.zeros(len(nothing_emits), np.int32)
+    emitters = photographed_emitters(views, traced.mesh, nothing_emits, regions)
     grid = surfels.grid
     background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
-    field = RadianceField(traced.scene, surfels, emitters, background)
-    on_slats = surfels.position_m[surfels.face >= 2].astype(np.float64)
-    origin = np.tile([0.0, 0.0, 0.1], (len(on_slats), 1))
-    toward = on_slats - origin
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(toward.T.astype(np.float32)))
-    met = field.meet(ray, mi.Bool(True))
-    hit = np.asarray(traced.scene.ray_test(ray).numpy())
-    return (
-        np.asarray(met.radiance.numpy()).reshape(3, -1).T[hit],
-        np.asarray(met.is_photographed.numpy())[hit],
-    )
+    return RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
 
 
-def test_slats_are_mixed_and_the_floor_is_not(views: tuple[TracedView, ...]) -> None:
+def test_slats_are_mixed_and_walls_are_not(views: tuple[TracedView, ...]) -> None:
     surfels = build_surfels(views)
-    on_floor = surfels.face < 2
-    assert (~on_floor).sum() > 50
-    assert surfels.is_mixed[~on_floor].all()
-    inner = on_floor & (np.abs(surfels.position_m[:, 0]) < 1) & (surfels.position_m[:, 1] < 1)
-    assert surfels.is_mixed[inner].mean() < 0.02
+    is_slat = surfels.face >= NUM_WALL_FACES
+    assert is_slat.sum() > 50
+    assert surfels.is_mixed[is_slat].all()
+    assert surfels.is_mixed[surfels.position_m[:, 1] < 1.5].mean() < 0.02
 
 
 def test_slats_do_not_shine_like_the_sky_behind_them(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
+    """Their photographs show mostly sky; the light that reaches them from the room bounds their radiance."""
     surfels = build_surfels(views)
-    radiance, is_photographed = _radiance_from_slats(views, traced, surfels)
-    assert len(radiance) > 50
-    assert not is_photographed.any()
-    assert radiance.max() == 0  # nothing is known without an estimate
+    is_slat = surfels.face >= NUM_WALL_FACES
+    assert np.median(surfels.radiance[is_slat]) > 50 * SLAT
+    radiance = bounded(surfels, _field(views, traced, surfels)).radiance
+    assert np.quantile(radiance[is_slat], 0.9) < 1.1 * WALL
+    np.testing.assert_array_equal(radiance[~surfels.is_mixed], surfels.radiance[~surfels.is_mixed])
 
 
-def test_mixed_pixels_as_photographs_of_the_slats_shine(
+def test_mixed_surfels_of_possible_radiance_keep_it(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
-    """The twin: their photographs show mostly sky."""
+    """Thin dark things before bright ones shine no more than they can; what is mixed and dark stays."""
     surfels = build_surfels(views)
-    blind = replace(surfels, is_mixed=np.zeros(len(surfels), bool))
-    radiance, is_photographed = _radiance_from_slats(views, traced, blind)
-    assert is_photographed.mean() > 0.9
-    assert np.median(radiance) > 50 * SLAT
+    is_slat = surfels.face >= NUM_WALL_FACES
+    dark = surfels.radiance.copy()
+    dark[is_slat] = SLAT
+    surfels = replace(surfels, radiance=dark)
+    radiance = bounded(surfels, _field(views, traced, surfels)).radiance
+    np.testing.assert_array_equal(radiance[is_slat], dark[is_slat])

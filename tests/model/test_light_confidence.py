@@ -36,7 +36,8 @@ def wall(radiance: NDArray) -> Surfels:
     of_views = np.repeat(radiance, OBSERVATIONS, axis=0)
     view, weight = np.zeros(len(of_views), np.int32), np.ones(len(of_views), np.float32)
     seen = Observations(start, view, of_views, weight)
-    return Surfels(grid, position, normal, none, radiance, seen, np.zeros((1, 3)), (), ())
+    unmixed = np.zeros(num, bool)
+    return Surfels(grid, position, normal, none, radiance, unmixed, seen, np.zeros((1, 3)), (), ())
 
 
 def shares_of(

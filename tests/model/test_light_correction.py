@@ -23,8 +23,9 @@ def wall() -> Surfels:
     grid = CellGrid(np.zeros(3), CELL_M, np.array([1, SIDE, SIDE]), np.zeros(0, np.int32))
     normal = np.broadcast_to(np.float32([1, 0, 0]), (num, 3))
     white = np.ones((num, 3), np.float32)
+    face, unmixed = np.zeros(num, np.int32), np.zeros(num, bool)
     return Surfels(
-        grid, position.astype(np.float32), normal, np.zeros(num, np.int32), white, observations, none, (), ()
+        grid, position.astype(np.float32), normal, face, white, unmixed, observations, none, (), ()
     )
 
 
