@@ -92,7 +92,7 @@ def room_cameras(num: int = 24) -> list[Camera]:
 
 
 @lru_cache(maxsize=2)
-def photographed_room(samples: int = 64) -> tuple[TracedView, ...]:
+def photographed_room(samples: int = 256) -> tuple[TracedView, ...]:
     """The views, HDR, through the pixels' centres."""
     import mitsuba as mi
 

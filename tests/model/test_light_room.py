@@ -79,15 +79,15 @@ def test_light_of_lamp_and_sky_is_found() -> None:
 
 
 def test_diffuse_albedo_of_coloured_walls() -> None:
-    """Within 3.5 %: what is left is specular albedo that noise allows, 0.01 to 0.02."""
-    assert wall_error(room()) < 0.035
+    """Within 3 %: what is left is specular albedo that noise allows, 0.01."""
+    assert wall_error(room()) < 0.03
 
 
 def test_tiles_of_a_floor_keep_their_pattern() -> None:
     tiles = [quad for quad in quads() if quad.name.startswith("tile")]
     found = np.array([median_albedo(room(), tile.name) for tile in tiles])
     true = np.array([tile.diffuse for tile in tiles])
-    np.testing.assert_allclose(np.median(found / true, axis=0), 1.0, atol=0.035)
+    np.testing.assert_allclose(np.median(found / true, axis=0), 1.0, atol=0.03)
     assert np.quantile(np.abs(found - true), 0.9) < 0.03
 
 
@@ -143,7 +143,7 @@ def test_irradiance_that_is_wrong_by_a_tenth_fails() -> None:
         found.solved.specular_albedo,
         found.solved.is_metal,
     )
-    assert wall_error(replace(found, albedo=wrong)) > 0.06
+    assert wall_error(replace(found, albedo=wrong)) > 0.07
 
 
 @pytest.mark.parametrize("name", ["west", "south", "north", "east-low", "glossy"])
@@ -224,4 +224,4 @@ def test_albedo_where_a_third_of_the_room_is_unseen() -> None:
     found = cropped_room()
     for quad in quads():
         if quad.name in ("south", "north", "ceiling", "east-low"):
-            np.testing.assert_allclose(median_albedo(found, quad.name), quad.diffuse, rtol=0.08)
+            np.testing.assert_allclose(median_albedo(found, quad.name), quad.diffuse, rtol=0.045)
