@@ -6,11 +6,10 @@ Estimates of similar place and direction form groups with one unknown gain each.
 E_i + sum_k g_k F_ik, with F_ik the estimate's share from group k, and the albedo of a smooth surface r is
 nearly constant. With residuals e_i = ln L_i - ln(E_i + sum_k g_k F_ik), ln g minimises
 
-    sum_i huber(e_i - mean of e in r(i)) + PRIOR |ln g - mean|^2 + q K mean^2
+    sum_i huber(e_i - mean of e in r(i)) + PRIOR |ln g - mean|^2 + MEAN_PRIOR K mean^2
 
-by Gauss-Newton steps, with one mean for rays outside (q = OUTSIDE_PRIOR) and one for surface inside, whose
-estimate is the room's mean reflectance times the incident light. Texture acts as noise: it is uncorrelated
-with the light.
+by Gauss-Newton steps, with one mean for rays outside and one for surface inside. Texture acts as noise: it is
+uncorrelated with the light.
 """
 
 from __future__ import annotations
@@ -36,15 +35,9 @@ MIN_SHARE, MAX_GROUPS = 0.002, 96
 fitted groups."""
 SURFELS_A_SAMPLE = 10.0
 """Number of neighbouring surfels that count as one sample, since their errors are correlated."""
-PRIOR, OUTSIDE_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
-"""Strengths of the priors, in samples: a gain equals the mean of its kind; the mean outside is 1; a region's
-albedo equals the room's."""
-INSIDE_PRIOR = (0.05, 2.0)
-"""Strengths of the prior that the mean gain inside is 1. The second holds for a mean above 1, since surfaces
-reflect no more than their light, unless the room has unphotographed lamps."""
-TOO_BRIGHT = (0.2, 0.35)
-"""Limits on the share of surfels that reflect more than their light with the second :data:`INSIDE_PRIOR`: up
-to the lower, no lamp is missing; from the upper on, the first holds."""
+PRIOR, MEAN_PRIOR, REGION_PRIOR = 1.0, 0.05, 0.5
+"""Strengths of the priors, in samples: a gain equals the mean of its kind; that mean is 1; a region's albedo
+equals the room's."""
 MAX_LOG_GAIN = 2.5
 HIDDEN_GAIN = 4.0
 """Surface brighter than this multiple of its estimate is attributed to a lamp that no photograph shows."""
@@ -143,34 +136,13 @@ def solve_gains(
 
     ``is_outside`` (K,): whether a group lies outside the room.
     """
-    region = np.unique(region, return_inverse=True)[1]
-    weak, strong = INSIDE_PRIOR
-    gains = _solve(log_radiance, rest, parts, region, is_outside, strong)
-    reflected = log_radiance - np.log(rest + parts @ gains)
-    low, high = TOO_BRIGHT
-    missing = float(np.clip(((reflected > np.log(MAX_REFLECTED)).mean() - low) / (high - low), 0, 1))
-    if missing == 0:
-        return gains
-    between = strong ** (1 - missing) * weak**missing
-    return _solve(log_radiance, rest, parts, region, is_outside, between)
-
-
-def _solve(
-    log_radiance: NDArray,
-    rest: NDArray,
-    parts: NDArray,
-    region: NDArray,
-    is_outside: NDArray[np.bool_],
-    inside_prior: float,
-) -> NDArray[np.float64]:
     num_groups = parts.shape[1]
+    region = np.unique(region, return_inverse=True)[1]
     is_alike = is_outside[:, None] == is_outside[None, :]
     mean_of_kind = is_alike / is_alike.sum(axis=1, keepdims=True)
+    prior = PRIOR * (np.eye(num_groups) - mean_of_kind) + MEAN_PRIOR * mean_of_kind
     log_gain = np.zeros(num_groups)
     for _ in range(_STEPS):
-        inside = np.where(mean_of_kind @ log_gain > 0, inside_prior, INSIDE_PRIOR[0])
-        of_mean = np.where(is_outside, OUTSIDE_PRIOR, inside)[:, None]
-        prior = PRIOR * (np.eye(num_groups) - mean_of_kind) + of_mean * mean_of_kind
         scaled = parts * np.exp(log_gain)
         irradiance = rest + scaled.sum(axis=1)
         residual = log_radiance - np.log(irradiance)
