@@ -18,6 +18,7 @@ from datagen.formats.recipe import StatisticsRecipe
 from datagen.formats.shard import ShardReader
 from datagen.foundation.buffers import LIGHT_BUFFERS
 from datagen.foundation.errors import InputError
+from datagen.foundation.versions import LIGHT_REVISION
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView, trace_capture
 from datagen.library import Library
@@ -161,6 +162,13 @@ def test_shards_hold_what_a_reconstruction_computes(lit_shard: Path) -> None:
         for name in LIGHT_BUFFERS:
             assert view.buffers[name].any(), name
             np.testing.assert_allclose(got[name], view.buffers[name], rtol=2e-3, atol=2e-6, err_msg=name)
+
+
+def test_recorded_light_has_a_revision_of_its_own(lit_shard: Path, tmp_path: Path) -> None:
+    """A change of recorded light alone leaves other datasets valid."""
+    with_light = DatasetFolder(lit_shard.parent.parent).read_plan().versions
+    without = plan_small(tmp_path / "dataset", tmp_path / "library").read_plan().versions
+    assert with_light == {**without, "light_revision": str(LIGHT_REVISION)}
 
 
 def test_a_network_is_fed_with_what_it_was_trained_on(lit_shard: Path, tmp_path: Path) -> None:
