@@ -28,8 +28,9 @@ MAX_ESTIMATED_SURFELS, ESTIMATE_RAYS_A_SURFEL = 40_000, 16
 """Number of surfels whose rays search for unphotographed surface, and of rays per surfel."""
 MAX_RATIO_SURFELS = 8000
 """Number of surfels whose reflectance gives the mean of the room."""
-MIXED_RAYS = 48
-"""Rays per mixed surfel for the bound on its radiance."""
+MIXED_RAYS, BOUND_KNOWN = 48, (0.3, 0.6)
+"""Rays per mixed surfel for the bound on its radiance, and limits on the known share of its light: below the
+first there is no bound, from the second on the full one."""
 ESTIMATE_ROUNDS = 5
 """Unphotographed surfaces illuminate each other: each round adds a bounce. The first assumes unknown light to
 be as bright as known light; from the fifth on, the mean changes by less than 2 %."""
@@ -110,7 +111,8 @@ def light_surfels(
 
 
 def bounded(surfels: Surfels, unmixed: RadianceField) -> Surfels:
-    """The surfels, where mixed ones reflect no more than their light in the field of the others.
+    """The surfels, where mixed ones reflect no more than their light in the field of the others, where that
+    is known.
 
     In its photographs, a slat of a blind of a pixel's width has the radiance of the sky behind it.
     """
@@ -121,6 +123,8 @@ def bounded(surfels: Surfels, unmixed: RadianceField) -> Surfels:
     lit = baker.irradiance(surfels.position_m[mixed], surfels.normal[mixed], MIXED_RAYS)
     arriving = luminance(lit.diffuse) / np.maximum(lit.known, MIN_KNOWN)
     scale = np.minimum(1, arriving / np.maximum(luminance(surfels.radiance[mixed]), 1e-12))
+    low, high = BOUND_KNOWN
+    scale **= np.clip((lit.known - low) / (high - low), 0, 1)
     radiance = surfels.radiance.copy()
     radiance[mixed] *= scale[:, None].astype(np.float32)
     return replace(surfels, radiance=radiance)

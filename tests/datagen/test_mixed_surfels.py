@@ -52,9 +52,10 @@ def _geometry() -> CaptureGeometry:
 def _photographed(traced: TracedGeometry) -> tuple[TracedView, ...]:
     """Photographs whose pixels are the mean of all that they show."""
     views = []
-    for x in (-0.6, 0.0, 0.6):
-        eye = np.array([x, -1.5, 0.5])
-        matrix = look_at(eye, np.array([0.0, 2.0, 0.9]))
+    toward_slats = [((x, -1.5, 0.5), (0.0, 2.0, 0.9)) for x in (-0.6, 0.0, 0.6)]
+    into_room = [((0.0, 1.8, 1.5), (x, y, 1.0)) for x, y in ((0.0, -2.0), (-2.0, 0.0), (2.0, 0.0))]
+    for eye, target in toward_slats + into_room:
+        matrix = look_at(np.array(eye), np.array(target))
         camera = Camera(64, 48, 48.0, 48.0, 32.0, 24.0, matrix)
         n = SUBPIXELS
         fine = Camera(64 * n, 48 * n, 48.0 * n, 48.0 * n, 32.0 * n, 24.0 * n, matrix)
@@ -104,6 +105,17 @@ def test_slats_do_not_shine_like_the_sky_behind_them(
     radiance = bounded(surfels, _field(views, traced, surfels)).radiance
     assert np.quantile(radiance[is_slat], 0.9) < 1.1 * WALL
     np.testing.assert_array_equal(radiance[~surfels.is_mixed], surfels.radiance[~surfels.is_mixed])
+
+
+def test_mixed_surfels_in_unknown_light_keep_their_radiance(
+    views: tuple[TracedView, ...], traced: TracedGeometry
+) -> None:
+    """Photographs of the slats alone show little of what illuminates them."""
+    toward_slats = views[:3]
+    surfels = build_surfels(toward_slats)
+    is_slat = surfels.face >= NUM_WALL_FACES
+    radiance = bounded(surfels, _field(toward_slats, traced, surfels)).radiance
+    assert np.median(radiance[is_slat] / surfels.radiance[is_slat]) > 0.5
 
 
 def test_mixed_surfels_of_possible_radiance_keep_it(
