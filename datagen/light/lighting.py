@@ -44,7 +44,8 @@ class GatherOptions:
     Rays per surfel: ``irradiance_rays``, ``second_irradiance_rays`` in :func:`relight`, and ``estimate_rays``
     for unphotographed surface. Further the number of surfels over which shading is smoothed.
     ``estimates_unseen``: whether unphotographed surface gets the mean reflectance; ``fits_estimates``:
-    whether gains of the estimates are fitted.
+    whether gains of the estimates are fitted. ``bounds_mixed``: whether mixed surfels reflect at most their
+    light.
     """
 
     irradiance_rays: int = 144
@@ -53,6 +54,7 @@ class GatherOptions:
     smoothing_neighbours: int = 9
     estimates_unseen: bool = True
     fits_estimates: bool = True
+    bounds_mixed: bool = True
 
 
 @dataclass(frozen=True)
@@ -90,38 +92,38 @@ def light_surfels(
         emitters = photographed_emitters(views, traced.mesh, emits, region_of_face)
         grid = surfels.grid
         background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
-        surfels = bounded(
-            surfels, RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
-        )
         region = region_of_face[surfels.face]
 
     def lit_by(emitters: Emitters, options: GatherOptions) -> Lit:
         with step("field"):
-            scene_field = RadianceField(traced.scene, surfels, emitters, background)
             size_m = surfels.grid.cell_m * CELLS_ACROSS
-            hidden = np.zeros(len(surfels))
+            own = surfels
+            if options.bounds_mixed:
+                unmixed = RadianceField(traced.scene, own, emitters, background, unmixed_cells(own))
+                own = bounded(own, Baker(unmixed, size_m))
+            scene_field = RadianceField(traced.scene, own, emitters, background)
+            hidden = np.zeros(len(own))
             if options.estimates_unseen:
-                scene_field, hidden = _estimated(scene_field, surfels, size_m, region, options)
+                scene_field, hidden = _estimated(scene_field, own, size_m, region, options)
         with step("irradiance"):
-            return _lit(surfels, Baker(scene_field, size_m), hidden, options.irradiance_rays, options)
+            return _lit(own, Baker(scene_field, size_m), hidden, options.irradiance_rays, options)
 
     if unseen is not None and emitters.is_dark.any():
         emitters = unseen(lit_by(emitters, replace(options, fits_estimates=False)))
     return lit_by(emitters, options)
 
 
-def bounded(surfels: Surfels, unmixed: RadianceField) -> Surfels:
-    """The surfels, where mixed ones reflect no more than their light in the field of the others, where that
-    is known.
+def bounded(surfels: Surfels, unmixed: Baker) -> Surfels:
+    """The surfels with the radiance of mixed ones bounded by their incident light, as far as that is known.
 
     In its photographs, a slat of a blind of a pixel's width has the radiance of the sky behind it.
+    ``unmixed`` bakes the light of the field without mixed surfels.
     """
     mixed = np.flatnonzero(surfels.is_mixed)
     if not len(mixed):
         return surfels
-    baker = Baker(unmixed, surfels.grid.cell_m * CELLS_ACROSS)
-    lit = baker.irradiance(surfels.position_m[mixed], surfels.normal[mixed], MIXED_RAYS)
-    arriving = luminance(lit.diffuse) / np.maximum(lit.known, MIN_KNOWN)
+    lit = unmixed.irradiance(surfels.position_m[mixed], surfels.normal[mixed], MIXED_RAYS)
+    arriving = luminance(_extrapolated(lit))
     scale = np.minimum(1, arriving / np.maximum(luminance(surfels.radiance[mixed]), 1e-12))
     low, high = BOUND_KNOWN
     scale **= np.clip((lit.known - low) / (high - low), 0, 1)
@@ -150,9 +152,13 @@ def relight(
 
 def _lit(surfels: Surfels, baker: Baker, hidden: NDArray, num_rays: int, options: GatherOptions) -> Lit:
     irradiance = baker.irradiance(surfels.position_m, surfels.normal, num_rays)
-    known = np.maximum(irradiance.known, MIN_KNOWN)[:, None]
-    diffuse = smoothed(surfels, irradiance.diffuse / known, options.smoothing_neighbours)
+    diffuse = smoothed(surfels, _extrapolated(irradiance), options.smoothing_neighbours)
     return Lit(surfels, baker, irradiance, diffuse, hidden)
+
+
+def _extrapolated(irradiance: Irradiance) -> NDArray[np.float32]:
+    """Diffuse shading (N, 3) if unknown light is as bright as known light."""
+    return irradiance.diffuse / np.maximum(irradiance.known, MIN_KNOWN)[:, None]
 
 
 def _estimated(

@@ -27,8 +27,8 @@ CELLS_ACROSS = 300
 MIN_CELL_PIXELS = 1.0
 """Minimum side of a cell in pixels at the median depth: smaller cells would be missed by whole views."""
 MAX_EDGE_SHARE = 0.5
-"""Share of its pixels at depth edges above which a surfel is mixed. Not all pixels of a blind are told: slats
-in adjacent pixels lie in one plane."""
+"""Share of its pixels at depth edges above which a surfel is mixed. Half, since no edge is found between
+pixels of two slats of a blind: they lie in one plane."""
 NUM_SIDES = 6
 EDGE_WEIGHT = 0.02
 """Weight of a pixel at a depth edge, where surfaces mix, or at the sensor's limit; other pixels have weight
@@ -115,12 +115,12 @@ def build_surfels(views: Sequence[TracedView]) -> Surfels:
     grid = CellGrid(low, cell_m, shape, surfel)
 
     def observe(index: int) -> tuple[NDArray, ...]:
-        cell, weight, borders = cells[index]
+        cell, weight, at_edge = cells[index]
         view = views[index]
         return _observe_view(
             cell,
             weight,
-            borders,
+            at_edge,
             np.ascontiguousarray(view.color.reshape(-1, 3), np.float32),
             view.geometry.depth_z_m.ravel(),
             cameras[index],
@@ -245,7 +245,7 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
     width, height = int(camera[16]), int(camera[17])
     cell = np.full(width * height, -1, np.int32)
     weight = np.zeros(width * height, np.float32)
-    borders = np.zeros(width * height, np.bool_)
+    at_edge = np.zeros(width * height, np.bool_)
     here, there = np.zeros(3), np.zeros(3)
     for index in range(width * height):
         z = depth[index]
@@ -254,7 +254,7 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
         place_pixel(index, z, width, camera, here)
         cell[index] = cell_of(here, normal[index], low, cell_m, shape)
         tolerance = 1.5 * z / camera[12]
-        is_edge = False
+        is_crease = False
         x, y = index % width, index // width
         for step in range(4):
             dx, dy = (1, -1, 0, 0)[step], (0, 0, 1, -1)[step]
@@ -262,7 +262,7 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
                 continue
             other = index + dy * width + dx
             if depth[other] <= 0:
-                borders[index] = True
+                at_edge[index] = True
                 break
             place_pixel(other, depth[other], width, camera, there)
             off, along = 0.0, 0.0
@@ -270,16 +270,16 @@ def _classify(depth, normal, usable, clipped, camera, low, cell_m, shape):
                 off += normal[index, axis] * (there[axis] - here[axis])
                 along += normal[index, axis] * normal[other, axis]
             if abs(off) > tolerance:
-                borders[index] = True
+                at_edge[index] = True
                 break
-            is_edge |= along < 0.8
-        is_bound = len(clipped) > 0 and clipped[index]
-        weight[index] = EDGE_WEIGHT if is_edge or borders[index] or is_bound else 1.0
-    return cell, weight, borders
+            is_crease |= along < 0.8
+        is_clipped = len(clipped) > 0 and clipped[index]
+        weight[index] = EDGE_WEIGHT if is_crease or at_edge[index] or is_clipped else 1.0
+    return cell, weight, at_edge
 
 
 @compiled
-def _observe_view(cell, weight, borders, color, depth, camera, low, cell_m, shape, surfel, num):
+def _observe_view(cell, weight, at_edge, color, depth, camera, low, cell_m, shape, surfel, num):
     """Surfels (K,) in a view in increasing order, their radiance (K, 3) and weight (K,), the pixel (K,)
     nearest to the cell centre with its squared distance (K,), and the numbers (K, 2) of all pixels and of
     those at depth edges.
@@ -298,7 +298,7 @@ def _observe_view(cell, weight, borders, color, depth, camera, low, cell_m, shap
         w = weight[index]
         total[at] += w
         pixels[at, 0] += 1
-        pixels[at, 1] += borders[index]
+        pixels[at, 1] += at_edge[index]
         for channel in range(3):
             sums[at, channel] += w * color[index, channel]
         place_pixel(index, depth[index], width, camera, here)

@@ -21,10 +21,11 @@ from typing import Any
 import numpy as np
 
 from datagen.formats.base import sha256_file
-from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS
+from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.errors import InputError, Problem
 from datagen.foundation.exr import decode_view
 from datagen.foundation.peak_memory import forget_peak, peak_mb, processor_s
+from datagen.foundation.versions import LIGHT_REVISION
 from model.checkpoint import read_card
 from model.evaluation.baselines import given_maps, maps_files
 from model.evaluation.camera_faults import CameraFaults, as_taken
@@ -40,7 +41,7 @@ from model.evaluation.opened_scene import (
     open_scene,
     told,
 )
-from model.evaluation.predictions import link_files, predictions_folder
+from model.evaluation.predictions import light_revision, link_files, predictions_folder
 from model.evaluation.recovered_light import recovered_sceneries
 from model.evaluation.rendering import JudgedView
 from model.evaluation.rerendering import figures_of, renderings_of, spread_of
@@ -48,7 +49,6 @@ from model.evaluation.results import MethodResult, SuiteResult, read_result, wri
 from model.evaluation.room import PlannedScene, assert_not_trained_on, photograph, plan_scene
 from model.evaluation.suite import MapsMethod, Method, NetworkMethod, Suite, TruthMethod
 from model.evaluation.unwrapped_geometry import geometry_for
-from model.own_network import network_inputs
 from model.reconstruction.infer import infer
 from model.reconstruction.infer_options import InferOptions
 from model.reconstruction.predict.sources import CheckpointMaps
@@ -58,8 +58,6 @@ _MEASURES = 4
 """Revision of the measures: figures of another revision are measured again."""
 _RECONSTRUCTION = 12
 """Revision of ``infer``: maps of another revision are computed again."""
-_LIGHT = 1
-"""Further revision for methods that use the light in the photographs."""
 _TAKEN = 1
 """Further revision for photographs with faults."""
 
@@ -173,7 +171,7 @@ def _judge(
             return base.model_copy(update={"skipped": f"no checkpoint at {Path(method.checkpoint).name}"})
         weights = sha256_file(Path(method.checkpoint))
         base = base.model_copy(update={"checkpoint": f"{Path(method.checkpoint).stem} {weights[:12]}"})
-        further = _light_revision(method) if method.materials == "network" else [_LIGHT]
+        further = light_revision(method) if method.materials == "network" else [LIGHT_REVISION]
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
     further += [_TAKEN, camera.model_dump(mode="json")] if camera else []
@@ -202,12 +200,6 @@ def _judge(
     result = base.model_copy(update=measured)
     write_result(path, result)
     return result
-
-
-def _light_revision(method: NetworkMethod) -> list[int]:
-    """Revision of the light that is an input of the method's network; empty without such inputs."""
-    inputs = network_inputs(read_card(Path(method.checkpoint)).network)
-    return [_LIGHT] if set(LIGHT_BUFFERS) & set(inputs) else []
 
 
 def _maps_identity(method: Method, scene: str) -> list[str]:
@@ -300,7 +292,7 @@ def _reconstruct(
         source = given_maps(method, scene.recipe.name, capture, folder / "views", scene.inputs)
     if not (folder / "report.json").is_file():
         if isinstance(method, NetworkMethod):
-            shared = predictions_folder(scene, method, camera, source.identity, *_light_revision(method))
+            shared = predictions_folder(scene, method, camera, source.identity)
             link_files(shared, folder / "views")
             infer(capture, folder, source, options, tell)
             link_files(folder / "views", shared)

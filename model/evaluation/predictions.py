@@ -7,20 +7,31 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from datagen.foundation.buffers import LIGHT_BUFFERS
+from datagen.foundation.versions import LIGHT_REVISION
+from model.checkpoint import read_card
 from model.evaluation.camera_faults import CameraFaults
 from model.evaluation.opened_scene import OpenedScene, key_of
 from model.evaluation.suite import NetworkMethod
+from model.own_network import network_inputs
 
 
 def predictions_folder(
-    scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str, *revisions: int
+    scene: OpenedScene, method: NetworkMethod, camera: CameraFaults | None, weights: str
 ) -> Path:
-    """Folder for predictions of ``weights`` (their hash), named by everything that affects them, further
-    ``revisions`` included.
-    """
+    """Folder for predictions of ``weights`` (their hash), named by everything that affects them."""
     faults = [None if f is None else f.model_dump(mode="json") for f in (method.geometry, camera)]
     names = scene.prepared.input_names
-    return scene.root / f"predictions-{key_of(weights, method.is_filtered, names, faults, *revisions)}"
+    return (
+        scene.root
+        / f"predictions-{key_of(weights, method.is_filtered, names, faults, *light_revision(method))}"
+    )
+
+
+def light_revision(method: NetworkMethod) -> list[int]:
+    """Revision of the light that is an input of the method's network; empty without such inputs."""
+    inputs = network_inputs(read_card(Path(method.checkpoint)).network)
+    return [LIGHT_REVISION] if set(LIGHT_BUFFERS) & set(inputs) else []
 
 
 def link_files(source: Path, target: Path) -> None:

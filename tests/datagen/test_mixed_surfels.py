@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from datagen.formats.capture import CaptureGeometry, GeometryPart
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
-from datagen.light.background import photographed_background
-from datagen.light.emitters import photographed_emitters
-from datagen.light.lighting import bounded
-from datagen.light.radiance_field import RadianceField, unmixed_cells
+from datagen.light.lighting import GatherOptions, light_surfels
 from datagen.light.surfels import Surfels, build_surfels
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
@@ -49,8 +45,8 @@ def _geometry() -> CaptureGeometry:
     return CaptureGeometry(Mesh(positions, np.array(faces, np.int32), None, None), parts)
 
 
-def _photographed(traced: TracedGeometry) -> tuple[TracedView, ...]:
-    """Photographs whose pixels are the mean of all that they show."""
+def _photographed(traced: TracedGeometry, sky: float = SKY) -> tuple[TracedView, ...]:
+    """Photographs whose pixels are the mean of all that they show; the first three show the slats."""
     views = []
     toward_slats = [((x, -1.5, 0.5), (0.0, 2.0, 0.9)) for x in (-0.6, 0.0, 0.6)]
     into_room = [((0.0, 1.8, 1.5), (x, y, 1.0)) for x, y in ((0.0, -2.0), (-2.0, 0.0), (2.0, 0.0))]
@@ -60,7 +56,7 @@ def _photographed(traced: TracedGeometry) -> tuple[TracedView, ...]:
         n = SUBPIXELS
         fine = Camera(64 * n, 48 * n, 48.0 * n, 48.0 * n, 32.0 * n, 24.0 * n, matrix)
         face = traced.trace_view(fine).face.reshape(48 * n, 64 * n)
-        radiance = np.where(face < 0, SKY, np.where(face < NUM_WALL_FACES, WALL, SLAT))
+        radiance = np.where(face < 0, sky, np.where(face < NUM_WALL_FACES, WALL, SLAT))
         mean = radiance.reshape(48, n, 64, n).mean(axis=(1, 3))
         color = np.repeat(mean[..., None], 3, axis=2).astype(np.float32)
         views.append(TracedView(camera, color, traced.trace_view(camera), np.ones((48, 64), bool)))
@@ -77,14 +73,17 @@ def views(traced: TracedGeometry) -> tuple[TracedView, ...]:
     return _photographed(traced)
 
 
-def _field(views: tuple[TracedView, ...], traced: TracedGeometry, surfels: Surfels) -> RadianceField:
-    """The radiance field without mixed surfels."""
+def _lit(views: tuple[TracedView, ...], traced: TracedGeometry, is_bounded: bool = True) -> Surfels:
+    """The surfels whose light is gathered."""
     nothing_emits = np.zeros(NUM_WALL_FACES + 2 * NUM_SLATS, bool)
     regions = np.zeros(len(nothing_emits), np.int32)
-    emitters = photographed_emitters(views, traced.mesh, nothing_emits, regions)
-    grid = surfels.grid
-    background = photographed_background(views, grid.low, grid.low + grid.cell_m * grid.shape)
-    return RadianceField(traced.scene, surfels, emitters, background, unmixed_cells(surfels))
+    options = GatherOptions(irradiance_rays=8, estimates_unseen=False, bounds_mixed=is_bounded)
+    return light_surfels(views, traced, nothing_emits, regions, options).surfels
+
+
+def _of_slats(surfels: Surfels) -> NDArray[np.float32]:
+    """Radiance (N, 3) of the slats."""
+    return surfels.radiance[surfels.face >= NUM_WALL_FACES]
 
 
 def test_slats_are_mixed_and_walls_are_not(views: tuple[TracedView, ...]) -> None:
@@ -99,33 +98,22 @@ def test_slats_do_not_shine_like_the_sky_behind_them(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
     """Their photographs show mostly sky; the light that reaches them from the room bounds their radiance."""
-    surfels = build_surfels(views)
-    is_slat = surfels.face >= NUM_WALL_FACES
-    assert np.median(surfels.radiance[is_slat]) > 50 * SLAT
-    radiance = bounded(surfels, _field(views, traced, surfels)).radiance
-    assert np.quantile(radiance[is_slat], 0.9) < 1.1 * WALL
-    np.testing.assert_array_equal(radiance[~surfels.is_mixed], surfels.radiance[~surfels.is_mixed])
+    seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
+    assert np.median(_of_slats(seen)) > 50 * SLAT
+    assert np.quantile(_of_slats(found), 0.9) < 1.1 * WALL
+    np.testing.assert_array_equal(found.radiance[~found.is_mixed], seen.radiance[~seen.is_mixed])
 
 
 def test_mixed_surfels_in_unknown_light_keep_their_radiance(
     views: tuple[TracedView, ...], traced: TracedGeometry
 ) -> None:
     """Photographs of the slats alone show little of what illuminates them."""
-    toward_slats = views[:3]
-    surfels = build_surfels(toward_slats)
-    is_slat = surfels.face >= NUM_WALL_FACES
-    radiance = bounded(surfels, _field(toward_slats, traced, surfels)).radiance
-    assert np.median(radiance[is_slat] / surfels.radiance[is_slat]) > 0.5
+    seen, found = _lit(views[:3], traced, is_bounded=False), _lit(views[:3], traced)
+    assert np.median(_of_slats(found) / _of_slats(seen)) > 0.5
 
 
-def test_mixed_surfels_of_possible_radiance_keep_it(
-    views: tuple[TracedView, ...], traced: TracedGeometry
-) -> None:
-    """Thin dark things before bright ones shine no more than they can; what is mixed and dark stays."""
-    surfels = build_surfels(views)
-    is_slat = surfels.face >= NUM_WALL_FACES
-    dark = surfels.radiance.copy()
-    dark[is_slat] = SLAT
-    surfels = replace(surfels, radiance=dark)
-    radiance = bounded(surfels, _field(views, traced, surfels)).radiance
-    np.testing.assert_array_equal(radiance[is_slat], dark[is_slat])
+def test_mixed_surfels_of_possible_radiance_keep_it(traced: TracedGeometry) -> None:
+    """Before a dark sky."""
+    views = _photographed(traced, sky=SLAT / 2)
+    seen, found = _lit(views, traced, is_bounded=False), _lit(views, traced)
+    np.testing.assert_array_equal(_of_slats(found), _of_slats(seen))
