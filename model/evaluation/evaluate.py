@@ -57,6 +57,8 @@ from model.reconstruction.stages import MapSource
 _MEASURES = 4
 """Revision of the measures: figures of another revision are measured again."""
 _RECONSTRUCTION = 12
+_MATERIALS_FROM_LIGHT = 1
+"""Further revision for materials from light, whose radiance field counts its own."""
 """Revision of ``infer``: maps of another revision are computed again."""
 _TAKEN = 1
 """Further revision for photographs with faults."""
@@ -171,7 +173,8 @@ def _judge(
             return base.model_copy(update={"skipped": f"no checkpoint at {Path(method.checkpoint).name}"})
         weights = sha256_file(Path(method.checkpoint))
         base = base.model_copy(update={"checkpoint": f"{Path(method.checkpoint).stem} {weights[:12]}"})
-        further = light_revision(method) if method.materials == "network" else [LIGHT_REVISION]
+        of_stage = [LIGHT_REVISION, _MATERIALS_FROM_LIGHT]
+        further = light_revision(method) if method.materials == "network" else of_stage
     own = method.model_dump(mode="json", exclude={"checkpoint", "folder"})
     maps = _maps_identity(method, name)
     further += [_TAKEN, camera.model_dump(mode="json")] if camera else []

@@ -30,6 +30,9 @@ NETWORK_WEIGHT, REGION_WEIGHT = 0.02, 0.3
 """
 MIN_SPREAD_NETWORK, MIN_SPREAD_REGION = 0.25, 0.1
 """Added to the spreads, in quadrature."""
+SCALE_SUPPORT = 0.05
+"""Mean confidence of the light at which the network's albedo takes on half of the scale of the confident
+surfels."""
 MIN_SUPPORT = 10.0
 """Number of confident surfels that a region needs for a prior; ten times as many give full weight."""
 _NEIGHBOURS = 9
@@ -54,11 +57,9 @@ def shading_correction(
     ``region`` (N,) smooth regions, ``predicted`` (N, 3) the network's albedo, ``confidence`` (N,) of the
     light in [0, 1], ``is_diffuse`` (N,) where a diffuse albedo is known.
     """
-    log_albedo = np.log(np.clip(albedo.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
-    log_network = np.log(np.clip(predicted.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
+    log_albedo, log_network = _log(albedo), _log(predicted)
     confident = confidence * is_diffuse
-    everywhere = np.zeros(len(region), np.int64)
-    offset, spread, _ = _grouped_spread(log_albedo - log_network, confident, everywhere)
+    offset, spread = _network_offset(log_albedo - log_network, confident)
     log_network += offset
     network_weight = NETWORK_WEIGHT / (spread**2 + MIN_SPREAD_NETWORK**2)
     of_region, region_spread, support = _grouped_spread(log_albedo, confident, region)
@@ -82,6 +83,28 @@ def shading_correction(
         away = np.abs(corrected - of_region).mean(axis=1) / region_spread
         huber_region = 1 / np.maximum(1, away / _HUBER_REGION)
     return found.astype(np.float32)
+
+
+def network_scale(albedo: NDArray, predicted: NDArray, confident: NDArray) -> NDArray[np.float32]:
+    """Factor (3,) from the network's albedo ``predicted`` (N, 3) to the ``albedo`` (N, 3) of surfels in known
+    light.
+
+    ``confident`` (N,) is the confidence in their light, 0 for metals. Its logarithm shrinks to 0 where little
+    light is known (:data:`SCALE_SUPPORT`).
+    """
+    support = float(confident.mean())
+    offset, _ = _network_offset(_log(albedo) - _log(predicted), confident)
+    return np.exp(offset * support / (support + SCALE_SUPPORT)).astype(np.float32)
+
+
+def _network_offset(difference: NDArray, confident: NDArray) -> tuple[NDArray[np.float64], float]:
+    """Centre (3,) and standard deviation of the ``difference`` (N, 3) in ln D of confident surfels."""
+    offset, spread, _ = _grouped_spread(difference, confident, np.zeros(len(confident), np.int64))
+    return offset[0], float(spread[0])
+
+
+def _log(albedo: NDArray) -> NDArray[np.float64]:
+    return np.log(np.clip(albedo.astype(np.float64), _MIN_ALBEDO, _MAX_ALBEDO))
 
 
 def _minimised(

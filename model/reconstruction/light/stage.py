@@ -30,7 +30,7 @@ from model.reconstruction.light.confidence import (
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
 from model.reconstruction.light.segments import segment_surfels
-from model.reconstruction.light.shading_correction import shading_correction
+from model.reconstruction.light.shading_correction import network_scale, shading_correction
 from model.reconstruction.light.solve import MAX_ALBEDO, SolvedSegments
 from model.reconstruction.light.unseen_lamps import UnseenLamps, unseen_lamps
 from model.reconstruction.light.view_maps import SolvedSurfels, view_materials
@@ -167,7 +167,7 @@ def _solved_surfels(
     albedo = surfel_albedo(surfels, lit.diffuse, specular, s, is_metal)
     if not options.has_prior:
         ones = np.ones_like(albedo)
-        return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0]), albedo
+        return SolvedSurfels(lit.diffuse, specular, s, r, is_metal, ones, ones[:, 0], ones), albedo
     confidence = surfel_confidence(lit.irradiance.photographed) * sure[:, None].astype(np.float32)
     is_lit = lit.diffuse.max(axis=1) > 0  # unknown where no light arrives
     impossible = impossible_shares(surfels, lit.diffuse, is_metal, segmentation.region)
@@ -177,19 +177,19 @@ def _solved_surfels(
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
     confidence[:, 1:] *= trust_in_inferred(inferred)[:, None]
-    diffuse = lit.diffuse
+    diffuse, prior_scale = lit.diffuse, np.ones_like(albedo)
     if options.is_corrected:
+        predicted, is_diffuse = segmentation.prior[:, :3], is_lit & ~is_metal
+        scale = network_scale(albedo, predicted, confidence[:, 0] * is_diffuse)
+        # Where the light of the room has no weight, its scale has none either.
+        unexplained = np.clip((trust - replaced) / np.maximum(1 - replaced, 1e-6), 0, 1)[:, None]
+        prior_scale = 1 + unexplained * (scale - 1)
         correction = shading_correction(
-            surfels,
-            segmentation.region,
-            albedo,
-            segmentation.prior[:, :3],
-            confidence[:, 0],
-            is_lit & ~is_metal,
+            surfels, segmentation.region, albedo, predicted, confidence[:, 0], is_diffuse
         )
         albedo = np.minimum(albedo * np.exp(correction), MAX_ALBEDO)
         diffuse = lit.diffuse * np.exp(-correction)
-    return SolvedSurfels(diffuse, specular, s, r, is_metal, confidence, replaced), albedo
+    return SolvedSurfels(diffuse, specular, s, r, is_metal, confidence, replaced, prior_scale), albedo
 
 
 def surfel_albedo(

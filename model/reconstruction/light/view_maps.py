@@ -37,7 +37,7 @@ class SolvedSurfels:
 
     ``diffuse`` (N, 3) Ld, ``specular`` (M, 3) S Ls0 + Ls1 of each observation, ``specular_albedo`` (N, 3),
     ``roughness`` (N,), ``is_metal`` (N,), ``confidence`` (N, 3) of D, S and R in [0, 1], ``replaced`` (N,)
-    share of the network's D that is replaced.
+    share of the network's D that is replaced, ``prior_scale`` (N, 3) factor of the rest of it.
     """
 
     diffuse: NDArray[np.float32]
@@ -47,6 +47,7 @@ class SolvedSurfels:
     is_metal: NDArray[np.bool_]
     confidence: NDArray[np.float32]
     replaced: NDArray[np.float32]
+    prior_scale: NDArray[np.float32]
 
 
 def view_materials(
@@ -89,6 +90,7 @@ def view_materials(
         solved.is_metal,
         solved.confidence,
         solved.replaced,
+        solved.prior_scale,
         surfels.radiance,
         prior.astype(np.float32),
         np.float32(floor),
@@ -104,7 +106,7 @@ def view_materials(
 @compiled
 def _pixels(
     color, depth, normal, own, camera, low, cell_m, shape, surfel, row_of, diffuse, specular, albedo, rough,
-    metal, confidence, replaced, radiance, prior, floor
+    metal, confidence, replaced, prior_scale, radiance, prior, floor
 ):  # fmt: skip
     """D, S, R and their confidences (P, 10)."""
     out = np.zeros((len(color), 10), np.float32)
@@ -113,6 +115,7 @@ def _pixels(
     near = np.zeros(8, np.int64)
     share = np.zeros(8, np.float32)
     ld, spec, s = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
+    scale = np.zeros(3, np.float32)
     for index in range(len(color)):
         for k in range(7):
             out[index, k] = prior[index, k]
@@ -125,13 +128,14 @@ def _pixels(
         total_spec = np.float32(0)
         conf = np.zeros(3, np.float32)
         of_light = np.float32(0)
-        ld[:], spec[:] = 0, 0
+        ld[:], spec[:], scale[:] = 0, 0, 0
         for k in range(num):
             i, w = near[k], share[k]
             total += w
             of_light += w * replaced[i]
             for c in range(3):
                 ld[c] += w * diffuse[i, c]
+                scale[c] += w * prior_scale[i, c]
                 conf[c] += w * confidence[i, c]
             row = row_of[i]
             if row >= 0:
@@ -167,7 +171,9 @@ def _pixels(
             s[c] /= total_like
             d = (color[index, c] - spec[c]) / (max(1 - s[c], np.float32(0.05)) * ld[c])
             d = min(max(d, np.float32(0)), max_albedo) * (1 - is_metal)
-            out[index, c] = of_light * d + (1 - of_light) * prior[index, c]
+            network = prior[index, c]
+            scaled = min(network * scale[c] / total, max(network, np.float32(WHITE_PAINT)))
+            out[index, c] = of_light * d + (1 - of_light) * scaled
             out[index, 3 + c] = conf[1] * s[c] + (1 - conf[1]) * prior[index, 3 + c]
             out[index, 7 + c] = conf[c]
         out[index, 6] = conf[2] * r + (1 - conf[2]) * prior[index, 6]

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""The network's diffuse albedo at the scale of the surfels whose light is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datagen.geometry.views import TracedView
+from datagen.light.surfels import camera_row
+from model.reconstruction.light import stage
+from model.reconstruction.light.shading_correction import SCALE_SUPPORT, network_scale
+from model.reconstruction.light.view_maps import WHITE_PAINT, view_materials
+from tests.model.light_room import photographed_room, quads
+from tests.model.test_light_room import of_quad, predicted, room, solved
+
+
+def test_scale_comes_from_confident_surfels() -> None:
+    """Half of them are not confident and ask for a tenth."""
+    predicted_albedo = np.full((1000, 3), 0.3)
+    known = np.arange(1000) % 2 == 0
+    albedo = predicted_albedo * np.where(known[:, None], [1.2, 1.5, 2.0], 0.1)
+    found = network_scale(albedo, predicted_albedo, known.astype(np.float64))
+    np.testing.assert_allclose(
+        np.log(found), np.log([1.2, 1.5, 2.0]) * 0.5 / (0.5 + SCALE_SUPPORT), rtol=0.01
+    )
+
+
+def test_little_known_light_scales_little() -> None:
+    predicted_albedo = np.full((1000, 3), 0.3)
+    rare = (np.arange(1000) < 5).astype(np.float64)
+    np.testing.assert_allclose(
+        network_scale(2 * predicted_albedo, predicted_albedo, rare), 2 ** (1 / 11), rtol=0.01
+    )
+    np.testing.assert_array_equal(network_scale(2 * predicted_albedo, predicted_albedo, 0 * rare), 1)
+
+
+def too_dark() -> list[dict[str, NDArray]]:
+    """A prediction whose diffuse albedo is half of what the light tells."""
+    maps = predicted(photographed_room())
+    for prediction, found in zip(maps, room().maps, strict=True):
+        prediction["diffuse_albedo"] = 0.5 * found["diffuse_albedo"]
+    return maps
+
+
+def of_face(view: TracedView, name: str) -> NDArray[np.bool_]:
+    """Pixels (H, W) of a quad."""
+    return view.geometry.face[..., 0] // 2 == [quad.name for quad in quads()].index(name)
+
+
+def south_wall(trust: float, monkeypatch: pytest.MonkeyPatch) -> float:
+    """Diffuse albedo of the south wall, which no hypothesis explains, over that of the light."""
+    explained, south = stage.solve_points, of_quad(room(), "south")
+
+    def unexplained(lit, points, shading, segmentation, *rest):  # type: ignore[no-untyped-def]
+        found = explained(lit, points, shading, segmentation, *rest)
+        confidence = found.confidence.copy()
+        confidence[np.unique(segmentation.segment[south])] = 0
+        return replace(found, confidence=confidence)
+
+    monkeypatch.setattr(stage, "solve_points", unexplained)
+    monkeypatch.setattr(stage, "trust_in_hidden", lambda hidden: np.full(len(hidden), trust, np.float32))
+    found = solved(photographed_room(), too_dark())
+    medians = []
+    for result in (found, room()):
+        of_views = zip(result.maps, photographed_room(), strict=True)
+        pixels = [maps["diffuse_albedo"][of_face(view, "south")] for maps, view in of_views]
+        medians.append(np.median(np.concatenate(pixels).astype(np.float64)))
+    return medians[0] / medians[1]
+
+
+@pytest.mark.usefixtures("mitsuba_variant")
+def test_unexplained_surface_keeps_the_scale_of_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert south_wall(1.0, monkeypatch) == pytest.approx(0.95, abs=0.06)
+
+
+@pytest.mark.usefixtures("mitsuba_variant")
+def test_light_without_weight_has_no_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert south_wall(0.0, monkeypatch) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.usefixtures("mitsuba_variant")
+@pytest.mark.parametrize(("diffuse", "expected"), [(0.3, 0.6), (0.6, WHITE_PAINT), (0.9, 0.9)])
+def test_scaled_prediction_is_no_whiter_than_paint(diffuse: float, expected: float) -> None:
+    """Unless the network says so itself."""
+    view, surfels = photographed_room()[0], room().lit.surfels
+    nothing = np.zeros_like(room().solved.replaced)
+    twice = np.full((len(surfels), 3), 2, np.float32)
+    unknown = replace(room().solved, replaced=nothing, prior_scale=twice)
+    maps = view_materials(surfels, unknown, 0, view, camera_row(view), predicted((view,), diffuse)[0])
+    on_surface = surfels.pixel_surfel[0].reshape(view.color.shape[:2]) >= 0
+    np.testing.assert_allclose(maps["diffuse_albedo"][on_surface].astype(float), expected, atol=2e-3)
