@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 DISTRIBUTION = "scene-materials"
 RESULT_REVISION = 10
 """Increased whenever a change of the code changes the bytes of a dataset but not its configurations."""
-LIGHT_REVISION = 1
+LIGHT_REVISION = 2
 """Increased whenever a change of the code changes nothing but recorded light: it concerns datasets with
 ``statistics: {light: true}`` only."""
 PLAN_REVISION = 2

@@ -7,9 +7,9 @@ With the project's BRDF and Schlick's Fresnel term, the radiance of a point towa
     Ls0 = mean of L_in G1(wo) (1 - f),  Ls1 = mean of L_in G1(wo) f,  f = (1 - wi.h)^5,
 
 over half vectors h drawn from the distribution of visible normals at roughness R (Heitz & d'Eon 2014), with
-wo the mirror image of wi about h. Emitters are also sampled directly, and both techniques are combined by the
-balance heuristic (Veach 1997). Each point uses a rank-1 lattice with its own shift, so that its result
-depends on its index alone.
+wo the mirror image of wi about h. Emitters and bright surface are also sampled directly, and the techniques
+are combined by the balance heuristic (Veach 1997). Each point uses a rank-1 lattice with its own shift, so
+that its result depends on its index alone.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.light.bright_guide import BrightGuide, bright_rectangles
 from datagen.light.emitters import EmitterSampler
-from datagen.light.radiance_field import MIN_COSINE, RadianceField, schlick_weight
+from datagen.light.radiance_field import MIN_COSINE, Met, RadianceField, schlick_weight
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.beckmann import (
     alpha_from_roughness,
@@ -85,6 +86,8 @@ class Baker:
         self.size_m = size_m
         self.start_m = _START * size_m
         self._sampler = EmitterSampler(field.emitters)
+        rectangles = bright_rectangles(field.cells, field.is_emitter)
+        self.guide = BrightGuide(rectangles) if rectangles else None
 
     def irradiance(self, position_m: NDArray, normal: NDArray, num_rays: int, seed: int = 0) -> Irradiance:
         """Irradiance at points (N, 3) with unit normals (N, 3), from ``num_rays`` rays each."""
@@ -161,15 +164,33 @@ class Baker:
         pdf = area_pdf * distance2 / dr.maximum(facing, 1e-4)
         return wo, dr.select(counts, radiance, 0.0), pdf, counts
 
-    def emitter_pdf(self, met: Any, ray: Any) -> Any:
+    def emitter_pdf(self, met: Met, ray: Any) -> Any:
         """Density [1/sr] with which :meth:`emitter_sample` samples the hit of a ray."""
         import drjit as dr
         import mitsuba as mi
 
+        if not self.samples_emitters:
+            return mi.Float(0.0)
         is_emitter = met.is_front_of_emitter
         area = dr.gather(mi.Float, self._sampler.area_pdf_of_face, met.face, is_emitter)
         facing = dr.maximum(met.cosine, 1e-4)
         return dr.select(is_emitter, area * dr.square(met.distance_m) / facing, 0.0)
+
+    def lobe_weight(self, pdf: Any, met: Met, ray: Any) -> Any:
+        """Weight of a ray drawn from a lobe with density ``pdf``, beside the other techniques."""
+        import drjit as dr
+        import mitsuba as mi
+
+        if self.guide is None and not self.samples_emitters:
+            return mi.Float(1.0)
+        others = self.emitter_pdf(met, ray) + self.guide_pdf(ray.o, ray.d)
+        return pdf / dr.maximum(pdf + others, 1e-20)
+
+    def guide_pdf(self, p: Any, direction: Any) -> Any:
+        """Density [1/sr] with which the guide, if there is one, samples a direction."""
+        import mitsuba as mi
+
+        return mi.Float(0.0) if self.guide is None else self.guide.pdf(p, direction)
 
     @property
     def samples_emitters(self) -> bool:
@@ -219,6 +240,20 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
     return mi.Point2f(dr.minimum(u - dr.floor(u), 1.0 - 6e-8), dr.minimum(v - dr.floor(v), 1.0 - 6e-8))
 
 
+def _guide_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
+    """Three more numbers of a sample, for a direction towards bright surface."""
+    import drjit as dr
+    import mitsuba as mi
+
+    a, b = mi.sample_tea_32(lane, seed + 15485863)
+    c, _ = mi.sample_tea_32(lane, seed + 32452843)
+    i, unit = mi.Float(index), 1.0 / 4294967296.0
+    steps = (0.4142135623730951, 0.6457513110645906, 0.3166247903553998)
+    numbers = [i * step + mi.Float(shift) * unit for step, shift in zip(steps, (a, b, c), strict=True)]
+    u, v, w = (dr.minimum(number - dr.floor(number), 1.0 - 6e-8) for number in numbers)
+    return u, mi.Point2f(v, w)
+
+
 def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, seed: Any) -> tuple[Any, ...]:
     import drjit as dr
     import mitsuba as mi
@@ -228,14 +263,20 @@ def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, se
         wo = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2))
         ray = mi.Ray3f(p, frame.to_world(wo))
         met = baker.field.meet(ray, mi.Bool(True), _metal_sample(baker, lane, index, seed))
-        weight = mi.Float(1.0)
+        weight = baker.lobe_weight(wo.z * dr.inv_pi, met, ray)
         if baker.samples_emitters:
-            pdf = wo.z * dr.inv_pi
-            weight = pdf / dr.maximum(pdf + baker.emitter_pdf(met, ray), 1e-20)
             direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
             cosine_pdf = dr.maximum(direction.z, 0.0) * dr.inv_pi
-            light = cosine_pdf / dr.maximum(light_pdf + cosine_pdf, 1e-20)
+            others = light_pdf + baker.guide_pdf(p, frame.to_world(direction))
+            light = cosine_pdf / dr.maximum(others + cosine_pdf, 1e-20)
             total = total + dr.select(counts, radiance * light, 0.0)
+        if baker.guide is not None:
+            toward, guide_pdf = baker.guide.sample(p, *_guide_sample(lane, index, seed))
+            guided = mi.Ray3f(p, toward)
+            cosine_pdf = dr.maximum(dr.dot(toward, frame.n), 0.0) * dr.inv_pi
+            end = baker.field.meet(guided, cosine_pdf > 0, _metal_sample(baker, lane, index, seed + 1))
+            others = guide_pdf + baker.emitter_pdf(end, guided)
+            total = total + end.radiance * (cosine_pdf / dr.maximum(others + cosine_pdf, 1e-20))
         total = total + met.radiance * weight
         known = known + dr.select(met.is_known, 1.0, 0.0)
         photographed = photographed + dr.select(met.is_photographed, 1.0, 0.0)
@@ -263,18 +304,29 @@ def _specular_loop(
         met = baker.field.meet(ray, above, _metal_sample(baker, lane, index, seed))
         f = schlick_weight(dr.dot(wi, h))
         value = dr.select(above, smith_g1(wo, alpha), 0.0)
-        weight = mi.Float(1.0)
+        weight = baker.lobe_weight(_lobe_pdf(wi, wo, h, alpha), met, ray)
         if baker.samples_emitters:
-            pdf = _lobe_pdf(wi, wo, h, alpha)
-            weight = pdf / dr.maximum(pdf + baker.emitter_pdf(met, ray), 1e-20)
             direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
             half = dr.normalize(wi + direction)
             lobe = _lobe_pdf(wi, direction, half, alpha)
+            others = light_pdf + baker.guide_pdf(p, frame.to_world(direction))
             arriving = dr.select(
                 counts,
-                radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(light_pdf + lobe, 1e-20)),
+                radiance * smith_g1(direction, alpha) * (lobe / dr.maximum(others + lobe, 1e-20)),
                 0.0,
             )
+            light_f = schlick_weight(dr.dot(wi, half))
+            ls0 = ls0 + arriving * (1.0 - light_f)
+            ls1 = ls1 + arriving * light_f
+        if baker.guide is not None:
+            toward, guide_pdf = baker.guide.sample(p, *_guide_sample(lane, index, seed))
+            guided, direction = mi.Ray3f(p, toward), frame.to_local(toward)
+            half = dr.normalize(wi + direction)
+            lobe = _lobe_pdf(wi, direction, half, alpha)
+            end = baker.field.meet(guided, lobe > 0, _metal_sample(baker, lane, index, seed + 1))
+            others = guide_pdf + baker.emitter_pdf(end, guided)
+            share = lobe / dr.maximum(others + lobe, 1e-20)
+            arriving = dr.select(lobe > 0, end.radiance * smith_g1(direction, alpha) * share, 0.0)
             light_f = schlick_weight(dr.dot(wi, half))
             ls0 = ls0 + arriving * (1.0 - light_f)
             ls1 = ls1 + arriving * light_f

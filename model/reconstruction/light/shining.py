@@ -12,13 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
+from datagen.light.bright_guide import adjacent_cells, apart_by_side, cell_places
 from datagen.light.lighting import Lit
-from datagen.light.surfels import NUM_SIDES
 from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
 from model.reconstruction.light.rectangles import cover, cut
 
@@ -48,18 +46,13 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
     if not len(shining):
         return ()
     keys = np.flatnonzero(grid.surfel >= 0)
-    sides, rest = keys % NUM_SIDES, keys // NUM_SIDES
-    row, z = np.divmod(rest, grid.shape[2])
-    cells = np.stack([row // grid.shape[1], row % grid.shape[1], z], axis=1)
-    apart = np.column_stack([cells, sides * 4 * int(max(grid.shape))])  # keeps sides far from each other
-    pairs = cKDTree(apart[shining]).query_pairs(1.5, p=np.inf, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(shining),) * 2)
-    count, cluster = connected_components(graph, directed=False)
+    cells, sides = cell_places(keys, grid.shape)
+    apart = apart_by_side(cells, sides)
     others = np.setdiff1d(np.arange(len(keys)), shining)
     around = cKDTree(apart[others])
     found = []
-    for number in range(count):
-        which = shining[cluster == number]
+    for cluster in adjacent_cells(cells[shining], sides[shining]):
+        which = shining[cluster]
         share = sent[which].sum() / sent.sum()
         if len(which) < MIN_CELLS or share < MIN_SHARE:
             continue
