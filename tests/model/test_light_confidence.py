@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,7 +15,9 @@ from model.reconstruction.light.confidence import (
     D_EVIDENCE,
     ImpossibleShares,
     impossible_shares,
+    normal_spread,
     surfel_confidence,
+    trust_in_normals,
 )
 
 OBSERVATIONS = 20
@@ -109,3 +113,20 @@ def test_few_observations_count_less_than_the_room() -> None:
     radiance[0] = 1.5
     region = (np.arange(num) >= 1).astype(np.int32)
     assert shares_of(radiance, region=region).evidence()[0] > 0.5
+
+
+def test_normals_of_a_plane_and_an_edge_have_no_spread_and_those_of_a_bumpy_wall_have() -> None:
+    """The planes of an edge count apart; normals that are off by 0.2 rad spread by 0.2 to 0.3."""
+    flat = wall(np.ones((100, 3)))
+    np.testing.assert_allclose(normal_spread(flat), 0, atol=1e-6)
+    edge = replace(flat, normal=np.where(np.arange(100)[:, None] < 50, [0.0, 0, 1], [0.0, 1, 0]))
+    np.testing.assert_allclose(normal_spread(edge), 0, atol=1e-6)
+    azimuth = np.random.default_rng(4).uniform(0, 2 * np.pi, 100)
+    tilted = np.stack([0.2 * np.cos(azimuth), 0.2 * np.sin(azimuth), np.full(100, 0.98)], axis=1)
+    bumpy = replace(flat, normal=tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
+    spread = normal_spread(bumpy)
+    assert 0.2 < np.median(spread) < 0.3
+    np.testing.assert_allclose(
+        trust_in_normals(np.array([0.0, 0.05, 0.175, 0.3, 2.0])), [1, 1, 0.75, 0.5, 0.5]
+    )
+    assert trust_in_normals(spread).mean() < 0.7

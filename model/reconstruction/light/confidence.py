@@ -37,6 +37,11 @@ the first it has full weight, above the second none."""
 INFERRED_LIGHT = (0.02, 0.08)
 """Limits on the share of a smooth region's light from named lamps in no photograph, for S and R: below the
 first they have full weight, above the second none."""
+BUMPY, BUMPY_TRUST = (0.05, 0.3), 0.5
+"""Limits on the spread of the normals around a surfel, in radians, for R: below the first it has full weight,
+above the second :data:`BUMPY_TRUST`, since a mesh with errors mirrors in other directions than its surface.
+"""
+_BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # minimum cosine between normals of one surface
 _NEAR_BLOCKS = 8
 D_EVIDENCE, S_EVIDENCE = (0.65, 1.0), (0.2, 0.5)
 """Limits on the photographed share of a surfel's hemisphere: below the first its light has no weight, above
@@ -129,6 +134,22 @@ def trust_in_hidden(hidden: NDArray) -> NDArray[np.float32]:
 def trust_in_inferred(share: NDArray) -> NDArray[np.float32]:
     """Factor (N,) of the confidences of S and R by the share (N,) of light of unphotographed lamps."""
     return (1 - _ramp(share, INFERRED_LIGHT)).astype(np.float32)
+
+
+def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
+    """Root mean square angle (N,), in radians, between a surfel's normal and those around on its surface."""
+    nearest = np.arange(min(_BUMPY_NEIGHBOURS + 1, len(surfels))) + 1
+    _, index = cKDTree(surfels.position_m).query(surfels.position_m, k=nearest, workers=-1)
+    normal = surfels.normal.astype(np.float64)
+    cosine = np.einsum("nc,nkc->nk", normal, normal[index])
+    is_near = cosine > _SAME_SURFACE
+    angle2 = np.square(np.arccos(np.clip(cosine, -1, 1)))
+    return np.sqrt((angle2 * is_near).sum(axis=1) / np.maximum(is_near.sum(axis=1), 1))
+
+
+def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
+    """Factor (N,) of the confidence of R by the ``spread`` (N,) of the normals around."""
+    return (1 - (1 - BUMPY_TRUST) * _ramp(spread, BUMPY)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:

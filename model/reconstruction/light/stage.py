@@ -22,10 +22,12 @@ from datagen.light.lighting import MIN_KNOWN, Lit, light_surfels, relight
 from datagen.light.surfels import Surfels, camera_row, surfel_means, weighted_medians
 from model.reconstruction.light.confidence import (
     impossible_shares,
+    normal_spread,
     sureness,
     surfel_confidence,
     trust_in_hidden,
     trust_in_inferred,
+    trust_in_normals,
 )
 from model.reconstruction.light.options import LightOptions, LightReport
 from model.reconstruction.light.points import Segmentation, choose_points, shade_points, solve_points
@@ -177,6 +179,7 @@ def _solved_surfels(
     replaced = trust * of_segment[:, 0]
     confidence[:, 0] *= impossible.evidence()
     confidence[:, 1:] *= trust_in_inferred(inferred)[:, None]
+    confidence[:, 2] *= trust_in_normals(normal_spread(surfels))
     diffuse, prior_scale = lit.diffuse, np.ones_like(albedo)
     if options.is_corrected:
         predicted, is_diffuse = segmentation.prior[:, :3], is_lit & ~is_metal
