@@ -45,6 +45,18 @@ class Slot:
     graph: object = None
 
 
+@dataclass(frozen=True)
+class Pieces:
+    """A part's shapes (pairs of slot and shape, of all its slots), to which one slot adds."""
+
+    shapes: list[tuple[str, Shape]]
+    slot: str
+
+    def __iadd__(self, added: Shape | Iterable[Shape]) -> Pieces:
+        self.shapes.extend((self.slot, shape) for shape in ([added] if isinstance(added, Shape) else added))
+        return self
+
+
 @dataclass
 class Workshop:
     """Collects shapes by part and slot and turns them into tagged Blender objects.
@@ -58,11 +70,15 @@ class Workshop:
     _materials: dict[str, bpy.types.Material] = field(default_factory=dict)
     _count: int = 0
 
-    def add(self, part: str, slot: str, *shapes: Shape) -> None:
-        """Append shapes with a slot's material to a part."""
+    def __getitem__(self, place: tuple[str, str]) -> Pieces:
+        """What takes the shapes of a part's slot: ``workshop["radio", "knob"] += shape``, or several shapes."""
+        part, slot = place
         if slot not in self.slots:
             raise KeyError(f"no slot {slot!r}")
-        self.parts.setdefault(part, []).extend((slot, shape) for shape in shapes)
+        return Pieces(self.parts.setdefault(part, []), slot)
+
+    def __setitem__(self, place: tuple[str, str], pieces: Pieces) -> None:
+        """The second half of ``+=``, which has added the shapes already."""
 
     def place(self, part: str, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> None:
         """Show a part here, turned about z; without any call it is shown once at the origin."""

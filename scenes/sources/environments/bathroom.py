@@ -62,8 +62,8 @@ def bathroom(collection: bpy.types.Collection) -> None:
     kitchen_furniture.tap(w, "bath_tap", "chrome", height=0.2, reach=0.14)
     w.place("bath_tap", 0.31, 0.9, 0.56, -90)
     # a low wall with a shelf closes the bath's foot
-    w.add("pier", "tiles", box((0.2, 0.78, 0.75), (0, 0, 0), 0.002, grain=1))
-    w.add("pier", "shelves", box((0.24, 0.82, 0.025), (0, 0, 0.75), 0.004, 2, grain=1))
+    w["pier", "tiles"] += box((0.2, 0.78, 0.75), (0, 0, 0), 0.002, grain=1)
+    w["pier", "shelves"] += box((0.24, 0.82, 0.025), (0, 0, 0.75), 0.004, 2, grain=1)
     w.place("pier", 0.375, 0.895)
     room.surface_at("pier", "shelf", (0.375, 0.9), (0.2, 0.74), 0.775, 0.5)
     _washing(room)
@@ -89,17 +89,11 @@ def _tiling(room: Room) -> None:
         for low, high in [*gaps, (half, half)]:
             if low - start > 0.03:
                 middle, length = (low + start) / 2, low - start
-                w.add(
-                    "wall_tiles",
-                    "tiles",
-                    room.on_wall(wall, box((length, t, TILED), (middle, -t / 2, 0), 0.001, grain=0)),
+                w["wall_tiles", "tiles"] += room.on_wall(
+                    wall, box((length, t, TILED), (middle, -t / 2, 0), 0.001, grain=0)
                 )
-                w.add(
-                    "wall_tiles",
-                    "tile_edge",
-                    room.on_wall(
-                        wall, box((length, 0.018, 0.03), (middle, -0.009, TILED), 0.006, 3, grain=0)
-                    ),
+                w["wall_tiles", "tile_edge"] += room.on_wall(
+                    wall, box((length, 0.018, 0.03), (middle, -0.009, TILED), 0.006, 3, grain=0)
                 )
             start = high
 
@@ -137,30 +131,26 @@ def _washing(room: Room) -> None:
         48,
         smooth=0,
     )
-    w.add("basin", "enamel", basin.scaled(1, 0.9, 1))
-    w.add(
-        "basin",
-        "chrome",
-        lathe([(0, 0.012), (0.022, 0.0145), (0.024, 0.017), (0.016, 0.0185), (0, 0.018)], 24),
+    w["basin", "enamel"] += basin.scaled(1, 0.9, 1)
+    w["basin", "chrome"] += lathe(
+        [(0, 0.012), (0.022, 0.0145), (0.024, 0.017), (0.016, 0.0185), (0, 0.018)], 24
     )
     room.place("east", "basin", 0.35, gap=0.24, z=0.82)
     kitchen_furniture.tap(w, "basin_tap", "chrome", height=0.27, reach=0.15)
     room.place("east", "basin_tap", 0.35, gap=0.045, z=0.82)
     for k, s in enumerate((0.02, 0.69)):
         room.surface(f"vanity {k}", "counter", "east", s, 0.16, 0.06, 0.42, 0.82, 0.5)
-    w.add("mirror", "mirror", box((0.7, 0.006, 0.85), (0, -0.004, 0), 0.002, 1))
-    w.add("mirror", "chrome", box((0.716, 0.004, 0.866), (0, -0.002, -0.008), 0.001))
+    w["mirror", "mirror"] += box((0.7, 0.006, 0.85), (0, -0.004, 0), 0.002, 1)
+    w["mirror", "chrome"] += box((0.716, 0.004, 0.866), (0, -0.002, -0.008), 0.001)
     room.place("east", "mirror", 0.35, z=1.38)
-    w.add("mirror_shelf", "shelves", box((0.7, 0.12, 0.018), (0, -0.06, 0), 0.003, 2, grain=0))
+    w["mirror_shelf", "shelves"] += box((0.7, 0.12, 0.018), (0, -0.06, 0), 0.003, 2, grain=0)
     # the lamp bar over the mirror
-    w.add("lamp_bar", "chrome", box((0.6, 0.03, 0.03), (0, -0.015, 0), 0.004, 2))
-    w.add("lamp_bar", "lamp_shade", tube([(-0.27, -0.06, 0.015), (0.27, -0.06, 0.015)], 0.024, 16))
+    w["lamp_bar", "chrome"] += box((0.6, 0.03, 0.03), (0, -0.015, 0), 0.004, 2)
+    w["lamp_bar", "lamp_shade"] += tube([(-0.27, -0.06, 0.015), (0.27, -0.06, 0.015)], 0.024, 16)
     room.place("east", "lamp_bar", 0.35, z=2.29)
-    w.add(
-        "mirror_shelf",
-        "chrome",
-        *[tube([(x, -0.002, -0.01), (x, -0.1, -0.004)], 0.005, 8) for x in (-0.28, 0.28)],
-    )
+    w["mirror_shelf", "chrome"] += [
+        tube([(x, -0.002, -0.01), (x, -0.1, -0.004)], 0.005, 8) for x in (-0.28, 0.28)
+    ]
     room.place("south", "mirror_shelf", -0.6, z=1.45, gap=0.0)
     room.surface("wall shelf", "shelf", "south", -0.6, 0.64, 0.02, 0.11, 1.468, 0.4)
 
@@ -169,7 +159,7 @@ def _storage(room: Room) -> None:
     w = room.workshop
     bar = tube([(-0.32, -0.08, 0), (0.32, -0.08, 0)], 0.009, 12)
     ends = [tube([(x, -0.002, 0), (x, -0.08, 0)], 0.008, 10) for x in (-0.3, 0.3)]
-    w.add("towel_rail", "chrome", bar, *ends)
+    w["towel_rail", "chrome"] += [bar, *ends]
     room.place("west", "towel_rail", 0.35, z=1.15, gap=0.014)
     bathroom_furniture.towel(w, "towel", "towels", width=0.46)
     room.place("west", "towel", 0.35, z=1.149, gap=0.094)
@@ -198,26 +188,20 @@ def _storage(room: Room) -> None:
                 0.001,
                 5 * k + j,
             )
-            w.add("folded_towels", "towels" if (j + k) % 2 else "towel_white", roll)
+            w["folded_towels", "towels" if (j + k) % 2 else "towel_white"] += roll
     room.place("west", "folded_towels", -0.85, gap=0.02)
-    w.add("laundry", "laundry", _basket())
+    w["laundry", "laundry"] += _basket()
     w.place("laundry", 1.2, -0.85)
     # stool
-    w.add(
-        "stool",
-        "stool",
-        lathe([(0, 0.42), (0.155, 0.42), (0.165, 0.428), (0.165, 0.445), (0.155, 0.452), (0, 0.452)], 40),
+    w["stool", "stool"] += lathe(
+        [(0, 0.42), (0.155, 0.42), (0.165, 0.428), (0.165, 0.445), (0.155, 0.452), (0, 0.452)], 40
     )
     for k in range(4):
         a = np.pi / 4 + k * np.pi / 2
-        w.add(
-            "stool",
-            "stool",
-            tube(
-                [(0.15 * np.cos(a), 0.15 * np.sin(a), 0.003), (0.1 * np.cos(a), 0.1 * np.sin(a), 0.425)],
-                [0.012, 0.016],
-                10,
-            ),
+        w["stool", "stool"] += tube(
+            [(0.15 * np.cos(a), 0.15 * np.sin(a), 0.003), (0.1 * np.cos(a), 0.1 * np.sin(a), 0.425)],
+            [0.012, 0.016],
+            10,
         )
     w.place("stool", -1.2, -0.25)
     room.surface_at("stool", "seat", (-1.2, -0.25), (0.2, 0.2), 0.452, 0.8)

@@ -44,16 +44,14 @@ def bathtub(
     shape = shape if faces_up(shape) else shape.flipped()
     centre = ring(length - 1.2, width - 0.6, height - 0.424, 0.05)
     lid = Shape(centre, [tuple(range(len(centre)))], centre[:, :2].copy())
-    w.add(part, enamel, shape, lid)
-    w.add(part, apron, _apron(length, width, height))
-    w.add(
-        part,
-        metal,
+    w[part, enamel] += [shape, lid]
+    w[part, apron] += _apron(length, width, height)
+    w[part, metal] += [
         cylinder(0.03, 0.006, (length / 2 - 0.45, -width / 2, height - 0.425), 0.002),
         lathe([(0, 0), (0.032, 0), (0.034, 0.006), (0.028, 0.01), (0, 0.011)], 24)
         .turned("y", -90)
         .moved(length / 2 - 0.105, -width / 2, height - 0.15),
-    )
+    ]
 
 
 def _apron(length: float, width: float, height: float) -> Shape:
@@ -90,10 +88,8 @@ def washbasin(
     rings = [ring(width * 0.3, depth * 0.3, height - 0.17, 0.05, 0.06), ring(width * 0.7, depth * 0.7, height - 0.15, 0.1, 0.04), ring(width - 0.02, depth - 0.01, height - 0.04, 0.09), ring(width, depth, height - 0.012, 0.1),
              ring(width - 0.006, depth - 0.006, height, 0.1), ring(width - 0.07, depth - 0.17, height, 0.1, -0.045), ring(width - 0.09, depth - 0.19, height - 0.012, 0.1, -0.045),
              ring(width - 0.2, depth - 0.26, height - 0.09, 0.07, -0.045), ring(width - 0.4, depth - 0.34, height - 0.12, 0.03, -0.045)]  # fmt: skip
-    w.add(part, ceramic, loft(np.array(rings)))
-    w.add(
-        part,
-        metal,
+    w[part, ceramic] += loft(np.array(rings))
+    w[part, metal] += [
         cylinder(0.022, 0.004, (0, -depth / 2 - 0.045, height - 0.122), 0.001),
         tube(
             [
@@ -106,7 +102,7 @@ def washbasin(
             12,
             smooth=4,
         ),
-    )
+    ]
 
 
 def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> None:
@@ -117,46 +113,34 @@ def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> No
         front = np.where(np.sin(angle) < 0, 1.12, 0.88)
         return np.column_stack([sx / 2 * np.cos(angle), y + sy / 2 * np.sin(angle) * front, np.full(32, z)])
 
-    w.add(
-        part,
-        ceramic,
-        loft(
-            np.array(
-                [
-                    ring(0.21, 0.34, 0, -0.36),
-                    ring(0.22, 0.35, 0.02, -0.36),
-                    ring(0.2, 0.34, 0.12, -0.36),
-                    ring(0.28, 0.4, 0.27, -0.4),
-                    ring(0.36, 0.46, 0.38, -0.42),
-                    ring(0.365, 0.465, 0.395, -0.42),
-                ]
-            )
-        ),
+    w[part, ceramic] += loft(
+        np.array(
+            [
+                ring(0.21, 0.34, 0, -0.36),
+                ring(0.22, 0.35, 0.02, -0.36),
+                ring(0.2, 0.34, 0.12, -0.36),
+                ring(0.28, 0.4, 0.27, -0.4),
+                ring(0.36, 0.46, 0.38, -0.42),
+                ring(0.365, 0.465, 0.395, -0.42),
+            ]
+        )
     )
-    w.add(
-        part,
-        seat,
-        loft(
-            np.array(
-                [
-                    ring(0.37, 0.47, 0.397, -0.42),
-                    ring(0.38, 0.48, 0.403, -0.42),
-                    ring(0.378, 0.478, 0.423, -0.42),
-                    ring(0.36, 0.46, 0.431, -0.42),
-                ]
-            )
-        ),
+    w[part, seat] += loft(
+        np.array(
+            [
+                ring(0.37, 0.47, 0.397, -0.42),
+                ring(0.38, 0.48, 0.403, -0.42),
+                ring(0.378, 0.478, 0.423, -0.42),
+                ring(0.36, 0.46, 0.431, -0.42),
+            ]
+        )
     )
-    w.add(
-        part,
-        ceramic,
+    w[part, ceramic] += [
         soft_box((0.38, 0.18, 0.36), (0, -0.095, 0.39), 0.025, (0, 0, 0), 7),
         soft_box((0.4, 0.2, 0.035), (0, -0.1, 0.752), 0.014, (0, 0, 0.003), 7),
-    )
-    w.add(
-        part,
-        metal,
-        lathe([(0, 0), (0.022, 0), (0.024, 0.003), (0.02, 0.007), (0, 0.008)], 20).moved(0, -0.1, 0.787),
+    ]
+    w[part, metal] += lathe([(0, 0), (0.022, 0), (0.024, 0.003), (0.02, 0.007), (0, 0.008)], 20).moved(
+        0, -0.1, 0.787
     )
 
 
@@ -186,4 +170,4 @@ def towel(
         ],
         axis=-1,
     )
-    w.add(part, slot, sheet(points, thick))
+    w[part, slot] += sheet(points, thick)

@@ -33,37 +33,32 @@ def rug(
     edge = np.maximum(np.abs(u), np.abs(v)) * 2
     z = 0.006 + wave * (1 - edge) - 0.0005 * edge
     points = np.stack([at[0] + u * size[0], at[1] + v * size[1], z], axis=-1)
-    w.add(part, slot, sheet(points, 0.009))
+    w[part, slot] += sheet(points, 0.009)
     if border:
         sx, sy, b = size[0] / 2, size[1] / 2, 0.02
-        w.add(part, border, *[box((2 * sx, b, 0.0125), (at[0], at[1] + s * sy, 0.0005), 0.004, grain=0) for s in (-1, 1)],
-              *[box((b, 2 * sy, 0.0125), (at[0] + s * sx, at[1], 0.0005), 0.004, grain=1) for s in (-1, 1)])  # fmt: skip
+        w[part, border] += [*[box((2 * sx, b, 0.0125), (at[0], at[1] + s * sy, 0.0005), 0.004, grain=0) for s in (-1, 1)], *[box((b, 2 * sy, 0.0125), (at[0] + s * sx, at[1], 0.0005), 0.004, grain=1) for s in (-1, 1)]]  # fmt: skip
 
 
 def floor_lamp(
     w: Workshop, part: str, *, metal: str = "hardware", shade: str = "lamp_shade", height: float = 1.55
 ) -> float:
     """Standing lamp on a round foot with a drum shade; returns the height for its light."""
-    w.add(
-        part,
-        metal,
-        lathe(
-            [
-                (0, 0),
-                (0.14, 0),
-                (0.145, 0.006),
-                (0.13, 0.018),
-                (0.02, 0.024),
-                (0.011, 0.04),
-                (0.011, height - 0.2),
-                (0.018, height - 0.18),
-                (0, height - 0.17),
-            ],
-            28,
-        ),
+    w[part, metal] += lathe(
+        [
+            (0, 0),
+            (0.14, 0),
+            (0.145, 0.006),
+            (0.13, 0.018),
+            (0.02, 0.024),
+            (0.011, 0.04),
+            (0.011, height - 0.2),
+            (0.018, height - 0.18),
+            (0, height - 0.17),
+        ],
+        28,
     )
-    w.add(part, shade, drum_shade(0.16, 0.21, 0.27).moved(z=height - 0.27))
-    w.add(part, metal, spider(0.155, height - 0.03))
+    w[part, shade] += drum_shade(0.16, 0.21, 0.27).moved(z=height - 0.27)
+    w[part, metal] += spider(0.155, height - 0.03)
     return height - 0.12
 
 
@@ -103,21 +98,17 @@ def pendant(
 ) -> float:
     """Pendant with a dome shade about the origin; returns the height of its open underside."""
     z = ceiling - drop
-    w.add(
-        part,
-        metal,
-        lathe(
-            [
-                (0, ceiling - 0.03),
-                (0.045, ceiling - 0.03),
-                (0.055, ceiling - 0.02),
-                (0.055, ceiling + 0.002),
-                (0, ceiling + 0.002),
-            ],
-            24,
-        ),
+    w[part, metal] += lathe(
+        [
+            (0, ceiling - 0.03),
+            (0.045, ceiling - 0.03),
+            (0.055, ceiling - 0.02),
+            (0.055, ceiling + 0.002),
+            (0, ceiling + 0.002),
+        ],
+        24,
     )
-    w.add(part, metal, tube([(0, 0, ceiling - 0.02), (0, 0, z + 0.6 * radius)], 0.0035, 8))
+    w[part, metal] += tube([(0, 0, ceiling - 0.02), (0, 0, z + 0.6 * radius)], 0.0035, 8)
     r, h, t = radius, 0.62 * radius, 0.003
     outer = [
         (r, 0),
@@ -136,7 +127,7 @@ def pendant(
         (0.955 * r, 0.28 * h),
         (r - t, 0),
     ]
-    w.add(part, shade, lathe([*outer, *inner, (r, 0)], 40).moved(z=z))
+    w[part, shade] += lathe([*outer, *inner, (r, 0)], 40).moved(z=z)
     return z
 
 
@@ -150,21 +141,17 @@ def ceiling_light(
     shade: str = "lamp_shade",
 ) -> float:
     """Flat round fitting; returns the height of its underside."""
-    w.add(part, metal, lathe([(0, ceiling + 0.002), (radius, ceiling + 0.002), (radius + 0.006, ceiling - 0.004), (radius + 0.006, ceiling - 0.05), (radius, ceiling - 0.056), (radius - 0.012, ceiling - 0.05),
+    w[part, metal] += (lathe([(0, ceiling + 0.002), (radius, ceiling + 0.002), (radius + 0.006, ceiling - 0.004), (radius + 0.006, ceiling - 0.05), (radius, ceiling - 0.056), (radius - 0.012, ceiling - 0.05),
                               (radius - 0.012, ceiling - 0.03), (0, ceiling - 0.03)][::-1], 40))  # fmt: skip
-    w.add(
-        part,
-        shade,
-        lathe(
-            [
-                (0, ceiling - 0.066),
-                (0.6 * radius, ceiling - 0.064),
-                (radius - 0.014, ceiling - 0.052),
-                (radius - 0.016, ceiling - 0.032),
-                (0, ceiling - 0.032),
-            ],
-            40,
-        ),
+    w[part, shade] += lathe(
+        [
+            (0, ceiling - 0.066),
+            (0.6 * radius, ceiling - 0.064),
+            (radius - 0.014, ceiling - 0.052),
+            (radius - 0.016, ceiling - 0.032),
+            (0, ceiling - 0.032),
+        ],
+        40,
     )
     return ceiling - 0.066
 
@@ -173,12 +160,11 @@ def picture(w: Workshop, part: str, *, size: tuple[float, float], frame: str, mo
     """Framed picture hanging on y = 0, its middle at the origin."""
     sx, sy = size
     b = 0.03
-    w.add(part, frame, *[box((sx + 2 * b, 0.024, b), (0, -0.012, s * (sy / 2 + b / 2) - b / 2), 0.004, 2, grain=0) for s in (-1, 1)],
-          *[box((b, 0.024, sy), (s * (sx / 2 + b / 2), -0.012, -sy / 2), 0.004, 2, grain=2) for s in (-1, 1)])  # fmt: skip
-    w.add(part, mount, box((sx + 0.005, 0.006, sy + 0.005), (0, -0.006, -sy / 2), 0))
+    w[part, frame] += [*[box((sx + 2 * b, 0.024, b), (0, -0.012, s * (sy / 2 + b / 2) - b / 2), 0.004, 2, grain=0) for s in (-1, 1)], *[box((b, 0.024, sy), (s * (sx / 2 + b / 2), -0.012, -sy / 2), 0.004, 2, grain=2) for s in (-1, 1)]]  # fmt: skip
+    w[part, mount] += box((sx + 0.005, 0.006, sy + 0.005), (0, -0.006, -sy / 2), 0)
     from scenes.sources.shapes import panel
 
-    w.add(part, art, panel(sx * 0.72, sy * 0.76, (0, -0.0096, -sy * 0.37)))
+    w[part, art] += panel(sx * 0.72, sy * 0.76, (0, -0.0096, -sy * 0.37))
 
 
 def radiator(
@@ -189,17 +175,15 @@ def radiator(
     for k in range(count):
         x = -width / 2 + width * (k + 0.5) / count
         for y in (-0.05, -0.1):
-            w.add(part, slot, tube([(x, y, 0.12), (x, y, 0.10 + height)], 0.013, 8))
+            w[part, slot] += tube([(x, y, 0.12), (x, y, 0.10 + height)], 0.013, 8)
     for z in (0.125, 0.095 + height):
         for y in (-0.05, -0.1):
-            w.add(part, slot, tube([(-width / 2, y, z), (width / 2, y, z)], 0.017, 10))
+            w[part, slot] += tube([(-width / 2, y, z), (width / 2, y, z)], 0.017, 10)
     for side in (-1, 1):
-        w.add(
-            part,
-            slot,
-            tube([(side * width * 0.45, -0.075, 0.125), (side * width * 0.45, -0.075, 0.005)], 0.009, 8),
+        w[part, slot] += tube(
+            [(side * width * 0.45, -0.075, 0.125), (side * width * 0.45, -0.075, 0.005)], 0.009, 8
         )
-        w.add(part, slot, box((0.03, 0.06, 0.03), (side * width * 0.35, -0.03, 0.05 + height), 0.004))
+        w[part, slot] += box((0.03, 0.06, 0.03), (side * width * 0.35, -0.03, 0.05 + height), 0.004)
 
 
 def plant(
@@ -218,27 +202,23 @@ def plant(
     """Broad-leaved plant in a pot, centred on the origin."""
     rng = np.random.default_rng(seed)
     r, h = pot_radius, 1.8 * pot_radius
-    w.add(
-        part,
-        pot,
-        lathe(
-            [
-                (0, 0),
-                (0.72 * r, 0),
-                (0.74 * r, 0.004),
-                (0.98 * r, 0.9 * h),
-                (1.06 * r, 0.905 * h),
-                (1.07 * r, h),
-                (0.99 * r, h),
-                (0.93 * r, 0.85 * h),
-                (0.9 * r, 0.8 * h),
-                (0, 0.8 * h),
-            ],
-            36,
-        ),
+    w[part, pot] += lathe(
+        [
+            (0, 0),
+            (0.72 * r, 0),
+            (0.74 * r, 0.004),
+            (0.98 * r, 0.9 * h),
+            (1.06 * r, 0.905 * h),
+            (1.07 * r, h),
+            (0.99 * r, h),
+            (0.93 * r, 0.85 * h),
+            (0.9 * r, 0.8 * h),
+            (0, 0.8 * h),
+        ],
+        36,
     )
-    w.add(
-        part, soil, lathe([(0.92 * r, 0.82 * h), (0.7 * r, 0.85 * h), (0.3 * r, 0.84 * h), (0, 0.86 * h)], 24)
+    w[part, soil] += lathe(
+        [(0.92 * r, 0.82 * h), (0.7 * r, 0.85 * h), (0.3 * r, 0.84 * h), (0, 0.86 * h)], 24
     )
     for k in range(leaves):
         angle = 2.399963 * k + rng.uniform(-0.2, 0.2)
@@ -248,24 +228,18 @@ def plant(
         base = np.array([0.25 * r * np.cos(angle), 0.25 * r * np.sin(angle), 0.84 * h])
         middle = base * 0.35 + tip * 0.65 + [0, 0, 0.05 * height]
         middle[:2] *= 0.62
-        w.add(
-            part,
-            stem,
-            tube(
-                [base, (base + middle) / 2 + [0, 0, 0.02], middle, tip],
-                [0.005, 0.004, 0.0035, 0.002],
-                5,
-                smooth=2,
-            ),
+        w[part, stem] += tube(
+            [base, (base + middle) / 2 + [0, 0, 0.02], middle, tip],
+            [0.005, 0.004, 0.0035, 0.002],
+            5,
+            smooth=2,
         )
         length = float(rng.uniform(0.75, 1.1)) * 0.2 * height**0.6
-        w.add(
-            part,
-            leaf,
+        w[part, leaf] += (
             leaf_blade(length, 0.46 * length, float(rng.uniform(0.15, 0.45)))
             .turned("y", float(rng.uniform(-5, 35)))
             .turned("z", float(np.degrees(angle)))
-            .moved(*tip),
+            .moved(*tip)
         )
 
 

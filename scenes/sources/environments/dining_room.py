@@ -81,17 +81,11 @@ def dining_room(collection: bpy.types.Collection) -> None:
     room.surface("sideboard", "table", "north", 0.2, 1.6, 0.06, 0.44, 0.88, 0.42)
     _dresser(room)
     # a round mirror over the sideboard
-    w.add(
-        "mirror",
-        "brass",
-        lathe(
-            [(0.3, 0), (0.345, 0.002), (0.35, 0.012), (0.335, 0.026), (0.312, 0.022), (0.3, 0.01), (0.3, 0)],
-            56,
-        ).turned("x", 90),
-    )
-    w.add(
-        "mirror", "mirror", lathe([(0, 0.008), (0.31, 0.008), (0.31, 0.012), (0, 0.012)], 48).turned("x", 90)
-    )
+    w["mirror", "brass"] += lathe(
+        [(0.3, 0), (0.345, 0.002), (0.35, 0.012), (0.335, 0.026), (0.312, 0.022), (0.3, 0.01), (0.3, 0)],
+        56,
+    ).turned("x", 90)
+    w["mirror", "mirror"] += lathe([(0, 0.008), (0.31, 0.008), (0.31, 0.012), (0, 0.012)], 48).turned("x", 90)
     room.place("north", "mirror", 0.2, z=1.75, gap=0.002)
     decor.picture(w, "picture", size=(0.55, 0.7), frame="picture_frames", mount="mounts", art="art_landscape")
     room.place("east", "picture", 0.65, z=1.72, gap=0.004)
@@ -133,7 +127,7 @@ def _panelling(room: Room) -> None:
         for low, high in [*sorted(blocked), (half, half)]:
             if low - start > 0.03:
                 rail = box((low - start, 0.024, 0.05), ((low + start) / 2, -0.012, z), 0.008, 2, grain=0)
-                w.add("panelling", "panelling", room.on_wall(wall, rail))
+                w["panelling", "panelling"] += room.on_wall(wall, rail)
             start = high
 
 
@@ -167,20 +161,16 @@ def _sconce(room: Room, number: int, s: float) -> None:
     """Wall lamp beside the mirror."""
     w = room.workshop
     part = f"sconce_{number}"
-    w.add(
-        part,
-        "brass",
-        lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28).turned("x", 90),
+    w[part, "brass"] += lathe([(0, 0), (0.05, 0), (0.052, 0.006), (0.03, 0.014), (0, 0.016)], 28).turned(
+        "x", 90
     )
-    w.add(
-        part,
-        "brass",
+    w[part, "brass"] += [
         tube([(0, -0.01, 0), (0, -0.07, -0.02), (0, -0.11, 0.0), (0, -0.115, 0.05)], 0.006, 10, smooth=4),
         lathe([(0, 0.045), (0.02, 0.047), (0.024, 0.055), (0.012, 0.06), (0.01, 0.11), (0, 0.11)], 20).moved(
             0, -0.115, 0
         ),
-    )
-    w.add(part, "lamp_shade", decor.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085))
+    ]
+    w[part, "lamp_shade"] += decor.drum_shade(0.05, 0.075, 0.12, 28).moved(0, -0.115, 0.085)
     room.place("north", part, s, z=1.75)
     x, y, _ = room.frame("north")
     room.point_slot(f"sconce {number}", (x + s, y - 0.115, 1.75 + 0.15))

@@ -26,58 +26,42 @@ def sofa(
     """Upholstered sofa or armchair: base, arms, back, loose seat and back cushions, scatter cushions."""
     arm, back = 0.19, 0.22
     inner = width - 2 * arm
-    w.add(
-        part,
-        cover,
-        soft_box(
-            (inner + 0.02, depth - back + 0.03, 0.17),
-            (0, -(depth + back) / 2 + 0.03, 0.11),
-            0.03,
-            (0, 0.004, 0),
-            6,
-        ),
+    w[part, cover] += soft_box(
+        (inner + 0.02, depth - back + 0.03, 0.17),
+        (0, -(depth + back) / 2 + 0.03, 0.11),
+        0.03,
+        (0, 0.004, 0),
+        6,
     )
     for side in (-1, 1):
-        w.add(
-            part,
-            cover,
-            soft_box(
-                (arm, depth, 0.50),
-                (side * (width - arm) / 2, -depth / 2, 0.11),
-                0.055,
-                (0.012, 0.006, 0.012),
-                8,
-            ),
+        w[part, cover] += soft_box(
+            (arm, depth, 0.50),
+            (side * (width - arm) / 2, -depth / 2, 0.11),
+            0.055,
+            (0.012, 0.006, 0.012),
+            8,
         )
-    w.add(part, cover, soft_box((inner + 0.01, back, 0.66), (0, -back / 2, 0.11), 0.06, (0, 0.012, 0.012), 8))
+    w[part, cover] += soft_box((inner + 0.01, back, 0.66), (0, -back / 2, 0.11), 0.06, (0, 0.012, 0.012), 8)
     each = inner / seats
     for k in range(seats):
         x = -inner / 2 + each * (k + 0.5)
-        w.add(
-            part,
-            cover,
-            soft_box(
-                (each - 0.008, depth - back - 0.005, 0.155),
-                (x, -(depth + back) / 2 - 0.008, seat_height - 0.155),
-                0.045,
-                (0.004, 0.014, 0.028),
-                10,
-                0.0022,
-                seed + k,
-            ),
+        w[part, cover] += soft_box(
+            (each - 0.008, depth - back - 0.005, 0.155),
+            (x, -(depth + back) / 2 - 0.008, seat_height - 0.155),
+            0.045,
+            (0.004, 0.014, 0.028),
+            10,
+            0.0022,
+            seed + k,
         )
         cushion = soft_box(
             (each - 0.02, 0.17, 0.44), (0, 0, 0), 0.07, (0.004, 0.034, 0.012), 9, 0.002, seed + 20 + k
         )
-        w.add(part, cover, cushion.turned("x", -11).moved(x, -back - 0.115, seat_height - 0.005))
+        w[part, cover] += cushion.turned("x", -11).moved(x, -back - 0.115, seat_height - 0.005)
     for side in (-1, 1):
         for y in (-0.07, -depth + 0.09):
-            w.add(
-                part,
-                legs,
-                lathe([(0, 0), (0.017, 0), (0.02, 0.004), (0.026, 0.12), (0, 0.125)], 16).moved(
-                    side * (width / 2 - 0.09), y
-                ),
+            w[part, legs] += lathe([(0, 0), (0.017, 0), (0.02, 0.004), (0.026, 0.12), (0, 0.125)], 16).moved(
+                side * (width / 2 - 0.09), y
             )
     for k, slot in enumerate(cushions):
         side = -1 if k % 2 == 0 else 1
@@ -85,10 +69,8 @@ def sofa(
             pillow((0.44, 0.44, 0.15), 10, seed=seed + 40 + k).turned("x", 66 - 4 * k).turned("z", side * -16)
         )
         low = shape.points[:, 2].min()
-        w.add(
-            part,
-            slot,
-            shape.moved(side * (inner / 2 - 0.24 - 0.05 * (k // 2)), -back - 0.33, seat_height + 0.012 - low),
+        w[part, slot] += shape.moved(
+            side * (inner / 2 - 0.24 - 0.05 * (k // 2)), -back - 0.33, seat_height + 0.012 - low
         )
 
 
@@ -99,31 +81,27 @@ def table(
     """Table centred on the origin: bevelled top, apron, tapered legs, optional lower shelf."""
     sx, sy = size
     if round_corner:
-        w.add(
-            part,
-            top,
-            extrude(rounded_rectangle(sx, sy, round_corner, 6), thick, 0.006, 2).moved(z=height - thick),
+        w[part, top] += extrude(rounded_rectangle(sx, sy, round_corner, 6), thick, 0.006, 2).moved(
+            z=height - thick
         )
     else:
-        w.add(part, top, box((sx, sy, thick), (0, 0, height - thick), 0.005, 2, grain=0))
+        w[part, top] += box((sx, sy, thick), (0, 0, height - thick), 0.005, 2, grain=0)
     inset = leg / 2 + 0.03
     for x in (-sx / 2 + inset, sx / 2 - inset):
         for y in (-sy / 2 + inset, sy / 2 - inset):
-            w.add(part, legs, _leg(leg, height - thick, taper).moved(x, y))
+            w[part, legs] += _leg(leg, height - thick, taper).moved(x, y)
     drop = min(0.08, height * 0.15)
     for y in (-sy / 2 + inset, sy / 2 - inset):
-        w.add(
-            part, legs, box((sx - 2 * inset - leg, 0.02, drop), (0, y, height - thick - drop), 0.002, grain=0)
+        w[part, legs] += box(
+            (sx - 2 * inset - leg, 0.02, drop), (0, y, height - thick - drop), 0.002, grain=0
         )
     for x in (-sx / 2 + inset, sx / 2 - inset):
-        w.add(
-            part, legs, box((0.02, sy - 2 * inset - leg, drop), (x, 0, height - thick - drop), 0.002, grain=1)
+        w[part, legs] += box(
+            (0.02, sy - 2 * inset - leg, drop), (x, 0, height - thick - drop), 0.002, grain=1
         )
     if shelf:
-        w.add(
-            part,
-            top,
-            box((sx - 2 * inset - 0.01, sy - 2 * inset - 0.01, 0.02), (0, 0, shelf - 0.02), 0.003, grain=0),
+        w[part, top] += box(
+            (sx - 2 * inset - 0.01, sy - 2 * inset - 0.01, 0.02), (0, 0, shelf - 0.02), 0.003, grain=0
         )
 
 
@@ -143,22 +121,18 @@ def chair(w: Workshop, part: str, *, frame: str = "chairs", seat: str = "chair_s
     d, wd, h = 0.43, 0.44, 0.45
     for side in (-1, 1):
         x = side * (wd / 2 - 0.02)
-        w.add(
-            part,
-            frame,
-            tube(
-                [(x, -d / 2 + 0.02, 0.003), (x, -d / 2 + 0.025, 0.25), (x * 0.97, -d / 2 + 0.03, h - 0.02)],
-                [0.012, 0.017, 0.019],
-                10,
-                smooth=3,
-            ),
+        w[part, frame] += tube(
+            [(x, -d / 2 + 0.02, 0.003), (x, -d / 2 + 0.025, 0.25), (x * 0.97, -d / 2 + 0.03, h - 0.02)],
+            [0.012, 0.017, 0.019],
+            10,
+            smooth=3,
         )
-        w.add(part, frame, tube([(x * 1.02, d / 2 + 0.03, 0.003), (x, d / 2 - 0.015, 0.3), (x, d / 2 - 0.015, 0.46), (x * 0.97, d / 2 + 0.035, 0.72), (x * 0.95, d / 2 + 0.085, 0.9)],
+        w[part, frame] += (tube([(x * 1.02, d / 2 + 0.03, 0.003), (x, d / 2 - 0.015, 0.3), (x, d / 2 - 0.015, 0.46), (x * 0.97, d / 2 + 0.035, 0.72), (x * 0.95, d / 2 + 0.085, 0.9)],
                                 [0.012, 0.018, 0.019, 0.016, 0.013], 10, smooth=4))  # fmt: skip
-        w.add(part, frame, box((0.018, d - 0.05, 0.045), (x * 0.98, 0, h - 0.065), 0.004, grain=1))
-        w.add(part, frame, tube([(x, -d / 2 + 0.03, 0.2), (x, d / 2 - 0.012, 0.2)], 0.009, 8))
+        w[part, frame] += box((0.018, d - 0.05, 0.045), (x * 0.98, 0, h - 0.065), 0.004, grain=1)
+        w[part, frame] += tube([(x, -d / 2 + 0.03, 0.2), (x, d / 2 - 0.012, 0.2)], 0.009, 8)
     for y in (-d / 2 + 0.025, d / 2 - 0.02):
-        w.add(part, frame, box((wd - 0.05, 0.018, 0.045), (0, y, h - 0.065), 0.004, grain=0))
+        w[part, frame] += box((wd - 0.05, 0.018, 0.045), (0, y, h - 0.065), 0.004, grain=0)
     for z, y in ((0.60, 0.014), (0.72, 0.036), (0.84, 0.066)):
         u, v = np.linspace(-1, 1, 13), np.linspace(-0.5, 0.5, 4)[:, None]
         bow = 0.032 * (1 - u**2)
@@ -170,6 +144,6 @@ def chair(w: Workshop, part: str, *, frame: str = "chairs", seat: str = "chair_s
             ],
             axis=-1,
         )
-        w.add(part, frame, sheet(points, 0.014))
-    w.add(part, frame, extrude(rounded_rectangle(wd, d, 0.04, 4), 0.018, 0.004).moved(z=h - 0.022))
-    w.add(part, seat, soft_box((wd - 0.03, d - 0.03, 0.04), (0, 0, h - 0.006), 0.019, (0, 0, 0.014), 9))
+        w[part, frame] += sheet(points, 0.014)
+    w[part, frame] += extrude(rounded_rectangle(wd, d, 0.04, 4), 0.018, 0.004).moved(z=h - 0.022)
+    w[part, seat] += soft_box((wd - 0.03, d - 0.03, 0.04), (0, 0, h - 0.006), 0.019, (0, 0, 0.014), 9)

@@ -96,13 +96,11 @@ def _units(room: Room) -> None:
             top_thick=0,
         )
         room.place("north", name, s)
-    w.add(
-        "oven_case",
-        "units",
+    w["oven_case", "units"] += [
         box((0.6, 0.54, 0.24), (0, -0.27, 0.1), 0.002),
         box((0.58, 0.5, 0.1), (0, -0.25, 0), 0.001),
         box((0.6, 0.53, TOP - 0.038 - 0.34), (0, -0.265, 0.34), 0.002),
-    )
+    ]
     kitchen_furniture.oven(
         w,
         "oven",
@@ -119,19 +117,17 @@ def _units(room: Room) -> None:
     )
     room.place("north", "worktop", -0.34)
     sink = kitchen_furniture.basin_shape(0.5, 0.38, 0.17)
-    w.add("sink", "sink", sink)
+    w["sink", "sink"] += sink
     room.place("north", "sink", -0.95, gap=0.32, z=TOP)
     kitchen_furniture.tap(w, "tap", "hardware")
     room.place("north", "tap", -0.95, gap=0.085, z=TOP)
     kitchen_furniture.hob(w, "hob", glass="dark_glass", mark="hob_marks")
     room.place("north", "hob", -0.2, gap=0.31, z=TOP)
-    w.add("splashback", "splashback", box((3.52, 0.012, 0.16 - 0.002), (0, -0.006, TOP), 0.001, grain=0))
+    w["splashback", "splashback"] += box((3.52, 0.012, 0.16 - 0.002), (0, -0.006, TOP), 0.001, grain=0)
     room.place("north", "splashback", -0.34)
     for left, right in ((-2.1, -0.75), (0.95, 1.42)):
-        w.add(
-            "splash_high",
-            "splashback",
-            box((right - left, 0.012, 0.42), ((left + right) / 2, -0.006, TOP + 0.16), 0.001, grain=0),
+        w["splash_high", "splashback"] += box(
+            (right - left, 0.012, 0.42), ((left + right) / 2, -0.006, TOP + 0.16), 0.001, grain=0
         )
     room.place("north", "splash_high", 0.0)
     kitchen_furniture.fridge(w, "fridge", body="fridge", handle="hardware")
@@ -158,14 +154,12 @@ def _table(room: Room) -> None:
 def _shelves(room: Room) -> None:
     w = room.workshop
     for k, z in enumerate((1.35, 1.7)):
-        w.add(f"shelf_{k}", "shelf", box((1.0, 0.22, 0.026), (0, -0.11, -0.026), 0.004, 2, grain=0))
+        w[f"shelf_{k}", "shelf"] += box((1.0, 0.22, 0.026), (0, -0.11, -0.026), 0.004, 2, grain=0)
         for x in (-0.38, 0.38):
-            w.add(
-                f"shelf_{k}",
-                "hardware",
+            w[f"shelf_{k}", "hardware"] += [
                 tube([(x, -0.006, -0.16), (x, -0.006, -0.03), (x, -0.19, -0.03)], 0.006, 8),
                 tube([(x, -0.006, -0.14), (x, -0.15, -0.03)], 0.005, 8),
-            )
+            ]
         room.place("east", f"shelf_{k}", 0.55, z=z)
         room.surface(f"wall shelf {k}", "shelf", "east", 0.55, 0.92, 0.02, 0.2, z, 0.3)
     clock = lathe(
@@ -181,19 +175,15 @@ def _shelves(room: Room) -> None:
         ],
         48,
     ).turned("x", 90)
-    w.add("wall_clock", "mounts", clock.moved(0, -0.03, 0))
+    w["wall_clock", "mounts"] += clock.moved(0, -0.03, 0)
     for angle, length, width in ((52.0, 0.075, 0.008), (-76.0, 0.11, 0.005)):
-        w.add(
-            "wall_clock",
-            "knobs",
-            box((width, 0.003, length), (0, 0, -0.012), 0.001).turned("y", angle).moved(0, -0.0195, 0),
+        w["wall_clock", "knobs"] += (
+            box((width, 0.003, length), (0, 0, -0.012), 0.001).turned("y", angle).moved(0, -0.0195, 0)
         )
     room.place("east", "wall_clock", -0.75, z=1.85)
-    w.add(
-        "blind",
-        "blind",
+    w["blind", "blind"] += [
         box((1.46, 0.004, 0.34), (0, -0.055, 2.05), 0.001, grain=2),
         tube([(-0.73, -0.055, 2.05), (0.73, -0.055, 2.05)], 0.011, 10),
         tube([(-0.74, -0.055, 2.39), (0.74, -0.055, 2.39)], 0.024, 16),
-    )
+    ]
     room.place("north", "blind", 0.1)

@@ -89,67 +89,51 @@ def worktop(
         )
         for low, high in bands:
             bevel = 0.0 if len(xs) > 2 else 0.003
-            w.add(
-                part,
-                slot,
-                box(
-                    (right - left, high - low, thick),
-                    (middle, (low + high) / 2, height - thick),
-                    bevel,
-                    grain=0,
-                ),
+            w[part, slot] += box(
+                (right - left, high - low, thick),
+                (middle, (low + high) / 2, height - thick),
+                bevel,
+                grain=0,
             )
 
 
 def tap(w: Workshop, part: str, slot: str, *, height: float = 0.3, reach: float = 0.2) -> None:
     """Swan-neck mixer standing on z = 0, spout towards -y."""
-    w.add(
-        part,
-        slot,
-        lathe([(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24),
+    w[part, slot] += lathe(
+        [(0, 0), (0.028, 0), (0.028, 0.006), (0.021, 0.012), (0.02, 0.09), (0.013, 0.1), (0, 0.1)], 24
     )
-    w.add(
-        part,
-        slot,
-        tube(
-            [
-                (0, 0, 0.09),
-                (0, 0, height * 0.75),
-                (0, -0.25 * reach, height),
-                (0, -0.75 * reach, height),
-                (0, -reach, height * 0.8),
-                (0, -reach, height * 0.62),
-            ],
-            0.0115,
-            14,
-            smooth=5,
-        ),
+    w[part, slot] += tube(
+        [
+            (0, 0, 0.09),
+            (0, 0, height * 0.75),
+            (0, -0.25 * reach, height),
+            (0, -0.75 * reach, height),
+            (0, -reach, height * 0.8),
+            (0, -reach, height * 0.62),
+        ],
+        0.0115,
+        14,
+        smooth=5,
     )
-    w.add(
-        part,
-        slot,
-        tube([(0.015, 0, 0.06), (0.05, 0, 0.068), (0.085, -0.01, 0.09)], [0.009, 0.006, 0.005], 10, smooth=3),
+    w[part, slot] += tube(
+        [(0.015, 0, 0.06), (0.05, 0, 0.068), (0.085, -0.01, 0.09)], [0.009, 0.006, 0.005], 10, smooth=3
     )
 
 
 def hob(w: Workshop, part: str, *, glass: str, mark: str, width: float = 0.58, depth: float = 0.5) -> None:
     """Glass-ceramic hob on z = 0 about the origin, zones drawn as fine rings."""
-    w.add(part, glass, extrude(rounded_rectangle(width, depth, 0.012, 3), 0.006, 0.0015))
+    w[part, glass] += extrude(rounded_rectangle(width, depth, 0.012, 3), 0.006, 0.0015)
     for x, y, r in ((-0.15, -0.11, 0.09), (-0.15, 0.12, 0.075), (0.14, -0.11, 0.075), (0.14, 0.12, 0.1)):
-        w.add(
-            part,
-            mark,
-            lathe(
-                [
-                    (r - 0.0015, 0.0055),
-                    (r + 0.0015, 0.0055),
-                    (r + 0.0015, 0.0063),
-                    (r - 0.0015, 0.0063),
-                    (r - 0.0015, 0.0055),
-                ],
-                40,
-            ).moved(x, y),
-        )
+        w[part, mark] += lathe(
+            [
+                (r - 0.0015, 0.0055),
+                (r + 0.0015, 0.0055),
+                (r + 0.0015, 0.0063),
+                (r - 0.0015, 0.0063),
+                (r - 0.0015, 0.0055),
+            ],
+            40,
+        ).moved(x, y)
 
 
 def oven(
@@ -165,22 +149,16 @@ def oven(
 ) -> None:
     """Built-in oven front: control panel with knobs, dark window, bar handle. Bottom at z = 0, front at -depth."""
     y = -depth
-    w.add(
-        part,
-        steel,
+    w[part, steel] += [
         box((width, 0.03, 0.105), (0, y + 0.005, height - 0.105), 0.003, 2, grain=0),
         box((width, 0.035, height - 0.112), (0, y + 0.005, 0), 0.004, 2, grain=0),
-    )
-    w.add(
-        part,
-        glass,
+    ]
+    w[part, glass] += [
         box((width - 0.12, 0.006, height - 0.26), (0, y - 0.014, 0.06), 0.002),
         box((0.12, 0.004, 0.045), (0, y - 0.0105, height - 0.075), 0.001),
-    )
+    ]
     for x in (-0.23, -0.16, 0.16, 0.23):
-        w.add(
-            part,
-            knob,
+        w[part, knob] += (
             lathe(
                 [
                     (0, 0),
@@ -194,26 +172,24 @@ def oven(
                 24,
             )
             .turned("x", 90)
-            .moved(x, y - 0.009, height - 0.052),
+            .moved(x, y - 0.009, height - 0.052)
         )
     z = height - 0.155
-    w.add(
-        part,
-        steel,
+    w[part, steel] += [
         tube([(-0.24, y - 0.05, z), (0.24, y - 0.05, z)], 0.009, 12),
         *[tube([(x, y - 0.01, z), (x, y - 0.05, z)], 0.006, 8) for x in (-0.21, 0.21)],
-    )
+    ]
 
 
 def hood(w: Workshop, part: str, slot: str, *, width: float = 0.6, height: float = 0.9) -> None:
     """Chimney extractor, its lip at z = 0."""
-    w.add(part, slot, box((width, 0.48, 0.05), (0, -0.24, 0), 0.003, 2, grain=0))
+    w[part, slot] += box((width, 0.48, 0.05), (0, -0.24, 0), 0.003, 2, grain=0)
     rings = []
     for scale, z in ((1.0, 0.05), (0.45, 0.24)):
         hw, d = width / 2 * scale, 0.48 if scale == 1.0 else 0.27
         rings.append([(-hw, -d, z), (hw, -d, z), (hw, -0.0, z), (-hw, -0.0, z)])
-    w.add(part, slot, loft(np.array(rings)))
-    w.add(part, slot, box((width * 0.44, 0.26, height - 0.23), (0, -0.13, 0.23), 0.003, 2, grain=2))
+    w[part, slot] += loft(np.array(rings))
+    w[part, slot] += box((width * 0.44, 0.26, height - 0.23), (0, -0.13, 0.23), 0.003, 2, grain=2)
 
 
 def fridge(
@@ -227,46 +203,38 @@ def fridge(
     depth: float = 0.64,
 ) -> None:
     """Fridge with a freezer drawer below."""
-    w.add(part, body, box((width, depth - 0.07, height), (0, -(depth - 0.07) / 2, 0.01), 0.006, 2))
+    w[part, body] += box((width, depth - 0.07, height), (0, -(depth - 0.07) / 2, 0.01), 0.006, 2)
     for low, high in ((0.04, 0.62), (0.63, height)):
-        w.add(part, body, soft_box((width, 0.062, high - low), (0, -depth + 0.031, low), 0.014, (0, 0, 0), 7))
+        w[part, body] += soft_box((width, 0.062, high - low), (0, -depth + 0.031, low), 0.014, (0, 0, 0), 7)
         z = (high - 0.36, high - 0.08) if low < 0.3 else (low + 0.1, low + 0.5)
         x = -width / 2 + 0.05
-        w.add(
-            part,
-            handle,
+        w[part, handle] += [
             tube([(x, -depth - 0.045, z[0]), (x, -depth - 0.045, z[1])], 0.009, 10),
             *[
                 tube([(x, -depth + 0.004, z[0] + o), (x, -depth - 0.045, z[0] + o)], 0.006, 8)
                 for o in (0.03, z[1] - z[0] - 0.03)
             ],
-        )
+        ]
 
 
 def wall_cupboard(
     w: Workshop, part: str, *, width: float, height: float, depth: float, columns: int, slot: str, handle: str
 ) -> None:
     """Upper cupboard with its underside at z = 0."""
-    w.add(part, slot, box((width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0))
+    w[part, slot] += box((width, depth - 0.022, height), (0, -(depth - 0.022) / 2, 0), 0.002, grain=0)
     each = width / columns
     for k in range(columns):
         x = -width / 2 + each * (k + 0.5)
-        w.add(
-            part,
-            slot,
-            box((each - 0.003, 0.02, height - 0.004), (x, -depth + 0.011, 0.002), 0.003, 2, grain=2),
+        w[part, slot] += box(
+            (each - 0.003, 0.02, height - 0.004), (x, -depth + 0.011, 0.002), 0.003, 2, grain=2
         )
         side = 1 if k % 2 == 0 else -1
         px = x + side * (each / 2 - 0.035)
         y = -depth + 0.001
-        w.add(
-            part,
-            handle,
-            join(
-                [
-                    tube([(px, y, 0.05), (px, y - 0.028, 0.05)], 0.005, 8),
-                    tube([(px, y - 0.028, 0.05), (px, y - 0.028, 0.2)], 0.006, 8),
-                    tube([(px, y - 0.028, 0.2), (px, y, 0.2)], 0.005, 8),
-                ]
-            ),
+        w[part, handle] += join(
+            [
+                tube([(px, y, 0.05), (px, y - 0.028, 0.05)], 0.005, 8),
+                tube([(px, y - 0.028, 0.05), (px, y - 0.028, 0.2)], 0.006, 8),
+                tube([(px, y - 0.028, 0.2), (px, y, 0.2)], 0.005, 8),
+            ]
         )

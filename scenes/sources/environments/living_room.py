@@ -108,17 +108,13 @@ def _tables(room: Room) -> None:
     w.place("coffee_table", -0.5, -0.3, 0.011)
     room.surface_at("coffee table", "table", (-0.5, -0.3), (1.05, 0.54), 0.431, 1.0)
     room.surface_at("coffee table shelf", "shelf", (-0.5, -0.3), (0.8, 0.34), 0.171, 0.13)
-    w.add(
-        "side_table",
-        "side_table",
-        extrude(rounded_rectangle(0.46, 0.46, 0.22, 10), 0.022, 0.006, 2).moved(z=0.5),
+    w["side_table", "side_table"] += extrude(rounded_rectangle(0.46, 0.46, 0.22, 10), 0.022, 0.006, 2).moved(
+        z=0.5
     )
-    w.add(
-        "side_table",
-        "side_table",
+    w["side_table", "side_table"] += [
         box((0.05, 0.05, 0.5), (0, 0, 0.01), 0.01, 2),
         extrude(rounded_rectangle(0.34, 0.34, 0.165, 10), 0.015, 0.004),
-    )
+    ]
     w.place("side_table", 0.85, -1.72)
     room.surface_at("side table", "table", (0.85, -1.72), (0.3, 0.3), 0.522, 1.2)
 
@@ -137,14 +133,12 @@ def _storage(room: Room) -> None:
         plinth=0.1,
     )
     room.place("north", "sideboard", -0.5, gap=0.005)
-    w.add(
-        "tv",
-        "tv_case",
+    w["tv", "tv_case"] += [
         box((1.12, 0.035, 0.645), (0, -0.2, 0.05), 0.006, 2),
         box((0.5, 0.2, 0.012), (0, -0.2, 0), 0.004, 2),
         box((0.1, 0.04, 0.1), (0, -0.185, 0.005), 0.005),
-    )
-    w.add("tv", "tv_screen", box((1.1, 0.004, 0.62), (0, -0.2185, 0.064), 0.001))
+    ]
+    w["tv", "tv_screen"] += box((1.1, 0.004, 0.62), (0, -0.2185, 0.064), 0.001)
     room.place("north", "tv", -0.62, z=0.55)
     for name, s, width in (("left", -1.32, 0.2), ("right", 0.22, 0.4)):
         room.surface(f"sideboard {name}", "table", "north", s, width, 0.04, 0.38, 0.55, 1.0)

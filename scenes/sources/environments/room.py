@@ -84,15 +84,15 @@ class Room:
     def build_shell(self, skirting: float = 0.09) -> None:
         """Floor, ceiling, walls with their openings, skirting; windows and doors."""
         w, d, h, t = self.width, self.depth, self.height, THICKNESS
-        self.workshop.add("floor", "floor", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0))
-        self.workshop.add("ceiling", "ceiling", box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0))
+        self.workshop["floor", "floor"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, -0.2), bevel=0, grain=0)
+        self.workshop["ceiling", "ceiling"] += box((w + 2 * t, d + 2 * t, 0.2), (0, 0, h), bevel=0)
         for wall in _WALLS:
             holes = [
                 (o.s - o.width / 2, o.s + o.width / 2, o.sill, o.sill + o.height)
                 for o in self.windows
                 if o.wall == wall
             ]
-            self.workshop.add("walls", "walls", self._wall(wall, holes))
+            self.workshop["walls", "walls"] += self._wall(wall, holes)
             if skirting:
                 self._skirting(wall, skirting)
         for number, window in enumerate(self.windows):
@@ -104,8 +104,8 @@ class Room:
     def _outside(self) -> None:
         """A lawn and a hedge all around, so that windows do not look into the void below the horizon."""
         reach, level = 20.0, -0.35
-        self.workshop.add(
-            "outside", "lawn", box((2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), bevel=0, grain=0)
+        self.workshop["outside", "lawn"] += box(
+            (2 * reach, 2 * reach, 0.1), (0, 0, level - 0.1), bevel=0, grain=0
         )
         rng = np.random.default_rng(12)
         s = np.linspace(-reach, reach, 61)
@@ -115,7 +115,7 @@ class Room:
             heights = level + np.linspace(-0.05, 1, 5)[:, None] * (top - level)
             points = np.stack([np.broadcast_to(s, belly.shape), belly, heights], axis=-1)
             # seen from inside: columns to the right are -s
-            self.workshop.add("outside", "hedge", sheet(points[:, ::-1], 0.6).turned("z", degrees))
+            self.workshop["outside", "hedge"] += sheet(points[:, ::-1], 0.6).turned("z", degrees)
 
     def _wall(self, wall: str, holes: list[tuple[float, float, float, float]]) -> Shape:
         # north and south walls also fill the corners; all reach into floor and ceiling, so that nothing leaks
@@ -157,7 +157,7 @@ class Room:
                 lip = box(
                     (low - start, 0.008, 0.012), ((low + start) / 2, -0.004, height - 0.002), 0.003, grain=0
                 )
-                self.workshop.add("skirting", "trim", self.on_wall(wall, board + lip))
+                self.workshop["skirting", "trim"] += self.on_wall(wall, board + lip)
             start = high
 
     def _window(self, window: Window, number: int) -> None:
@@ -201,7 +201,7 @@ class Room:
                         grain=0,
                     )
                 )
-        self.workshop.add("windows", "trim", self.on_wall(window.wall, join(bars), window.s))
+        self.workshop["windows", "trim"] += self.on_wall(window.wall, join(bars), window.s)
         handle = cylinder(0.011, 0.02).turned("x", 90).moved(0, depth - 0.034, z + 0.45 * h)
         lever = tube(
             [
@@ -214,12 +214,8 @@ class Room:
             smooth=3,
         )
         offset = inner_w / columns / 2 if columns == 1 else 0.0
-        self.workshop.add(
-            "window_handles",
-            "hardware",
-            self.on_wall(
-                window.wall, (handle + lever).moved(x=-offset + (0.025 if columns > 1 else 0.027)), window.s
-            ),
+        self.workshop["window_handles", "hardware"] += self.on_wall(
+            window.wall, (handle + lever).moved(x=-offset + (0.025 if columns > 1 else 0.027)), window.s
         )
         if z > 0.3:
             board = box(
@@ -228,7 +224,7 @@ class Room:
             board = box((w + 0.12, 0.10, 0.03), (0, -0.022 + 0.0, z - 0.029), 0.008, 2, grain=0) + box(
                 (w - 0.002, depth - 0.03, 0.0305), (0, (depth - 0.03) / 2 - 0.001, z - 0.029), 0.001, grain=0
             )
-            self.workshop.add("sills", "sill", self.on_wall(window.wall, board, window.s))
+            self.workshop["sills", "sill"] += self.on_wall(window.wall, board, window.s)
             self.surface(
                 f"sill {number}",
                 "sill",
@@ -251,7 +247,7 @@ class Room:
             for side in (-1, 1)
         ]
         casing.append(box((w + 0.20, 0.022, 0.08), (0, -0.011, z + h + 0.012), 0.006, grain=0))
-        self.workshop.add("windows", "trim", self.on_wall(window.wall, join(casing), window.s))
+        self.workshop["windows", "trim"] += self.on_wall(window.wall, join(casing), window.s)
         x, y, degrees = self.frame(window.wall)
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         right, out = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
@@ -269,13 +265,13 @@ class Room:
                 pw = (w - 0.36) / 2
                 x = side * (pw / 2 + 0.06)
                 leaf.append(box((pw, 0.012, high - low), (x, -0.019, low), 0.011, grain=2))
-        self.workshop.add("doors", "door", self.on_wall(door.wall, join(leaf), door.s))
+        self.workshop["doors", "door"] += self.on_wall(door.wall, join(leaf), door.s)
         casing = [
             box((0.085, 0.03, h + 0.01), (side * (w / 2 + 0.044), -0.015, 0), 0.006, 2, grain=2)
             for side in (-1, 1)
         ]
         casing.append(box((w + 0.19, 0.034, 0.085), (0, -0.017, h + 0.01), 0.006, 2, grain=0))
-        self.workshop.add("doors", "trim", self.on_wall(door.wall, join(casing), door.s))
+        self.workshop["doors", "trim"] += self.on_wall(door.wall, join(casing), door.s)
         x = w / 2 - 0.07
         plate = box((0.042, 0.006, 0.2), (x, -0.021, 0.94), 0.003, 2)
         lever = tube(
@@ -284,7 +280,7 @@ class Room:
             10,
             smooth=4,
         )
-        self.workshop.add("door_handles", "hardware", self.on_wall(door.wall, plate + lever, door.s))
+        self.workshop["door_handles", "hardware"] += self.on_wall(door.wall, plate + lever, door.s)
 
     # markers ---------------------------------------------------------------------------------------------
     def surface(
@@ -359,8 +355,8 @@ class Room:
             for side in (-1, 1)
         ]
         brackets = [box((0.02, 0.1, 0.02), (side * full / 2, -0.05, top - 0.03), 0.003) for side in (-1, 1)]
-        self.workshop.add(
-            "curtain_rails", "hardware", self.on_wall(window.wall, join([rail, *ends, *brackets]), window.s)
+        self.workshop["curtain_rails", "hardware"] += self.on_wall(
+            window.wall, join([rail, *ends, *brackets]), window.s
         )
         for side in (-1, 1):
             columns, rows = 61, 7
@@ -378,4 +374,4 @@ class Room:
             )
             z = bottom + (top - 0.02 - bottom) * v + 0 * u
             points = np.stack([np.broadcast_to(x, z.shape), y, z], axis=-1)
-            self.workshop.add("curtains", slot, self.on_wall(window.wall, sheet(points, 0.0016), window.s))
+            self.workshop["curtains", slot] += self.on_wall(window.wall, sheet(points, 0.0016), window.s)

@@ -23,22 +23,18 @@ def shelf_unit(
     """Open bookcase; ``levels`` are the upper sides of its boards."""
     for k in range(columns + 1):
         x = -width / 2 + board / 2 + k * (width - board) / columns
-        w.add(part, slot, box((board, depth, height), (x, -depth / 2, 0), 0.002, grain=2))
+        w[part, slot] += box((board, depth, height), (x, -depth / 2, 0), 0.002, grain=2)
     bay = (width - board) / columns - board
     for k in range(columns):
         x = -width / 2 + board + bay / 2 + k * (bay + board)
         for z in (*levels, height):
-            w.add(
-                part,
-                slot,
-                box((bay + 0.001, depth - 0.008, board), (x, -depth / 2 + 0.002, z - board), 0.0015, grain=0),
+            w[part, slot] += box(
+                (bay + 0.001, depth - 0.008, board), (x, -depth / 2 + 0.002, z - board), 0.0015, grain=0
             )
     if back:
-        w.add(part, slot, box((width - 0.01, 0.008, height - 0.03), (0, -0.005, 0.015), 0, grain=2))
-    w.add(
-        part,
-        slot,
-        box((width - 2 * board, 0.016, max(levels[0] - board, 0.03)), (0, -depth + 0.03, 0), 0.001, grain=0),
+        w[part, slot] += box((width - 0.01, 0.008, height - 0.03), (0, -0.005, 0.015), 0, grain=2)
+    w[part, slot] += box(
+        (width - 2 * board, 0.016, max(levels[0] - board, 0.03)), (0, -depth + 0.03, 0), 0.001, grain=0
     )
 
 
@@ -80,8 +76,8 @@ def book_row(
             move = (at + thick / 2 / c + 0.002 + tall * 0.0, move[1], z + lift + 0.0003)
             cover, block = cover.turned("y", angle), block.turned("y", angle)
         slot = covers[int(rng.integers(len(covers)))]
-        w.add(part, slot, cover.moved(*move))
-        w.add(part, pages, block.moved(*move))
+        w[part, slot] += cover.moved(*move)
+        w[part, pages] += block.moved(*move)
         if leans:
             return
         at += thick + 0.0012
@@ -95,31 +91,23 @@ def cabinet(
     """Chest, sideboard or kitchen base: carcass, plinth, fronts in ``rows`` shares of the height (top first)."""
     front, top = front or slot, top or slot
     body = height - (top_thick if top_thick else 0.0)
-    w.add(
-        part,
-        slot,
-        box(
-            (width, depth - 0.022, body - plinth),
-            (0, -(depth - 0.022) / 2, plinth),
-            0.002,
-            grain=2 if height > width else 0,
-        ),
+    w[part, slot] += box(
+        (width, depth - 0.022, body - plinth),
+        (0, -(depth - 0.022) / 2, plinth),
+        0.002,
+        grain=2 if height > width else 0,
     )
     if plinth:
-        w.add(
-            part, slot, box((width - 0.02, depth - 0.08, plinth), (0, -(depth - 0.08) / 2, 0), 0.001, grain=0)
+        w[part, slot] += box(
+            (width - 0.02, depth - 0.08, plinth), (0, -(depth - 0.08) / 2, 0), 0.001, grain=0
         )
     if top_thick:
-        w.add(
-            part,
-            top,
-            box(
-                (width + 2 * overhang, depth + overhang, top_thick),
-                (0, -(depth + overhang) / 2, body),
-                0.004,
-                2,
-                grain=0,
-            ),
+        w[part, top] += box(
+            (width + 2 * overhang, depth + overhang, top_thick),
+            (0, -(depth + overhang) / 2, body),
+            0.004,
+            2,
+            grain=0,
         )
     gap = 0.003
     fw = width / columns
@@ -132,30 +120,22 @@ def cabinet(
             door = box(
                 (fw - gap, 0.02, fh - gap), (x, -depth + 0.011, fz), 0.003, 2, grain=2 if fh > fw else 0
             )
-            w.add(part, front, door)
+            w[part, front] += door
             if panel and fh > 0.2:
                 rail = 0.06
                 for dx in (-1, 1):
-                    w.add(
-                        part,
-                        front,
-                        box(
-                            (rail, 0.012, fh - gap),
-                            (x + dx * (fw - gap - rail) / 2, -depth + 0.001 - 0.004, fz),
-                            0.003,
-                            grain=2,
-                        ),
+                    w[part, front] += box(
+                        (rail, 0.012, fh - gap),
+                        (x + dx * (fw - gap - rail) / 2, -depth + 0.001 - 0.004, fz),
+                        0.003,
+                        grain=2,
                     )
                 for dz in (0.0, fh - gap - rail):
-                    w.add(
-                        part,
-                        front,
-                        box(
-                            (fw - gap - 2 * rail, 0.012, rail),
-                            (x, -depth + 0.001 - 0.004, fz + dz),
-                            0.003,
-                            grain=0,
-                        ),
+                    w[part, front] += box(
+                        (fw - gap - 2 * rail, 0.012, rail),
+                        (x, -depth + 0.001 - 0.004, fz + dz),
+                        0.003,
+                        grain=0,
                     )
             lift = -0.010 if panel and fh > 0.2 else 0.0
             _pull(w, part, handle, x, -depth + 0.001 + lift, fz, fw, fh, k, columns, knobs)
@@ -186,7 +166,7 @@ def _pull(
             [(0, 0), (0.006, 0), (0.006, 0.012), (0.014, 0.018), (0.016, 0.025), (0.011, 0.031), (0, 0.032)],
             18,
         ).turned("x", 90)
-        w.add(part, slot, knob.moved(at[0], y, at[1]))
+        w[part, slot] += knob.moved(at[0], y, at[1])
         return
     if is_drawer:
         length = min(0.6 * fw, 0.22)
@@ -197,14 +177,10 @@ def _pull(
         px = x + side * (fw / 2 - 0.035)
         low = z + fh * 0.5 if fh < 1.0 else z + fh * 0.45
         path = [(px, y, low), (px, y - 0.028, low), (px, y - 0.028, low + 0.16), (px, y, low + 0.16)]
-    w.add(
-        part,
-        slot,
-        join(
-            [
-                tube([path[0], path[1]], 0.005, 8),
-                tube([path[1], path[2]], 0.006, 8),
-                tube([path[2], path[3]], 0.005, 8),
-            ]
-        ),
+    w[part, slot] += join(
+        [
+            tube([path[0], path[1]], 0.005, 8),
+            tube([path[1], path[2]], 0.006, 8),
+            tube([path[2], path[3]], 0.005, 8),
+        ]
     )

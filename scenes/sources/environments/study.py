@@ -64,13 +64,11 @@ def study(collection: bpy.types.Collection) -> None:
     _board(room)
     decor.picture(w, "picture", size=(0.62, 0.44), frame="picture_frames", mount="mounts", art="art_dusk")
     room.place("south", "picture", -0.55, z=1.6)
-    w.add(
-        "blind",
-        "blind",
+    w["blind", "blind"] += [
         box((1.46, 0.004, 0.42), (0, -0.05, 1.86), 0.001, grain=2),
         tube([(-0.73, -0.05, 1.86), (0.73, -0.05, 1.86)], 0.011, 10),
         tube([(-0.74, -0.05, 2.29), (0.74, -0.05, 2.29)], 0.022, 16),
-    )
+    ]
     room.place("north", "blind", -0.45)
     fitting = decor.ceiling_light(w, "ceiling_light", ceiling=2.5, radius=0.2)
     w.place("ceiling_light", 0.0, -0.1)
@@ -100,12 +98,12 @@ def study(collection: bpy.types.Collection) -> None:
 
 def _desk(room: Room) -> None:
     w = room.workshop
-    w.add("desk", "desk", box((1.6, 0.75, 0.03), (0, -0.375, 0.715), 0.006, 2, grain=0))
+    w["desk", "desk"] += box((1.6, 0.75, 0.03), (0, -0.375, 0.715), 0.006, 2, grain=0)
     for x in (-0.74, 0.74):
         for y in (-0.06, -0.69):
-            w.add("desk", "desk_legs", box((0.045, 0.045, 0.715), (x, y, 0), 0.003, grain=2))
-        w.add("desk", "desk_legs", box((0.03, 0.6, 0.04), (x, -0.375, 0.675), 0.002, grain=1))
-    w.add("desk", "desk_legs", box((1.44, 0.03, 0.05), (0, -0.06, 0.665), 0.002, grain=0))
+            w["desk", "desk_legs"] += box((0.045, 0.045, 0.715), (x, y, 0), 0.003, grain=2)
+        w["desk", "desk_legs"] += box((0.03, 0.6, 0.04), (x, -0.375, 0.675), 0.002, grain=1)
+    w["desk", "desk_legs"] += box((1.44, 0.03, 0.05), (0, -0.06, 0.665), 0.002, grain=0)
     room.place("north", "desk", -0.45, gap=0.06)
     storage.cabinet(
         w,
@@ -126,91 +124,65 @@ def _desk(room: Room) -> None:
     for k in range(5):
         a = 2 * np.pi * k / 5 + 0.3
         end = (0.29 * np.cos(a), 0.29 * np.sin(a))
-        w.add(
-            "chair",
-            "chair_base",
-            tube(
-                [(0, 0, 0.1), (end[0] * 0.5, end[1] * 0.5, 0.088), (*end, 0.066)],
-                [0.023, 0.019, 0.015],
-                10,
-                smooth=3,
-            ),
+        w["chair", "chair_base"] += tube(
+            [(0, 0, 0.1), (end[0] * 0.5, end[1] * 0.5, 0.088), (*end, 0.066)],
+            [0.023, 0.019, 0.015],
+            10,
+            smooth=3,
         )
-        w.add(
-            "chair",
-            "castors",
+        w["chair", "castors"] += [
             cylinder(0.026, 0.016, (0, 0, -0.017), 0.004, 20)
             .turned("x", 90)
             .turned("z", float(np.degrees(a)) + 25)
             .moved(*end, 0.0262),
             cylinder(0.009, 0.05, (*end, 0.026), 0.002, 12),
-        )
-    w.add(
-        "chair",
-        "chair_base",
+        ]
+    w["chair", "chair_base"] += [
         cylinder(0.026, 0.2, (0, 0, 0.09), 0.003),
         cylinder(0.017, 0.16, (0, 0, 0.26), 0.002),
         box((0.2, 0.2, 0.03), (0, 0, 0.405), 0.008, 2),
+    ]
+    w["chair", "chair_shell"] += soft_box(
+        (0.5, 0.48, 0.085), (0, 0, 0.43), 0.04, (0.004, 0.004, 0.016), 11, 0.001, 3
     )
-    w.add(
-        "chair",
-        "chair_shell",
-        soft_box((0.5, 0.48, 0.085), (0, 0, 0.43), 0.04, (0.004, 0.004, 0.016), 11, 0.001, 3),
-    )
-    w.add(
-        "chair",
-        "chair_shell",
+    w["chair", "chair_shell"] += (
         soft_box((0.46, 0.09, 0.56), (0, 0, 0), 0.042, (0.004, 0.02, 0.006), 11, 0.001, 4)
         .bent(lambda p: p + np.column_stack([0 * p[:, 0], -0.06 * (p[:, 0] / 0.23) ** 2, 0 * p[:, 0]]))
         .turned("x", -9)
-        .moved(0, 0.255, 0.56),
+        .moved(0, 0.255, 0.56)
     )
-    w.add(
-        "chair",
-        "chair_base",
-        tube(
-            [(0, 0.06, 0.415), (0, 0.26, 0.42), (0, 0.315, 0.5), (0, 0.34, 0.72)], 0.018, 12, smooth=4
-        ).scaled(1.6, 1, 1),
-    )
+    w["chair", "chair_base"] += tube(
+        [(0, 0.06, 0.415), (0, 0.26, 0.42), (0, 0.315, 0.5), (0, 0.34, 0.72)], 0.018, 12, smooth=4
+    ).scaled(1.6, 1, 1)
     for side in (-1, 1):
-        w.add(
-            "chair",
-            "castors",
-            soft_box((0.06, 0.26, 0.028), (side * 0.285, 0.0, 0.65), 0.012, (0, 0, 0.002), 6),
+        w["chair", "castors"] += soft_box(
+            (0.06, 0.26, 0.028), (side * 0.285, 0.0, 0.65), 0.012, (0, 0, 0.002), 6
         )
-        w.add(
-            "chair",
-            "chair_base",
-            tube(
-                [
-                    (side * 0.16, 0.02, 0.42),
-                    (side * 0.27, 0.02, 0.43),
-                    (side * 0.29, 0.02, 0.5),
-                    (side * 0.287, 0.0, 0.66),
-                ],
-                0.011,
-                10,
-                smooth=4,
-            ),
+        w["chair", "chair_base"] += tube(
+            [
+                (side * 0.16, 0.02, 0.42),
+                (side * 0.27, 0.02, 0.43),
+                (side * 0.29, 0.02, 0.5),
+                (side * 0.287, 0.0, 0.66),
+            ],
+            0.011,
+            10,
+            smooth=4,
         )
     w.place("chair", -0.75, 0.28, 0, 164)
-    w.add(
-        "bin",
-        "bin",
-        lathe(
-            [
-                (0, 0.0),
-                (0.1, 0.0),
-                (0.105, 0.004),
-                (0.13, 0.29),
-                (0.133, 0.295),
-                (0.13, 0.298),
-                (0.127, 0.29),
-                (0.102, 0.008),
-                (0, 0.006),
-            ],
-            36,
-        ),
+    w["bin", "bin"] += lathe(
+        [
+            (0, 0.0),
+            (0.1, 0.0),
+            (0.105, 0.004),
+            (0.13, 0.29),
+            (0.133, 0.295),
+            (0.13, 0.298),
+            (0.127, 0.29),
+            (0.102, 0.008),
+            (0, 0.006),
+        ],
+        36,
     )
     w.place("bin", 0.52, 1.32)
 
@@ -259,32 +231,26 @@ def _bookcase(room: Room) -> None:
 
 def _board(room: Room) -> None:
     w = room.workshop
-    w.add("board", "board", box((0.8, 0.012, 0.56), (0, -0.007, 0), 0.002, grain=0))
-    w.add(
-        "board",
-        "bookcase",
+    w["board", "board"] += box((0.8, 0.012, 0.56), (0, -0.007, 0), 0.002, grain=0)
+    w["board", "bookcase"] += [
         *[box((0.86, 0.022, 0.03), (0, -0.011, z), 0.004, 2, grain=0) for z in (-0.03, 0.56)],
         *[box((0.03, 0.022, 0.56), (s * 0.415, -0.011, 0), 0.004, 2, grain=2) for s in (-1, 1)],
-    )
+    ]
     rng = np.random.default_rng(3)
     for k in range(7):
         size = ((0.075, 0.075), (0.105, 0.148), (0.1, 0.07))[k % 3]
         sheet = box((size[0], 0.0006, size[1]), bevel=0).turned("y", float(rng.uniform(-6, 6)))
         x, z = -0.3 + 0.1 * k, 0.06 + 0.3 * (k % 2) + float(rng.uniform(-0.02, 0.03))
-        w.add("board", "note_b" if k % 3 == 0 else "note_a", sheet.moved(x, -0.0138 - 0.0008 * (k % 2), z))
-        w.add(
-            "board",
-            "castors",
+        w["board", "note_b" if k % 3 == 0 else "note_a"] += sheet.moved(x, -0.0138 - 0.0008 * (k % 2), z)
+        w["board", "castors"] += (
             lathe([(0, 0), (0.005, 0.001), (0.004, 0.006), (0, 0.007)], 10)
             .turned("x", 90)
-            .moved(x, -0.0145, z + size[1] * 0.9),
+            .moved(x, -0.0145, z + size[1] * 0.9)
         )
     room.place("east", "board", -0.85, z=1.25)
-    w.add(
-        "wall_shelf",
-        "desk",
+    w["wall_shelf", "desk"] += [
         box((0.9, 0.2, 0.024), (0, -0.1, 0), 0.004, 2, grain=0),
         extrude(rounded_rectangle(0.02, 0.02, 0.004, 2), 0.01, 0.001).moved(0, -0.02, -0.009),
-    )
+    ]
     room.place("south", "wall_shelf", -0.55, z=1.2)
     room.surface("wall shelf", "shelf", "south", -0.55, 0.84, 0.02, 0.18, 1.224, 0.12)

@@ -42,8 +42,8 @@ def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
 )
 def book_single(w: Workshop) -> None:
     cover, pages = lying_book(0.034, 0.22, 0.15)
-    w.add("book", "cover", cover)
-    w.add("book", "pages", pages)
+    w["book", "cover"] += cover
+    w["book", "pages"] += pages
 
 
 @thing(
@@ -65,7 +65,7 @@ def book_stack(w: Workshop) -> None:
         ("fourth", 0.02, 0.18, 0.12, -22),
     ):
         for name, shape in zip((slot, "pages"), lying_book(thick, length, deep), strict=True):
-            w.add("books", name, shape.turned("z", angle).moved(0.004 * angle / 9, 0, z))
+            w["books", name] += shape.turned("z", angle).moved(0.004 * angle / 9, 0, z)
         z += thick + 0.0003
 
 
@@ -86,12 +86,10 @@ def book_row(w: Workshop) -> None:
     )
     for side in (-1, 1):
         x = side * (0.122 if side < 0 else 0.126)
-        w.add(
-            "ends",
-            "iron",
+        w["ends", "iron"] += [
             box((0.003, 0.09, 0.15), (x, 0.0, 0), 0.001),
             box((0.05, 0.09, 0.0018), (x + side * 0.025, 0, 0), 0.0005),
-        )
+        ]
 
 
 @thing(
@@ -112,13 +110,13 @@ def book_open(w: Workshop) -> None:
             top = top[:, ::-1]
         from scenes.sources.shapes import grid
 
-        w.add("pages", "page", grid(top, unit_uv=True))
+        w["pages", "page"] += grid(top, unit_uv=True)
         outline = [(xx, zz) for xx, zz in zip(x, rise, strict=True)]
         for y, flip in ((-0.105, False), (0.105, True)):
             lower = np.stack([x, np.full(14, y), np.full(14, 0.003)], axis=-1)
             upper = np.array([(xx, y, zz) for xx, zz in outline])
             wall = grid(np.stack([lower, upper]))
-            w.add("pages", "edge", wall.flipped() if flip != (side < 0) else wall)
+            w["pages", "edge"] += wall.flipped() if flip != (side < 0) else wall
         end = np.stack(
             [
                 np.array([[x[-1], y, 0.003] for y in (-0.105, 0.105)]),
@@ -126,8 +124,8 @@ def book_open(w: Workshop) -> None:
             ]
         )
         wall = grid(end)
-        w.add("pages", "edge", wall if side > 0 else wall.flipped())
-    w.add("cover", "cover", box((0.295, 0.22, 0.003), bevel=0.001))
+        w["pages", "edge"] += wall if side > 0 else wall.flipped()
+    w["cover", "cover"] += box((0.295, 0.22, 0.003), bevel=0.001)
 
 
 def _magazine(ground: str, ink: str, seed: float) -> Slot:
@@ -146,14 +144,12 @@ def _magazine(ground: str, ink: str, seed: float) -> Slot:
 )
 def magazines(w: Workshop) -> None:
     for k, (slot, angle) in enumerate((("second", 7.0), ("third", -12.0), ("second", 3.0))):
-        w.add(
-            "magazines",
-            slot,
-            _limp(0.21, 0.28, 0.005).turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026),
+        w["magazines", slot] += (
+            _limp(0.21, 0.28, 0.005).turned("z", angle).moved(0.004 * k, 0.003 * k, 0.0052 * k + 0.0026)
         )
-    w.add("magazines", "third", _limp(0.21, 0.28, 0.005).turned("z", -5).moved(z=0.0052 * 3 + 0.0026))
+    w["magazines", "third"] += _limp(0.21, 0.28, 0.005).turned("z", -5).moved(z=0.0052 * 3 + 0.0026)
     front = panel(0.208, 0.278).turned("x", -90).moved(0, -0.139, 0.0208 + 0.0026 - 0.0026 + 0.0004)
-    w.add("magazines", "front", front.turned("z", -5))
+    w["magazines", "front"] += front.turned("z", -5)
 
 
 def _limp(sx: float, sy: float, thick: float) -> Shape:
@@ -185,13 +181,11 @@ def box_cardboard(w: Workshop) -> None:
         return q
 
     flaps = [flat[0], flat[1].bent(ajar)]
-    w.add("box", "board", *walls, box((x - 0.002, y - 0.002, t), (0, 0, 0), 0.001), *flaps)
-    w.add(
-        "tape",
-        "tape",
+    w["box", "board"] += [*walls, box((x - 0.002, y - 0.002, t), (0, 0, 0), 0.001), *flaps]
+    w["tape", "tape"] += [
         box((x + 0.0008, 0.05, 0.0006), (0, -0.03, h + t), 0.0001),
         *[box((0.0006, 0.05, 0.06), (s * (x / 2 + 0.0002), -0.03, h + t - 0.06), 0.0001) for s in (-1, 1)],
-    )
+    ]
 
 
 @thing(
@@ -202,20 +196,16 @@ def box_cardboard(w: Workshop) -> None:
     brass=metal((0.86, 0.70, 0.38), 0.25),
 )
 def box_wooden(w: Workshop) -> None:
-    w.add(
-        "box",
-        "wood",
+    w["box", "wood"] += [
         box((0.24, 0.16, 0.07), bevel=0.003, segments=2, grain=0),
         box((0.246, 0.166, 0.03), (0, 0, 0.0715), 0.005, 2, grain=0),
-    )
-    w.add(
-        "box",
-        "brass",
+    ]
+    w["box", "brass"] += [
         box((0.026, 0.004, 0.03), (0, -0.0835, 0.056), 0.0015, 2),
         cylinder(0.0045, 0.006, segments=16, bevel=0.001).turned("x", 90).moved(0, -0.085, 0.066),
-    )
+    ]
     for x in (-0.07, 0.07):
-        w.add("box", "brass", tube([(x - 0.014, 0.084, 0.071), (x + 0.014, 0.084, 0.071)], 0.004, 8))
+        w["box", "brass"] += tube([(x - 0.014, 0.084, 0.071), (x + 0.014, 0.084, 0.071)], 0.004, 8)
 
 
 @thing(
@@ -229,24 +219,20 @@ def box_wooden(w: Workshop) -> None:
 def basket(w: Workshop) -> None:
     from scenes.sources.objects.crockery import vessel
 
-    w.add(
-        "basket",
-        "weave",
-        vessel([(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3),
+    w["basket", "weave"] += vessel(
+        [(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3
     )
     ring = [
         (0.155 * np.cos(a), 0.155 * np.sin(a), 0.152) for a in np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ]
-    w.add("basket", "weave", tube(ring, 0.0085, 8, closed=True))
+    w["basket", "weave"] += tube(ring, 0.0085, 8, closed=True)
     for side in (-1, 1):
         arch = [
             (side * 0.158, 0.045 * np.cos(a), 0.15 + 0.055 * np.sin(a)) for a in np.linspace(0, np.pi, 13)
         ]
-        w.add("basket", "weave", tube(arch, 0.0065, 8))
-    w.add(
-        "lining",
-        "lining",
-        vessel([(0.112, 0.013), (0.127, 0.02), (0.139, 0.08), (0.1465, 0.148)], 0.003, smooth=3),
+        w["basket", "weave"] += tube(arch, 0.0065, 8)
+    w["lining", "lining"] += vessel(
+        [(0.112, 0.013), (0.127, 0.02), (0.139, 0.08), (0.1465, 0.148)], 0.003, smooth=3
     )
 
 
@@ -259,46 +245,38 @@ def basket(w: Workshop) -> None:
     lid=paper("3e5560", 0.5),
 )
 def box_shoe(w: Workshop) -> None:
-    w.add("box", "body", box((0.325, 0.195, 0.11), bevel=0.0012))
-    w.add("box", "lid", box((0.331, 0.201, 0.036), (0, 0, 0.079), 0.0015, 2))
+    w["box", "body"] += box((0.325, 0.195, 0.11), bevel=0.0012)
+    w["box", "lid"] += box((0.331, 0.201, 0.036), (0, 0, 0.079), 0.0015, 2)
 
 
 @thing("box_tin", "Biscuit tin", "box", tin=painted("2f4f63", 0.22), rim=metal((0.75, 0.62, 0.36), 0.2))
 def box_tin(w: Workshop) -> None:
     from scenes.sources.shapes import lathe
 
-    w.add(
-        "tin",
-        "tin",
-        lathe(
-            [
-                (0, 0),
-                (0.087, 0),
-                (0.09, 0.003),
-                (0.09, 0.06),
-                (0.0925, 0.0605),
-                (0.0925, 0.085),
-                (0.088, 0.0905),
-                (0.08, 0.0905),
-                (0.078, 0.088),
-                (0, 0.089),
-            ],
-            48,
-        ),
-    )
-    w.add(
-        "tin",
-        "rim",
-        *[
-            tube(
-                [(r * np.cos(a), r * np.sin(a), z) for a in np.linspace(0, 2 * np.pi, 48, endpoint=False)],
-                0.0016,
-                6,
-                closed=True,
-            )
-            for r, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))
+    w["tin", "tin"] += lathe(
+        [
+            (0, 0),
+            (0.087, 0),
+            (0.09, 0.003),
+            (0.09, 0.06),
+            (0.0925, 0.0605),
+            (0.0925, 0.085),
+            (0.088, 0.0905),
+            (0.08, 0.0905),
+            (0.078, 0.088),
+            (0, 0.089),
         ],
+        48,
     )
+    w["tin", "rim"] += [
+        tube(
+            [(r * np.cos(a), r * np.sin(a), z) for a in np.linspace(0, 2 * np.pi, 48, endpoint=False)],
+            0.0016,
+            6,
+            closed=True,
+        )
+        for r, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))
+    ]
 
 
 @thing(
@@ -329,23 +307,19 @@ def bag_paper(w: Workshop) -> None:
         rings.append([(cx + wb, cy + wb, z) for (cx, cy), wb in zip(corners, wobble, strict=True)])
     lattice = np.array(rings)
     closed = np.concatenate([lattice, lattice[:, :1]], axis=1)
-    w.add("bag", "paper", sheet(closed, t), box((2 * x - 0.004, 2 * y - 0.004, t), bevel=0))
+    w["bag", "paper"] += [sheet(closed, t), box((2 * x - 0.004, 2 * y - 0.004, t), bevel=0)]
     for side in (-1, 1):
         yy = side * y * 0.8
-        w.add(
-            "bag",
-            "handle",
-            tube(
-                [
-                    (-0.045, yy, h - 0.03),
-                    (-0.043, yy, h + 0.04),
-                    (-0.025, yy * 0.9, h + 0.075),
-                    (0.025, yy * 0.9, h + 0.075),
-                    (0.043, yy, h + 0.04),
-                    (0.045, yy, h - 0.03),
-                ],
-                0.0028,
-                8,
-                smooth=4,
-            ),
+        w["bag", "handle"] += tube(
+            [
+                (-0.045, yy, h - 0.03),
+                (-0.043, yy, h + 0.04),
+                (-0.025, yy * 0.9, h + 0.075),
+                (0.025, yy * 0.9, h + 0.075),
+                (0.043, yy, h + 0.04),
+                (0.045, yy, h - 0.03),
+            ],
+            0.0028,
+            8,
+            smooth=4,
         )

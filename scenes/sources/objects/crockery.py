@@ -53,39 +53,31 @@ def handle(
 
 @thing("mug", "Mug", "crockery", glaze=glaze("d8d2c4"))
 def mug(w: Workshop) -> None:
-    w.add(
-        "mug",
-        "glaze",
-        vessel(
-            [(0.036, 0.002), (0.0385, 0.007), (0.0405, 0.04), (0.0408, 0.07), (0.041, 0.094)],
-            0.0042,
-            foot=0.003,
-        ),
+    w["mug", "glaze"] += vessel(
+        [(0.036, 0.002), (0.0385, 0.007), (0.0405, 0.04), (0.0408, 0.07), (0.041, 0.094)],
+        0.0042,
+        foot=0.003,
     )
-    w.add("mug", "glaze", handle(0.024, 0.077, 0.0385, 0.0395, 0.031))
+    w["mug", "glaze"] += handle(0.024, 0.077, 0.0385, 0.0395, 0.031)
 
 
 @thing(
     "mug_two_tone", "Enamel mug", "crockery", enamel=glaze("27506b", 0.14), rim=fixed("14161a", 0.2, "glazed")
 )
 def mug_two_tone(w: Workshop) -> None:
-    w.add("mug", "enamel", vessel([(0.040, 0.001), (0.0425, 0.004), (0.043, 0.04), (0.0435, 0.08)], 0.0022))
-    w.add("mug", "enamel", handle(0.02, 0.062, 0.042, 0.0425, 0.032, 0.004))
+    w["mug", "enamel"] += vessel([(0.040, 0.001), (0.0425, 0.004), (0.043, 0.04), (0.0435, 0.08)], 0.0022)
+    w["mug", "enamel"] += handle(0.02, 0.062, 0.042, 0.0425, 0.032, 0.004)
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ring = np.stack([0.0425 * np.cos(angle), 0.0425 * np.sin(angle), np.full(40, 0.0812)], axis=-1)
-    w.add("mug", "rim", tube(ring, 0.0021, 8, closed=True))
+    w["mug", "rim"] += tube(ring, 0.0021, 8, closed=True)
 
 
 @thing("bowl", "Bowl", "crockery", glaze=glaze("cfc4ae", source="glaze_speckled"))
 def bowl(w: Workshop) -> None:
-    w.add(
-        "bowl",
-        "glaze",
-        vessel(
-            [(0.034, 0.004), (0.036, 0.008), (0.055, 0.022), (0.074, 0.047), (0.081, 0.072)],
-            0.0045,
-            foot=0.005,
-        ),
+    w["bowl", "glaze"] += vessel(
+        [(0.034, 0.004), (0.036, 0.008), (0.055, 0.022), (0.074, 0.047), (0.081, 0.072)],
+        0.0045,
+        foot=0.005,
     )
 
 
@@ -105,12 +97,12 @@ def bowls_stacked(w: Workshop) -> None:
             foot=0.004,
             segments=36,
         )
-        w.add("bowls", slot, shape.moved(0.002 * i, -0.0015 * i, 0.0155 * i))
+        w["bowls", slot] += shape.moved(0.002 * i, -0.0015 * i, 0.0155 * i)
 
 
 @thing("plate", "Dinner plate", "crockery", glaze=glaze("e6e3da"))
 def plate(w: Workshop) -> None:
-    w.add("plate", "glaze", _plate(0.132))
+    w["plate", "glaze"] += _plate(0.132)
 
 
 def _plate(radius: float) -> Shape:
@@ -124,48 +116,42 @@ def _plate(radius: float) -> Shape:
 @thing("plates_stacked", "Stack of plates", "crockery", glaze=glaze("e2ded3"), band=glaze("35566b"))
 def plates_stacked(w: Workshop) -> None:
     for i in range(5):
-        w.add(
-            "plates",
-            "band" if i % 2 else "glaze",
+        w["plates", "band" if i % 2 else "glaze"] += (
             _plate(0.105)
             .scaled(1, 1, 0.85)
             .turned("z", 31 * i)
-            .moved(0.0012 * (i % 3), 0.001 * (i % 2), 0.0078 * i),
+            .moved(0.0012 * (i % 3), 0.001 * (i % 2), 0.0078 * i)
         )
 
 
 @thing("cup_and_saucer", "Cup and saucer", "crockery", glaze=glaze("ece9e2"), coffee=fixed("1c0e07", 0.06))
 def cup_and_saucer(w: Workshop) -> None:
-    w.add("saucer", "glaze", _plate(0.074))
+    w["saucer", "glaze"] += _plate(0.074)
     cup = vessel(
         [(0.021, 0.002), (0.024, 0.006), (0.036, 0.028), (0.041, 0.052), (0.0425, 0.06)], 0.0028, foot=0.003
     )
     ear = handle(0.02, 0.05, 0.033, 0.039, 0.022, 0.0034)
-    w.add("cup", "glaze", (cup + ear).turned("z", -35).moved(z=0.0062))
-    w.add("cup", "coffee", cylinder(0.0385, 0.004, (0, 0, 0.0505), 0.0008, 40))
+    w["cup", "glaze"] += (cup + ear).turned("z", -35).moved(z=0.0062)
+    w["cup", "coffee"] += cylinder(0.0385, 0.004, (0, 0, 0.0505), 0.0008, 40)
 
 
 @thing("teapot", "Teapot", "crockery", glaze=glaze("a9c2ab", source="glaze_celadon"))
 def teapot(w: Workshop) -> None:
-    w.add(
-        "pot",
-        "glaze",
-        vessel(
-            [(0.043, 0.003), (0.05, 0.008), (0.078, 0.04), (0.08, 0.065), (0.062, 0.098), (0.043, 0.11)],
-            0.004,
-            foot=0.004,
-        ),
+    w["pot", "glaze"] += vessel(
+        [(0.043, 0.003), (0.05, 0.008), (0.078, 0.04), (0.08, 0.065), (0.062, 0.098), (0.043, 0.11)],
+        0.004,
+        foot=0.004,
     )
     lid = lathe([(0, 0.108), (0.041, 0.108), (0.0445, 0.1115), (0.041, 0.1155), (0.027, 0.122), (0.012, 0.1255), (0.008, 0.13), (0.0125, 0.138),
                  (0.0115, 0.1455), (0.005, 0.149), (0, 0.1495)], 40)  # fmt: skip
-    w.add("lid", "glaze", lid)
+    w["lid", "glaze"] += lid
     spout = tube(
         [(-0.066, 0, 0.042), (-0.09, 0, 0.052), (-0.108, 0, 0.078), (-0.124, 0, 0.108)],
         [0.021, 0.017, 0.0115, 0.0085],
         14,
         smooth=6,
     )
-    w.add("pot", "glaze", spout, handle(0.035, 0.095, 0.074, 0.062, 0.05, 0.0065))
+    w["pot", "glaze"] += [spout, handle(0.035, 0.095, 0.074, 0.062, 0.05, 0.0065)]
 
 
 @thing("jug", "Jug", "crockery", glaze=glaze("5f7f95"))
@@ -193,4 +179,4 @@ def jug(w: Workshop) -> None:
         q[:, 2] += 0.006 * weight
         return q
 
-    w.add("jug", "glaze", body.bent(lip), handle(0.065, 0.178, 0.059, 0.044, 0.042, 0.007))
+    w["jug", "glaze"] += [body.bent(lip), handle(0.065, 0.178, 0.059, 0.044, 0.042, 0.007)]

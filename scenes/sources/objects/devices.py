@@ -40,26 +40,20 @@ def _grille(g: Graph, count: int = 24, color: str = "26282a") -> bpy.types.Mater
 @thing("radio", "Table radio", "electronics", yaw=60, case=wood("walnut_lacquered"), front=plastic("d6cdb8", 0.4), grille=Slot(("plastic",), (), graph=partial(_grille, count=30, color="b9ae96")),
        knob=metal((0.86, 0.72, 0.42), 0.25), dial=fixed("33261a", 0.15, "glass"))  # fmt: skip
 def radio(w: Workshop) -> None:
-    w.add("radio", "case", soft_box((0.3, 0.13, 0.17), (0, 0, 0.008), 0.022, (0, 0, 0), 8))
-    w.add(
-        "radio",
-        "front",
+    w["radio", "case"] += soft_box((0.3, 0.13, 0.17), (0, 0, 0.008), 0.022, (0, 0, 0), 8)
+    w["radio", "front"] += (
         extrude(rounded_rectangle(0.272, 0.142, 0.014, 5), 0.006, 0.002)
         .turned("x", 90)
-        .moved(0, -0.0625, 0.093),
+        .moved(0, -0.0625, 0.093)
     )
-    w.add("radio", "grille", panel(0.145, 0.115, (-0.052, -0.0688, 0.036)))
-    w.add(
-        "radio",
-        "dial",
+    w["radio", "grille"] += panel(0.145, 0.115, (-0.052, -0.0688, 0.036))
+    w["radio", "dial"] += (
         extrude(rounded_rectangle(0.085, 0.036, 0.004, 3), 0.002, 0.0006)
         .turned("x", 90)
-        .moved(0.077, -0.068, 0.134),
+        .moved(0.077, -0.068, 0.134)
     )
     for x in (0.052, 0.102):
-        w.add(
-            "radio",
-            "knob",
+        w["radio", "knob"] += (
             lathe(
                 [
                     (0, 0),
@@ -73,27 +67,23 @@ def radio(w: Workshop) -> None:
                 28,
             )
             .turned("x", 90)
-            .moved(x, -0.0685, 0.075),
+            .moved(x, -0.0685, 0.075)
         )
     for x in (-0.12, 0.12):
         for y in (-0.04, 0.04):
-            w.add("radio", "front", cylinder(0.009, 0.01, (x, y, 0), 0.002, 16))
-    w.add(
-        "radio",
-        "knob",
-        tube(
-            [
-                (-0.1, 0, 0.176),
-                (-0.1, 0, 0.2),
-                (-0.085, 0, 0.212),
-                (0.085, 0, 0.212),
-                (0.1, 0, 0.2),
-                (0.1, 0, 0.176),
-            ],
-            0.0045,
-            10,
-            smooth=3,
-        ),
+            w["radio", "front"] += cylinder(0.009, 0.01, (x, y, 0), 0.002, 16)
+    w["radio", "knob"] += tube(
+        [
+            (-0.1, 0, 0.176),
+            (-0.1, 0, 0.2),
+            (-0.085, 0, 0.212),
+            (0.085, 0, 0.212),
+            (0.1, 0, 0.2),
+            (0.1, 0, 0.176),
+        ],
+        0.0045,
+        10,
+        smooth=3,
     )
 
 
@@ -141,19 +131,15 @@ def headphones(w: Workshop) -> None:
         ):
             placed = shape.moved(z=-0.02).turned("y", -turn).moved(side * 0.082, 0.0, 0.034)
             lowest = min(lowest, float(placed.points[:, 2].min()))
-            w.add("cups", slot, placed)
-        w.add(
-            "cups",
-            "steel",
-            tube(
-                [(side * 0.083, 0.03, 0.034), (side * 0.09, 0.012, 0.034), (side * 0.092, 0.0, 0.034)],
-                0.004,
-                8,
-                smooth=3,
-            ),
+            w["cups", slot] += placed
+        w["cups", "steel"] += tube(
+            [(side * 0.083, 0.03, 0.034), (side * 0.09, 0.012, 0.034), (side * 0.092, 0.0, 0.034)],
+            0.004,
+            8,
+            smooth=3,
         )
-    w.add("band", "steel", band.moved(z=0.034).bent(leaning))
-    w.add("band", "pads", pad.moved(z=0.034).bent(leaning))
+    w["band", "steel"] += band.moved(z=0.034).bent(leaning)
+    w["band", "pads"] += pad.moved(z=0.034).bent(leaning)
 
 
 @thing(
@@ -168,19 +154,17 @@ def headphones(w: Workshop) -> None:
     ring=metal(rough=0.3),
 )
 def speaker(w: Workshop) -> None:
-    w.add("speaker", "case", box((0.18, 0.22, 0.3), (0, 0, 0.006), 0.006, 2, grain=2))
-    w.add(
-        "speaker",
-        "cone",
+    w["speaker", "case"] += box((0.18, 0.22, 0.3), (0, 0, 0.006), 0.006, 2, grain=2)
+    w["speaker", "cone"] += (
         extrude(rounded_rectangle(0.168, 0.288, 0.008, 3), 0.003, 0.001)
         .turned("x", 90)
-        .moved(0, -0.1095, 0.156),
+        .moved(0, -0.1095, 0.156)
     )
     for z, r in ((0.105, 0.068), (0.235, 0.034)):
         rim = lathe(
             [(r - 0.008, 0), (r, 0), (r, 0.004), (r - 0.004, 0.006), (r - 0.008, 0.003), (r - 0.008, 0)], 44
         )
-        w.add("speaker", "ring", rim.turned("x", 90).moved(0, -0.1115, z))
+        w["speaker", "ring"] += rim.turned("x", 90).moved(0, -0.1115, z)
         cone = lathe(
             [
                 (0, -0.012),
@@ -194,10 +178,10 @@ def speaker(w: Workshop) -> None:
             ],
             40,
         )
-        w.add("speaker", "cone", cone.moved(z=0.004).turned("x", 90).moved(0, -0.1115, z))
+        w["speaker", "cone"] += cone.moved(z=0.004).turned("x", 90).moved(0, -0.1115, z)
     for x in (-0.07, 0.07):
         for y in (-0.09, 0.09):
-            w.add("speaker", "cloth", cylinder(0.01, 0.007, (x, y, 0), 0.002, 14))
+            w["speaker", "cloth"] += cylinder(0.01, 0.007, (x, y, 0), 0.002, 14)
 
 
 @thing(
@@ -213,39 +197,33 @@ def speaker(w: Workshop) -> None:
     screen=SCREEN,
 )
 def laptop(w: Workshop) -> None:
-    w.add("base", "case", extrude(rounded_rectangle(0.32, 0.22, 0.012, 5), 0.013, 0.003, 2).moved(z=0.001))
+    w["base", "case"] += extrude(rounded_rectangle(0.32, 0.22, 0.012, 5), 0.013, 0.003, 2).moved(z=0.001)
     for row in range(5):
         count = 12
         for k in range(count):
-            w.add(
-                "base",
-                "keys",
-                box((0.0195, 0.0165, 0.0018), (-0.136 + k * 0.0247, 0.085 - row * 0.0205, 0.0137), 0.0006),
+            w["base", "keys"] += box(
+                (0.0195, 0.0165, 0.0018), (-0.136 + k * 0.0247, 0.085 - row * 0.0205, 0.0137), 0.0006
             )
-    w.add(
-        "base",
-        "keys",
+    w["base", "keys"] += [
         box((0.11, 0.0165, 0.0018), (0, 0.085 - 5 * 0.0205, 0.0137), 0.0006),
         box((0.1, 0.065, 0.0006), (0, -0.066, 0.0138), 0.0002),
-    )
+    ]
     lid = extrude(rounded_rectangle(0.32, 0.21, 0.012, 5), 0.006, 0.002, 2).moved(0, 0.105, -0.003)
     lean = 72
-    w.add("lid", "case", lid.turned("x", lean).moved(0, 0.108, 0.0155))
+    w["lid", "case"] += lid.turned("x", lean).moved(0, 0.108, 0.0155)
     glass = panel(0.306, 0.19, (0, 0, 0.01)).moved(0, -0.0003, 0)
-    w.add(
-        "lid",
-        "screen",
+    w["lid", "screen"] += (
         glass.turned("x", lean - 90)
         .moved(0, 0.108, 0.0155)
-        .moved(0, -0.0032 * np.sin(np.radians(lean)), 0.0032 * np.cos(np.radians(lean))),
+        .moved(0, -0.0032 * np.sin(np.radians(lean)), 0.0032 * np.cos(np.radians(lean)))
     )
-    w.add("base", "case", tube([(-0.13, 0.108, 0.0135), (0.13, 0.108, 0.0135)], 0.0045, 10))
+    w["base", "case"] += tube([(-0.13, 0.108, 0.0135), (0.13, 0.108, 0.0135)], 0.0045, 10)
 
 
 @thing("phone", "Phone", "electronics", case=plastic("22303a", 0.3), screen=SCREEN)
 def phone(w: Workshop) -> None:
-    w.add("phone", "case", extrude(rounded_rectangle(0.072, 0.148, 0.011, 6), 0.0078, 0.0024, 3))
-    w.add("phone", "screen", panel(0.0655, 0.1405).turned("x", -90).moved(0, -0.07025, 0.00795))
+    w["phone", "case"] += extrude(rounded_rectangle(0.072, 0.148, 0.011, 6), 0.0078, 0.0024, 3)
+    w["phone", "screen"] += panel(0.0655, 0.1405).turned("x", -90).moved(0, -0.07025, 0.00795)
 
 
 @thing(
@@ -260,14 +238,12 @@ def phone(w: Workshop) -> None:
 )
 def camera(w: Workshop) -> None:
     outline = rounded_rectangle(0.132, 0.036, 0.012, 5)
-    w.add("camera", "skin", extrude(outline, 0.05, 0.002).moved(z=0.01))
-    w.add("camera", "body", extrude(outline, 0.0105, 0.002))
-    w.add(
-        "camera",
-        "top",
+    w["camera", "skin"] += extrude(outline, 0.05, 0.002).moved(z=0.01)
+    w["camera", "body"] += extrude(outline, 0.0105, 0.002)
+    w["camera", "top"] += [
         extrude(outline, 0.018, 0.003, 2).moved(z=0.06),
         box((0.034, 0.034, 0.014), (-0.004, 0, 0.076), 0.005, 2),
-    )
+    ]
     lens = [
         (0, 0),
         (0.03, 0),
@@ -281,22 +257,18 @@ def camera(w: Workshop) -> None:
         (0.0215, 0.032),
         (0, 0.031),
     ]
-    w.add("camera", "body", lathe(lens, 40).turned("x", 90).moved(-0.004, -0.016, 0.037))
-    w.add(
-        "camera",
-        "glass",
+    w["camera", "body"] += lathe(lens, 40).turned("x", 90).moved(-0.004, -0.016, 0.037)
+    w["camera", "glass"] += (
         lathe([(0, 0.0365), (0.012, 0.0352), (0.021, 0.0318), (0.0213, 0.031), (0, 0.031)], 32)
         .turned("x", 90)
-        .moved(-0.004, -0.016, 0.037),
+        .moved(-0.004, -0.016, 0.037)
     )
-    w.add(
-        "camera",
-        "top",
+    w["camera", "top"] += [
         cylinder(0.0085, 0.008, (0.042, 0, 0.077), 0.001, 24),
         cylinder(0.0045, 0.006, (0.056, -0.004, 0.077), 0.001, 16),
         cylinder(0.0095, 0.007, (-0.045, 0, 0.077), 0.001, 24),
-    )
-    w.add("camera", "glass", box((0.016, 0.002, 0.009), (-0.004, -0.0172, 0.078), 0.0006))
+    ]
+    w["camera", "glass"] += box((0.016, 0.002, 0.009), (-0.004, -0.0172, 0.078), 0.0006)
 
 
 @thing(
@@ -311,21 +283,17 @@ def camera(w: Workshop) -> None:
 )
 def keyboard(w: Workshop) -> None:
     slope = 5.0
-    w.add(
-        "board",
-        "case",
-        box((0.36, 0.135, 0.016), bevel=0.004, segments=2).bent(
-            lambda p: (
-                p
-                + np.column_stack(
-                    [
-                        0 * p[:, 0],
-                        0 * p[:, 0],
-                        np.where(p[:, 2] > 0.006, (p[:, 1] + 0.0675) * np.tan(np.radians(slope)), 0),
-                    ]
-                )
+    w["board", "case"] += box((0.36, 0.135, 0.016), bevel=0.004, segments=2).bent(
+        lambda p: (
+            p
+            + np.column_stack(
+                [
+                    0 * p[:, 0],
+                    0 * p[:, 0],
+                    np.where(p[:, 2] > 0.006, (p[:, 1] + 0.0675) * np.tan(np.radians(slope)), 0),
+                ]
             )
-        ),
+        )
     )
     for row in range(5):
         for k in range(14):
@@ -334,16 +302,12 @@ def keyboard(w: Workshop) -> None:
                 continue
             z = 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))
             slot = "dark" if k in (0, 12, 13) or (row == 0 and k % 5 == 0) else "keys"
-            w.add("keys", slot, box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(x, y, z))
+            w["keys", slot] += box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(x, y, z)
     for k in range(3):
         for row in range(5):
             y = 0.048 - 0.0212 * row
-            w.add(
-                "keys",
-                "keys",
-                box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(
-                    0.125 + 0.0192 * k, y, 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))
-                ),
+            w["keys", "keys"] += box((0.0168, 0.0185, 0.0075), bevel=0.0022).moved(
+                0.125 + 0.0192 * k, y, 0.0155 + (y + 0.0675) * np.tan(np.radians(slope))
             )
 
 
@@ -357,34 +321,24 @@ def keyboard(w: Workshop) -> None:
     blue=plastic("2f5fa8", 0.3),
 )
 def game_controller(w: Workshop) -> None:
-    w.add("pad", "body", soft_box((0.145, 0.07, 0.03), (0, 0.01, 0.016), 0.014, (0, 0.002, 0.004), 8))
+    w["pad", "body"] += soft_box((0.145, 0.07, 0.03), (0, 0.01, 0.016), 0.014, (0, 0.002, 0.004), 8)
     for side in (-1, 1):
-        w.add(
-            "pad",
-            "body",
-            tube(
-                [(side * 0.055, 0.012, 0.03), (side * 0.066, -0.02, 0.027), (side * 0.07, -0.052, 0.018)],
-                [0.0185, 0.0185, 0.0145],
-                18,
-                smooth=4,
-            ),
+        w["pad", "body"] += tube(
+            [(side * 0.055, 0.012, 0.03), (side * 0.066, -0.02, 0.027), (side * 0.07, -0.052, 0.018)],
+            [0.0185, 0.0185, 0.0145],
+            18,
+            smooth=4,
         )
-        w.add(
-            "pad",
-            "dark",
+        w["pad", "dark"] += [
             cylinder(0.0085, 0.012, (side * 0.027, -0.012, 0.045), 0.001, 20),
             lathe([(0, 0), (0.012, 0), (0.0125, 0.003), (0.009, 0.004), (0, 0.0028)], 24).moved(
                 side * 0.027, -0.012, 0.056
             ),
-        )
-        w.add(
-            "pad", "dark", soft_box((0.036, 0.016, 0.029), (side * 0.05, 0.044, 0.0035), 0.005, (0, 0, 0), 6)
-        )
+        ]
+        w["pad", "dark"] += soft_box((0.036, 0.016, 0.029), (side * 0.05, 0.044, 0.0035), 0.005, (0, 0, 0), 6)
     for dx, dy, slot in ((0, 0.012, "blue"), (0, -0.012, "blue"), (0.012, 0, "red"), (-0.012, 0, "red")):
-        w.add("pad", slot, cylinder(0.0048, 0.005, (0.053 + dx, 0.02 + dy, 0.047), 0.0012, 16))
-    w.add(
-        "pad",
-        "dark",
+        w["pad", slot] += cylinder(0.0048, 0.005, (0.053 + dx, 0.02 + dy, 0.047), 0.0012, 16)
+    w["pad", "dark"] += [
         box((0.026, 0.0085, 0.006), (-0.053, 0.02, 0.0465), 0.001),
         box((0.0085, 0.026, 0.006), (-0.053, 0.02, 0.0465), 0.001),
-    )
+    ]

@@ -92,8 +92,8 @@ def apple(size: float = 0.037) -> tuple[Shape, Shape]:
 @thing("apple", "Apple", "fruit", skin=APPLE, stalk=organic("4a3521", 0.8))
 def apple_alone(w: Workshop) -> None:
     fruit, stalk = apple()
-    w.add("apple", "skin", fruit)
-    w.add("apple", "stalk", stalk)
+    w["apple", "skin"] += fruit
+    w["apple", "stalk"] += stalk
 
 
 @thing("pear", "Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
@@ -113,20 +113,14 @@ def pear(w: Workshop) -> None:
         32,
         smooth=3,
     )
-    w.add(
-        "pear",
-        "skin",
-        body.bent(lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])),
+    w["pear", "skin"] += body.bent(
+        lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])
     )
-    w.add(
-        "pear",
-        "stalk",
-        tube(
-            [(0.004, 0, 0.093), (0.007, 0, 0.105), (0.014, 0.002, 0.115)],
-            [0.0014, 0.0012, 0.0018],
-            6,
-            smooth=2,
-        ),
+    w["pear", "stalk"] += tube(
+        [(0.004, 0, 0.093), (0.007, 0, 0.105), (0.014, 0.002, 0.115)],
+        [0.0014, 0.0012, 0.0018],
+        6,
+        smooth=2,
     )
 
 
@@ -150,7 +144,7 @@ def lemons(w: Workshop) -> None:
             smooth=3,
         )
         body = body.turned("y", 90).turned("z", angle)
-        w.add("lemons", "skin", body.moved(x, y, -body.points[:, 2].min()))
+        w["lemons", "skin"] += body.moved(x, y, -body.points[:, 2].min())
 
 
 def _banana_skin(g: Graph) -> bpy.types.Material:
@@ -219,9 +213,9 @@ def bananas(w: Workshop) -> None:
             lowest = fruit.turned("y", -pitch).points[:, 2].min() + height
             low, high = (pitch, high) if lowest < 0 else (low, pitch)
         fruit = fruit.turned("y", -high).turned("z", yaw)
-        w.add("bananas", "skin", fruit.moved(0.002, 0.0085 * (k - 1.5), height))
+        w["bananas", "skin"] += fruit.moved(0.002, 0.0085 * (k - 1.5), height)
     crown = soft_box((0.022, 0.044, 0.02), (-0.004, 0, 0), 0.008, (0.001, 0.002, 0.001), 8)
-    w.add("bananas", "crown", crown)
+    w["bananas", "crown"] += crown
 
 
 @thing(
@@ -235,20 +229,16 @@ def bananas(w: Workshop) -> None:
     stalk=organic("4a3521", 0.8),
 )
 def fruit_bowl(w: Workshop) -> None:
-    w.add(
-        "bowl",
-        "bowl",
-        vessel(
-            [(0.05, 0.004), (0.053, 0.009), (0.09, 0.03), (0.125, 0.06), (0.137, 0.08)], 0.005, foot=0.005
-        ),
+    w["bowl", "bowl"] += vessel(
+        [(0.05, 0.004), (0.053, 0.009), (0.09, 0.03), (0.125, 0.06), (0.137, 0.08)], 0.005, foot=0.005
     )
     orange = unit(sphere(0.037, segments=28, squash=0.95))
     fruit, stalk = apple(0.036)
     for x, y, z in ((0.058, 0.01, 0.062), (-0.03, 0.055, 0.062), (0.002, 0.002, 0.108)):
-        w.add("fruit", "orange", orange.turned("x", 40 * x * 20).moved(x, y, z))
+        w["fruit", "orange"] += orange.turned("x", 40 * x * 20).moved(x, y, z)
     for x, y, z, lean in ((-0.042, -0.034, 0.026, 14), (0.025, -0.066, 0.03, -18)):
         for slot, shape in (("apple", fruit), ("stalk", stalk)):
-            w.add("fruit", slot, shape.turned("y", lean).moved(x, y, z))
+            w["fruit", slot] += shape.turned("y", lean).moved(x, y, z)
     pear_body = lathe(
         [
             (0, 0.004),
@@ -264,4 +254,4 @@ def fruit_bowl(w: Workshop) -> None:
         28,
         smooth=3,
     )
-    w.add("fruit", "pear", pear_body.turned("x", 74).turned("z", 30).moved(0.055, 0.062, 0.064))
+    w["fruit", "pear"] += pear_body.turned("x", 74).turned("z", 30).moved(0.055, 0.062, 0.064)

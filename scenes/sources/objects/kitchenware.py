@@ -39,12 +39,8 @@ from scenes.sources.shapes import (
     grip=plastic("1a1a1c", 0.4),
 )
 def saucepan(w: Workshop) -> None:
-    w.add(
-        "pan",
-        "steel",
-        vessel(
-            [(0.084, 0.002), (0.09, 0.006), (0.091, 0.05), (0.0915, 0.1), (0.0945, 0.104)], 0.0022, smooth=3
-        ),
+    w["pan", "steel"] += vessel(
+        [(0.084, 0.002), (0.09, 0.006), (0.091, 0.05), (0.0915, 0.1), (0.0945, 0.104)], 0.0022, smooth=3
     )
     lid = lathe(
         [
@@ -58,34 +54,26 @@ def saucepan(w: Workshop) -> None:
         ],
         44,
     )
-    w.add("lid", "steel", lid)
-    w.add(
-        "lid",
-        "grip",
-        lathe(
-            [
-                (0, 0.124),
-                (0.008, 0.125),
-                (0.008, 0.133),
-                (0.019, 0.138),
-                (0.02, 0.144),
-                (0.014, 0.149),
-                (0, 0.15),
-            ],
-            24,
-        ),
+    w["lid", "steel"] += lid
+    w["lid", "grip"] += lathe(
+        [
+            (0, 0.124),
+            (0.008, 0.125),
+            (0.008, 0.133),
+            (0.019, 0.138),
+            (0.02, 0.144),
+            (0.014, 0.149),
+            (0, 0.15),
+        ],
+        24,
     )
-    w.add("pan", "steel", tube([(0.088, 0, 0.078), (0.115, 0, 0.084), (0.14, 0, 0.09)], 0.0055, 10, smooth=3))
-    w.add(
-        "pan",
-        "grip",
-        tube(
-            [(0.13, 0, 0.088), (0.17, 0, 0.097), (0.23, 0, 0.106), (0.262, 0, 0.109)],
-            [0.0085, 0.0105, 0.0115, 0.009],
-            14,
-            smooth=4,
-        ).scaled(1, 1.25, 1),
-    )
+    w["pan", "steel"] += tube([(0.088, 0, 0.078), (0.115, 0, 0.084), (0.14, 0, 0.09)], 0.0055, 10, smooth=3)
+    w["pan", "grip"] += tube(
+        [(0.13, 0, 0.088), (0.17, 0, 0.097), (0.23, 0, 0.106), (0.262, 0, 0.109)],
+        [0.0085, 0.0105, 0.0115, 0.009],
+        14,
+        smooth=4,
+    ).scaled(1, 1.25, 1)
 
 
 @thing(
@@ -96,12 +84,10 @@ def saucepan(w: Workshop) -> None:
     iron=Slot(("metal",), ("metal",), "iron_cast"),
 )
 def frying_pan(w: Workshop) -> None:
-    w.add(
-        "pan", "iron", vessel([(0.1, 0.002), (0.106, 0.006), (0.122, 0.036), (0.128, 0.045)], 0.004, smooth=3)
+    w["pan", "iron"] += vessel(
+        [(0.1, 0.002), (0.106, 0.006), (0.122, 0.036), (0.128, 0.045)], 0.004, smooth=3
     )
-    w.add(
-        "pan",
-        "iron",
+    w["pan", "iron"] += (
         tube(
             [(0.12, 0, 0.036), (0.16, 0, 0.045), (0.22, 0, 0.054), (0.27, 0, 0.056)],
             [0.011, 0.0095, 0.011, 0.012],
@@ -109,7 +95,7 @@ def frying_pan(w: Workshop) -> None:
             smooth=4,
         )
         .scaled(1, 1.2, 1)
-        .bent(lambda p: p * [1, 1, 1.0]),
+        .bent(lambda p: p * [1, 1, 1.0])
     )
 
 
@@ -126,7 +112,7 @@ def frying_pan(w: Workshop) -> None:
 def knife_block(w: Workshop) -> None:
     side = [(-0.075, 0.0), (0.075, 0.0), (0.075, 0.13), (-0.02, 0.215), (-0.075, 0.155)]
     block = extrude(side, 0.1, 0.004, 2).turned("x", 90).moved(0, 0.05, 0).turned("z", 90)
-    w.add("block", "wood", block)
+    w["block", "wood"] += block
     # the slanted face runs from (-0.02, 0.215) to (0.075, 0.13) in the side view; after the turn that is along y
     normal, along = np.array([0.0, 0.667, 0.745]), np.array([0.0, 0.745, -0.667])
     start = np.array([0.0, -0.02, 0.215])
@@ -139,20 +125,16 @@ def knife_block(w: Workshop) -> None:
         (0.033, 0.085, 0.08, 0.0075),
     ):
         foot = start + along * d + [x, 0, 0]
-        w.add("knives", "steel", tube([foot - 0.01 * normal, foot + 0.012 * normal], thick * 0.8, 10))
-        w.add(
-            "knives",
-            "grip",
-            tube(
-                [
-                    foot + 0.012 * normal,
-                    foot + 0.35 * length * normal + 0.002 * along,
-                    foot + length * normal + 0.006 * along,
-                ],
-                [thick, thick * 0.9, thick * 1.05],
-                12,
-                smooth=3,
-            ),
+        w["knives", "steel"] += tube([foot - 0.01 * normal, foot + 0.012 * normal], thick * 0.8, 10)
+        w["knives", "grip"] += tube(
+            [
+                foot + 0.012 * normal,
+                foot + 0.35 * length * normal + 0.002 * along,
+                foot + length * normal + 0.006 * along,
+            ],
+            [thick, thick * 0.9, thick * 1.05],
+            12,
+            smooth=3,
         )
 
 
@@ -165,9 +147,9 @@ def knife_block(w: Workshop) -> None:
 )
 def chopping_board(w: Workshop) -> None:
     outline = rounded_rectangle(0.36, 0.22, 0.02, 5)
-    w.add("board", "wood", extrude(outline, 0.02, 0.003, 2))
+    w["board", "wood"] += extrude(outline, 0.02, 0.003, 2)
     grip = [(x + 0.22, y) for x, y in rounded_rectangle(0.12, 0.05, 0.02, 5)]
-    w.add("board", "wood", extrude(grip, 0.0199, 0.003, 2).moved(z=0.00005))
+    w["board", "wood"] += extrude(grip, 0.0199, 0.003, 2).moved(z=0.00005)
 
 
 @thing(
@@ -180,56 +162,40 @@ def chopping_board(w: Workshop) -> None:
     steel=metal(rough=0.18),
 )
 def kettle(w: Workshop) -> None:
-    w.add(
-        "kettle",
-        "body",
-        lathe(
-            [
-                (0, 0.002),
-                (0.088, 0.002),
-                (0.098, 0.01),
-                (0.102, 0.035),
-                (0.092, 0.085),
-                (0.06, 0.125),
-                (0.046, 0.132),
-                (0, 0.132),
-            ],
-            44,
-            smooth=0,
-        ),
+    w["kettle", "body"] += lathe(
+        [
+            (0, 0.002),
+            (0.088, 0.002),
+            (0.098, 0.01),
+            (0.102, 0.035),
+            (0.092, 0.085),
+            (0.06, 0.125),
+            (0.046, 0.132),
+            (0, 0.132),
+        ],
+        44,
+        smooth=0,
     )
-    w.add(
-        "kettle",
-        "steel",
+    w["kettle", "steel"] += [
         lathe([(0, 0), (0.09, 0), (0.094, 0.003), (0.09, 0.006), (0, 0.006)], 44),
         lathe([(0, 0.131), (0.045, 0.131), (0.047, 0.135), (0.03, 0.143), (0, 0.146)], 36),
+    ]
+    w["kettle", "grip"] += sphere(0.013, (0, 0, 0.156), 18)
+    w["kettle", "body"] += tube(
+        [(-0.08, 0, 0.055), (-0.115, 0, 0.075), (-0.13, 0, 0.105), (-0.147, 0, 0.128)],
+        [0.022, 0.017, 0.013, 0.0105],
+        16,
+        smooth=4,
     )
-    w.add("kettle", "grip", sphere(0.013, (0, 0, 0.156), 18))
-    w.add(
-        "kettle",
-        "body",
-        tube(
-            [(-0.08, 0, 0.055), (-0.115, 0, 0.075), (-0.13, 0, 0.105), (-0.147, 0, 0.128)],
-            [0.022, 0.017, 0.013, 0.0105],
-            16,
-            smooth=4,
-        ),
-    )
-    w.add(
-        "kettle",
-        "steel",
+    w["kettle", "steel"] += [
         tube([(0.062, 0, 0.118), (0.078, 0, 0.16), (0.06, 0, 0.2)], 0.0045, 10, smooth=4),
         tube([(-0.062, 0, 0.118), (-0.078, 0, 0.16), (-0.06, 0, 0.2)], 0.0045, 10, smooth=4),
-    )
-    w.add(
-        "kettle",
-        "grip",
-        tube(
-            [(-0.066, 0, 0.193), (-0.035, 0, 0.215), (0.0, 0, 0.22), (0.035, 0, 0.215), (0.066, 0, 0.193)],
-            [0.008, 0.011, 0.012, 0.011, 0.008],
-            12,
-            smooth=4,
-        ),
+    ]
+    w["kettle", "grip"] += tube(
+        [(-0.066, 0, 0.193), (-0.035, 0, 0.215), (0.0, 0, 0.22), (0.035, 0, 0.215), (0.066, 0, 0.193)],
+        [0.008, 0.011, 0.012, 0.011, 0.008],
+        12,
+        smooth=4,
     )
 
 
@@ -244,10 +210,8 @@ def kettle(w: Workshop) -> None:
     steel=metal(rough=0.2),
 )
 def utensil_jar(w: Workshop) -> None:
-    w.add(
-        "jar",
-        "jar",
-        vessel([(0.05, 0.002), (0.056, 0.008), (0.058, 0.08), (0.055, 0.13), (0.058, 0.14)], 0.005, smooth=3),
+    w["jar", "jar"] += vessel(
+        [(0.05, 0.002), (0.056, 0.008), (0.058, 0.08), (0.055, 0.13), (0.058, 0.14)], 0.005, smooth=3
     )
     for slot, angle, lean, head in (
         ("wood", 20, 12, "spoon"),
@@ -286,23 +250,17 @@ def utensil_jar(w: Workshop) -> None:
             )
         tool = join([stick, top]).turned("y", lean).turned("z", angle)
         out = 0.014
-        w.add(
-            "tools",
-            slot,
-            tool.moved(-out * np.cos(np.radians(angle)), -out * np.sin(np.radians(angle)), 0.0115),
+        w["tools", slot] += tool.moved(
+            -out * np.cos(np.radians(angle)), -out * np.sin(np.radians(angle)), 0.0115
         )
 
 
 @thing("egg_cup", "Egg cup with egg", "kitchenware", cup=glaze("d3c7a8", 0.15), egg=organic("d9b899", 0.5))
 def egg_cup(w: Workshop) -> None:
-    w.add(
-        "cup",
-        "cup",
-        vessel(
-            [(0.02, 0.001), (0.021, 0.004), (0.011, 0.014), (0.012, 0.022), (0.0225, 0.036), (0.0245, 0.048)],
-            0.0025,
-            smooth=4,
-        ),
+    w["cup", "cup"] += vessel(
+        [(0.02, 0.001), (0.021, 0.004), (0.011, 0.014), (0.012, 0.022), (0.0225, 0.036), (0.0245, 0.048)],
+        0.0025,
+        smooth=4,
     )
     curve = smooth_curve(
         [
@@ -316,36 +274,28 @@ def egg_cup(w: Workshop) -> None:
         ],
         3,
     )
-    w.add("egg", "egg", lathe(curve, 28))
+    w["egg", "egg"] += lathe(curve, 28)
 
 
 @thing("peppermill", "Pepper mill", "kitchenware", wood=wood("walnut_lacquered"), steel=metal(rough=0.15))
 def peppermill(w: Workshop) -> None:
-    w.add(
-        "mill",
-        "wood",
-        lathe(
-            [
-                (0, 0),
-                (0.028, 0),
-                (0.03, 0.004),
-                (0.029, 0.02),
-                (0.02, 0.05),
-                (0.017, 0.08),
-                (0.022, 0.115),
-                (0.021, 0.13),
-                (0.012, 0.1345),
-                (0, 0.1345),
-            ],
-            32,
-            smooth=0,
-        ).uv_turned(),
-    )
-    w.add(
-        "mill",
-        "wood",
-        lathe(
-            [(0, 0.136), (0.018, 0.136), (0.0225, 0.142), (0.024, 0.155), (0.018, 0.17), (0, 0.176)], 32
-        ).uv_turned(),
-    )
-    w.add("mill", "steel", cylinder(0.0115, 0.003, (0, 0, 0.134), 0.0006), sphere(0.007, (0, 0, 0.179), 16))
+    w["mill", "wood"] += lathe(
+        [
+            (0, 0),
+            (0.028, 0),
+            (0.03, 0.004),
+            (0.029, 0.02),
+            (0.02, 0.05),
+            (0.017, 0.08),
+            (0.022, 0.115),
+            (0.021, 0.13),
+            (0.012, 0.1345),
+            (0, 0.1345),
+        ],
+        32,
+        smooth=0,
+    ).uv_turned()
+    w["mill", "wood"] += lathe(
+        [(0, 0.136), (0.018, 0.136), (0.0225, 0.142), (0.024, 0.155), (0.018, 0.17), (0, 0.176)], 32
+    ).uv_turned()
+    w["mill", "steel"] += [cylinder(0.0115, 0.003, (0, 0, 0.134), 0.0006), sphere(0.007, (0, 0, 0.179), 16)]

@@ -43,33 +43,27 @@ from scenes.sources.shapes import (
     shade=Slot(("fabric",), ("fabric", "paper"), color=srgb("dcd2bd"), roughness=0.85),
 )
 def lamp_table(w: Workshop) -> None:
-    w.add(
-        "base",
-        "base",
-        lathe(
-            [
-                (0, 0.012),
-                (0.05, 0.012),
-                (0.062, 0.03),
-                (0.082, 0.08),
-                (0.076, 0.13),
-                (0.045, 0.18),
-                (0.022, 0.205),
-                (0.02, 0.215),
-                (0, 0.215),
-            ],
-            40,
-            smooth=0,
-        ),
+    w["base", "base"] += lathe(
+        [
+            (0, 0.012),
+            (0.05, 0.012),
+            (0.062, 0.03),
+            (0.082, 0.08),
+            (0.076, 0.13),
+            (0.045, 0.18),
+            (0.022, 0.205),
+            (0.02, 0.215),
+            (0, 0.215),
+        ],
+        40,
+        smooth=0,
     )
-    w.add(
-        "base",
-        "metal",
+    w["base", "metal"] += [
         cylinder(0.058, 0.013, bevel=0.004, segments=40),
         cylinder(0.012, 0.075, (0, 0, 0.21), 0.002, 20),
-    )
-    w.add("base", "metal", decor.spider(0.104, 0.44).scaled(1, 1, 1))
-    w.add("shade", "shade", decor.drum_shade(0.105, 0.15, 0.19, 40).moved(z=0.255))
+    ]
+    w["base", "metal"] += decor.spider(0.104, 0.44).scaled(1, 1, 1)
+    w["shade", "shade"] += decor.drum_shade(0.105, 0.15, 0.19, 40).moved(z=0.255)
 
 
 @thing(
@@ -81,23 +75,17 @@ def lamp_table(w: Workshop) -> None:
     inside=fixed("e8e6df", 0.35, "painted"),
 )
 def lamp_desk(w: Workshop) -> None:
-    w.add(
-        "base",
-        "paint",
-        lathe(
-            [(0, 0), (0.085, 0), (0.09, 0.005), (0.086, 0.018), (0.03, 0.026), (0.018, 0.04), (0, 0.042)], 40
-        ),
+    w["base", "paint"] += lathe(
+        [(0, 0), (0.085, 0), (0.09, 0.005), (0.086, 0.018), (0.03, 0.026), (0.018, 0.04), (0, 0.042)], 40
     )
     elbow, head = np.array([0.0, 0.09, 0.27]), np.array([0.0, -0.1, 0.42])
     for x in (-0.011, 0.011):
-        w.add(
-            "arm",
-            "steel",
+        w["arm", "steel"] += [
             tube([(x, 0.0, 0.03), (x, *elbow[1:])], 0.0042, 8),
             tube([(x, *elbow[1:]), (x, *head[1:])], 0.0042, 8),
-        )
+        ]
     for at in ((0, 0, 0.038), tuple(elbow), tuple(head)):
-        w.add("arm", "paint", cylinder(0.013, 0.036, (0, 0, -0.018), 0.003, 20).turned("y", 90).moved(*at))
+        w["arm", "paint"] += cylinder(0.013, 0.036, (0, 0, -0.018), 0.003, 20).turned("y", 90).moved(*at)
     outer = [
         (0.0, 0.075),
         (0.022, 0.072),
@@ -109,11 +97,9 @@ def lamp_desk(w: Workshop) -> None:
     ]
     shell = [*outer, (0.0775, -0.041), (0.074, -0.0355), (0.048, 0.007), (0.031, 0.028), (0, 0.03)]
     lean = 28
-    w.add("head", "paint", lathe(shell, 40).turned("x", -lean).moved(*(head + np.array([0, -0.035, -0.045]))))
-    w.add(
-        "head",
-        "inside",
-        sphere(0.024, segments=20).turned("x", -lean).moved(*(head + np.array([0, -0.028, -0.066]))),
+    w["head", "paint"] += lathe(shell, 40).turned("x", -lean).moved(*(head + np.array([0, -0.035, -0.045])))
+    w["head", "inside"] += (
+        sphere(0.024, segments=20).turned("x", -lean).moved(*(head + np.array([0, -0.028, -0.066])))
     )
 
 
@@ -127,66 +113,48 @@ def lamp_desk(w: Workshop) -> None:
 )
 def lantern(w: Workshop) -> None:
     s, h = 0.075, 0.2
-    w.add(
-        "frame",
-        "iron",
+    w["frame", "iron"] += [
         box((0.165, 0.165, 0.014), (0, 0, 0.006), 0.004, 2),
         box((0.165, 0.165, 0.012), (0, 0, h + 0.015), 0.004, 2),
-    )
+    ]
     for x in (-s, s):
         for y in (-s, s):
-            w.add(
-                "frame",
-                "iron",
+            w["frame", "iron"] += [
                 box((0.009, 0.009, h), (x, y, 0.018), 0.002),
                 cylinder(0.009, 0.008, (x * 0.9, y * 0.9, 0), 0.003, 16),
-            )
-        w.add(
-            "frame",
-            "iron",
+            ]
+        w["frame", "iron"] += [
             tube([(x, -s, 0.12), (x, s, 0.12)], 0.0028, 8),
             tube([(-s, x, 0.12), (s, x, 0.12)], 0.0028, 8),
-        )
-    w.add(
-        "frame",
-        "iron",
-        lathe(
-            [(0.1, h + 0.026), (0.085, h + 0.045), (0.03, h + 0.08), (0.026, h + 0.1), (0, h + 0.104)], 4
-        ).turned("z", 45),
+        ]
+    w["frame", "iron"] += lathe(
+        [(0.1, h + 0.026), (0.085, h + 0.045), (0.03, h + 0.08), (0.026, h + 0.1), (0, h + 0.104)], 4
+    ).turned("z", 45)
+    w["frame", "iron"] += tube(
+        [
+            (-0.022, 0, h + 0.098),
+            (-0.03, 0, h + 0.13),
+            (0, 0, h + 0.152),
+            (0.03, 0, h + 0.13),
+            (0.022, 0, h + 0.098),
+        ],
+        0.003,
+        8,
+        smooth=5,
     )
-    w.add(
-        "frame",
-        "iron",
-        tube(
-            [
-                (-0.022, 0, h + 0.098),
-                (-0.03, 0, h + 0.13),
-                (0, 0, h + 0.152),
-                (0.03, 0, h + 0.13),
-                (0.022, 0, h + 0.098),
-            ],
-            0.003,
-            8,
-            smooth=5,
-        ),
+    w["candle", "wax"] += lathe(
+        [
+            (0, 0.02),
+            (0.036, 0.02),
+            (0.037, 0.03),
+            (0.0365, 0.112),
+            (0.033, 0.118),
+            (0.02, 0.114),
+            (0, 0.112),
+        ],
+        32,
     )
-    w.add(
-        "candle",
-        "wax",
-        lathe(
-            [
-                (0, 0.02),
-                (0.036, 0.02),
-                (0.037, 0.03),
-                (0.0365, 0.112),
-                (0.033, 0.118),
-                (0.02, 0.114),
-                (0, 0.112),
-            ],
-            32,
-        ),
-    )
-    w.add("candle", "wick", tube([(0, 0, 0.11), (0.001, 0, 0.122), (0.004, 0, 0.13)], 0.0012, 6))
+    w["candle", "wick"] += tube([(0, 0, 0.11), (0.001, 0, 0.122), (0.004, 0, 0.13)], 0.0012, 6)
 
 
 def _standing_frame(w: Workshop, width: float, height: float, rim: float, art_slot: str) -> None:
@@ -199,15 +167,13 @@ def _standing_frame(w: Workshop, width: float, height: float, rim: float, art_sl
     picture = panel(width - 2 * rim, height - 2 * rim, (0, 0.0015, rim))
     lean = -12
     for part in parts:
-        w.add("frame", "frame", part.turned("x", lean))
-    w.add("frame", "backing", back.turned("x", lean))
-    w.add("frame", art_slot, picture.turned("x", lean))
+        w["frame", "frame"] += part.turned("x", lean)
+    w["frame", "backing"] += back.turned("x", lean)
+    w["frame", art_slot] += picture.turned("x", lean)
     strut = box((0.05, 0.004, height * 0.72), (0, 0, 0), 0.001).turned("x", 20)
     top = 0.72 * height
-    w.add(
-        "frame",
-        "backing",
-        strut.moved(0, np.sin(np.radians(12)) * top + np.sin(np.radians(20)) * top * 0.96 + 0.006, 0.0),
+    w["frame", "backing"] += strut.moved(
+        0, np.sin(np.radians(12)) * top + np.sin(np.radians(20)) * top * 0.96 + 0.006, 0.0
     )
 
 
@@ -259,22 +225,18 @@ def frame_landscape(w: Workshop) -> None:
     mirror=Slot(("metal",), (), color=(0.9, 0.9, 0.9), roughness=0.05, metallic=1.0),
 )
 def mirror_stand(w: Workshop) -> None:
-    w.add(
-        "stand",
-        "frame",
-        lathe(
-            [
-                (0, 0),
-                (0.07, 0),
-                (0.073, 0.004),
-                (0.066, 0.011),
-                (0.014, 0.016),
-                (0.008, 0.03),
-                (0.008, 0.13),
-                (0, 0.132),
-            ],
-            36,
-        ),
+    w["stand", "frame"] += lathe(
+        [
+            (0, 0),
+            (0.07, 0),
+            (0.073, 0.004),
+            (0.066, 0.011),
+            (0.014, 0.016),
+            (0.008, 0.03),
+            (0.008, 0.13),
+            (0, 0.132),
+        ],
+        36,
     )
     disc = lathe(
         [
@@ -288,9 +250,9 @@ def mirror_stand(w: Workshop) -> None:
         ],
         48,
     )
-    w.add("head", "frame", disc.turned("x", 78).moved(z=0.225))
+    w["head", "frame"] += disc.turned("x", 78).moved(z=0.225)
     glass = lathe([(0, 0.0058), (0.0915, 0.0058), (0.0915, 0.0056), (0, 0.0052)], 48)
-    w.add("head", "mirror", glass.turned("x", 78).moved(z=0.225))
+    w["head", "mirror"] += glass.turned("x", 78).moved(z=0.225)
 
 
 def _hands(
@@ -306,13 +268,11 @@ def _hands(
         hand = box((width * radius, 0.0012, length * radius), (0, 0, -0.1 * radius), 0.0003).turned(
             "y", angle
         )
-        w.add(part, slot, hand.moved(*at))
-    w.add(
-        part,
-        slot,
+        w[part, slot] += hand.moved(*at)
+    w[part, slot] += (
         cylinder(0.05 * radius, 0.003, segments=16, bevel=0.0005)
         .turned("x", 90)
-        .moved(at[0], at[1] + 0.001, at[2]),
+        .moved(at[0], at[1] + 0.001, at[2])
     )
 
 
@@ -353,30 +313,24 @@ def clock_alarm(w: Workshop) -> None:
         44,
     )
     z = 0.066
-    w.add("case", "case", drum.turned("x", 90).moved(0, 0.022, z))
-    w.add("case", "dial", _face(r - 0.0035).moved(0, -0.0192, z))
+    w["case", "case"] += drum.turned("x", 90).moved(0, 0.022, z)
+    w["case", "dial"] += _face(r - 0.0035).moved(0, -0.0192, z)
     _hands(w, "case", "hands", (0, -0.0212, z), r, 10.2, 9)
     bell = lathe(
         [(0, 0.016), (0.012, 0.014), (0.0195, 0.006), (0.021, 0), (0.0195, 0), (0.011, 0.012), (0, 0.014)], 28
     )
     for side in (-1, 1):
-        w.add("case", "bells", bell.moved(z=0.004).turned("y", 32 * side).moved(0.034 * side, 0, z + 0.046))
-        w.add("case", "bells", tube([(0.027 * side, 0, z + 0.036), (0.036 * side, 0, z + 0.052)], 0.003, 8))
-        w.add(
-            "case",
-            "bells",
-            tube([(0.028 * side, 0, z - 0.04), (0.037 * side, -0.016, 0.003)], [0.0045, 0.0035], 10),
+        w["case", "bells"] += bell.moved(z=0.004).turned("y", 32 * side).moved(0.034 * side, 0, z + 0.046)
+        w["case", "bells"] += tube([(0.027 * side, 0, z + 0.036), (0.036 * side, 0, z + 0.052)], 0.003, 8)
+        w["case", "bells"] += tube(
+            [(0.028 * side, 0, z - 0.04), (0.037 * side, -0.016, 0.003)], [0.0045, 0.0035], 10
         )
-    w.add("case", "bells", tube([(0, 0.014, z - 0.045), (0, 0.03, 0.003)], [0.0045, 0.0035], 10))
-    w.add(
-        "case",
-        "bells",
-        tube(
-            [(-0.016, 0, z + 0.05), (-0.014, 0, z + 0.078), (0.014, 0, z + 0.078), (0.016, 0, z + 0.05)],
-            0.002,
-            8,
-            smooth=4,
-        ),
+    w["case", "bells"] += tube([(0, 0.014, z - 0.045), (0, 0.03, 0.003)], [0.0045, 0.0035], 10)
+    w["case", "bells"] += tube(
+        [(-0.016, 0, z + 0.05), (-0.014, 0, z + 0.078), (0.014, 0, z + 0.078), (0.016, 0, z + 0.05)],
+        0.002,
+        8,
+        smooth=4,
     )
 
 
@@ -393,14 +347,14 @@ def clock_alarm(w: Workshop) -> None:
 def clock_mantel(w: Workshop) -> None:
     outline = [(-0.15, 0.03), (0.15, 0.03), (0.14, 0.06), (0.115, 0.085), (0.1, 0.13), (0.08, 0.165), (0.05, 0.186), (0.0, 0.194),
                (-0.05, 0.186), (-0.08, 0.165), (-0.1, 0.13), (-0.115, 0.085), (-0.14, 0.06)]  # fmt: skip
-    w.add("case", "case", extrude(outline, 0.09, 0.006, 2).turned("x", 90).moved(0, 0.045, 0))
-    w.add("case", "case", box((0.34, 0.12, 0.03), (0, 0, 0.008), 0.006, 2, grain=0))
+    w["case", "case"] += extrude(outline, 0.09, 0.006, 2).turned("x", 90).moved(0, 0.045, 0)
+    w["case", "case"] += box((0.34, 0.12, 0.03), (0, 0, 0.008), 0.006, 2, grain=0)
     for x in (-0.14, 0.14):
         for y in (-0.04, 0.04):
-            w.add("case", "brass", sphere(0.0115, (x, y, 0.0095), 16, 0.82))
+            w["case", "brass"] += sphere(0.0115, (x, y, 0.0095), 16, 0.82)
     ring = lathe([(0.062, 0), (0.074, 0), (0.075, 0.006), (0.069, 0.01), (0.063, 0.006), (0.062, 0)], 48)
-    w.add("case", "brass", ring.turned("x", 90).moved(0, -0.044, 0.115))
-    w.add("case", "dial", _face(0.064).moved(0, -0.0465, 0.115))
+    w["case", "brass"] += ring.turned("x", 90).moved(0, -0.044, 0.115)
+    w["case", "dial"] += _face(0.064).moved(0, -0.0465, 0.115)
     _hands(w, "case", "hands", (0, -0.0488, 0.115), 0.064, 4.4, 24)
 
 
@@ -408,17 +362,11 @@ def clock_mantel(w: Workshop) -> None:
     "hourglass_timer", "Kitchen timer", "clock", shell=plastic("d8d2c2", 0.3), knob=plastic("b5482f", 0.35)
 )
 def hourglass_timer(w: Workshop) -> None:
-    w.add(
-        "timer",
-        "shell",
-        lathe(
-            [(0, 0), (0.03, 0), (0.034, 0.004), (0.037, 0.02), (0.033, 0.036), (0.03, 0.0375), (0, 0.0375)],
-            36,
-        ),
+    w["timer", "shell"] += lathe(
+        [(0, 0), (0.03, 0), (0.034, 0.004), (0.037, 0.02), (0.033, 0.036), (0.03, 0.0375), (0, 0.0375)],
+        36,
     )
-    w.add(
-        "timer",
-        "knob",
+    w["timer", "knob"] += [
         lathe([(0, 0.0378), (0.031, 0.0378), (0.032, 0.041), (0.03, 0.052), (0.02, 0.058), (0, 0.0595)], 36),
         box((0.008, 0.044, 0.012), (0, 0, 0.054), 0.003, 2),
-    )
+    ]

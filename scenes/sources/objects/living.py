@@ -39,8 +39,8 @@ def flat(shape: Shape) -> Shape:
 )
 def cushion_square(w: Workshop) -> None:
     shape = pillow((0.45, 0.45, 0.16), 13, seed=3)
-    w.add("cushion", "cover", shape)
-    w.add("cushion", "piping", _piping(0.45, 0.45, 0.064, 0.0035))
+    w["cushion", "cover"] += shape
+    w["cushion", "piping"] += _piping(0.45, 0.45, 0.064, 0.0035)
 
 
 def _piping(sx: float, sy: float, z: float, radius: float, pinch: float = 0.07) -> Shape:
@@ -58,7 +58,7 @@ def _piping(sx: float, sy: float, z: float, radius: float, pinch: float = 0.07) 
 
 @thing("cushion_stripe", "Striped cushion", "cushion", supports=SEAT, cover=fabric("ticking_stripe"))
 def cushion_stripe(w: Workshop) -> None:
-    w.add("cushion", "cover", pillow((0.55, 0.36, 0.15), 13, seed=8))
+    w["cushion", "cover"] += pillow((0.55, 0.36, 0.15), 13, seed=8)
 
 
 @thing(
@@ -94,8 +94,8 @@ def cushion_round(w: Workshop) -> None:
         q[:, 2] += 0.0022 * fade * np.cos(18 * a)
         return q
 
-    w.add("cushion", "cover", body.bent(pleats))
-    w.add("cushion", "button", sphere(0.014, (0, 0, 0.09), 20, 0.55))
+    w["cushion", "cover"] += body.bent(pleats)
+    w["cushion", "button"] += sphere(0.014, (0, 0, 0.09), 20, 0.55)
 
 
 @thing("cushion_bolster", "Bolster", "cushion", supports=SEAT, cover=leather("leather_tan"))
@@ -120,14 +120,14 @@ def cushion_bolster(w: Workshop) -> None:
         """Flattened where it lies."""
         return np.column_stack([p[:, :2], np.maximum(p[:, 2], 0.006)])
 
-    w.add("cushion", "cover", roll.bent(resting))
+    w["cushion", "cover"] += roll.bent(resting)
     rings = [
         tube(
             [(x, 0.0905 * np.cos(a), 0.088 + 0.0905 * np.sin(a)) for a in np.linspace(0, np.pi, 20)], 0.003, 6
         )
         for x in (-0.2, 0.2)
     ]
-    w.add("cushion", "cover", *rings)
+    w["cushion", "cover"] += rings
 
 
 @thing(
@@ -188,38 +188,32 @@ def plant_snake(w: Workshop) -> None:
         )
         from scenes.sources.shapes import sheet
 
-        w.add(
-            "plant",
-            "leaf",
+        w["plant", "leaf"] += (
             sheet(points, 0.003)
             .turned("z", float(np.degrees(angle)))
-            .moved(r * np.cos(angle), r * np.sin(angle), 0.108),
+            .moved(r * np.cos(angle), r * np.sin(angle), 0.108)
         )
 
 
 def _pot(w: Workshop, r: float, h: float) -> None:
-    w.add(
-        "pot",
-        "pot",
-        lathe(
-            [
-                (0, 0),
-                (0.72 * r, 0),
-                (0.75 * r, 0.003),
-                (0.94 * r, 0.78 * h),
-                (r, 0.785 * h),
-                (1.02 * r, 0.8 * h),
-                (1.02 * r, 0.985 * h),
-                (r, h),
-                (0.93 * r, h),
-                (0.9 * r, 0.9 * h),
-                (0.86 * r, 0.8 * h),
-                (0, 0.8 * h),
-            ],
-            36,
-        ),
+    w["pot", "pot"] += lathe(
+        [
+            (0, 0),
+            (0.72 * r, 0),
+            (0.75 * r, 0.003),
+            (0.94 * r, 0.78 * h),
+            (r, 0.785 * h),
+            (1.02 * r, 0.8 * h),
+            (1.02 * r, 0.985 * h),
+            (r, h),
+            (0.93 * r, h),
+            (0.9 * r, 0.9 * h),
+            (0.86 * r, 0.8 * h),
+            (0, 0.8 * h),
+        ],
+        36,
     )
-    w.add("pot", "soil", lathe([(0.885 * r, 0.84 * h), (0.5 * r, 0.87 * h), (0, 0.86 * h)], 24))
+    w["pot", "soil"] += lathe([(0.885 * r, 0.84 * h), (0.5 * r, 0.87 * h), (0, 0.86 * h)], 24)
 
 
 @thing(
@@ -245,11 +239,11 @@ def cactus(w: Workshop) -> None:
         q[:, :2] *= (1 + 0.12 * np.cos(12 * a))[:, None]
         return q
 
-    w.add("cactus", "leaf", body.bent(ribs))
+    w["cactus", "leaf"] += body.bent(ribs)
     for k in range(12):
         a = 2 * np.pi * k / 12
         for z, r in ((0.085, 0.036), (0.105, 0.0385), (0.125, 0.0385), (0.145, 0.034)):
             for lean in (-0.5, 0.5):
                 start = np.array([r * np.cos(a), r * np.sin(a), z])
                 tip = start + 0.008 * np.array([np.cos(a + lean), np.sin(a + lean), 0.4])
-                w.add("cactus", "spine", tube([start, tip], [0.0005, 0.0003], 3))
+                w["cactus", "spine"] += tube([start, tip], [0.0005, 0.0003], 3)

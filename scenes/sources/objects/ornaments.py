@@ -33,14 +33,12 @@ from scenes.sources.shapes import (
     wick=fixed("1a1512", 0.9),
 )
 def candlestick(w: Workshop) -> None:
-    w.add("stick", "metal", lathe([(0, 0), (0.05, 0), (0.052, 0.004), (0.046, 0.01), (0.02, 0.018), (0.011, 0.03), (0.009, 0.05), (0.015, 0.06), (0.009, 0.07), (0.0085, 0.12), (0.014, 0.13), (0.01, 0.138),
+    w["stick", "metal"] += (lathe([(0, 0), (0.05, 0), (0.052, 0.004), (0.046, 0.01), (0.02, 0.018), (0.011, 0.03), (0.009, 0.05), (0.015, 0.06), (0.009, 0.07), (0.0085, 0.12), (0.014, 0.13), (0.01, 0.138),
                                    (0.024, 0.146), (0.026, 0.15), (0.0135, 0.15), (0.013, 0.168), (0.0115, 0.168), (0.0112, 0.15), (0, 0.15)], 36))  # fmt: skip
-    w.add(
-        "candle",
-        "wax",
-        lathe([(0, 0.151), (0.0108, 0.151), (0.0105, 0.34), (0.009, 0.345), (0.004, 0.343), (0, 0.343)], 24),
+    w["candle", "wax"] += lathe(
+        [(0, 0.151), (0.0108, 0.151), (0.0105, 0.34), (0.009, 0.345), (0.004, 0.343), (0, 0.343)], 24
     )
-    w.add("candle", "wick", tube([(0, 0, 0.342), (0.0006, 0, 0.35), (0.003, 0, 0.357)], 0.0008, 5))
+    w["candle", "wick"] += tube([(0, 0, 0.342), (0.0006, 0, 0.35), (0.003, 0, 0.357)], 0.0008, 5)
 
 
 @thing(
@@ -54,13 +52,11 @@ def candlestick(w: Workshop) -> None:
 def candle_bowl(w: Workshop) -> None:
     from scenes.sources.objects.crockery import vessel
 
-    w.add("bowl", "bowl", vessel([(0.03, 0.002), (0.038, 0.01), (0.047, 0.03), (0.048, 0.055)], 0.005))
-    w.add(
-        "candle",
-        "wax",
-        lathe([(0, 0.01), (0.034, 0.012), (0.0405, 0.03), (0.0418, 0.043), (0.03, 0.042), (0, 0.0405)], 32),
+    w["bowl", "bowl"] += vessel([(0.03, 0.002), (0.038, 0.01), (0.047, 0.03), (0.048, 0.055)], 0.005)
+    w["candle", "wax"] += lathe(
+        [(0, 0.01), (0.034, 0.012), (0.0405, 0.03), (0.0418, 0.043), (0.03, 0.042), (0, 0.0405)], 32
     )
-    w.add("candle", "wick", tube([(0, 0, 0.04), (0.001, 0, 0.052)], 0.001, 5))
+    w["candle", "wick"] += tube([(0, 0, 0.04), (0.001, 0, 0.052)], 0.001, 5)
 
 
 @thing("statuette_knot", "Knot", "statuette", body=stone("marble_black"), plinth=wood("ebony"))
@@ -73,13 +69,11 @@ def statuette_knot(w: Workshop) -> None:
         * 0.03
     )
     knot[:, 2] -= knot[:, 2].min() - 0.05
-    w.add("knot", "body", tube(knot, 0.0165, 14, closed=True))
-    w.add(
-        "plinth",
-        "plinth",
+    w["knot", "body"] += tube(knot, 0.0165, 14, closed=True)
+    w["plinth", "plinth"] += [
         box((0.09, 0.09, 0.036), bevel=0.003, segments=2),
         cylinder(0.012, 0.02, (0, 0, 0.034), 0.002, 16),
-    )
+    ]
 
 
 @thing("statuette_bird", "Bird", "statuette", body=clay("e2ddd2", 0.55), beak=metal((0.86, 0.70, 0.38), 0.3))
@@ -99,18 +93,16 @@ def statuette_bird(w: Workshop) -> None:
     radius = np.array([0.004, 0.012, 0.03, 0.036, 0.028, 0.021, 0.016, 0.004])
     path = np.column_stack([spine[:, 0], np.zeros(8), spine[:, 1]])
     bird = tube(path, radius, 24, smooth=5)
-    w.add(
-        "bird",
-        "body",
-        bird.bent(lambda p: np.column_stack([p[:, 0], p[:, 1] * 0.86, np.maximum(p[:, 2], 0.0125)])),
+    w["bird", "body"] += bird.bent(
+        lambda p: np.column_stack([p[:, 0], p[:, 1] * 0.86, np.maximum(p[:, 2], 0.0125)])
     )
-    w.add("bird", "beak", tube([(0.07, 0, 0.084), (0.084, 0, 0.08)], [0.0045, 0.0008], 8))
-    w.add("bird", "body", lathe([(0, 0), (0.026, 0), (0.028, 0.003), (0.024, 0.016), (0, 0.018)], 28))
+    w["bird", "beak"] += tube([(0.07, 0, 0.084), (0.084, 0, 0.08)], [0.0045, 0.0008], 8)
+    w["bird", "body"] += lathe([(0, 0), (0.026, 0), (0.028, 0.003), (0.024, 0.016), (0, 0.018)], 28)
 
 
 @thing("statuette_torso", "Turned figure", "statuette", body=stone("marble_white"))
 def statuette_torso(w: Workshop) -> None:
-    w.add("figure", "body", lathe([(0, 0), (0.044, 0), (0.046, 0.004), (0.043, 0.014), (0.03, 0.022), (0.026, 0.05), (0.034, 0.09), (0.03, 0.13), (0.018, 0.155), (0.013, 0.168), (0.024, 0.176), (0.012, 0.184),
+    w["figure", "body"] += (lathe([(0, 0), (0.044, 0), (0.046, 0.004), (0.043, 0.014), (0.03, 0.022), (0.026, 0.05), (0.034, 0.09), (0.03, 0.13), (0.018, 0.155), (0.013, 0.168), (0.024, 0.176), (0.012, 0.184),
                                    (0.02, 0.196), (0.026, 0.214), (0.02, 0.235), (0, 0.242)], 44, smooth=3))  # fmt: skip
 
 
@@ -119,14 +111,10 @@ def obelisk(w: Workshop) -> None:
     def ring(s: float, z: float) -> list[tuple[float, float, float]]:
         return [(-s, -s, z), (s, -s, z), (s, s, z), (-s, s, z)]
 
-    w.add(
-        "obelisk",
-        "body",
-        loft(np.array([ring(0.0335, 0.05), ring(0.035, 0.052), ring(0.02, 0.26), ring(0.003, 0.295)])),
+    w["obelisk", "body"] += loft(
+        np.array([ring(0.0335, 0.05), ring(0.035, 0.052), ring(0.02, 0.26), ring(0.003, 0.295)])
     )
-    w.add(
-        "obelisk",
-        "foot",
+    w["obelisk", "foot"] += [
         box((0.1, 0.1, 0.028), bevel=0.003, segments=2),
         box((0.085, 0.085, 0.024), (0, 0, 0.027), 0.004, 2),
-    )
+    ]

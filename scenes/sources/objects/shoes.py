@@ -133,10 +133,8 @@ def _pair(w: Workshop, pieces: dict[bool, list[tuple[str, Shape]]], gap: float) 
     for mirror, items in pieces.items():
         side = 1 if mirror else -1
         for slot, shape in items:
-            w.add(
-                "left" if mirror else "right",
-                slot,
-                shape.turned("z", 4.0 * side).moved(x=side * gap / 2, y=0.012 * side),
+            w["left" if mirror else "right", slot] += shape.turned("z", 4.0 * side).moved(
+                x=side * gap / 2, y=0.012 * side
             )
 
 
