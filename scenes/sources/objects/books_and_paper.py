@@ -34,7 +34,6 @@ def lying_book(thick: float, length: float, deep: float) -> tuple[Shape, Shape]:
 
 
 @thing(
-    "book_single",
     "Book",
     "book",
     cover=Slot(("leather",), ("leather", "paper", "fabric"), "leather_red"),
@@ -47,7 +46,6 @@ def book_single(w: Workshop) -> None:
 
 
 @thing(
-    "book_stack",
     "Stack of books",
     "book",
     first=_cover("38475c"),
@@ -69,7 +67,7 @@ def book_stack(w: Workshop) -> None:
         z += thick + 0.0003
 
 
-@thing("book_row", "Books between bookends", "book", supports="shelf, table, counter", yaw=60, first=_cover("6d2b2b"), second=_cover("2b4a5e"), third=_cover("b89a52"), fourth=_cover("47503f"),
+@thing("Books between bookends", "book", supports="shelf, table, counter", yaw=60, first=_cover("6d2b2b"), second=_cover("2b4a5e"), third=_cover("b89a52"), fourth=_cover("47503f"),
        pages=_PAGES, iron=painted("222325", 0.45))  # fmt: skip
 def book_row(w: Workshop) -> None:
     storage.book_row(
@@ -93,7 +91,6 @@ def book_row(w: Workshop) -> None:
 
 
 @thing(
-    "book_open",
     "Open book",
     "book",
     cover=_cover("34302c"),
@@ -135,7 +132,6 @@ def _magazine(ground: str, ink: str, seed: float) -> Slot:
 
 
 @thing(
-    "magazines",
     "Magazines",
     "book",
     front=_magazine("c9bfa8", "7a2620", 3.0),
@@ -159,7 +155,6 @@ def _limp(sx: float, sy: float, thick: float) -> Shape:
 
 # boxes -------------------------------------------------------------------------------------------------------
 @thing(
-    "box_cardboard",
     "Cardboard box",
     "box",
     supports="table, shelf, counter, floor",
@@ -189,7 +184,6 @@ def box_cardboard(w: Workshop) -> None:
 
 
 @thing(
-    "box_wooden",
     "Wooden box with a lid",
     "box",
     wood=wood("walnut_lacquered"),
@@ -209,7 +203,6 @@ def box_wooden(w: Workshop) -> None:
 
 
 @thing(
-    "basket",
     "Wicker basket",
     "box",
     supports="floor, table, counter, shelf",
@@ -237,7 +230,6 @@ def basket(w: Workshop) -> None:
 
 
 @thing(
-    "box_shoe",
     "Shoe box",
     "box",
     supports="floor, shelf, table, counter",
@@ -249,7 +241,7 @@ def box_shoe(w: Workshop) -> None:
     w["box", "lid"] += box((0.331, 0.201, 0.036), (0, 0, 0.079), 0.0015, 2)
 
 
-@thing("box_tin", "Biscuit tin", "box", tin=painted("2f4f63", 0.22), rim=metal((0.75, 0.62, 0.36), 0.2))
+@thing("Biscuit tin", "box", tin=painted("2f4f63", 0.22), rim=metal((0.75, 0.62, 0.36), 0.2))
 def box_tin(w: Workshop) -> None:
     from scenes.sources.shapes import lathe
 
@@ -280,7 +272,6 @@ def box_tin(w: Workshop) -> None:
 
 
 @thing(
-    "bag_paper",
     "Paper bag",
     "box",
     supports="table, counter, floor",

@@ -51,7 +51,7 @@ def handle(
     return bar.scaled(1, 1.35, 1)
 
 
-@thing("mug", "Mug", "crockery", glaze=glaze("d8d2c4"))
+@thing("Mug", "crockery", glaze=glaze("d8d2c4"))
 def mug(w: Workshop) -> None:
     w["mug", "glaze"] += vessel(
         [(0.036, 0.002), (0.0385, 0.007), (0.0405, 0.04), (0.0408, 0.07), (0.041, 0.094)],
@@ -61,9 +61,7 @@ def mug(w: Workshop) -> None:
     w["mug", "glaze"] += handle(0.024, 0.077, 0.0385, 0.0395, 0.031)
 
 
-@thing(
-    "mug_two_tone", "Enamel mug", "crockery", enamel=glaze("27506b", 0.14), rim=fixed("14161a", 0.2, "glazed")
-)
+@thing("Enamel mug", "crockery", enamel=glaze("27506b", 0.14), rim=fixed("14161a", 0.2, "glazed"))
 def mug_two_tone(w: Workshop) -> None:
     w["mug", "enamel"] += vessel([(0.040, 0.001), (0.0425, 0.004), (0.043, 0.04), (0.0435, 0.08)], 0.0022)
     w["mug", "enamel"] += handle(0.02, 0.062, 0.042, 0.0425, 0.032, 0.004)
@@ -72,7 +70,7 @@ def mug_two_tone(w: Workshop) -> None:
     w["mug", "rim"] += tube(ring, 0.0021, 8, closed=True)
 
 
-@thing("bowl", "Bowl", "crockery", glaze=glaze("cfc4ae", source="glaze_speckled"))
+@thing("Bowl", "crockery", glaze=glaze("cfc4ae", source="glaze_speckled"))
 def bowl(w: Workshop) -> None:
     w["bowl", "glaze"] += vessel(
         [(0.034, 0.004), (0.036, 0.008), (0.055, 0.022), (0.074, 0.047), (0.081, 0.072)],
@@ -82,7 +80,6 @@ def bowl(w: Workshop) -> None:
 
 
 @thing(
-    "bowls_stacked",
     "Stack of bowls",
     "crockery",
     first=glaze("b9c7c4"),
@@ -100,7 +97,7 @@ def bowls_stacked(w: Workshop) -> None:
         w["bowls", slot] += shape.moved(0.002 * i, -0.0015 * i, 0.0155 * i)
 
 
-@thing("plate", "Dinner plate", "crockery", glaze=glaze("e6e3da"))
+@thing("Dinner plate", "crockery", glaze=glaze("e6e3da"))
 def plate(w: Workshop) -> None:
     w["plate", "glaze"] += _plate(0.132)
 
@@ -113,7 +110,7 @@ def _plate(radius: float) -> Shape:
     return lathe(profile, 48)
 
 
-@thing("plates_stacked", "Stack of plates", "crockery", glaze=glaze("e2ded3"), band=glaze("35566b"))
+@thing("Stack of plates", "crockery", glaze=glaze("e2ded3"), band=glaze("35566b"))
 def plates_stacked(w: Workshop) -> None:
     for i in range(5):
         w["plates", "band" if i % 2 else "glaze"] += (
@@ -124,7 +121,7 @@ def plates_stacked(w: Workshop) -> None:
         )
 
 
-@thing("cup_and_saucer", "Cup and saucer", "crockery", glaze=glaze("ece9e2"), coffee=fixed("1c0e07", 0.06))
+@thing("Cup and saucer", "crockery", glaze=glaze("ece9e2"), coffee=fixed("1c0e07", 0.06))
 def cup_and_saucer(w: Workshop) -> None:
     w["saucer", "glaze"] += _plate(0.074)
     cup = vessel(
@@ -135,7 +132,7 @@ def cup_and_saucer(w: Workshop) -> None:
     w["cup", "coffee"] += cylinder(0.0385, 0.004, (0, 0, 0.0505), 0.0008, 40)
 
 
-@thing("teapot", "Teapot", "crockery", glaze=glaze("a9c2ab", source="glaze_celadon"))
+@thing("Teapot", "crockery", glaze=glaze("a9c2ab", source="glaze_celadon"))
 def teapot(w: Workshop) -> None:
     w["pot", "glaze"] += vessel(
         [(0.043, 0.003), (0.05, 0.008), (0.078, 0.04), (0.08, 0.065), (0.062, 0.098), (0.043, 0.11)],
@@ -154,7 +151,7 @@ def teapot(w: Workshop) -> None:
     w["pot", "glaze"] += [spout, handle(0.035, 0.095, 0.074, 0.062, 0.05, 0.0065)]
 
 
-@thing("jug", "Jug", "crockery", glaze=glaze("5f7f95"))
+@thing("Jug", "crockery", glaze=glaze("5f7f95"))
 def jug(w: Workshop) -> None:
     body = vessel(
         [

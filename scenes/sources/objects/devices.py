@@ -37,7 +37,7 @@ def _grille(g: Graph, count: int = 24, color: str = "26282a") -> bpy.types.Mater
     return g.finish(g.mix(hole, srgb(color), srgb("050505")), g.line(hole, 0, 1, 0.4, 0.9))
 
 
-@thing("radio", "Table radio", "electronics", yaw=60, case=wood("walnut_lacquered"), front=plastic("d6cdb8", 0.4), grille=Slot(("plastic",), (), graph=partial(_grille, count=30, color="b9ae96")),
+@thing("Table radio", "electronics", yaw=60, case=wood("walnut_lacquered"), front=plastic("d6cdb8", 0.4), grille=Slot(("plastic",), (), graph=partial(_grille, count=30, color="b9ae96")),
        knob=metal((0.86, 0.72, 0.42), 0.25), dial=fixed("33261a", 0.15, "glass"))  # fmt: skip
 def radio(w: Workshop) -> None:
     w["radio", "case"] += soft_box((0.3, 0.13, 0.17), (0, 0, 0.008), 0.022, (0, 0, 0), 8)
@@ -88,7 +88,6 @@ def radio(w: Workshop) -> None:
 
 
 @thing(
-    "headphones",
     "Headphones",
     "electronics",
     pads=leather("leather_black"),
@@ -143,7 +142,6 @@ def headphones(w: Workshop) -> None:
 
 
 @thing(
-    "speaker",
     "Loudspeaker",
     "electronics",
     supports="table, shelf, counter, floor",
@@ -185,7 +183,6 @@ def speaker(w: Workshop) -> None:
 
 
 @thing(
-    "laptop",
     "Laptop",
     "electronics",
     supports="table, counter",
@@ -220,14 +217,13 @@ def laptop(w: Workshop) -> None:
     w["base", "case"] += tube([(-0.13, 0.108, 0.0135), (0.13, 0.108, 0.0135)], 0.0045, 10)
 
 
-@thing("phone", "Phone", "electronics", case=plastic("22303a", 0.3), screen=SCREEN)
+@thing("Phone", "electronics", case=plastic("22303a", 0.3), screen=SCREEN)
 def phone(w: Workshop) -> None:
     w["phone", "case"] += extrude(rounded_rectangle(0.072, 0.148, 0.011, 6), 0.0078, 0.0024, 3)
     w["phone", "screen"] += panel(0.0655, 0.1405).turned("x", -90).moved(0, -0.07025, 0.00795)
 
 
 @thing(
-    "camera",
     "Camera",
     "electronics",
     yaw=70,
@@ -272,7 +268,6 @@ def camera(w: Workshop) -> None:
 
 
 @thing(
-    "keyboard",
     "Keyboard",
     "electronics",
     supports="table",
@@ -312,7 +307,6 @@ def keyboard(w: Workshop) -> None:
 
 
 @thing(
-    "game_controller",
     "Game controller",
     "electronics",
     body=plastic("dcdcdc", 0.38),

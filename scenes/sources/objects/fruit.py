@@ -55,7 +55,7 @@ def unit(shape: Shape) -> Shape:
     return Shape(shape.points, shape.faces, (shape.uvs - low) / (high - low), True)
 
 
-def apple(size: float = 0.037) -> tuple[Shape, Shape]:
+def apple_shapes(size: float = 0.037) -> tuple[Shape, Shape]:
     """(fruit, stalk) standing on z = 0."""
     profile = [
         (0, 0.22),
@@ -89,14 +89,14 @@ def apple(size: float = 0.037) -> tuple[Shape, Shape]:
     return unit(lumps), stalk
 
 
-@thing("apple", "Apple", "fruit", skin=APPLE, stalk=organic("4a3521", 0.8))
-def apple_alone(w: Workshop) -> None:
-    fruit, stalk = apple()
+@thing("Apple", "fruit", skin=APPLE, stalk=organic("4a3521", 0.8))
+def apple(w: Workshop) -> None:
+    fruit, stalk = apple_shapes()
     w["apple", "skin"] += fruit
     w["apple", "stalk"] += stalk
 
 
-@thing("pear", "Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
+@thing("Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
 def pear(w: Workshop) -> None:
     body = lathe(
         [
@@ -124,7 +124,7 @@ def pear(w: Workshop) -> None:
     )
 
 
-@thing("lemons", "Lemons", "fruit", skin=organic("d9b823", 0.4))
+@thing("Lemons", "fruit", skin=organic("d9b823", 0.4))
 def lemons(w: Workshop) -> None:
     for angle, x, y in ((15, 0.0, 0.0), (105, 0.062, 0.018), (-40, -0.012, 0.066)):
         body = lathe(
@@ -194,7 +194,6 @@ def banana(length: float = 0.19, bend_degrees: float = 78.0) -> Shape:
 
 
 @thing(
-    "bananas",
     "Bananas",
     "fruit",
     skin=Slot(("organic",), (), graph=_banana_skin),
@@ -219,7 +218,6 @@ def bananas(w: Workshop) -> None:
 
 
 @thing(
-    "fruit_bowl",
     "Bowl of fruit",
     "fruit",
     bowl=glaze("36566b", 0.15),
@@ -233,7 +231,7 @@ def fruit_bowl(w: Workshop) -> None:
         [(0.05, 0.004), (0.053, 0.009), (0.09, 0.03), (0.125, 0.06), (0.137, 0.08)], 0.005, foot=0.005
     )
     orange = unit(sphere(0.037, segments=28, squash=0.95))
-    fruit, stalk = apple(0.036)
+    fruit, stalk = apple_shapes(0.036)
     for x, y, z in ((0.058, 0.01, 0.062), (-0.03, 0.055, 0.062), (0.002, 0.002, 0.108)):
         w["fruit", "orange"] += orange.turned("x", 40 * x * 20).moved(x, y, z)
     for x, y, z, lean in ((-0.042, -0.034, 0.026, 14), (0.025, -0.066, 0.03, -18)):

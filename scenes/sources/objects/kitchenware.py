@@ -31,7 +31,6 @@ from scenes.sources.shapes import (
 
 
 @thing(
-    "saucepan",
     "Saucepan with a lid",
     "kitchenware",
     supports="counter, table, shelf",
@@ -77,7 +76,6 @@ def saucepan(w: Workshop) -> None:
 
 
 @thing(
-    "frying_pan",
     "Frying pan",
     "kitchenware",
     supports="counter, table",
@@ -100,7 +98,6 @@ def frying_pan(w: Workshop) -> None:
 
 
 @thing(
-    "knife_block",
     "Knife block",
     "kitchenware",
     supports="counter, table",
@@ -139,7 +136,6 @@ def knife_block(w: Workshop) -> None:
 
 
 @thing(
-    "chopping_board",
     "Chopping board",
     "kitchenware",
     supports="counter, table",
@@ -153,7 +149,6 @@ def chopping_board(w: Workshop) -> None:
 
 
 @thing(
-    "kettle",
     "Kettle",
     "kitchenware",
     supports="counter, table",
@@ -200,7 +195,6 @@ def kettle(w: Workshop) -> None:
 
 
 @thing(
-    "utensil_jar",
     "Jar of wooden spoons",
     "kitchenware",
     supports="counter, table, shelf",
@@ -255,7 +249,7 @@ def utensil_jar(w: Workshop) -> None:
         )
 
 
-@thing("egg_cup", "Egg cup with egg", "kitchenware", cup=glaze("d3c7a8", 0.15), egg=organic("d9b899", 0.5))
+@thing("Egg cup with egg", "kitchenware", cup=glaze("d3c7a8", 0.15), egg=organic("d9b899", 0.5))
 def egg_cup(w: Workshop) -> None:
     w["cup", "cup"] += vessel(
         [(0.02, 0.001), (0.021, 0.004), (0.011, 0.014), (0.012, 0.022), (0.0225, 0.036), (0.0245, 0.048)],
@@ -277,7 +271,7 @@ def egg_cup(w: Workshop) -> None:
     w["egg", "egg"] += lathe(curve, 28)
 
 
-@thing("peppermill", "Pepper mill", "kitchenware", wood=wood("walnut_lacquered"), steel=metal(rough=0.15))
+@thing("Pepper mill", "kitchenware", wood=wood("walnut_lacquered"), steel=metal(rough=0.15))
 def peppermill(w: Workshop) -> None:
     w["mill", "wood"] += lathe(
         [

@@ -35,7 +35,6 @@ from scenes.sources.shapes import (
 
 
 @thing(
-    "lamp_table",
     "Table lamp",
     "lamp",
     base=glaze("3d6a74", 0.12),
@@ -67,7 +66,6 @@ def lamp_table(w: Workshop) -> None:
 
 
 @thing(
-    "lamp_desk",
     "Desk lamp",
     "lamp",
     paint=painted("a8352a", 0.3),
@@ -104,7 +102,6 @@ def lamp_desk(w: Workshop) -> None:
 
 
 @thing(
-    "lantern",
     "Lantern",
     "lamp",
     iron=painted("1d1e20", 0.5),
@@ -181,7 +178,6 @@ _portrait = partial(art.portrait, ground=srgb("6a7f72"), skin=srgb("c99a78"), co
 
 
 @thing(
-    "frame_portrait",
     "Photograph in a frame",
     "frame",
     yaw=40,
@@ -194,7 +190,6 @@ def frame_portrait(w: Workshop) -> None:
 
 
 @thing(
-    "frame_landscape",
     "Brass frame",
     "frame",
     yaw=40,
@@ -217,7 +212,6 @@ def frame_landscape(w: Workshop) -> None:
 
 
 @thing(
-    "mirror_stand",
     "Dressing mirror",
     "frame",
     yaw=50,
@@ -287,7 +281,6 @@ def _face(radius: float) -> Shape:
 
 
 @thing(
-    "clock_alarm",
     "Alarm clock",
     "clock",
     yaw=60,
@@ -335,7 +328,6 @@ def clock_alarm(w: Workshop) -> None:
 
 
 @thing(
-    "clock_mantel",
     "Mantel clock",
     "clock",
     yaw=45,
@@ -358,9 +350,7 @@ def clock_mantel(w: Workshop) -> None:
     _hands(w, "case", "hands", (0, -0.0488, 0.115), 0.064, 4.4, 24)
 
 
-@thing(
-    "hourglass_timer", "Kitchen timer", "clock", shell=plastic("d8d2c2", 0.3), knob=plastic("b5482f", 0.35)
-)
+@thing("Kitchen timer", "clock", shell=plastic("d8d2c2", 0.3), knob=plastic("b5482f", 0.35))
 def hourglass_timer(w: Workshop) -> None:
     w["timer", "shell"] += lathe(
         [(0, 0), (0.03, 0), (0.034, 0.004), (0.037, 0.02), (0.033, 0.036), (0.03, 0.0375), (0, 0.0375)],

@@ -34,9 +34,7 @@ def flat(shape: Shape) -> Shape:
     return shape.turned("x", -90)
 
 
-@thing(
-    "cushion_square", "Cushion", "cushion", supports=SEAT, cover=fabric("linen_blue"), piping=cloth("d9d0bc")
-)
+@thing("Cushion", "cushion", supports=SEAT, cover=fabric("linen_blue"), piping=cloth("d9d0bc"))
 def cushion_square(w: Workshop) -> None:
     shape = pillow((0.45, 0.45, 0.16), 13, seed=3)
     w["cushion", "cover"] += shape
@@ -56,13 +54,12 @@ def _piping(sx: float, sy: float, z: float, radius: float, pinch: float = 0.07) 
     return tube(np.concatenate(path), radius, 6, closed=True)
 
 
-@thing("cushion_stripe", "Striped cushion", "cushion", supports=SEAT, cover=fabric("ticking_stripe"))
+@thing("Striped cushion", "cushion", supports=SEAT, cover=fabric("ticking_stripe"))
 def cushion_stripe(w: Workshop) -> None:
     w["cushion", "cover"] += pillow((0.55, 0.36, 0.15), 13, seed=8)
 
 
 @thing(
-    "cushion_round",
     "Round cushion",
     "cushion",
     supports=SEAT,
@@ -98,7 +95,7 @@ def cushion_round(w: Workshop) -> None:
     w["cushion", "button"] += sphere(0.014, (0, 0, 0.09), 20, 0.55)
 
 
-@thing("cushion_bolster", "Bolster", "cushion", supports=SEAT, cover=leather("leather_tan"))
+@thing("Bolster", "cushion", supports=SEAT, cover=leather("leather_tan"))
 def cushion_bolster(w: Workshop) -> None:
     roll = lathe(
         [
@@ -131,7 +128,6 @@ def cushion_bolster(w: Workshop) -> None:
 
 
 @thing(
-    "plant_broad",
     "Pot plant",
     "plant",
     supports="table, shelf, counter, sill, floor",
@@ -156,7 +152,6 @@ def plant_broad(w: Workshop) -> None:
 
 
 @thing(
-    "plant_snake",
     "Snake plant",
     "plant",
     supports="table, shelf, counter, sill, floor",
@@ -217,7 +212,6 @@ def _pot(w: Workshop, r: float, h: float) -> None:
 
 
 @thing(
-    "cactus",
     "Cactus",
     "plant",
     supports="table, shelf, counter, sill",

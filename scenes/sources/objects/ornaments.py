@@ -25,7 +25,6 @@ from scenes.sources.shapes import (
 
 
 @thing(
-    "candlestick",
     "Candlestick",
     "candle",
     metal=metal((0.89, 0.74, 0.42), 0.22),
@@ -42,7 +41,6 @@ def candlestick(w: Workshop) -> None:
 
 
 @thing(
-    "candle_bowl",
     "Candle in a bowl",
     "candle",
     bowl=clay("5d625f"),
@@ -59,7 +57,7 @@ def candle_bowl(w: Workshop) -> None:
     w["candle", "wick"] += tube([(0, 0, 0.04), (0.001, 0, 0.052)], 0.001, 5)
 
 
-@thing("statuette_knot", "Knot", "statuette", body=stone("marble_black"), plinth=wood("ebony"))
+@thing("Knot", "statuette", body=stone("marble_black"), plinth=wood("ebony"))
 def statuette_knot(w: Workshop) -> None:
     t = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     knot = (
@@ -76,7 +74,7 @@ def statuette_knot(w: Workshop) -> None:
     ]
 
 
-@thing("statuette_bird", "Bird", "statuette", body=clay("e2ddd2", 0.55), beak=metal((0.86, 0.70, 0.38), 0.3))
+@thing("Bird", "statuette", body=clay("e2ddd2", 0.55), beak=metal((0.86, 0.70, 0.38), 0.3))
 def statuette_bird(w: Workshop) -> None:
     spine = np.array(
         [
@@ -100,13 +98,13 @@ def statuette_bird(w: Workshop) -> None:
     w["bird", "body"] += lathe([(0, 0), (0.026, 0), (0.028, 0.003), (0.024, 0.016), (0, 0.018)], 28)
 
 
-@thing("statuette_torso", "Turned figure", "statuette", body=stone("marble_white"))
+@thing("Turned figure", "statuette", body=stone("marble_white"))
 def statuette_torso(w: Workshop) -> None:
     w["figure", "body"] += (lathe([(0, 0), (0.044, 0), (0.046, 0.004), (0.043, 0.014), (0.03, 0.022), (0.026, 0.05), (0.034, 0.09), (0.03, 0.13), (0.018, 0.155), (0.013, 0.168), (0.024, 0.176), (0.012, 0.184),
                                    (0.02, 0.196), (0.026, 0.214), (0.02, 0.235), (0, 0.242)], 44, smooth=3))  # fmt: skip
 
 
-@thing("obelisk", "Stone obelisk", "statuette", body=stone("granite_red"), foot=stone("marble_green"))
+@thing("Stone obelisk", "statuette", body=stone("granite_red"), foot=stone("marble_green"))
 def obelisk(w: Workshop) -> None:
     def ring(s: float, z: float) -> list[tuple[float, float, float]]:
         return [(-s, -s, z), (s, -s, z), (s, s, z), (-s, s, z)]

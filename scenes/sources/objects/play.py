@@ -24,7 +24,6 @@ ON = "table, shelf, floor, seat, bed"
 
 
 @thing(
-    "toy_bear",
     "Teddy bear",
     "toy",
     supports=ON,
@@ -88,7 +87,6 @@ def _half_ring(radius: float, x: float, y: float, z: float, degrees: tuple[float
 
 
 @thing(
-    "toy_car",
     "Toy car",
     "toy",
     supports="table, shelf, floor",
@@ -187,7 +185,6 @@ def _wheel(w: Workshop, x: float, side: int) -> None:
 
 
 @thing(
-    "toy_blocks",
     "Building blocks",
     "toy",
     supports=ON,
@@ -217,7 +214,6 @@ def toy_blocks(w: Workshop) -> None:
 
 
 @thing(
-    "toy_duck",
     "Rubber duck",
     "toy",
     supports="table, shelf, sill, counter",
@@ -250,7 +246,6 @@ def toy_duck(w: Workshop) -> None:
 
 
 @thing(
-    "toy_train",
     "Wooden train",
     "toy",
     supports="table, shelf, floor",
@@ -304,7 +299,6 @@ def toy_train(w: Workshop) -> None:
 
 
 @thing(
-    "spinning_top",
     "Stacking rings",
     "toy",
     supports=ON,

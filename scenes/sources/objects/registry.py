@@ -31,13 +31,16 @@ OBJECTS: dict[str, ObjectSource] = {}
 
 
 def thing(
-    name: str, title: str, category: str, *, supports: str = TABLETOP, scale: tuple[float, float] = (0.92, 1.1),
+    title: str, category: str, *, supports: str = TABLETOP, scale: tuple[float, float] = (0.92, 1.1),
     yaw: float | None = None, **slots: Slot,
 ) -> Callable[[Builder], Builder]:  # fmt: skip
-    """Register a builder; keyword arguments are its slots. ``yaw``: largest turn from facing -Y, in degrees."""
+    """Register a builder under its own name; keyword arguments are its slots.
+
+    ``yaw``: largest turn from facing -Y, in degrees.
+    """
 
     def register(build: Builder) -> Builder:
-        OBJECTS[name] = ObjectSource(title, category, supports, scale, yaw, slots, build)
+        OBJECTS[build.__name__] = ObjectSource(title, category, supports, scale, yaw, slots, build)
         return build
 
     return register

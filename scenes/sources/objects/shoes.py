@@ -142,7 +142,6 @@ SHOES = "floor"
 
 
 @thing(
-    "shoes_trainers",
     "Trainers",
     "shoe",
     supports=SHOES,
@@ -161,7 +160,6 @@ def shoes_trainers(w: Workshop) -> None:
 
 
 @thing(
-    "shoes_leather",
     "Leather shoes",
     "shoe",
     supports=SHOES,
@@ -192,7 +190,6 @@ def shoes_leather(w: Workshop) -> None:
 
 
 @thing(
-    "shoes_slippers",
     "Slippers",
     "shoe",
     supports=SHOES,

@@ -26,7 +26,6 @@ def _lying(shape: Shape, z: float) -> Shape:
 
 
 @thing(
-    "hammer",
     "Hammer",
     "tool",
     supports=BENCH,
@@ -71,7 +70,6 @@ def hammer(w: Workshop) -> None:
 
 
 @thing(
-    "screwdriver",
     "Screwdriver",
     "tool",
     supports=BENCH,
@@ -110,9 +108,7 @@ def screwdriver(w: Workshop) -> None:
     ]
 
 
-@thing(
-    "pliers", "Pliers", "tool", supports=BENCH, steel=metal((0.5, 0.5, 0.5), 0.3), grip=rubber("2b4f86", 0.55)
-)
+@thing("Pliers", "tool", supports=BENCH, steel=metal((0.5, 0.5, 0.5), 0.3), grip=rubber("2b4f86", 0.55))
 def pliers(w: Workshop) -> None:
     for side in (-1, 1):
         w["pliers", "steel"] += tube(
@@ -144,7 +140,6 @@ def pliers(w: Workshop) -> None:
 
 
 @thing(
-    "toolbox",
     "Toolbox",
     "tool",
     supports="floor, table, counter, shelf",
@@ -180,7 +175,6 @@ def toolbox(w: Workshop) -> None:
 
 
 @thing(
-    "paint_brush",
     "Paint brush",
     "tool",
     supports=BENCH,
@@ -237,7 +231,6 @@ def paint_brush(w: Workshop) -> None:
 
 
 @thing(
-    "tape_measure",
     "Tape measure",
     "tool",
     supports=BENCH,

@@ -21,7 +21,7 @@ from scenes.sources.objects.registry import (
 from scenes.sources.shapes import cylinder, lathe, tube
 
 
-@thing("vase_slim", "Slim vase", "vase", glaze=glaze("1b3278", source="glaze_cobalt"))
+@thing("Slim vase", "vase", glaze=glaze("1b3278", source="glaze_cobalt"))
 def vase_slim(w: Workshop) -> None:
     w["vase", "glaze"] += vessel(
         [
@@ -38,7 +38,7 @@ def vase_slim(w: Workshop) -> None:
     )
 
 
-@thing("vase_round", "Moon vase", "vase", clay=clay("c9bfae"))
+@thing("Moon vase", "vase", clay=clay("c9bfae"))
 def vase_round(w: Workshop) -> None:
     w["vase", "clay"] += vessel(
         [
@@ -55,7 +55,7 @@ def vase_round(w: Workshop) -> None:
     )
 
 
-@thing("vase_ribbed", "Ribbed vase", "vase", glaze=glaze("37604f", 0.16))
+@thing("Ribbed vase", "vase", glaze=glaze("37604f", 0.16))
 def vase_ribbed(w: Workshop) -> None:
     body = vessel(
         [(0.045, 0.002), (0.055, 0.02), (0.068, 0.1), (0.064, 0.18), (0.048, 0.23), (0.052, 0.25)],
@@ -80,7 +80,6 @@ def vase_ribbed(w: Workshop) -> None:
 
 
 @thing(
-    "vase_with_twigs",
     "Vase with bare twigs",
     "vase",
     glaze=glaze("dcd8ce", source="glaze_dipped"),
@@ -117,7 +116,6 @@ def vase_with_twigs(w: Workshop) -> None:
 
 
 @thing(
-    "bottle_wine",
     "Wine bottle",
     "bottle",
     glass=glaze("10180f", 0.08),
@@ -144,7 +142,6 @@ def bottle_wine(w: Workshop) -> None:
 
 
 @thing(
-    "bottle_ceramic",
     "Swing-top bottle",
     "bottle",
     glaze=glaze("8d6a48", 0.2),
@@ -182,7 +179,6 @@ def bottle_ceramic(w: Workshop) -> None:
 
 
 @thing(
-    "bottle_soap",
     "Soap dispenser",
     "bottle",
     body=plastic("c9c4b8", 0.3),
@@ -224,7 +220,6 @@ def bottle_soap(w: Workshop) -> None:
 
 
 @thing(
-    "thermos",
     "Vacuum flask",
     "bottle",
     steel=metal(source="steel_brushed"),
@@ -250,7 +245,7 @@ def thermos(w: Workshop) -> None:
     )
 
 
-@thing("bottle_milk_painted", "Painted bottle", "bottle", paint=painted("b8c9c2", 0.3))
+@thing("Painted bottle", "bottle", paint=painted("b8c9c2", 0.3))
 def bottle_milk_painted(w: Workshop) -> None:
     w["bottle", "paint"] += vessel(
         [
