@@ -49,6 +49,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.farm.folder import DatasetFolder
@@ -113,8 +114,6 @@ def timed(*command: str, log: Path, environment: dict[str, str] | None = None) -
 
 def read_cycles(path: Path) -> NDArray[np.float32]:
     """Beauty (H, W, 3) of an EXR of Cycles."""
-    import OpenEXR
-
     with OpenEXR.File(str(path)) as file:
         (combined,) = [c for name, c in file.channels().items() if name.endswith("Combined")]
         return np.asarray(combined.pixels[..., :3], np.float32)

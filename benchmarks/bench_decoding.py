@@ -15,6 +15,8 @@ import statistics
 from functools import partial
 from pathlib import Path
 
+import torch
+
 from benchmarks.timing import timed, write_report
 from datagen.formats.view_places import read_member
 from datagen.foundation.exr import decode_view
@@ -31,8 +33,6 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=40)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    import torch
-
     torch.set_num_threads(1)
     places = ViewStream([args.dataset], args.buffers, split=None).places[: args.views]
     camera = read_view(places[0], args.buffers)[0].camera

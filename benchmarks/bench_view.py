@@ -35,6 +35,8 @@ from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera
 from datagen.foundation.exr import encode_view
 from datagen.foundation.versions import pixel_versions
+from datagen.importers.common import ImportOptions
+from datagen.importers.mitsuba_xml import import_mitsuba_scene
 from datagen.library import Library
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.rendering.error import relative_mse
@@ -49,9 +51,6 @@ SAMPLES_A_CHUNK = 64
 
 def converted(scene: str, cache: Path) -> Library:
     """The library with the imported scene, made on first use."""
-    from datagen.importers.common import ImportOptions
-    from datagen.importers.mitsuba_xml import import_mitsuba_scene
-
     folder = cache / "library" / scene
     if not (folder / "environments").is_dir():
         source = SHARED_DATA / "scenes" / scene / "scene.xml"

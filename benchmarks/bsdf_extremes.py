@@ -20,8 +20,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+from scipy.special import erf
 
 from datagen.foundation.progress import Bars
+from mitsuba_plugins import register, select_variant
 from oracles import brdf as oracle
 
 BATCH = 4_000_000
@@ -78,7 +80,6 @@ def print_slopes() -> None:
     """
     import drjit as dr
     import mitsuba as mi
-    from scipy.special import erf
 
     from mitsuba_plugins import beckmann
 
@@ -316,8 +317,6 @@ def main() -> int:
     parser.add_argument("table", choices=(*TABLES, "energy", "evaluations"))
     parser.add_argument("--total", type=float, default=1e9, help="number of cases")
     arguments = parser.parse_args()
-    from mitsuba_plugins import register, select_variant
-
     if arguments.table == "energy":
         print_energy()
         return 0

@@ -36,10 +36,16 @@ from numpy.typing import NDArray
 
 from datagen.formats.base import canonical_json, read_json
 from datagen.formats.configuration import Configuration, ViewCamera
+from datagen.formats.package import open_package
+from datagen.formats.recipe import RenderRecipe
+from datagen.formats.standalone import configuration_of
 from datagen.foundation.buffers import MATERIAL_MAPS
+from datagen.foundation.bundled import bundled_library
 from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_linear
 from datagen.foundation.images import read_image
+from datagen.library import Library
+from datagen.rendering.renderer import SceneRenderer
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FOV_X_DEG = 72.0
@@ -141,8 +147,6 @@ class EndToEnd:
     def photograph(self) -> None:
         """Export, render with Cycles, develop; and the coarse mesh."""
         from benchmarks.cycles_scene import export
-        from datagen.foundation.bundled import bundled_library
-        from datagen.library import Library
 
         configuration = self.configuration()
         blend, log = self.out / "room.blend", self.out / "cycles.log"
@@ -259,9 +263,6 @@ class EndToEnd:
 
     def compare(self) -> dict[str, Any]:
         """Errors of the atlas in the true views, at texels that were observed."""
-        from datagen.foundation.bundled import bundled_library
-        from datagen.library import Library
-
         configuration = self.configuration()
         cameras = configuration.cameras[::COMPARED_EVERY]
         configuration = configuration.model_copy(update={"cameras": cameras})
@@ -292,10 +293,6 @@ class EndToEnd:
         return {"maps": table, "compared_share": float(np.mean(shares))}
 
     def _asset_maps(self, configuration: Configuration) -> list[dict[str, NDArray]]:
-        from datagen.formats.package import open_package
-        from datagen.formats.standalone import configuration_of
-        from datagen.library import Library
-
         path = self.result / "asset"
         with open_package(path) as package:
             made = configuration_of(path, package.sha256)
@@ -329,9 +326,6 @@ def _normals(normal: NDArray) -> NDArray[np.uint8]:
 
 def rendered_maps(configuration: Configuration, library: Any) -> list[dict[str, NDArray]]:
     """D, S, R, depth and normal of each view, (H, W, C) float32."""
-    from datagen.formats.recipe import RenderRecipe
-    from datagen.rendering.renderer import SceneRenderer
-
     recipe = RenderRecipe(path_samples=1, auxiliary_samples=16, denoise=False)
     renderer = SceneRenderer(configuration, library, recipe)
     names = (*MATERIAL_MAPS, "depth_z_m", "normal_world")

@@ -21,8 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 from numpy.typing import NDArray
 
+from benchmarks.bench_view import reference_half
 from datagen.assembly.daylight import SUN_HALF_ANGLE_RAD, lookup, sun_of, sunsky
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.asset import MATERIAL_CHANNELS, EnvironmentAsset, ObjectAsset, Texture
@@ -35,6 +37,7 @@ from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.ply import decode_ply, encode_ply
 from datagen.library import Library
 from datagen.rendering.materials import SurfaceMaterial, resolve_materials
+from datagen.rendering.renderer import SceneRenderer
 from datagen.rendering.scene_builder import uv_scale_of
 from datagen.rendering.textures import NO_ADJUSTMENT, SCALAR_ROLES, adjusted_constant, decoded_texture
 
@@ -169,8 +172,6 @@ def sky_image(light: SkyLight | EnvironmentLight, library: Library) -> NDArray[n
 
 def export(configuration: Configuration, library: Library, out: Path) -> None:
     """Write the package of a configuration, ``setup.json``, and ``sky.exr`` if it has a sky."""
-    import OpenEXR
-
     RoomExport(configuration, library, out).write()
     lights: list[dict[str, Any]] = []
     for light in configuration.lights:
@@ -189,9 +190,6 @@ def export(configuration: Configuration, library: Library, out: Path) -> None:
 
 def write_references(folder: Path, out: Path, views: list[int], samples: int) -> None:
     """Two independent converged images of each missing view, ``view_000.npz``, without cached irradiance."""
-    from benchmarks.bench_view import reference_half
-    from datagen.rendering.renderer import SceneRenderer
-
     configuration, library, planned = open_folder(folder)
     recipe = planned.read_recipe().render.model_copy(update={"irradiance_cache": False})
     renderer = SceneRenderer(configuration, library, recipe)

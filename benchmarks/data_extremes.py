@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from datagen.formats.lights import AreaLight
 from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.buffers import BUFFERS
-from datagen.foundation.cameras import Camera
+from datagen.foundation.cameras import Camera, look_at
 from datagen.foundation.color import linear_from_log, log_from_linear
 from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.multiview.statistics import StatisticsView, compute_statistics
 from datagen.multiview.visibility import PackedViews, observe_points
 from mitsuba_plugins.variant import select_variant
-from oracles.multiview_scenes import make_views
+from oracles.multiview_scenes import POSES, hit_boxes, make_views
 from oracles.rendering_scenes import SmallScene, down_camera, quad, renderer
 
 SCALES = (1e-3, 1e-1, 1e2, 1e4)
@@ -120,9 +120,6 @@ def spread_of_alike_views(num_views: int) -> float:
 
 def many_views(num_views: int, size: tuple[int, int] = (16, 12)) -> list[StatisticsView]:
     """Views of the boxes from positions beside the usual ones, each rendered anew."""
-    from datagen.foundation.cameras import look_at
-    from oracles.multiview_scenes import POSES, hit_boxes
-
     rng = np.random.default_rng(3)
     base = make_views((size,))
     found = []

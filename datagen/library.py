@@ -7,6 +7,7 @@ Opening a library reads descriptions (``asset.json``) only, no meshes and no pix
 from __future__ import annotations
 
 import copy
+import difflib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -118,8 +119,6 @@ class Library:
         """The package with that id. The :class:`InputError` for an unknown one suggests similar names."""
         if asset_id in self._packages:
             return self._packages[asset_id]
-        import difflib
-
         near = difflib.get_close_matches(asset_id, self._packages, 3)
         hint = f"did you mean {', '.join(near)}?" if near else "add the folder that holds it with --library"
         where = ", ".join(str(p) for p in self.paths) or "empty library"

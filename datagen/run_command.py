@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from datagen.foundation.bundled import bundled_names, resolve_bundled
 from datagen.foundation.command_line import with_options
+from datagen.foundation.errors import input_error
+from datagen.foundation.progress import Bars
 
 if TYPE_CHECKING:
     from datagen.farm.local import Event, RunSummary
@@ -41,7 +45,6 @@ class RecipeChanges:
         """The recipe's file, which may be a bundled one, and the recipe: flags over file over defaults."""
         from datagen.formats.base import parse_model, read_yaml
         from datagen.formats.recipe import Recipe
-        from datagen.foundation.bundled import resolve_bundled
 
         path = resolve_bundled(path, "recipes")
         recipe = read_yaml(Recipe, path)
@@ -152,9 +155,6 @@ def run(
 
 def _check_planned(folder: Path, changes: RecipeChanges) -> None:
     """Raise :class:`InputError` if a recipe or its options are given without ``--out``."""
-    from datagen.foundation.bundled import bundled_names
-    from datagen.foundation.errors import input_error
-
     if folder.is_file() or (not folder.exists() and str(folder) in bundled_names("recipes")):
         raise input_error("--out", got="missing", expected="the dataset folder to write", remedy="name it")
     given = [name for name, value in asdict(changes).items() if value is not None]
@@ -183,7 +183,6 @@ def _open_library(recipe: Recipe, base: Path) -> Library:
 def plan_recipe(recipe: Recipe, base: Path, out: Path, workers: int) -> None:
     """Plan ``recipe`` into ``out``, with a bar and a summary; ``base``: the folder of its relative paths."""
     from datagen.farm.planning import create_plan, read_configurations
-    from datagen.foundation.progress import Bars
     from datagen.inspection.plan_summary import plan_summary
 
     opened = _open_library(recipe, base)
@@ -221,7 +220,6 @@ def _run_here(out: Path, unit: int, stages: tuple[str, ...]) -> None:
 def _write_index(out: Path, deep: bool, has_sheets: bool) -> None:
     """Write the index, and contact sheets; the command exits with 1 while units are missing."""
     from datagen.farm.collect import collect
-    from datagen.foundation.progress import Bars
 
     def removed(path: Path) -> None:
         typer.echo(f"removed {path}: nothing rests on it")
@@ -248,7 +246,6 @@ def _run_stages(out: Path, workers: int, options: RunOptions) -> None:
     """
     from datagen.farm.folder import DatasetFolder
     from datagen.farm.local import LocalOptions, run_local
-    from datagen.foundation.progress import Bars
 
     folder, only = DatasetFolder(out), None if options.unit is None else (options.unit,)
     units = [unit for unit in folder.read_plan().units if only is None or unit.index in only]
@@ -327,9 +324,6 @@ def estimate(
 
     Example: datagen estimate paper --workers 2
     """
-    import shutil
-
-    from datagen.foundation.progress import Bars
     from datagen.inspection.estimate import estimate as run_estimate
     from datagen.inspection.estimate import print_estimate
 

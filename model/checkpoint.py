@@ -10,6 +10,7 @@ allocates memory.
 from __future__ import annotations
 
 import json
+import platform
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -72,7 +73,6 @@ class Checkpoint:
 
 def software_versions() -> dict[str, str]:
     """Versions of the software that affects numbers."""
-    import platform
     from importlib.metadata import version
 
     names = ("scene-materials", "numpy", "safetensors")

@@ -12,7 +12,7 @@ import typer
 
 from datagen.foundation.command_line import QuietOption, VersionOption, group_with, run_command
 from model.evaluation.commands import evaluate
-from model.events import ListenerOption
+from model.events import ListenerOption, load_listeners
 from model.reconstruction.commands import check, infer, photos
 from model.reconstruction.render.commands import render, view
 
@@ -83,7 +83,6 @@ def train(
     import torch
 
     from model.devices import parse_device
-    from model.events import load_listeners
     from model.training.config import parse_overrides, resolve_config
 
     own = [f"network.factory={network}"] if network else []

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import distributed
 from torch.utils.data import IterableDataset, get_worker_info
 
 from datagen.formats.base import parse_model
@@ -148,8 +149,6 @@ def read_view(place: ViewPlace, names: Sequence[str]) -> tuple[ViewRecord, dict[
 
 
 def _ranks(rank: int | None, num_ranks: int | None) -> tuple[int, int]:
-    from torch import distributed
-
     if (rank is None) != (num_ranks is None):
         raise input_error("ViewStream", "rank", rank, "rank and num_ranks, or neither of them")
     if rank is None or num_ranks is None:

@@ -15,6 +15,7 @@ its function, so that results remain valid when other code changes.
 from __future__ import annotations
 
 import argparse
+import ast
 import hashlib
 import json
 import os
@@ -172,8 +173,6 @@ def _is_signature(mutant: Mutant) -> bool:
 
 def _unwatched_lines(source: str) -> set[int]:
     """Lines of functions that are compiled as a whole."""
-    import ast
-
     lines: set[int] = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.FunctionDef):

@@ -17,6 +17,8 @@ import time
 from contextlib import suppress
 from typing import Any
 
+import psutil
+
 # No import here may start threads, which a fork would lose.
 LIBRARIES = (
     "pytest", "hypothesis", "numpy", "scipy.ndimage", "scipy.sparse", "pydantic", "yaml", "torch", "numba",
@@ -73,8 +75,6 @@ def outcome_of(process: int, timeout_s: float) -> int:
 
 def _processor_s(process: int) -> float:
     """Processor time in seconds of a process and its children."""
-    import psutil
-
     total = 0.0
     with suppress(psutil.Error):  # a child ended meanwhile
         top = psutil.Process(process)

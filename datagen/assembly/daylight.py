@@ -17,6 +17,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import read_image
 from datagen.foundation.random import Draws
 from datagen.library import Library
+from mitsuba_plugins.variant import select_variant
 
 SUN_ELEVATION_RAD = (math.radians(6.0), math.radians(65.0))
 _TABLE_ROWS, _TABLE_COLUMNS = 32, 64
@@ -125,8 +126,6 @@ def sunsky(
     directions: Floats,
 ) -> Floats:
     """Radiance (R, 3) along directions of Mitsuba's ``sunsky``, the model that is rendered."""
-    from mitsuba_plugins.variant import select_variant
-
     select_variant()
     import drjit as dr
     import mitsuba as mi

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from datagen.foundation.progress import Bars
+
 if TYPE_CHECKING:
     from datagen.exports.rooms import Export
 
@@ -48,7 +50,6 @@ def export(
     Example: datagen export coco rooms --out rooms-coco
     """
     from datagen.exports.rooms import Export, claim_folder, open_rooms
-    from datagen.foundation.progress import Bars
     from datagen.library import Library
 
     rooms = open_rooms(folder, split, configuration or ())

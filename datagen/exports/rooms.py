@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,7 @@ from datagen.foundation.color import srgb_from_linear
 from datagen.foundation.errors import input_error
 from datagen.foundation.exr import decode_view
 from datagen.foundation.images import encode_png
-
-if TYPE_CHECKING:
-    from datagen.library import Library
+from datagen.library import Library
 
 MARKER = "export.json"
 

@@ -10,6 +10,9 @@ from typing import Annotated
 
 import typer
 
+from datagen.foundation.errors import input_error
+from datagen.foundation.naming import slug
+
 recipe = typer.Typer(
     name="recipe", help="Recipes: descriptions of datasets.", no_args_is_help=True, rich_markup_mode=None
 )
@@ -68,8 +71,6 @@ def write_recipe(
     from datagen.formats.base import parse_model, write_bytes_atomically
     from datagen.formats.recipe import Recipe
     from datagen.formats.schemas import json_schemas
-    from datagen.foundation.errors import input_error
-    from datagen.foundation.naming import slug
 
     if file.suffix.lower() not in (".yaml", ".yml"):
         raise input_error(file, "", file.suffix or "no suffix", ".yaml", "name it so")

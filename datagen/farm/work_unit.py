@@ -42,11 +42,17 @@ from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.exr import decode_view, encode_view, to_storage
 from datagen.foundation.peak_memory import process_peak_mb
 from datagen.foundation.versions import pixel_versions
+from datagen.geometry.traced import TracedGeometry
+from datagen.geometry.views import TracedView
+from datagen.library import Library
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+from datagen.multiview.visibility import VisibilityOptions
+from datagen.rendering.capture_geometry import configuration_geometry
+from datagen.rendering.renderer import SceneRenderer
+from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
-    from datagen.library import Library
     from datagen.light.view_light import ViewLight
-    from datagen.multiview.statistics import StatisticsView
 
 
 class Interrupted(Exception):
@@ -170,8 +176,6 @@ def _render(run: UnitRun, configuration: Configuration) -> None:
     if not missing:
         return
     run.check_stop()
-    from datagen.rendering.renderer import SceneRenderer
-
     renderer = SceneRenderer(configuration, run.library, run.recipe.render)
     done = len(names) - len(missing)
     for view in renderer.render_views(missing):
@@ -206,9 +210,6 @@ def _render(run: UnitRun, configuration: Configuration) -> None:
 def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
     """Gather the multi-view statistics of all views and publish the complete views."""
     start = time.perf_counter()
-    from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
-    from datagen.multiview.visibility import VisibilityOptions
-
     names = [camera.name for camera in configuration.cameras]
     run.complete_path.mkdir(parents=True, exist_ok=True)
     if all(run.read_record(run.complete_path, name) is not None for name in names):
@@ -221,8 +222,6 @@ def _gather_statistics(run: UnitRun, configuration: Configuration) -> None:
             raise _missing_view(run.rendered_path / f"{name}.exr", run, "render")
         records.append(record)
         stored.append(decode_view(run.rendered_path / f"{name}.exr"))
-    from mitsuba_plugins.variant import select_variant
-
     select_variant(run.variant)
     settings = run.recipe.statistics
     scene = None
@@ -257,10 +256,7 @@ def light_of_views(run: UnitRun, configuration: Configuration, views: Sequence[S
     """The light recorded by the views, from the inputs of a reconstruction of the room: images, cameras and
     mesh.
     """
-    from datagen.geometry.traced import TracedGeometry
-    from datagen.geometry.views import TracedView
     from datagen.light.view_light import ViewLight
-    from datagen.rendering.capture_geometry import configuration_geometry
 
     geometry, _ = configuration_geometry(configuration, run.library)
     traced = TracedGeometry(geometry)

@@ -18,6 +18,7 @@ import psutil
 
 from datagen.farm.folder import DatasetFolder, Plan, PlannedUnit
 from datagen.foundation.errors import DISK_FULL, InputError, Problem, input_error
+from datagen.library import Library
 from mitsuba_plugins.variant import check_variant, select_variant
 
 EXIT_INTERRUPTED = 75
@@ -130,8 +131,6 @@ class _WorkerContext:
     """
 
     def __init__(self, folder: DatasetFolder, threads: int | None):
-        from datagen.library import Library
-
         self.folder = folder
         self.plan = folder.read_plan()
         self.recipe = folder.read_recipe()

@@ -10,7 +10,7 @@ W, 3), linear Rec.709, row 0 at the top, all views of a capture under one exposu
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,7 @@ from datagen.formats.lights import Light
 from datagen.foundation.cameras import Camera
 from datagen.foundation.encodings import Encoding
 from datagen.foundation.errors import InputError, Problem
-
-if TYPE_CHECKING:
-    from datagen.foundation.meshes.mesh import Mesh
+from datagen.foundation.meshes.mesh import Mesh
 
 CAPTURE_FILE = "capture.json"
 

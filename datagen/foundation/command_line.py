@@ -19,6 +19,8 @@ import typer
 from typer.core import TyperGroup
 from typer.models import OptionInfo, ParameterInfo
 
+from datagen.foundation.errors import DISK_FULL, InputError, Problem, input_error
+
 T = TypeVar("T")
 
 _REMEDIES = {
@@ -55,8 +57,6 @@ def run_command(app: Callable[[], object]) -> None:
     Bad input ends with its message and code 2, a full disk with code 1, a broken pipe silently; access errors
     of files and folders count as bad input.
     """
-    from datagen.foundation.errors import DISK_FULL, InputError, Problem
-
     try:
         app()
     except InputError as error:
@@ -90,8 +90,6 @@ def group_with(moved: Mapping[str, str]) -> type[TyperGroup]:
         """Verbs, and the replacements of removed ones."""
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-            from datagen.foundation.errors import input_error
-
             if args and args[0] in moved:
                 verb = f"{ctx.command_path} {args[0]}"
                 raise input_error(verb, got=f"is now `{moved[args[0]]}`")

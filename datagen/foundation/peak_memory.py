@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -32,8 +33,6 @@ def process_peak_mb() -> float:
         import psutil
 
         return psutil.Process().memory_info().peak_wset / 2**20
-    import resource
-
     unit = 2**20 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -237,8 +238,6 @@ class TextureFiles:
 
 def encode_exr(pixels: NDArray) -> bytes:
     """Half-float, ZIP-compressed EXR bytes of (H, W, 3) linear pixels."""
-    import tempfile
-
     import OpenEXR
 
     with tempfile.TemporaryDirectory() as folder:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from datagen.foundation.command_line import with_options
+from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.importers.sweet_home_report import ImportWatch
 
 if TYPE_CHECKING:
     from datagen.importers.common import ImportOptions
@@ -65,7 +67,6 @@ class ImportWords:
         """Options with checked types and choices. Raises :class:`InputError` with every fault."""
         from pydantic import TypeAdapter, ValidationError
 
-        from datagen.foundation.errors import InputError, Problem
         from datagen.importers.common import ImportOptions
 
         values = {
@@ -90,8 +91,6 @@ class ImportWords:
 
 
 def _pairs(option: str, values: tuple[str, ...]) -> dict[str, str]:
-    from datagen.foundation.errors import input_error
-
     pairs = {}
     for value in values:
         name, separator, what = value.partition("=")
@@ -123,7 +122,6 @@ def import_command(
     from datagen.importers.common import ImportedAsset
     from datagen.importers.dispatch import import_asset
     from datagen.importers.summary import summary_lines
-    from datagen.importers.sweet_home_report import ImportWatch
 
     options = words.parse()
 

@@ -9,16 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.naming import slug
 from datagen.foundation.paths import fault_of, inside
 from datagen.importers.blender_files import BLENDER_SUFFIXES, import_by_blender, uses_draco
 from datagen.importers.common import ImportedAsset, ImportOptions
-
-if TYPE_CHECKING:
-    from datagen.importers.sweet_home_report import ImportWatch
+from datagen.importers.material_folder import import_material_folder, is_material_folder
+from datagen.importers.sweet_home_report import ImportWatch
 
 GLTF_SUFFIXES = (".gltf", ".glb")
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
@@ -83,8 +81,6 @@ def _is_folder(path: Path, child: Path) -> bool:
 
 
 def _in_folder(folder: Path) -> list[Source]:
-    from datagen.importers.material_folder import is_material_folder
-
     for name in _SCENE_FILES:
         if (folder / name).is_file():
             return [Source(inside(folder, folder / name), "mitsuba")]
@@ -166,8 +162,6 @@ def _import_one(
 
         on_step = None if watch is None else partial(watch.step, source.path)
         return import_sweet_home(source.path, out_library, options, on_step)
-    from datagen.importers.material_folder import import_material_folder
-
     if options.kind not in ("auto", "material"):
         raise input_error(source.path, "kind", options.kind, "material: texture folders become materials")
     return [import_material_folder(source.path, out_library, replace(options, kind="material"))]

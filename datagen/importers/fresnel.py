@@ -14,6 +14,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mitsuba_plugins.variant import select_variant
+
 ALPHA_BECKMANN_PER_GGX = 1.1456
 AIR_IOR = 1.000277
 DIFFUSE_SHEEN = 0.0047
@@ -111,8 +113,6 @@ def conductor_preset_mean(material: str) -> tuple[float, float, float]:
     """
     if material.lower() == "none":
         return (1.0, 1.0, 1.0)
-    from mitsuba_plugins.variant import select_variant
-
     select_variant()
     import drjit as dr
     import mitsuba as mi

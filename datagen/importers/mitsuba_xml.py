@@ -33,7 +33,7 @@ from datagen.foundation.budget import Budget
 from datagen.foundation.errors import InputError, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png
-from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, without_degenerate
+from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
@@ -414,8 +414,6 @@ def _source_of(node: SceneNode, file: Path | None) -> tuple[Any, ...]:
 
 def is_pane(mesh: Mesh) -> bool:
     """Whether every separate piece of a mesh is flat: thin relative to its second-largest extent."""
-    from datagen.foundation.meshes.mesh import welded
-
     points, index = welded(mesh)
     faces = index[mesh.faces]
     labels = _pieces(faces, len(points))

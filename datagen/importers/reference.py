@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,14 @@ from datagen.formats.lights import EnvironmentLight, Light
 from datagen.formats.mitsuba.scene import parse_scene
 from datagen.formats.mitsuba.sensors import camera_of
 from datagen.formats.package import Package
+from datagen.formats.recipe import RenderRecipe
 from datagen.foundation.cameras import Camera
 from datagen.foundation.color import luminance
 from datagen.foundation.errors import input_error
 from datagen.foundation.findings import Findings
-
-if TYPE_CHECKING:
-    from datagen.library import Library
+from datagen.library import Library
+from datagen.rendering.renderer import SceneRenderer
+from mitsuba_plugins.variant import select_variant
 
 BLUR_SHARE = 0.01  # sigma of the comparison's blur, as a share of the image's width
 _DARK_SHARE = 0.01  # pixels below this share of the mean are too dark for a ratio
@@ -143,10 +144,6 @@ def render_converted(
     height_px: int | None = None,
 ) -> NDArray[np.float32]:
     """The imported environment from its first camera, with the project's BSDF; not denoised."""
-    from datagen.formats.recipe import RenderRecipe
-    from datagen.rendering.renderer import SceneRenderer
-    from mitsuba_plugins.variant import select_variant
-
     configuration = native_configuration(library.package(asset_id), width_px, seed, height_px)
     recipe = RenderRecipe(
         variant=select_variant(),  # type: ignore[arg-type]

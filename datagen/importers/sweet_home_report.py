@@ -8,8 +8,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from datagen.foundation.progress import Bars
+
 if TYPE_CHECKING:
-    from datagen.foundation.progress import Bars
     from datagen.importers.sweet_home import Step
 
 

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from datagen.foundation.command_line import with_options
+from datagen.foundation.progress import Bars
 
 
 def doctor() -> None:
@@ -131,7 +132,6 @@ def report(
 
 def write_sheets(folder: Path) -> None:
     """Write the missing contact sheets, and print their paths."""
-    from datagen.foundation.progress import Bars
     from datagen.inspection.contact_sheet import write_dataset_sheets
 
     with Bars("configurations") as bars:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, ShardReader
 from datagen.foundation.buffers import MATERIAL_MAPS
@@ -276,8 +277,6 @@ def write_dataset_sheets(
 
 def _finished_shards(folder: Path) -> list[tuple[str, Path]]:
     """(configuration, shard) of each finished unit, from the plan if there is one, else from the index."""
-    from datagen.farm.folder import DatasetFolder
-
     if not (folder / "plan.json").is_file():
         if not (folder / INDEX_FILE).is_file():
             remedy = "name a dataset folder, or run `datagen run` first"

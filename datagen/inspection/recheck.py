@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,10 @@ from datagen.formats.shard import Dataset, ShardReader, View
 from datagen.foundation.color import luminance
 from datagen.foundation.errors import input_error
 from datagen.inspection.findings import Fault, Report
+from datagen.library import Library
 from datagen.rendering.error import relative_mse_of_parts
-
-if TYPE_CHECKING:
-    from datagen.library import Library
-    from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.sample_budget import PathSums
 
 DEPTH, ROULETTE_DEPTH = 65, 5
 """Maximum number of segments of a path, and the number from which Russian roulette may end it."""
@@ -119,8 +118,6 @@ def recheck(
 def _recheck_shard(
     path: Path, positions: set[int], library: Library, samples: int, report: Report
 ) -> list[Rechecked]:
-    from datagen.rendering.renderer import SceneRenderer
-
     configuration = ShardReader(path).configuration()
     for asset, digest in configuration.assets.items():
         if asset not in library or library.package(asset).sha256 != digest:
@@ -138,7 +135,6 @@ def _recheck_shard(
 
 
 def _against_plain_paths(renderer: SceneRenderer, view: View, samples: int) -> Rechecked:
-    from datagen.rendering.sample_budget import PathSums
     from datagen.rendering.transport.integrator import PathTracer
 
     tracer = PathTracer(renderer.built, DEPTH, ROULETTE_DEPTH)

@@ -15,25 +15,26 @@ from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from datagen.farm.folder import library_of, rooms_of
+from datagen.farm.leftovers import find_leftovers
 from datagen.formats.asset import EnvironmentAsset, Material, MaterialAsset, ObjectAsset, Texture
 from datagen.formats.base import read_json
 from datagen.formats.configuration import Configuration
+from datagen.formats.package import Package
 from datagen.formats.shard import INDEX_FILE, DatasetIndex, ShardReader
+from datagen.formats.textures import texture_values
 from datagen.foundation.errors import InputError, input_error
+from datagen.foundation.images import read_image
 from datagen.foundation.paths import inside
 from datagen.foundation.progress import Bars
 from datagen.inspection.findings import CHECKS, Fault, Report, Severity
 from datagen.inspection.recheck import Rechecked, figures, print_rechecked
 from datagen.inspection.recheck import recheck as recheck_views
 from datagen.inspection.shard_check import ShardJob, verify_shard
-
-if TYPE_CHECKING:
-    from datagen.formats.package import Package
-    from datagen.library import Library
+from datagen.library import Library
 
 _MAX_LISTED = 40
 
@@ -128,8 +129,6 @@ def _jobs_of_folder(folder: Path, report: Report) -> list[ShardJob]:
 
 def _leftovers(folder: Path) -> set[Path]:
     """Remains of killed attempts; none in a folder without a plan, such as a copy of the shards."""
-    from datagen.farm.leftovers import find_leftovers
-
     try:
         return set(find_leftovers(folder))
     except InputError:
@@ -179,9 +178,6 @@ def expected_roughness(configuration: Configuration, library: Library) -> dict[s
 
 
 def _texture_range(package: Package, material: Material, offset: float) -> float:
-    from datagen.formats.textures import texture_values
-    from datagen.foundation.images import read_image
-
     texture = material.roughness
     assert isinstance(texture, Texture)
     values = texture_values(texture, read_image(package.local_file(texture.texture)), is_scalar=True)
@@ -223,9 +219,6 @@ def verify_command(
     ``recheck`` views are rendered again by plain path tracing, with ``recheck_samples`` paths per pixel,
     which needs a library.
     """
-    from datagen.farm.folder import library_of, rooms_of
-    from datagen.library import Library
-
     library_paths = library_of(path) if library_paths is None else [*library_paths, *rooms_of(path)]
     if recheck and not library_paths:
         got = "no library that the dataset was made from"

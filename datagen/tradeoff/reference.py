@@ -14,7 +14,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,11 @@ from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 from datagen.foundation.color import exposure_for
 from datagen.foundation.durable import publish
 from datagen.foundation.versions import pixel_versions
-
-if TYPE_CHECKING:
-    from datagen.library import Library
+from datagen.library import Library
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+from datagen.multiview.visibility import VisibilityOptions
+from datagen.rendering.denoiser import auxiliary_albedo, make_denoiser
+from datagen.rendering.renderer import SceneRenderer
 
 SAMPLES_A_CHUNK = 64
 MAX_DEPTH = 32
@@ -120,8 +122,6 @@ def make_reference(
     report: Callable[[], None],
 ) -> None:
     """Make the missing parts of a reference; ``report`` is called after each view."""
-    from datagen.rendering.renderer import SceneRenderer
-
     reference.folder.mkdir(parents=True, exist_ok=True)
     recipe = RenderRecipe(
         variant="auto",
@@ -161,10 +161,6 @@ def _statistics(
     renderer: Any, configuration: Configuration, reference: Reference
 ) -> dict[str, NDArray[np.float32]]:
     """Statistics of all views, from their converged and denoised colours."""
-    from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
-    from datagen.multiview.visibility import VisibilityOptions
-    from datagen.rendering.denoiser import auxiliary_albedo, make_denoiser
-
     denoiser = make_denoiser(renderer.variant)
     views = []
     for index, camera in enumerate(configuration.cameras):

@@ -12,7 +12,7 @@ import os
 import platform
 import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -218,8 +218,6 @@ def _report_views(subject: Subject, before: int, report: Callable[[str, int], No
 
 
 def _wait(future: object) -> None:
-    from concurrent.futures import Future, wait
-
     assert isinstance(future, Future)
     wait([future], timeout=0.5)
 

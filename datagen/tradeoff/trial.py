@@ -19,22 +19,26 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.foundation.buffers import BUFFERS, MATERIAL_MAPS
 from datagen.foundation.exr import COMPRESSIONS, decode_view, encode_view, to_storage
+from datagen.library import Library
+from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
+from datagen.multiview.visibility import VisibilityOptions
 from datagen.rendering.denoiser import OidnDenoiser
 from datagen.rendering.error import relative_mse
+from datagen.rendering.geometry import MeshCache
+from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.scene_builder import AssetCaches
+from datagen.rendering.textures import TextureCache
 from datagen.tradeoff.reference import STATISTICS, Reference
 from datagen.tradeoff.settings import Setting
-
-if TYPE_CHECKING:
-    from datagen.library import Library
-    from datagen.rendering.renderer import SceneRenderer
 
 ERROR_MAPS = (*MATERIAL_MAPS, "normal_world")
 STAGES = ("learn", "render", "statistics", "compress")
@@ -92,11 +96,6 @@ def measure(configuration: Configuration, library: Library, reference: Reference
     """Render, process, store and compare every view of ``configuration`` (the reference's) with
     ``setting``.
     """
-    from datagen.rendering.geometry import MeshCache
-    from datagen.rendering.renderer import SceneRenderer
-    from datagen.rendering.scene_builder import AssetCaches
-    from datagen.rendering.textures import TextureCache
-
     at_size = _scaled(configuration, setting.image_scale)
     caches = AssetCaches(MeshCache(), TextureCache(shrink=setting.texture_shrink))
     start = time.process_time()
@@ -186,9 +185,6 @@ def _gather(
     watch: Stopwatch,
 ) -> Iterator[dict[str, NDArray]]:
     """Statistics of all views; compilation in the first launch is not counted."""
-    from datagen.multiview.statistics import StatisticsOptions, StatisticsView, compute_statistics
-    from datagen.multiview.visibility import VisibilityOptions
-
     views = [
         StatisticsView.from_buffers(camera.camera(), buffers, camera.name)
         for camera, buffers in zip(configuration.cameras, stored, strict=True)
@@ -209,8 +205,6 @@ def encode(buffers: Mapping[str, NDArray], setting: Setting) -> bytes:
     """A view as EXR: as in shards, or with every channel in single precision."""
     if setting.storage == "half":
         return encode_view(buffers, setting.compression)
-    import OpenEXR
-
     channels = {
         channel: np.ascontiguousarray(
             array[..., k], dtype=np.uint32 if BUFFERS[name].pixel_type == "uint" else np.float32

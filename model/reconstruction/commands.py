@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from datagen.foundation.command_line import QuietOption, with_options
-from model.events import ListenerOption
+from datagen.foundation.progress import Bars
+from model.events import Event, ListenerOption, load_listeners
 from model.reconstruction.capture_options import CaptureOptions, FrameOptions
 from model.reconstruction.infer_options import AssetOptions, InferOptions
 
@@ -56,9 +57,7 @@ def infer(
 
     Example: materials infer photos --mesh room.glb --out room
     """
-    from datagen.foundation.progress import Bars
     from model.checkpoint import bundled_checkpoint
-    from model.events import Event, load_listeners
     from model.reconstruction.infer import infer as run
     from model.reconstruction.predict.sources import TRUTH, CheckpointMaps
 
@@ -117,7 +116,6 @@ def photos(
 
     After an interruption, the same command continues. Example: materials photos kitchen --out kitchen-asset
     """
-    from datagen.foundation.progress import Bars
     from model.checkpoint import bundled_checkpoint
     from model.reconstruction.photos.pipeline import PhotosOptions, make_asset
     from model.reconstruction.predict.sources import CheckpointMaps
@@ -154,7 +152,6 @@ def check(
 
     Example: materials check photos --mesh room.glb --out check
     """
-    from datagen.foundation.progress import Bars
     from model.reconstruction.check.capture_check import check_capture
 
     opened = _opened(capture, reading)

@@ -44,6 +44,12 @@ from model.reconstruction.atlas.atlas import Atlas, empty_atlas
 from model.reconstruction.atlas.confidence import put_confidence
 from model.reconstruction.atlas.texels import TexelSurface
 from model.reconstruction.check.capture_check import check_traced, view_warnings
+from model.reconstruction.export.asset import write_asset
+from model.reconstruction.export.atlas_images import write_atlas_images
+from model.reconstruction.export.gltf import write_glb
+from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
+from model.reconstruction.export.slots import Reconstruction
+from model.reconstruction.export.usd import write_usdz
 from model.reconstruction.infer_options import InferOptions, InferReport, Progress
 from model.reconstruction.level.stage import leveled
 from model.reconstruction.light.map_stage import lit
@@ -266,13 +272,6 @@ def _seen_share(atlas: Atlas, can_be_seen: NDArray[np.bool_]) -> tuple[float, fl
 
 
 def _export(capture: Capture, merged: MergedAtlas, run: Run) -> None:
-    from model.reconstruction.export.asset import write_asset
-    from model.reconstruction.export.atlas_images import write_atlas_images
-    from model.reconstruction.export.gltf import write_glb
-    from model.reconstruction.export.mitsuba_scene import write_mitsuba_scene
-    from model.reconstruction.export.slots import Reconstruction
-    from model.reconstruction.export.usd import write_usdz
-
     geometry = CaptureGeometry(merged.mesh, capture.geometry.parts)
     capture = Capture(capture.name, capture.views, geometry, capture.lights, capture.notes)
     out, atlas = run.out, merged.atlas

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -214,8 +215,6 @@ def lpips_vgg(layers: list[Convolution], image: Tensor, reference: Tensor) -> Te
 
 def lpips_check_value(layers: list[Convolution]) -> float:
     """LPIPS-VGG of two fixed random batches, with the published value :data:`LPIPS_CHECK_VALUE`."""
-    import numpy as np
-
     random = np.random.RandomState(123)
     first, second = (torch.from_numpy(random.rand(10, 3, 100, 100).astype(np.float32)) for _ in range(2))
     with torch.no_grad():

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -17,12 +16,10 @@ from model.confidence import FILTERED_MAPS, ConfidenceNets, filter_maps
 from model.networks import MaterialNetwork, TrackName, encode_color
 from model.own_network import OwnNetwork
 from model.training.config import PHASE_TRACKS, PhaseName
+from model.training.context import TrainingContext
 from model.training.dataset import buffer_names, load_view, view_sample
 from model.training.run_log import RunLog, view_panel
 from model.training.sources import spread
-
-if TYPE_CHECKING:
-    from model.training.context import TrainingContext
 
 ALL_TRACKS = PHASE_TRACKS["joint"]
 Predictor = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]

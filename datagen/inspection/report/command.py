@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
+from datagen.farm.folder import library_of, rooms_of
 from datagen.formats.shard import Dataset
 from datagen.foundation.errors import input_error
 from datagen.foundation.progress import Bars
@@ -17,6 +18,7 @@ from datagen.inspection.report.writing import (
     predicted_configurations,
     write_report,
 )
+from datagen.library import Library
 
 
 def parse_pixels(text: str) -> int | None:
@@ -36,9 +38,6 @@ def report_command(
     is_dry_run: bool = False,
 ) -> int:
     """Write the report with a progress bar and print its path; returns the exit code."""
-    from datagen.farm.folder import library_of, rooms_of
-    from datagen.library import Library
-
     index = Dataset(folder).index
     target = out if out is not None else folder / "report"
     first = predicted_configurations(index, options.predictions)

@@ -24,7 +24,9 @@ from datagen.formats.view import ViewRecord
 from datagen.foundation.buffers import surface_pixels
 from datagen.foundation.color import clipped_share, luminance, photographic_exposure, srgb_from_linear
 from datagen.inspection.report.figures import NUM_COVERAGE_BINS, PIXEL_AXES, count_metal_and_gloss, count_view
+from datagen.inspection.report.sources import options_of, source_views
 from datagen.inspection.report.tiles import write_tile
+from datagen.multiview.statistics import StatisticsView
 
 REVISION = 4
 """Part of the key of stored figures: increase it when the form of the figures or tiles changes."""
@@ -212,16 +214,12 @@ def _write_tiles(folder: Path, view: View) -> int:
 
 
 def _geometry(view: View) -> Any:
-    from datagen.multiview.statistics import StatisticsView
-
     # source views depend on no colours
     buffers: dict[str, NDArray] = {**view.buffers, "beauty": np.zeros((0,))}
     return StatisticsView.from_buffers(view.record.camera.camera(), buffers, view.record.name)
 
 
 def _write_sources(folder: Path, records: list[ViewRecord], geometry: list[Any]) -> int:
-    from datagen.inspection.report.sources import options_of, source_views
-
     assert records[0].statistics is not None
     written = 0
     options = options_of(records[0].statistics)

@@ -23,16 +23,18 @@ from functools import partial
 from importlib.resources import files
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import quote
 
 from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import Dataset, DatasetIndex
-from datagen.foundation.buffers import BUFFERS
+from datagen.foundation.buffers import BUFFERS, MIN_COVERAGE
+from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.foundation.color_maps import cividis
 from datagen.foundation.errors import InputError, input_error
 from datagen.foundation.progress import Progress
+from datagen.inspection.findings import Report
 from datagen.inspection.report import summary
 from datagen.inspection.report.gather import SHOWN_BUFFERS, GatherJob, gather_shard
 from datagen.inspection.report.predictions import (
@@ -42,10 +44,9 @@ from datagen.inspection.report.predictions import (
     compare_shard,
     prediction_table,
 )
-
-if TYPE_CHECKING:
-    from datagen.inspection.findings import Report
-    from datagen.library import Library
+from datagen.inspection.verify import verify_dataset
+from datagen.library import Library
+from datagen.multiview.visibility import VisibilityOptions
 
 PAGE_FILES = (
     "index.html",
@@ -228,8 +229,6 @@ def _check_out(out: Path) -> None:
 def _verify(
     folder: Path, library: Library | None, options: ReportOptions, progress: Progress | None
 ) -> Report:
-    from datagen.inspection.verify import verify_dataset
-
     def tell(done: int, total: int) -> None:
         if progress is not None:
             progress("verify", done, total)
@@ -283,10 +282,6 @@ def _sheets(index: DatasetIndex, folder: Path, out: Path) -> dict[str, str]:
 
 def _head(index: DatasetIndex, folder: Path) -> dict[str, Any]:
     """Counts, the registry's buffers, and the numbers that viewer and kernels share."""
-    from datagen.foundation.buffers import MIN_COVERAGE
-    from datagen.foundation.color import LUMINANCE_WEIGHTS
-    from datagen.multiview.visibility import VisibilityOptions
-
     visibility = VisibilityOptions()
     shown = [name for name in SHOWN_BUFFERS if name in index.buffers]
     return {

@@ -13,6 +13,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.meshes.mesh import SINGULAR, Mesh, inspect_mesh, welded, without_degenerate
 from datagen.foundation.meshes.ply import read_ply
 from datagen.foundation.paths import inside
+from model.reconstruction.captures.gltf_mesh import read_gltf
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
 _OTHER_SUFFIXES = (
@@ -87,8 +88,6 @@ def _decoded(path: Path, suffix: str, budget: Budget) -> Mesh:
         from datagen.foundation.meshes.obj import read_obj
 
         return read_obj(path, budget)
-    from model.reconstruction.captures.gltf_mesh import read_gltf
-
     return read_gltf(path, budget)
 
 

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.formats.mitsuba.scene import parse_scene
+from datagen.formats.mitsuba.sensors import camera_of
 from datagen.foundation.budget import Budget
 from datagen.foundation.errors import input_error
+from datagen.foundation.findings import Findings
 from model.reconstruction.captures.posed import Calibration, PosedImage, head_of
 
 
@@ -19,10 +22,6 @@ def find(path: Path) -> Path | None:
 
 def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     """Every sensor. Raises :class:`InputError` if there is none, or with the scene's faults."""
-    from datagen.formats.mitsuba.scene import parse_scene
-    from datagen.formats.mitsuba.sensors import camera_of
-    from datagen.foundation.findings import Findings
-
     posed = []
     for number, node in enumerate(parse_scene(path, budget=budget).all_of("sensor")):
         budget.spend("frames", 1, node.where)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from datagen.foundation.errors import InputError, Problem, input_error
 from datagen.foundation.exr import check_claim
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX, image_size, read_image, read_ldr
+from model.reconstruction.captures.raw_photographs import read_raw
 
 HEIC_SUFFIXES = (".heic", ".heif", ".hif")
 RAW_SUFFIXES = (
@@ -90,8 +91,6 @@ def read_stored(path: Path) -> Stored:
     _check(path)
     if not is_raw(path):
         return Stored(read_photograph(path))
-    from model.reconstruction.captures.raw_photographs import read_raw
-
     pixels, clipped = read_raw(path)
     return Stored(pixels, True, clipped)
 

@@ -63,6 +63,7 @@ from model.reconstruction.captures.mesh_file import find_mesh, load_mesh, sound_
 from model.reconstruction.captures.package import is_package, read_package
 from model.reconstruction.captures.photographs import PhotographSource
 from model.reconstruction.captures.posed import Calibration, ImageFinder
+from model.reconstruction.captures.rendered import library_of, read_shard
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,6 @@ def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None
 
 
 def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
-    from model.reconstruction.captures.rendered import library_of, read_shard
-
     if path.is_dir():
         shards = sorted((path / "shards").glob("*.tar"))
         if len(shards) != 1:

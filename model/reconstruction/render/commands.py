@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from datagen.foundation.bundled import object_package
 from datagen.foundation.command_line import QuietOption, with_options
+from datagen.foundation.progress import Bars
 from model.reconstruction.render.options import FilmOptions
 
 if TYPE_CHECKING:
@@ -74,7 +77,6 @@ def render(
 
     Example: materials render room/asset --out renders --sky 1,1,1 --insert bundled:mug@1,2,0.8
     """
-    from datagen.foundation.progress import Bars
     from model.reconstruction.render.relight import write_renders
     from model.reconstruction.render.turntable import TurntableOptions, write_turntable
 
@@ -152,9 +154,6 @@ def _lamp(text: str) -> Any:
 
 
 def _insertion(text: str) -> Any:
-    from math import radians
-
-    from datagen.foundation.bundled import object_package
     from model.reconstruction.render.relight import Insertion
 
     package, separator, place = text.rpartition("@")

@@ -32,6 +32,7 @@ from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.meshes.ply import encode_ply
 from datagen.foundation.progress import Progress
 from datagen.library import Library
+from datagen.rendering.renderer import SceneRenderer
 
 SKY_ID = "relight-sky"
 _DARK = 1e-3  # relative to the sky's radiance: views with a lower mean are not lit by it
@@ -87,8 +88,6 @@ def render_asset(path: Path, options: RelightOptions | None = None) -> Iterator[
     """Rendered views of an environment package. Raises :class:`InputError` for unknown views, no light, bad
     packages.
     """
-    from datagen.rendering.renderer import SceneRenderer
-
     options = options or RelightOptions()
     package = open_package(path)
     with _sky_package(options.sky) as sky:
