@@ -11,10 +11,10 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +91,53 @@ class ImageCache:
             return texture_values(value.texture(value.file.name), self.pixels(value.file), is_scalar)
         return np.asarray(value, dtype=np.float32)
 
+    def color(
+        self,
+        label: str,
+        function: Callable[..., NDArray],
+        *colors: ColorValue,
+        scalars: tuple[ScalarValue, ...] = (),
+    ) -> ColorValue:
+        """The colour that ``function`` computes from colours and, after them, scalars as (..., 1).
+
+        At the resolution of the largest image among them. Constants give a constant, and so does an image
+        that turns out to be constant; ``label`` names the file of any other result.
+        """
+        inputs = [*((value, False) for value in colors), *((value, True) for value in scalars)]
+        return cast(ColorValue, self._combined(label, function, inputs, is_scalar=False))
+
+    def scalar(self, label: str, function: Callable[..., NDArray], *scalars: ScalarValue) -> ScalarValue:
+        """The scalar that ``function`` computes from scalars; see :meth:`color`."""
+        inputs = [(value, True) for value in scalars]
+        return cast(ScalarValue, self._combined(label, function, inputs, is_scalar=True))
+
+    def _combined(
+        self,
+        label: str,
+        function: Callable[..., NDArray],
+        inputs: Sequence[tuple[Value, bool]],
+        is_scalar: bool,
+    ) -> Value:
+        """``inputs`` are pairs of a value and whether it is a scalar."""
+        arrays = [self.values(value, scalar) for value, scalar in inputs]
+        images = [a for (v, _), a in zip(inputs, arrays, strict=True) if not is_constant(v)]
+        sizes = [(a.shape[0], a.shape[1]) for a in images]
+        size = max(sizes, key=lambda s: s[0] * s[1], default=None)
+        shaped = []
+        for (value, scalar), array in zip(inputs, arrays, strict=True):
+            if size is not None and not is_constant(value) and array.shape[:2] != size:
+                array = _resized(array, size)
+            shaped.append(array[..., None] if scalar and not is_scalar else array)
+        result = np.clip(np.asarray(function(*shaped), dtype=np.float32), 0.0, 1.0)
+        if size is None:
+            return float(result) if is_scalar else _color(np.broadcast_to(result, (3,)))
+        result = np.broadcast_to(result, size if is_scalar else (*size, 3))
+        flat = result.reshape(-1, 1 if is_scalar else 3)
+        if (np.ptp(flat, axis=0) < MAX_CHANNEL_SPREAD).all():
+            mean = flat.mean(axis=0, dtype=np.float64)
+            return float(mean[0]) if is_scalar else _color(mean)
+        return BakedSource(result, label, "linear" if is_scalar else "srgb")
+
 
 def num_pixels(file: Path) -> int:
     """Number of pixels stated in an image's header; 0 if it is unreadable, which the decoder reports."""
@@ -117,38 +164,6 @@ def read_any_image(file: Path) -> NDArray:
     if pixels.ndim == 2:
         return pixels[..., None]
     return np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
-
-
-def combine(
-    function: Callable[..., NDArray],
-    cache: ImageCache,
-    label: str,
-    *inputs: tuple[Value, bool],
-    is_scalar: bool,
-) -> Value:
-    """``function`` of channel values, at the resolution of the largest image among them.
-
-    ``inputs`` are (value, is_scalar) pairs; scalars are passed to ``function`` as (..., 1) if the result is a
-    colour. Constants give a constant, and so does an image that turns out to be constant.
-    """
-    arrays = [cache.values(value, scalar) for value, scalar in inputs]
-    images = [a for (v, _), a in zip(inputs, arrays, strict=True) if not is_constant(v)]
-    sizes = [(a.shape[0], a.shape[1]) for a in images]
-    size = max(sizes, key=lambda s: s[0] * s[1], default=None)
-    shaped = []
-    for (value, scalar), array in zip(inputs, arrays, strict=True):
-        if size is not None and not is_constant(value) and array.shape[:2] != size:
-            array = _resized(array, size)
-        shaped.append(array[..., None] if scalar and not is_scalar else array)
-    result = np.clip(np.asarray(function(*shaped), dtype=np.float32), 0.0, 1.0)
-    if size is None:
-        return float(result) if is_scalar else _color(np.broadcast_to(result, (3,)))
-    result = np.broadcast_to(result, size if is_scalar else (*size, 3))
-    flat = result.reshape(-1, 1 if is_scalar else 3)
-    if (np.ptp(flat, axis=0) < MAX_CHANNEL_SPREAD).all():
-        mean = flat.mean(axis=0, dtype=np.float64)
-        return float(mean[0]) if is_scalar else _color(mean)
-    return BakedSource(result, label, "linear" if is_scalar else "srgb")
 
 
 def _color(array: NDArray) -> Color:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from datagen.importers.channels import (
     ImageSource,
     ScalarValue,
     TextureFiles,
-    combine,
 )
 from datagen.importers.classes import REPLACEABLE, guess_class
 from datagen.importers.common import ImportOptions
@@ -152,15 +151,8 @@ class GltfMaterialConverter:
             return factor
         if min(factor) == max(factor):
             return replace(image, scale=factor[0])
-        return cast(
-            ColorValue,
-            combine(
-                lambda c: c * np.asarray(factor, dtype=np.float32),
-                self.cache,
-                f"{slug(name)}_base",
-                (image, False),
-                is_scalar=False,
-            ),
+        return self.cache.color(
+            f"{slug(name)}_base", lambda c: c * np.asarray(factor, dtype=np.float32), image
         )
 
     def _times(self, image: ImageSource | None, factor: float, channel: ChannelName) -> ScalarValue:
@@ -177,15 +169,12 @@ class GltfMaterialConverter:
         strength = float(specular.get("specularFactor", 1.0))
         weight = self._image(specular.get("specularTexture"), name, "linear")
         color = self._image(specular.get("specularColorTexture"), name, "srgb")
-        value = combine(
-            lambda c, w: np.minimum(f0 * tint * c, 1.0) * w * strength,
-            self.cache,
+        return self.cache.color(
             f"{slug(name)}_f0",
-            (color if color is not None else (1.0, 1.0, 1.0), False),
-            (replace(weight, channel="a") if weight is not None else 1.0, True),
-            is_scalar=False,
+            lambda c, w: np.minimum(f0 * tint * c, 1.0) * w * strength,
+            color if color is not None else (1.0, 1.0, 1.0),
+            scalars=(replace(weight, channel="a") if weight is not None else 1.0,),
         )
-        return cast(ColorValue, value)
 
     def _transmission(self, base: ColorValue, extensions: dict[str, Any], name: str) -> ColorValue:
         factor = float(extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0))
@@ -196,14 +185,7 @@ class GltfMaterialConverter:
             self.problem(f"material {name!r}", f"transmission {factor:g}", "an opaque material", remedy)
             return base
         self._note(name, f"transmission {factor:g} as opaque opal glass")
-        value = combine(
-            lambda c: c * (1 - factor + _OPAL * factor),
-            self.cache,
-            f"{slug(name)}_opal",
-            (base, False),
-            is_scalar=False,
-        )
-        return cast(ColorValue, value)
+        return self.cache.color(f"{slug(name)}_opal", lambda c: c * (1 - factor + _OPAL * factor), base)
 
     def _opacity(self, entry: dict[str, Any], pbr: dict[str, Any], name: str) -> float | Texture | None:
         mode = entry.get("alphaMode", "OPAQUE")
@@ -220,15 +202,8 @@ class GltfMaterialConverter:
         alpha: ScalarValue = ImageSource(image.file, "linear", "a", factor)
         if cutoff is not None:
             limit = cutoff
-            alpha = cast(
-                ScalarValue,
-                combine(
-                    lambda a: (a >= limit).astype(np.float32),
-                    self.cache,
-                    f"{slug(name)}_opacity",
-                    (alpha, True),
-                    is_scalar=True,
-                ),
+            alpha = self.cache.scalar(
+                f"{slug(name)}_opacity", lambda a: (a >= limit).astype(np.float32), alpha
             )
         result = self.textures.scalar(alpha)
         return None if result == 1.0 else result

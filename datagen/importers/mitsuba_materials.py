@@ -27,7 +27,6 @@ from datagen.importers.channels import (
     ImageSource,
     ScalarValue,
     Value,
-    combine,
     is_constant,
 )
 from datagen.importers.common import ImportOptions
@@ -117,53 +116,36 @@ class MaterialConverter(NodeValues):
         reflectance = self.color(node, "reflectance", 0.5)
         if isinstance(reflectance, ImageSource):
             return Draft(name, diffuse=replace(reflectance, offset=-fresnel.DIFFUSE_SHEEN))
-        lowered = combine(
-            lambda d: d - fresnel.DIFFUSE_SHEEN,
-            self.cache,
-            f"{name}_diffuse_albedo",
-            (reflectance, False),
-            is_scalar=False,
-        )
-        return Draft(name, diffuse=cast(ColorValue, lowered))
+        lowered = self.cache.color(f"{name}_diffuse_albedo", lambda d: d - fresnel.DIFFUSE_SHEEN, reflectance)
+        return Draft(name, diffuse=lowered)
+
+    def _lobe_width(self, node: SceneNode, name: str) -> ScalarValue:
+        """R of a BSDF that Mitsuba has smooth and, with ``rough`` before its name, rough."""
+        return self.roughness(node, name) if node.type.startswith("rough") else 0.0
 
     def _plastic(self, node: SceneNode, name: str) -> Draft:
-        return self._any_plastic(node, name, roughness=0.0)
-
-    def _roughplastic(self, node: SceneNode, name: str) -> Draft:
-        return self._any_plastic(node, name, roughness=self.roughness(node, name))
-
-    def _any_plastic(self, node: SceneNode, name: str, roughness: ScalarValue) -> Draft:
-        ior = self.ior(node)
+        roughness, ior = self._lobe_width(node, name), self.ior(node)
         f0 = fresnel.dielectric_f0(ior)
         nonlinear = bool(node.get("nonlinear", False))
         reflectance = self.color(node, "diffuse_reflectance", 0.5)
         strength = self.color(node, "specular_reflectance", 1.0)
-        specular = combine(
-            lambda s: s * f0, self.cache, f"{name}_specular_albedo", (strength, False), is_scalar=False
-        )
-        diffuse = combine(
-            lambda d, s: fresnel.plastic_diffuse_albedo(d, ior, nonlinear) / (1 - s),
-            self.cache,
+        specular = self.cache.color(f"{name}_specular_albedo", lambda s: s * f0, strength)
+        diffuse = self.cache.color(
             f"{name}_diffuse_albedo",
-            (reflectance, False),
-            (specular, False),
-            is_scalar=False,
+            lambda d, s: fresnel.plastic_diffuse_albedo(d, ior, nonlinear) / (1 - s),
+            reflectance,
+            specular,
         )
-        draft = Draft(
-            name, cast(ColorValue, diffuse), cast(ColorValue, specular), roughness, fallback_class="plastic"
-        )
+        draft = Draft(name, diffuse, specular, roughness, fallback_class="plastic")
         inner = " with scattering inside" if nonlinear else ""
         return draft.with_note(
             f"{node.type}{inner} as D of equal hemispherical albedo, S = {f0:.4f} by Schlick"
         )
 
+    _roughplastic = _plastic
+
     def _conductor(self, node: SceneNode, name: str) -> Draft:
-        return self._any_conductor(node, name, roughness=0.0)
-
-    def _roughconductor(self, node: SceneNode, name: str) -> Draft:
-        return self._any_conductor(node, name, roughness=self.roughness(node, name))
-
-    def _any_conductor(self, node: SceneNode, name: str, roughness: ScalarValue) -> Draft:
+        roughness = self._lobe_width(node, name)
         strength = self.color(node, "specular_reflectance", 1.0)
         if "eta" in node.values or "k" in node.values:
             eta, k = self.constant_color(node, "eta", 0.0), self.constant_color(node, "k", 1.0)
@@ -176,17 +158,15 @@ class MaterialConverter(NodeValues):
                     f"{node.where}: material", str(error), "a conductor of Mitsuba", "give eta and k"
                 )
                 mean = np.ones(3)
-        specular = combine(
-            lambda s: fresnel.schlick_s_of_mean(s * mean),
-            self.cache,
-            f"{name}_specular_albedo",
-            (strength, False),
-            is_scalar=False,
+        specular = self.cache.color(
+            f"{name}_specular_albedo", lambda s: fresnel.schlick_s_of_mean(s * mean), strength
         )
-        draft = Draft(name, (0.0, 0.0, 0.0), cast(ColorValue, specular), roughness, fallback_class="metal")
+        draft = Draft(name, (0.0, 0.0, 0.0), specular, roughness, fallback_class="metal")
         if bool((mean < 1).any()):
             draft = draft.with_note("conductor Fresnel as Schlick's curve of equal hemispherical mean")
         return draft
+
+    _roughconductor = _conductor
 
     def _principled(self, node: SceneNode, name: str) -> Draft:
         """D = base (1 - metal)(1 - transmission); S = lerp(F0, base, metal); R = roughness (method 1)."""
@@ -196,25 +176,14 @@ class MaterialConverter(NodeValues):
             f0 = fresnel.dielectric_f0(float(node.get("eta")))
         else:
             f0 = 0.08 * float(node.get("specular", 0.5))
-        diffuse = combine(
-            lambda b, m, t: b * (1 - m) * (1 - t),
-            self.cache,
-            f"{name}_diffuse_albedo",
-            (base, False),
-            (metal, True),
-            (trans, True),
-            is_scalar=False,
+        diffuse = self.cache.color(
+            f"{name}_diffuse_albedo", lambda b, m, t: b * (1 - m) * (1 - t), base, scalars=(metal, trans)
         )
-        specular = combine(
-            lambda b, m: f0 * (1 - m) + b * m,
-            self.cache,
-            f"{name}_specular_albedo",
-            (base, False),
-            (metal, True),
-            is_scalar=False,
+        specular = self.cache.color(
+            f"{name}_specular_albedo", lambda b, m: f0 * (1 - m) + b * m, base, scalars=(metal,)
         )
         rough = self.scalar(node, "roughness", 0.5)
-        draft = Draft(name, cast(ColorValue, diffuse), cast(ColorValue, specular), rough)
+        draft = Draft(name, diffuse, specular, rough)
         for lobe in ("clearcoat", "sheen", "anisotropic", "flatness", "spec_tint", "sheen_tint"):
             if node.child(lobe) is not None or float(node.get(lobe, 0.0) or 0.0) > 0:
                 draft = draft.with_note(f"{lobe} left out")
@@ -225,23 +194,17 @@ class MaterialConverter(NodeValues):
     # transparent BSDFs: their replacement is decided per shape
 
     def _dielectric(self, node: SceneNode, name: str) -> Draft:
-        return self._glass(node, name, "body", 0.0)
+        roughness, f0 = self._lobe_width(node, name), fresnel.dielectric_f0(self.ior(node))
+        opal = 0.7  # roughly the radiance of a bright room behind clear glass
+        return Draft(name, (opal,) * 3, (f0,) * 3, roughness, transparency="body", fallback_class="glass")
 
-    def _roughdielectric(self, node: SceneNode, name: str) -> Draft:
-        return self._glass(node, name, "body", self.roughness(node, name))
+    _roughdielectric = _dielectric
 
     def _thindielectric(self, node: SceneNode, name: str) -> Draft:
-        return self._glass(node, name, "thin", 0.0)
+        return replace(self._dielectric(node, name), transparency="thin")
 
     def _null(self, node: SceneNode, name: str) -> Draft:
         return Draft(name, transparency="null")
-
-    def _glass(
-        self, node: SceneNode, name: str, kind: Literal["thin", "body"], roughness: ScalarValue
-    ) -> Draft:
-        f0 = fresnel.dielectric_f0(self.ior(node))
-        opal = 0.7  # roughly the radiance of a bright room behind clear glass
-        return Draft(name, (opal,) * 3, (f0,) * 3, roughness, transparency=kind, fallback_class="glass")
 
     # wrappers
 
@@ -295,31 +258,22 @@ class MaterialConverter(NodeValues):
             )
             return first
 
-        def mix(a: Value, b: Value, label: str) -> ColorValue:
-            value = combine(
-                lambda x, y, w: x * (1 - w) + y * w,
-                self.cache,
-                f"{name}_{label}",
-                (a, False),
-                (b, False),
-                (weight, True),
-                is_scalar=False,
+        def mix(a: ColorValue, b: ColorValue, label: str) -> ColorValue:
+            return self.cache.color(
+                f"{name}_{label}", lambda x, y, w: x * (1 - w) + y * w, a, b, scalars=(weight,)
             )
-            return cast(ColorValue, value)
 
-        rough = combine(
-            lambda x, y, w: np.sqrt(x * x * (1 - w) + y * y * w),
-            self.cache,
+        rough = self.cache.scalar(
             f"{name}_roughness",
-            (first.roughness, True),
-            (second.roughness, True),
-            (weight, True),
-            is_scalar=True,
+            lambda x, y, w: np.sqrt(x * x * (1 - w) + y * y * w),
+            first.roughness,
+            second.roughness,
+            weight,
         )
         return replace(
             first,
             diffuse=mix(first.diffuse, second.diffuse, "diffuse_albedo"),
             specular=mix(first.specular, second.specular, "specular_albedo"),
-            roughness=cast(ScalarValue, rough),
+            roughness=rough,
             approximations=tuple(dict.fromkeys(first.approximations + second.approximations)),
         ).with_note("blend of two BSDFs as one of blended channels")

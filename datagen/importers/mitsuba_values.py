@@ -24,7 +24,6 @@ from datagen.importers.channels import (
     ImageSource,
     ScalarValue,
     Value,
-    combine,
 )
 from datagen.importers.common import ImportOptions
 
@@ -87,18 +86,16 @@ class NodeValues:
             self.notes.append(f"{name}: anisotropic roughness as the geometric mean of its two widths")
         else:
             pair = (self.scalar(node, "alpha", 0.1),) * 2
-        value = combine(
-            lambda u, v: fresnel.perceptual_roughness(np.sqrt(u * v), distribution),
-            self.cache,
+        value = self.cache.scalar(
             f"{name}_roughness",
-            (pair[0], True),
-            (pair[1], True),
-            is_scalar=True,
+            lambda u, v: fresnel.perceptual_roughness(np.sqrt(u * v), distribution),
+            pair[0],
+            pair[1],
         )
         if distribution == "ggx":
             factor = fresnel.ALPHA_BECKMANN_PER_GGX
             self.notes.append(f"{name}: GGX lobe as the Beckmann lobe nearest to it (alpha x {factor})")
-        return cast(ScalarValue, value)
+        return value
 
     def color(self, node: SceneNode, key: str, default: float) -> ColorValue:
         """A colour parameter or its texture."""

@@ -9,7 +9,6 @@ A channel given by one plain image is passed through; only true products of imag
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,6 @@ from datagen.importers.channels import (
     ColorValue,
     ImageCache,
     ScalarValue,
-    combine,
     is_constant,
 )
 
@@ -50,24 +48,11 @@ def metallic_roughness(
         return PbrChannels(base, f0, roughness)
     if metallic == 1.0:
         return PbrChannels((0.0, 0.0, 0.0), base, roughness)
-    diffuse = combine(
-        lambda b, m: b * (1 - m),
-        cache,
-        f"{label}_diffuse_albedo",
-        (base, False),
-        (metallic, True),
-        is_scalar=False,
+    diffuse = cache.color(f"{label}_diffuse_albedo", lambda b, m: b * (1 - m), base, scalars=(metallic,))
+    specular = cache.color(
+        f"{label}_specular_albedo", lambda b, s, m: s * (1 - m) + b * m, base, f0, scalars=(metallic,)
     )
-    specular = combine(
-        lambda b, m, s: s * (1 - m) + b * m,
-        cache,
-        f"{label}_specular_albedo",
-        (base, False),
-        (metallic, True),
-        (f0, False),
-        is_scalar=False,
-    )
-    return PbrChannels(cast(ColorValue, diffuse), cast(ColorValue, specular), roughness)
+    return PbrChannels(diffuse, specular, roughness)
 
 
 def settled(cache: ImageCache, value: ScalarValue) -> ScalarValue:
