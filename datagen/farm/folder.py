@@ -118,46 +118,30 @@ class FailureRecord(StrictModel):
 
 
 @dataclass(frozen=True)
+class _Inside:
+    """A path of :class:`DatasetFolder`, named relative to its root."""
+
+    name: str
+
+    def __get__(self, folder: DatasetFolder, owner: type[DatasetFolder]) -> Path:
+        return folder.root / self.name
+
+
+@dataclass(frozen=True)
 class DatasetFolder:
     """Paths inside a dataset folder, and reading of its files."""
 
     root: Path
 
-    @property
-    def recipe_path(self) -> Path:
-        return self.root / "recipe.yaml"
-
-    @property
-    def record_path(self) -> Path:
-        return self.root / "dataset.json"
-
-    @property
-    def plan_path(self) -> Path:
-        return self.root / "plan.json"
-
-    @property
-    def index_path(self) -> Path:
-        return self.root / "index.json"
-
-    @property
-    def shards_path(self) -> Path:
-        return self.root / "shards"
-
-    @property
-    def units_path(self) -> Path:
-        return self.root / "units"
-
-    @property
-    def logs_path(self) -> Path:
-        return self.root / "logs"
-
-    @property
-    def failed_path(self) -> Path:
-        return self.root / "failed"
-
-    @property
-    def rooms_path(self) -> Path:
-        return self.root / "rooms"
+    recipe_path = _Inside("recipe.yaml")
+    record_path = _Inside("dataset.json")
+    plan_path = _Inside("plan.json")
+    index_path = _Inside("index.json")
+    shards_path = _Inside("shards")
+    units_path = _Inside("units")
+    logs_path = _Inside("logs")
+    failed_path = _Inside("failed")
+    rooms_path = _Inside("rooms")
 
     def room_path(self, asset_id: str) -> Path:
         return self.rooms_path / f"{asset_id}.zip"

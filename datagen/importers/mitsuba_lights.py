@@ -90,112 +90,99 @@ class LightConverter:
         if method is None:
             expected = "area, constant, envmap, point, spot, directional, sky, sun or sunsky"
             self._refuse(node, f"type {node.type!r}", expected, "replace the emitter")
-        else:
-            method(node)
+        elif (light := method(node)) is not None:
+            self.lights.append(light)
 
     def _place(self, node: SceneNode) -> NDArray[np.float64]:
         return self.matrix @ np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
 
-    def _constant(self, node: SceneNode) -> None:
-        self.lights.append(
-            EnvironmentLight(name=self._name(node), radiance=_color(node.get("radiance", 1.0)))
-        )
+    def _constant(self, node: SceneNode) -> Light:
+        return EnvironmentLight(name=self._name(node), radiance=_color(node.get("radiance", 1.0)))
 
-    def _envmap(self, node: SceneNode) -> None:
+    def _envmap(self, node: SceneNode) -> Light | None:
         name = str(node.get("filename", ""))
         path, fault = fault_of(self.scene.parent, name, self.options.allowed)
         if path is None:
             self._refuse(node, f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
-            return
+            return None
         if not path.is_file():
             if self.options.missing == "replace":
                 self.findings.approximate(f"{name}: missing environment map replaced by constant radiance 1")
-                self.lights.append(EnvironmentLight(name=self._name(node)))
-                return
+                return EnvironmentLight(name=self._name(node))
             remedy = "restore it, or import with --missing replace"
             self._refuse(node, f"{name!r} (no such file)", "an environment map", remedy)
-            return
+            return None
         rotation = self._place(node)[:3, :3] @ MITSUBA_FROM_ENVIRONMENT[:3, :3]
         rigid = np.eye(4)
         rigid[:3, :3] = rotation / np.cbrt(np.abs(np.linalg.det(rotation)))
-        self.lights.append(
-            EnvironmentLight(
-                name=self._name(node),
-                image=self.textures.add_file(path),
-                scale=float(node.get("scale", 1.0)),
-                world_from_environment=matrix4(rigid),
-            )
+        return EnvironmentLight(
+            name=self._name(node),
+            image=self.textures.add_file(path),
+            scale=float(node.get("scale", 1.0)),
+            world_from_environment=matrix4(rigid),
         )
 
-    def _point(self, node: SceneNode) -> None:
+    def _point(self, node: SceneNode) -> Light:
         position = node.get("position")
         matrix = self._place(node)
         source = np.append(np.asarray(position), 1.0) if position is not None else np.array([0, 0, 0, 1.0])
         point = (self.matrix if position is not None else matrix) @ source
-        self.lights.append(
-            PointLight(
-                name=self._name(node),
-                position_m=vector3(point[:3]),
-                intensity=self._intensity(node.get("intensity", 1.0)),
-            )
+        return PointLight(
+            name=self._name(node),
+            position_m=vector3(point[:3]),
+            intensity=self._intensity(node.get("intensity", 1.0)),
         )
 
-    def _spot(self, node: SceneNode) -> None:
+    def _spot(self, node: SceneNode) -> Light:
         matrix = self._place(node)
         cutoff = math.radians(float(node.get("cutoff_angle", 20.0)))
         beam = node.get("beam_width")
         name = self._name(node)
         if node.child("texture") is not None:
             self.findings.approximate(f"{name}: texture of the spot left out")
-        self.lights.append(
-            SpotLight(
-                name=name,
-                position_m=vector3(matrix[:3, 3]),
-                direction=vector3(unit_vector(matrix[:3, 2])),
-                intensity=self._intensity(node.get("intensity", 1.0)),
-                cutoff_rad=quantized(cutoff),
-                beam_width_rad=quantized(cutoff * 0.75 if beam is None else math.radians(float(beam))),
-            )
+        return SpotLight(
+            name=name,
+            position_m=vector3(matrix[:3, 3]),
+            direction=vector3(unit_vector(matrix[:3, 2])),
+            intensity=self._intensity(node.get("intensity", 1.0)),
+            cutoff_rad=quantized(cutoff),
+            beam_width_rad=quantized(cutoff * 0.75 if beam is None else math.radians(float(beam))),
         )
 
-    def _directional(self, node: SceneNode) -> None:
+    def _directional(self, node: SceneNode) -> Light:
         given = node.get("direction")
         matrix = self._place(node)
         direction = self.matrix[:3, :3] @ np.asarray(given) if given is not None else matrix[:3, 2]
-        self.lights.append(
-            DirectionalLight(
-                name=self._name(node),
-                direction=vector3(unit_vector(direction)),
-                irradiance=_color(node.get("irradiance", 1.0)),
-            )
+        return DirectionalLight(
+            name=self._name(node),
+            direction=vector3(unit_vector(direction)),
+            irradiance=_color(node.get("irradiance", 1.0)),
         )
 
-    def sunsky(self, node: SceneNode) -> None:
-        self._daylight(node, float(node.get("sky_scale", 1.0)), float(node.get("sun_scale", 1.0)))
+    def sunsky(self, node: SceneNode) -> Light | None:
+        return self._daylight(node, float(node.get("sky_scale", 1.0)), float(node.get("sun_scale", 1.0)))
 
-    def _sky(self, node: SceneNode) -> None:
-        self._daylight(node, float(node.get("scale", node.get("sky_scale", 1.0))), 0.0)
+    def _sky(self, node: SceneNode) -> Light | None:
+        return self._daylight(node, float(node.get("scale", node.get("sky_scale", 1.0))), 0.0)
 
-    def _sun(self, node: SceneNode) -> None:
-        self._daylight(node, 0.0, float(node.get("scale", node.get("sun_scale", 1.0))))
+    def _sun(self, node: SceneNode) -> Light | None:
+        return self._daylight(node, 0.0, float(node.get("scale", node.get("sun_scale", 1.0))))
 
-    def _daylight(self, node: SceneNode, sky_scale: float, sun_scale: float) -> None:
+    def _daylight(self, node: SceneNode, sky_scale: float, sun_scale: float) -> Light | None:
         if node.get("sun_direction") is None:
             expected = "sun_direction, rather than a place and a time"
             self._refuse(node, "no sun_direction", expected, "give the direction of the sun")
-            return
+            return None
         place = np.asarray(node.get("to_world", np.eye(4)), dtype=np.float64)
         direction = self.matrix[:3, :3] @ place[:3, :3] @ np.asarray(node.get("sun_direction"))
         albedo = node.get("albedo", 0.3)
-        self.lights.append(
-            SkyLight(
-                name=self._name(node),
-                sun_direction=vector3(unit_vector(direction)),
-                turbidity=float(node.get("turbidity", 3.0)),
-                ground_albedo=float(np.mean(albedo)),
-                sky_scale=sky_scale,
-                sun_scale=sun_scale,
-            )
+        return SkyLight(
+            name=self._name(node),
+            sun_direction=vector3(unit_vector(direction)),
+            turbidity=float(node.get("turbidity", 3.0)),
+            ground_albedo=float(np.mean(albedo)),
+            sky_scale=sky_scale,
+            sun_scale=sun_scale,
         )
 
     def _intensity(self, value: object) -> tuple[float, float, float]:
