@@ -8,6 +8,7 @@ with scale; intensities (W/sr) grow by s^2.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -86,11 +87,11 @@ class LightConverter:
 
     def add(self, node: SceneNode) -> None:
         """Convert an emitter without a shape."""
-        method = getattr(self, f"_{node.type}", None)
-        if method is None:
-            expected = "area, constant, envmap, point, spot, directional, sky, sun or sunsky"
+        converter = _CONVERTERS.get(node.type)
+        if converter is None:
+            expected = f"area, {', '.join(_CONVERTERS)}"
             self._refuse(node, f"type {node.type!r}", expected, "replace the emitter")
-        elif (light := method(node)) is not None:
+        elif (light := converter(self, node)) is not None:
             self.lights.append(light)
 
     def _place(self, node: SceneNode) -> NDArray[np.float64]:
@@ -159,16 +160,13 @@ class LightConverter:
             irradiance=_color(node.get("irradiance", 1.0)),
         )
 
-    def sunsky(self, node: SceneNode) -> Light | None:
-        return self._daylight(node, float(node.get("sky_scale", 1.0)), float(node.get("sun_scale", 1.0)))
-
-    def _sky(self, node: SceneNode) -> Light | None:
-        return self._daylight(node, float(node.get("scale", node.get("sky_scale", 1.0))), 0.0)
-
-    def _sun(self, node: SceneNode) -> Light | None:
-        return self._daylight(node, 0.0, float(node.get("scale", node.get("sun_scale", 1.0))))
-
-    def _daylight(self, node: SceneNode, sky_scale: float, sun_scale: float) -> Light | None:
+    def _daylight(self, node: SceneNode) -> Light | None:
+        """Of a ``sky``, a ``sun`` or both; ``scale`` is an old name of the scale of either."""
+        scale = None if node.type == "sunsky" else node.get("scale")
+        sky_scale, sun_scale = (
+            float(node.get(f"{part}_scale", 1.0) if scale is None else scale) if part in node.type else 0.0
+            for part in ("sky", "sun")
+        )
         if node.get("sun_direction") is None:
             expected = "sun_direction, rather than a place and a time"
             self._refuse(node, "no sun_direction", expected, "give the direction of the sun")
@@ -189,6 +187,18 @@ class LightConverter:
         factor = self.options.unit_m**2
         red, green, blue = _color(value)
         return red * factor, green * factor, blue * factor
+
+
+_CONVERTERS: dict[str, Callable[[LightConverter, SceneNode], Light | None]] = {
+    "constant": LightConverter._constant,
+    "envmap": LightConverter._envmap,
+    "point": LightConverter._point,
+    "spot": LightConverter._spot,
+    "directional": LightConverter._directional,
+    "sky": LightConverter._daylight,
+    "sun": LightConverter._daylight,
+    "sunsky": LightConverter._daylight,
+}
 
 
 def emitter_shape_light(

@@ -402,6 +402,30 @@ def test_a_room_gets_its_places(tmp_path: Path) -> None:
     assert (record.path / "import.json").is_file()
 
 
+@pytest.mark.parametrize(
+    ("kind", "scale", "expected"),
+    [
+        ("sky", "sky_scale", (2, 0)),
+        ("sky", "scale", (2, 0)),
+        ("sun", "sun_scale", (0, 2)),
+        ("sun", "scale", (0, 2)),
+        ("sunsky", "sky_scale", (2, 1)),
+        ("sunsky", "sun_scale", (1, 2)),
+    ],
+)
+def test_daylight_keeps_its_scales(
+    tmp_path: Path, kind: str, scale: str, expected: tuple[float, float]
+) -> None:
+    emitter = (
+        f'<emitter type="{kind}"><vector name="sun_direction" x="0" y="1" z="0"/>'
+        f'<float name="{scale}" value="2"/></emitter>'
+    )
+    _, asset = imported(tmp_path, ROOM + SENSOR + emitter)
+    (light,) = (light for light in asset.lights if light.type == "sky")
+    assert (light.sky_scale, light.sun_scale) == expected
+    np.testing.assert_allclose(light.sun_direction, [0, 0, 1], atol=1e-6)
+
+
 def test_annotations_override(tmp_path: Path) -> None:
     sidecar = tmp_path / "places.yaml"
     sidecar.write_text(
