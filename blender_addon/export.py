@@ -16,7 +16,7 @@ import bpy
 from .assembly import Progress, write_target
 from .bake.execute import BakeSession
 from .drivers import refuse_unevaluated_drivers
-from .problems import ERROR, ExportRefused, Problem, ProblemList
+from .problems import ERROR, Problem, ProblemList
 from .reading import Contents, Reader
 from .settings import ExportSettings
 from .targets import find_targets
@@ -68,11 +68,9 @@ def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
     """Export step by step; see :func:`export`."""
     problems = ProblemList()
     _refuse_old_blender(problems)
-    if problems.errors:
-        raise ExportRefused(problems)
+    problems.refuse_errors()
     targets = find_targets(bpy.context.scene, settings, problems)
-    if problems.errors:
-        raise ExportRefused(problems)
+    problems.refuse_errors()
     result = ExportResult()
     with BakeSession() as session:
         prepared: list[Contents] = []
@@ -80,16 +78,14 @@ def export_steps(out_dir: Path, settings: ExportSettings) -> Steps:
         for index, target in enumerate(targets):
             yield Progress(0.1 * index / len(targets), f"reading {target.title}")
             prepared.append(reader.prepare(target))
-        if problems.errors:
-            raise ExportRefused(problems)
+        problems.refuse_errors()
         for index, contents in enumerate(prepared):
             folder = out_dir / contents.target.id
             with PackageWriter(folder) as writer:
                 for progress in write_target(reader, contents, writer):
                     done = 0.1 + 0.9 * (index + progress.fraction) / len(prepared)
                     yield Progress(done, progress.text)
-                if problems.errors:
-                    raise ExportRefused(problems)
+                problems.refuse_errors()
             result.packages.append(folder)
             result.num_triangles += contents.num_triangles
             result.num_instances += len(contents.gathered.instances)

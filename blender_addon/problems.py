@@ -57,6 +57,11 @@ class ProblemList:
     def __len__(self) -> int:
         return len(self._entries)
 
+    def refuse_errors(self) -> None:
+        """Raise :class:`ExportRefused` if a problem stops the export."""
+        if self.errors:
+            raise ExportRefused(self)
+
     @property
     def errors(self) -> list[Problem]:
         """Problems that stop an export."""

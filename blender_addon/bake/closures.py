@@ -42,6 +42,33 @@ _SMALL_TRANSMISSION = 0.1
 
 
 @dataclass(frozen=True)
+class _LeftOut:
+    """An input without a counterpart: its names, what it does, and the error of leaving it out."""
+
+    names: tuple[str, ...]
+    what: str
+    off_by: str
+
+
+_SUBSURFACE = _LeftOut(
+    ("Subsurface Weight", "Subsurface"),
+    "subsurface scattering",
+    "light leaves where it enters; the albedo is the same, soft shadow edges inside the material go",
+)
+_SHEEN = _LeftOut(("Sheen Weight", "Sheen"), "sheen", "the rim of the surface is darker by up to it")
+_ANISOTROPY = _LeftOut(
+    ("Anisotropic", "Anisotropy"),
+    "anisotropy",
+    "the highlight is round; its area is kept, since the slope widths' geometric mean is roughness^2",
+)
+_DIFFUSE_ROUGHNESS = _LeftOut(
+    ("Diffuse Roughness", "Roughness"),
+    "diffuse roughness (Oren-Nayar)",
+    "the diffuse part is Lambert's, up to 20 % darker at grazing view and light",
+)
+
+
+@dataclass(frozen=True)
 class Lobe:
     """One weighted closure.
 
@@ -158,11 +185,13 @@ class ClosureWalk:
             ERROR, source.node, "a colour is linked to a shader input", "put a shader node between them"
         )
 
-    def _drop(self, node: bpy.types.Node, value: Expression, what: str, off_by: str) -> None:
-        """Note an input without a counterpart, unless it is off."""
-        if not is_constant(value, 0):
-            amount = f" (= {value.value[0]:.3g})" if isinstance(value, Constant) else ""
-            self._report(APPROXIMATION, node, f"{what}{amount} is left out: {off_by}")
+    def _drop(self, stack: Stack, node: bpy.types.Node, *inputs: _LeftOut) -> None:
+        """Note inputs without a counterpart, unless they are off."""
+        for left_out in inputs:
+            value = self._value(stack, node, *left_out.names)
+            if not is_constant(value, 0):
+                amount = f" (= {value.value[0]:.3g})" if isinstance(value, Constant) else ""
+                self._report(APPROXIMATION, node, f"{left_out.what}{amount} is left out: {left_out.off_by}")
 
     # ---- closures
 
@@ -186,7 +215,10 @@ class ClosureWalk:
         specular = widen(lerp(f0, base, metallic))
         passed = self._transmit(node, transmission)
         albedo = multiply(base, complement(metallic), complement(transmission))
-        self._principled_leftovers(stack, node)
+        self._drop(stack, node, _SUBSURFACE, _SHEEN, _ANISOTROPY, _DIFFUSE_ROUGHNESS)
+        film = input_of(node, "Thin Film Thickness")
+        if film is not None and not is_constant(value_of(stack, film), 0):
+            self._report(ERROR, node, "thin film interference cannot be exported", "set its thickness to 0")
         self._normal(stack, node)
         strength = get("Emission Strength")
         if not is_constant(strength, 0):
@@ -212,33 +244,6 @@ class ClosureWalk:
             "mean weighted by F0: a sharp highlight on a rough base comes out blurred",
             "set Coat Weight to 0 and choose Roughness for the highlight that matters",
         )
-
-    def _principled_leftovers(self, stack: Stack, node: bpy.types.Node) -> None:
-        get = lambda *names: self._value(stack, node, *names)  # noqa: E731
-        self._drop(
-            node,
-            get("Subsurface Weight", "Subsurface"),
-            "subsurface scattering",
-            "light leaves where it enters; the albedo is the same, soft shadow edges inside the material go",
-        )
-        self._drop(
-            node, get("Sheen Weight", "Sheen"), "sheen", "the rim of the surface is darker by up to it"
-        )
-        self._drop(
-            node,
-            get("Anisotropic"),
-            "anisotropy",
-            "the highlight is round; its area is kept, since the slope widths' geometric mean is roughness^2",
-        )
-        self._drop(
-            node,
-            get("Diffuse Roughness"),
-            "diffuse roughness (Oren-Nayar)",
-            "the diffuse part is Lambert's, up to 20 % darker at grazing view and light",
-        )
-        film = input_of(node, "Thin Film Thickness")
-        if film is not None and not is_constant(value_of(stack, film), 0):
-            self._report(ERROR, node, "thin film interference cannot be exported", "set its thickness to 0")
 
     def _transmit(self, node: bpy.types.Node, transmission: Expression) -> Expression:
         """The share that becomes transparency, by the material's policy for transmission."""
@@ -274,27 +279,13 @@ class ClosureWalk:
     def _emit(self, weight: Expression, radiance: Expression) -> None:
         self.result.emission = add(self.result.emission, multiply(weight, widen(radiance)))
 
-    def _round(self, stack: Stack, node: bpy.types.Node) -> None:
-        """Ignore the anisotropy of a highlight."""
-        self._drop(
-            node,
-            self._value(stack, node, "Anisotropy"),
-            "anisotropy",
-            "the highlight is round; its area is kept, since the slope widths' geometric mean is roughness^2",
-        )
-
     def diffuse(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        self._drop(
-            node,
-            self._value(stack, node, "Roughness"),
-            "diffuse roughness (Oren-Nayar)",
-            "the diffuse part is Lambert's, up to 20 % darker at grazing view and light",
-        )
+        self._drop(stack, node, _DIFFUSE_ROUGHNESS)
         self._normal(stack, node)
         self._lobe(weight, clamp(self._value(stack, node, "Color")), BLACK, None)
 
     def glossy(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        self._round(stack, node)
+        self._drop(stack, node, _ANISOTROPY)
         self._normal(stack, node)
         colour = clamp(self._value(stack, node, "Color"))
         self._report(
@@ -303,7 +294,7 @@ class ClosureWalk:
         self._lobe(weight, BLACK, widen(colour), clamp(self._value(stack, node, "Roughness")))
 
     def metallic(self, stack: Stack, node: bpy.types.Node, weight: Expression) -> None:
-        self._round(stack, node)
+        self._drop(stack, node, _ANISOTROPY)
         self._normal(stack, node)
         if node.fresnel_type == "PHYSICAL_CONDUCTOR":
             n, k = self._value(stack, node, "IOR"), self._value(stack, node, "Extinction")

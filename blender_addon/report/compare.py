@@ -17,7 +17,7 @@ from ..assembly import Progress, write_target
 from ..bake.execute import BakeSession
 from ..cycles import read_linear, render_linear
 from ..gather.cameras import gather_camera
-from ..problems import ExportRefused, Problem, ProblemList
+from ..problems import Problem, ProblemList
 from ..reading import Reader
 from ..settings import ExportSettings
 from ..targets import Target
@@ -98,8 +98,7 @@ def _export_stage(stage: BakeSession, identity: str, settings: ExportSettings, f
     with BakeSession() as session:
         reader = Reader(settings, session, problems, scene, lambda: layer.depsgraph)
         contents = reader.prepare(target)
-        if problems.errors:
-            raise ExportRefused(problems)
+        problems.refuse_errors()
         with PackageWriter(folder / "packages" / identity) as writer:
             for _ in write_target(reader, contents, writer):
                 pass
