@@ -32,7 +32,7 @@ from datagen.formats.base import canonical_json
 from datagen.formats.configuration import Configuration
 from datagen.formats.lights import EnvironmentLight, SkyLight
 from datagen.foundation.color import srgb_from_linear
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from datagen.foundation.images import encode_png, read_image
 from datagen.foundation.meshes.ply import decode_ply, encode_ply
 from datagen.library import Library
@@ -83,8 +83,7 @@ class RoomExport:
                         "asset_from_part": world_from_part.tolist(),
                     }
                 )
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
         description = {
             "format": "scene-materials/asset",
             "version": 1,

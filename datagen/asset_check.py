@@ -25,7 +25,7 @@ from datagen.formats.asset import (
 from datagen.formats.category_sizes import size_fault
 from datagen.formats.lights import AreaLight, DirectionalLight, EnvironmentLight, Light, SkyLight, SpotLight
 from datagen.formats.package import Package
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.images import MAX_IMAGE_SIDE_PX, read_image
 from datagen.foundation.meshes.mesh import Mesh, inspect_mesh, lying_normals
 from datagen.foundation.meshes.ply import decode_ply
@@ -48,8 +48,7 @@ class CheckReport:
     def raise_errors(self, *, strict: bool = False) -> None:
         """Raise :class:`InputError` with all errors (and warnings, if ``strict``)."""
         problems = self.errors + (self.warnings if strict else ())
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
 
 
 class _Checker:

@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from mitsuba_plugins.cook_torrance import CookTorrance
 from mitsuba_plugins.texture_checks import exposed, needs_uv
 
@@ -212,8 +212,7 @@ class SceneMaterials:
                         "add the shape to the table, and load the scene with optimize=False",
                     )
                 )
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
         self._evaluator_of_shape = mi.UInt32(evaluator_index)
         self._instance_of_shape = mi.UInt32(instance_ids)
         self._material_of_shape = mi.UInt32(material_ids)

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from model.named_code import load_named
 
 
@@ -86,6 +86,5 @@ def load_listeners(names: Iterable[str]) -> Listeners:
             found.append(listener)
         else:
             problems.append(Problem("--listener", "", repr(name), "MODULE:FUNCTION", "correct it"))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return Listeners(found)

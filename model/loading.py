@@ -29,7 +29,7 @@ from datagen.formats.shard import Dataset
 from datagen.formats.view import ViewRecord
 from datagen.formats.view_places import ViewPlace, index_shard, read_member
 from datagen.foundation.buffers import BUFFERS
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.exr import decode_view
 
 _BLOCK_VIEWS = 8
@@ -68,8 +68,7 @@ class ViewStream(IterableDataset[dict[str, Any]]):
             for name in self.buffers
             if name not in BUFFERS
         ]
-        if unknown:
-            raise InputError(*unknown)
+        raise_problems(unknown)
         self.crop_px, self.crops_per_view = crop_px, crops_per_view if crop_px else 1
         self.shuffle, self.seed = shuffle, seed
         self.rank, self.num_ranks = _ranks(rank, num_ranks)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
 
@@ -268,19 +268,15 @@ class BakeSession:
 UNIT_SQUARE: Array = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
+@dataclass
 class _Builder:
     """Turns expressions into nodes of a working tree."""
 
-    def __init__(
-        self,
-        session: BakeSession,
-        tree: bpy.types.NodeTree,
-        single_user: set[tuple[str, ...]],
-        object_info: dict[str, tuple[float, ...]],
-    ):
-        self.session, self.tree, self.single_user = session, tree, single_user
-        self.object_info = object_info
-        self._built: dict[Expression, bpy.types.NodeSocket | Constant] = {}
+    session: BakeSession
+    tree: bpy.types.NodeTree
+    single_user: set[tuple[str, ...]]
+    object_info: dict[str, tuple[float, ...]]
+    _built: dict[Expression, bpy.types.NodeSocket | Constant] = field(default_factory=dict)
 
     def build(self, expression: Expression) -> bpy.types.NodeSocket | Constant:
         """The top-level socket with an expression's value; constants stay constants."""

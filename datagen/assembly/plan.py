@@ -34,7 +34,7 @@ from datagen.formats.configuration import Configuration, PlacedAsset, Split, Vie
 from datagen.formats.lights import EnvironmentLight
 from datagen.formats.package import Package
 from datagen.formats.recipe import Recipe
-from datagen.foundation.errors import InputError
+from datagen.foundation.errors import raise_problems
 from datagen.foundation.random import Draws, digest
 from datagen.library import Library
 
@@ -100,8 +100,7 @@ def check_recipe(recipe: Recipe, library: Library) -> None:
     configurations or assets, and for a library without rooms.
     """
     problems = recipe_problems(recipe, library)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def assemble(recipe: Recipe, index: int, library: Library) -> Configuration:

@@ -24,7 +24,7 @@ from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
 from datagen.formats.package import Package
 from datagen.formats.recipe import AssetFilter, Recipe
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from datagen.foundation.random import digest
 from datagen.library import Library
 
@@ -91,8 +91,7 @@ def pools_of_split(recipe: Recipe, library: Library, split: Split) -> Pools:
     key = sha256_hex(canonical_json(recipe))
     if key not in per_recipe:
         problems = recipe_problems(recipe, library)
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
         per_recipe.clear()
         per_recipe[key] = _all_pools(recipe, library)
     return per_recipe[key][split]

@@ -12,7 +12,7 @@ from datagen.formats.base import canonical_json, sha256_file, write_bytes_atomic
 from datagen.formats.configuration import Split
 from datagen.formats.shard import DatasetIndex, ShardReader, ShardRecord
 from datagen.formats.view import ViewRecord
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.paths import inside
 
 
@@ -64,8 +64,7 @@ def collect(
             )
         )
     progress(len(plan.units), len(plan.units))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     # The library's path on the machine that made the dataset stays private.
     library = tuple(Path(path).name for path in recipe.library)
     index = DatasetIndex(

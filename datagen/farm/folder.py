@@ -40,7 +40,7 @@ from datagen.formats.base import (
 from datagen.formats.configuration import Configuration, Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.paths import inside
 
 _NEITHER_LINKS_NOR_PIPES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -242,8 +242,7 @@ class DatasetFolder:
                 problems.append(
                     Problem(self.root, f"version of {name}", now_, f"{then_} as at its start", remedy)
                 )
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
 
 
 def unit_key(configuration: Configuration, recipe: Recipe, variant: str, versions: dict[str, str]) -> str:

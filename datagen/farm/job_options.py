@@ -17,7 +17,7 @@ from typing import Annotated
 import typer
 
 from datagen.foundation.command_line import declared_options
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 
 _WHERE = "farm submit"
 _UNSPEAKABLE = {"Cc", "Cs", "Zl", "Zp"}  # control characters, halves of surrogates, line and paragraph ends
@@ -94,8 +94,7 @@ class SlurmOptions:
         problems = [*self._wrong_forms(), *self._wrong_numbers(), *_wrong_setup(self.setup)]
         for name in ("sbatch_options", "collect_options"):
             problems += [p for text in getattr(self, name) for p in _wrong_option(option_name(name), text)]
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
 
     def _wrong_forms(self) -> list[Problem]:
         problems = []

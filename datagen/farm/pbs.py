@@ -13,7 +13,7 @@ from pathlib import Path
 from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
 from datagen.farm.job_options import SlurmOptions, check_folder, option_name, seconds_of
 from datagen.farm.worker import EXIT_INTERRUPTED
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 
 _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "collect_options")
 
@@ -36,8 +36,7 @@ class PbsEngine:
         if options.notice_s >= seconds_of(options.time_limit):
             expected = f"less than --time {options.time_limit}"
             problems.append(Problem("farm submit", "--notice", str(options.notice_s), expected))
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:
         size = options.max_array

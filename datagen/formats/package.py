@@ -16,7 +16,7 @@ import stat
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from datagen.formats.lights import EnvironmentLight
 from datagen.foundation.archives import ZIP_ERRORS, check_archive
 from datagen.foundation.budget import Budget
 from datagen.foundation.durable import publish
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.paths import fault_of
 
 AnyAsset = MaterialAsset | ObjectAsset | EnvironmentAsset | PanoramaAsset
@@ -51,19 +51,19 @@ _MESH_SUFFIXES = (".ply",)
 _TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 
+@dataclass(repr=False, eq=False)
 class Package:
     """An opened asset package. Obtain one from :func:`open_package`; use it as a context manager if zipped.
 
     ``asset`` is the validated description, ``path`` the folder or zip. Paths inside are '/'-separated.
     """
 
-    def __init__(self, path: Path, asset: AnyAsset, data: Any, archive: zipfile.ZipFile | None, prefix: str):
-        self.path = path
-        self.asset = asset
-        self._data = data
-        self._archive = archive
-        self._prefix = prefix
-        self._unpacked: Path | None = None
+    path: Path
+    asset: AnyAsset
+    _data: Any
+    _archive: zipfile.ZipFile | None
+    _prefix: str
+    _unpacked: Path | None = None
 
     def __enter__(self) -> Package:
         return self
@@ -241,8 +241,7 @@ def _open_folder(folder: Path) -> Package:
                     description, field, f"{name!r} ({fault})", "a regular file in the package", "restore it"
                 )
             )
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return Package(folder, asset, data, None, "")
 
 
@@ -283,8 +282,7 @@ def _open_zip(path: Path, budget: Budget | None) -> Package:
                         where, field, f"{name!r} (no such file)", "a file in the package", "make it again"
                     )
                 )
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
     except InputError:
         archive.close()
         raise
@@ -349,8 +347,7 @@ def write_package(
             problems.append(Problem(path, "files", repr(name), "a relative path inside the package"))
     if ASSET_FILE in files:
         problems.append(Problem(path, "files", ASSET_FILE, "no file of this name", "rename it"))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     path.parent.mkdir(parents=True, exist_ok=True)
     content: dict[str, FileSource] = {ASSET_FILE: canonical_json(asset), **files}
     partial = path.with_name(

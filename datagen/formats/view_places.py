@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.formats.shard import CONFIGURATION_MEMBERS
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import Problem, input_error, raise_problems
 
 _REMEDY = "make the shard again"
 
@@ -46,8 +46,7 @@ def index_shard(path: Path) -> list[ViewPlace]:
             places.append(ViewPlace(path, stem, parts["exr"], parts["json"]))
     if not members:
         problems.append(Problem(path, "", "no views", "at least one", _REMEDY))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return places
 
 

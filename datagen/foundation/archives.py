@@ -10,7 +10,7 @@ import zlib
 from pathlib import Path
 
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 
 # All exceptions of zipfile for damaged archives; each was seen with fuzzed ones.
 ZIP_ERRORS = (
@@ -43,8 +43,7 @@ def check_archive(archive: zipfile.ZipFile, path: Path, budget: Budget) -> None:
         if fault:
             expected = "plain files inside the archive"
             problems.append(Problem(path, f"member {member.filename!r}", fault, expected, _REMEDY))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def _fault_of(member: zipfile.ZipInfo) -> str:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 
 LIMITS_VARIABLE = "SCENE_MATERIALS_LIMITS"
 """Environment variable with limits, ``NAME=NUMBER`` separated by commas."""
@@ -70,8 +70,7 @@ class Limits:
             for expected in [f"at most {_MAX_DEPTH}" if item.name == "depth" else "a number above 0"]
             if getattr(self, item.name) < 1 or (item.name == "depth" and self.depth > _MAX_DEPTH)
         ]
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
 
     @classmethod
     def from_environment(cls) -> Limits:

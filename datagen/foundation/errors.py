@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -83,7 +84,7 @@ def input_error(
     return InputError(Problem(where, field, str(got), expected, remedy))
 
 
-def raise_problems(problems: list[Problem]) -> None:
+def raise_problems(problems: Sequence[Problem]) -> None:
     """Raise an :class:`InputError` with all problems, each once."""
     if problems:
         raise InputError(*problems)

@@ -16,7 +16,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import BUFFERS, Buffer, get_buffer
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 
 MAX_SIDE_PX = 16384  # refuses headers with absurd sizes before any pixel is allocated
 _MAX_COMPRESSION = 500  # of any file that is not a decompression bomb; halves count as floats here
@@ -141,6 +141,5 @@ def decode_view(
             problems.append(Problem(where, name, got, f"pixels of type {buffer.pixel_type}", _READ_REMEDY))
             continue
         result[name] = np.stack(planes, axis=-1)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return result

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.naming import slug
 from datagen.foundation.paths import fault_of, inside
 from datagen.importers.blender_files import BLENDER_SUFFIXES, import_by_blender, uses_draco
@@ -131,8 +131,7 @@ def import_asset(
                     on_done(record)
         except InputError as error:
             problems.extend(error.problems)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return done
 
 

@@ -55,23 +55,19 @@ class _Use:
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
 
 
+@dataclass
 class GltfMaterialConverter:
     """Materials of one document; problems are collected and raised by the caller."""
 
-    def __init__(
-        self,
-        file: GltfFile,
-        options: ImportOptions,
-        findings: Findings,
-        cache: ImageCache,
-        files: TextureFiles,
-    ):
-        self.file, self.options, self.findings = file, options, findings
-        self.cache, self.textures = cache, files
-        self.problems: list[Problem] = []
-        self._done: dict[int, GltfMaterial] = {}
-        self._use = _Use()
-        self._notes: list[str] = []
+    file: GltfFile
+    options: ImportOptions
+    findings: Findings
+    cache: ImageCache
+    textures: TextureFiles
+    problems: list[Problem] = field(default_factory=list)
+    _done: dict[int, GltfMaterial] = field(default_factory=dict)
+    _use: _Use = field(default_factory=_Use)
+    _notes: list[str] = field(default_factory=list)
 
     def problem(self, field_: str, got: str, expected: str, remedy: str) -> None:
         self.problems.append(Problem(self.file.path, field_, got, expected, remedy))

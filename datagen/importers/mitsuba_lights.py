@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -41,25 +42,18 @@ MITSUBA_FROM_ENVIRONMENT = np.array(
 """Mitsuba's equirectangular image has its centre along +Z and its top along +Y; ours along +Y and +Z."""
 
 
+@dataclass
 class LightConverter:
-    """Collects the lights of a scene; problems are gathered in ``problems``."""
+    """Collects the lights of a scene; problems are gathered in ``problems``. ``matrix``: ``A`` above."""
 
-    def __init__(
-        self,
-        scene: Path,
-        asset_from_source: NDArray[np.float64],
-        options: ImportOptions,
-        findings: Findings,
-        textures: TextureFiles,
-    ):
-        self.scene = scene
-        self.matrix = asset_from_source
-        self.options = options
-        self.findings = findings
-        self.textures = textures
-        self.lights: list[Light] = []
-        self._names: set[str] = set()
-        self.problems: list[Problem] = []
+    scene: Path
+    matrix: NDArray[np.float64]
+    options: ImportOptions
+    findings: Findings
+    textures: TextureFiles
+    lights: list[Light] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    _names: set[str] = field(default_factory=set)
 
     def _refuse(self, node: SceneNode, got: str, expected: str, remedy: str) -> None:
         self.problems.append(Problem(self.scene, node.where, got, expected, remedy))

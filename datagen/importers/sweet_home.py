@@ -24,7 +24,7 @@ from datagen.formats.base import IDENTITY4, quantized, vector3
 from datagen.formats.package import open_package
 from datagen.foundation.axes import Z_UP_FROM_Y_UP
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import IMAGE_SUFFIXES
 from datagen.foundation.meshes.mesh import Mesh, with_sound_normals, without_degenerate
@@ -94,8 +94,7 @@ def import_sweet_home(
             problems.extend(step.problems)
             if on_step is not None:
                 on_step(step, total)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return records
 
 
@@ -114,8 +113,7 @@ def _check_options(path: Path, options: ImportOptions) -> None:
         if value != default:
             expected = "what the catalogue says of each piece"
             problems.append(Problem(path, option, str(value), expected, f"leave --{option} out"))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 class _SweetHomeImporter:
@@ -309,8 +307,7 @@ class _SweetHomeImporter:
             entry = (unique(slug(slot), {name for name, _, _ in pieces + panes}), material, mesh)
             is_flat = material.stand_in == "pane" and is_pane(mesh)
             (panes if is_flat else pieces).append(entry)
-        if converter.problems:
-            raise InputError(*converter.problems)
+        raise_problems(converter.problems)
         if num_mended:
             findings.note(mended_note(sum(num_mended), len(num_mended)))
         pieces, panes = _with_outer_panes(pieces, panes)

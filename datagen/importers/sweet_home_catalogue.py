@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.archives import ZIP_ERRORS, check_archive
 from datagen.foundation.budget import Budget
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 
 CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
 MAX_SIDE_CM = 20_000.0  # longer than any ship: a wrong unit
@@ -260,8 +260,7 @@ def _piece(entry: dict[str, str], label: str, path: Path) -> Piece:
             problems.append(
                 Problem(where, "modelRotation", repr(entry["modelRotation"]), expected, "correct it")
             )
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     flags = entry.get("modelFlags", "0")
     return Piece(
         id=label,

@@ -24,7 +24,7 @@ from datagen.formats.base import write_bytes_atomically
 from datagen.formats.shard import INDEX_FILE, Dataset, ShardReader
 from datagen.foundation.buffers import MATERIAL_MAPS
 from datagen.foundation.color import photographic_exposure, srgb_from_linear
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
 
 if TYPE_CHECKING:
@@ -242,8 +242,7 @@ def shard_sheet(shard: Path, max_rows: int = MAX_ROWS) -> Image.Image:
         if suffix == "exr" and view in wanted:
             buffers[view] = decode_view(data)
     missing = [Problem(f"{shard}:{name}.exr", "", "missing", "a view") for name in wanted - buffers.keys()]
-    if missing:
-        raise InputError(*missing)
+    raise_problems(missing)
     split = chosen[0].split if chosen else ""
     identity = chosen[0].configuration if chosen else shard.stem
     title = f"{identity}   {len(records)} views, {len(chosen)} shown   {split}"

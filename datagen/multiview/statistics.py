@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MIN_COVERAGE, STATISTICS_BUFFERS
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from datagen.multiview.view_selection import OwnView, Selection, select_views
 from datagen.multiview.visibility import (
     PackedViews,
@@ -116,8 +116,7 @@ class StatisticsOptions:
             problems.append(
                 Problem("statistics", "color_fetch", repr(self.color_fetch), expected, "correct it")
             )
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
 
 
 def has_surface(depth_z_m: NDArray, surface_mask: NDArray) -> NDArray[np.bool_]:
@@ -145,8 +144,7 @@ def compute_statistics(
         problems.append(
             Problem("statistics", "visibility.mode", "'trace'", "a scene to trace", "use 'depth'")
         )
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     select_variant()
     packed = PackedViews([view.camera for view in views], [view.depth_z_m for view in views])
     return _statistics_of_all(

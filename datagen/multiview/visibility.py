@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -69,8 +69,7 @@ class VisibilityOptions:
                 problems.append(
                     Problem("visibility", name, repr(value), "a finite number of at least 0", "correct it")
                 )
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
 
 
 class Projection(NamedTuple):
@@ -186,8 +185,7 @@ def _flatten_depth(cameras: Sequence[Camera], depth: Sequence[NDArray], name: st
         else:
             flat[first : first + part.size] = part.ravel()
         first += camera.width_px * camera.height_px
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return flat
 
 

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.recipe import DEFAULT_MAX_DEPTH, QUALITIES, RenderRecipe
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from datagen.foundation.exr import COMPRESSIONS
 
 DenoiserMode = Literal["none", "fast", "balanced", "high", "unguided", "optix"]
@@ -142,8 +142,7 @@ def planned_settings(base: Setting, sweeps: tuple[str, ...], with_factorial: boo
                 problems.append(Problem("--sweep", name, repr(value), _reason(error), "correct the value"))
                 continue
             settings.append(changed)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     if with_factorial and not base.variant.startswith("cuda"):
         for values in product(*FACTORIAL.values()):
             settings.append(replace(base, **dict(zip(FACTORIAL, values, strict=True))))

@@ -26,7 +26,7 @@ from datagen.farm.folder import DatasetFolder
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import QUALITIES
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.versions import pixel_versions
 from datagen.library import Library
 from datagen.tradeoff.reference import Reference, make_reference, reference_key, sized
@@ -194,8 +194,7 @@ def _check(out: Path, options: SweepOptions) -> None:
         problems.append(Problem("--variant", "", repr(options.variant), expected, "correct it"))
     elif options.variant == CUDA_VARIANT and not has_cuda():
         problems.append(Problem("--variant", "", options.variant, "a GPU, or llvm_ad_rgb", "leave it out"))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def read_trial(path: Path) -> Trial:

@@ -29,7 +29,7 @@ from datagen.formats.base import parse_model
 from datagen.formats.view import ViewRecord
 from datagen.formats.view_places import ViewPlace, read_member
 from datagen.foundation.buffers import LIGHT_BUFFERS, MATERIAL_MAPS
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.exr import decode_view
 from model.networks import COLOR_STATISTICS, NetworkConfig, input_channels
 from model.own_network import network_inputs
@@ -79,8 +79,7 @@ def load_view(
         renamed = [Problem(where, p.field, p.got, p.expected, _REMEDY) for p in error.problems]
         raise InputError(*renamed) from None
     problems = _problems_of(where, record, buffers, min_side_px, size_px)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return DecodedView(record, buffers, float(buffers["depth_z_m"].max(initial=0.0)))
 
 

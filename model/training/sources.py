@@ -14,7 +14,7 @@ from datagen.formats.shard import INDEX_FILE
 from datagen.formats.shard import Dataset as DatasetFolder
 from datagen.formats.view import ViewRecord
 from datagen.formats.view_places import ViewPlace, index_shard, read_member
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.checkpoint import DataRecord
 from model.networks import NetworkConfig
 from model.training.dataset import buffer_names
@@ -75,8 +75,7 @@ def open_data(folders: Sequence[Path], network: NetworkConfig, crop_px: int) -> 
                 assets={name: asset.sha256 for name, asset in dataset.index.assets.items()},
             )
         )
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     if not places["train"]:
         listed = ", ".join(str(f) for f in folders) or "no folder"
         raise input_error(

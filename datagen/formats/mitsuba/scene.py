@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.budget import Budget
 from datagen.foundation.documents import parse_xml
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import Problem, input_error, raise_problems
 from datagen.foundation.paths import fault_of
 
 PLUGIN_TAGS = (
@@ -115,8 +115,7 @@ class _Parser:
         holder = SceneNode("scene", "scene", where="scene")
         self.fill(holder, root, (self.path.resolve(),))
         self.resolve_references(holder)
-        if self.problems:
-            raise InputError(*self.problems)
+        raise_problems(self.problems)
         return MitsubaScene(self.path, self.version, [node for _, node in holder.children], self.by_id)
 
     def problem(self, field_: str, got: str, expected: str, remedy: str = "correct the scene file") -> None:

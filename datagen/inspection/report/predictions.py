@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from datagen.formats.base import canonical_json, sha256_hex, write_bytes_atomically
 from datagen.formats.shard import ShardReader, ShardRecord, View
 from datagen.foundation.buffers import MATERIAL_MAPS, surface_pixels
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, raise_problems
 from datagen.foundation.exr import decode_view
 from datagen.foundation.transliteration import transliterated
 from datagen.inspection.report.tiles import write_tile
@@ -89,8 +89,7 @@ def parse_methods(folders: Sequence[Path], labels: Sequence[str]) -> tuple[Metho
     for name in sorted({name for name in names if names.count(name) > 1 or not name.strip()}):
         remedy = "name each with --label, in the order of --predictions"
         problems.append(Problem("--label", "", repr(name), "a distinct name for each method", remedy))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     slugs: list[str] = []
     for number, name in enumerate(names):
         slug = re.sub(r"[^a-z0-9]+", "-", transliterated(name).lower()).strip("-") or "method"

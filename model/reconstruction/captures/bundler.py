@@ -14,7 +14,7 @@ import numpy as np
 
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
@@ -81,8 +81,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
     problems += finder.absent(path, missing, UNSIZED)
     if not found and not problems:
         problems.append(Problem(path, "cameras", "none with a pose", "at least one", EXPORT_AGAIN))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     unplaced = num_cameras - len(found)
     notes = (f"{unplaced} cameras were not placed and were left out",) if unplaced else ()
     return Calibration(tuple(found), folder, notes)

@@ -18,7 +18,7 @@ from datagen.formats.base import MAX_TEXT_BYTES
 from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.reconstruction.captures.posed import Calibration, PosedImage
 
 MODELS = (
@@ -98,8 +98,7 @@ def read_colmap(folder: Path, budget: Budget) -> list[PosedImage]:
             found.append(PosedImage(name, camera, distortion))
     if not poses:
         problems.append(Problem(where, "", "no images", "at least one registered image", _REMEDY))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return found
 
 

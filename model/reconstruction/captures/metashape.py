@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     Calibration,
@@ -101,8 +101,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
             problems.extend(error.problems)
     if not found and not problems:
         problems.append(Problem(path, "cameras", "none with a transform", "aligned cameras", EXPORT_AGAIN))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     notes = (f"{unaligned} cameras are not aligned or not enabled, and were left out",) if unaligned else ()
     folder = images or (path.parent / "images" if (path.parent / "images").is_dir() else path.parent)
     return Calibration(tuple(found), folder, notes)

@@ -20,7 +20,7 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_json
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
     Calibration,
@@ -77,8 +77,7 @@ def read(path: Path, images: Path | None, budget: Budget) -> Calibration:
             problems.append(Problem(path, name, repr(error)[:200], "numbers", _REMEDY))
     if not found and not problems:
         problems.append(Problem(path, "extrinsics", "no view has a pose", "at least one", _REMEDY))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     # Another computer's folder: only its name is used, for a folder beside the file.
     name = Path(str(data.get("root_path", ""))).name
     beside = [

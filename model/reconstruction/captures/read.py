@@ -32,7 +32,7 @@ from datagen.formats.capture import (
 from datagen.formats.configuration import ViewCamera
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from datagen.foundation.meshes.mesh import Mesh
 from datagen.foundation.naming import slug, unique
 from datagen.foundation.paths import fault_of
@@ -125,8 +125,7 @@ def _check_paths(record: CaptureFile, file: Path, given: Sequence[Path]) -> None
             remedy = "copy it there, or name where it is with --images or --mesh"
             got = f"{name[:200]!r} ({fault})"
             problems.append(Problem(file, field, got, "a file in the capture's folder", remedy))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def _read_rendered(path: Path, options: CaptureOptions) -> Capture:
@@ -197,8 +196,7 @@ def _calibrated(
             continue
         photographs.append(PhotographRecord(camera=camera, image=str(file), distortion=image.distortion))
     problems += finder.absent(path, missing, "name its folder with --images")
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     matrix = world_from_source(up if options.mesh_up == "same" else options.mesh_up, unit_m)
     rows = tuple(tuple(float(v) for v in row) for row in matrix)
     record = CaptureFile(
@@ -262,8 +260,7 @@ def open_capture(
         for p in record.photographs
         if not (base / p.image).is_file()
     ]
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     views = []
     for photograph in record.photographs:
         calibrated = photograph.camera.camera()

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     EXPORT_AGAIN,
@@ -100,8 +100,7 @@ def read_csv(path: Path, images: Path | None, budget: Budget) -> Calibration:
     problems += finder.absent(path, missing, UNSIZED)
     if not found and not problems:
         problems.append(Problem(path, "", "no cameras", "one row per camera", EXPORT_AGAIN))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return Calibration(tuple(found), folder)
 
 
@@ -176,8 +175,7 @@ def read_xmp(folder: Path, images: Path | None, budget: Budget) -> Calibration:
     if not found and not problems:
         expected = "XMP files with Rotation and Position"
         problems.append(Problem(folder, "", "no poses", expected, "export them after the alignment"))
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     notes = (f"{unposed} XMP files have no pose and were left out",) if unposed else ()
     return Calibration(tuple(found), images, notes)
 

@@ -18,7 +18,7 @@ from datagen.formats.capture import Distortion
 from datagen.foundation.budget import Budget
 from datagen.foundation.cameras import Camera
 from datagen.foundation.documents import parse_json
-from datagen.foundation.errors import InputError, Problem, input_error
+from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
 from model.reconstruction.captures.photograph_files import photograph_size
 from model.reconstruction.captures.posed import (
     Calibration,
@@ -76,8 +76,7 @@ def read_transforms(path: Path, budget: Budget, folder: Path | None = None) -> l
             problems.append(Problem(path, f"frames[{index}]", str(error), "numbers", "export it again"))
     remedy = "put the images beside the file, or name their folder with --images"
     problems += finders[-1].absent(path, missing, remedy)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return found
 
 

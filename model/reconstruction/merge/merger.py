@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import Problem, raise_problems
 from datagen.geometry.views import TracedView
 from datagen.multiview.compiled import num_threads
 from datagen.multiview.visibility import PackedViews, VisibilityOptions, observe, vectors_from_rows
@@ -153,8 +153,7 @@ class MapMerger:
         if self._rules.by_confidence and any(view.confidence is None for view in views):
             expected = "a confidence of every view"
             problems.append(Problem("merge", "weights", repr(self.options.weights), expected, "use 'none'"))
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
         self._scene = scene
         self._views = _view_arrays(views, region_of_face, has_confidence=self._rules.by_confidence)
         self._regions = region_of_face
