@@ -48,6 +48,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
@@ -195,8 +196,6 @@ class Comparison:
     @staticmethod
     def agreement(pairs: dict[str, Any]) -> dict[str, Any]:
         """Difference of the two references: ratio of means (cycles : ours), correlation of blurred images."""
-        import cv2
-
         ratios, correlations = [], []
         for view, (a, b) in pairs["ours"].items():
             ours, cycles = luminance(0.5 * (a + b)), luminance(0.5 * sum(pairs["cycles"][view]))

@@ -25,7 +25,9 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import matplotlib
 import torch
+from matplotlib import pyplot
 
 from benchmarks.bench_learning import CONSTANT, TRACKS, Rows
 from datagen.formats.base import canonical_json, write_bytes_atomically
@@ -135,11 +137,7 @@ def as_table(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str,
 
 def plot(curves: dict[str, dict[int, dict[str, float]]], baseline: dict[str, float], path: Path) -> None:
     """One panel per map, one line per dataset, the constant dashed."""
-    import matplotlib
-
     matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     figure, axes = pyplot.subplots(1, len(MATERIAL_MAPS), figsize=(4 * len(MATERIAL_MAPS), 3.4))
     for axis, name in zip(axes, MATERIAL_MAPS, strict=True):
         for label, points in curves.items():

@@ -23,9 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.bench_view import RESULTS, configuration_of, converted
+from datagen.assembly.plan import assemble
 from datagen.formats.base import parse_model
 from datagen.formats.configuration import Configuration
 from datagen.formats.recipe import AssetFilter, Recipe, RenderRecipe
@@ -34,6 +36,7 @@ from datagen.inspection.recheck import DEPTH, PARTS, ROULETTE_DEPTH
 from datagen.library import Library, resolve_library_paths
 from datagen.rendering.error import relative_mse_of_parts
 from datagen.rendering.renderer import SceneRenderer
+from datagen.rendering.transport.integrator import PathTracer
 
 BUNDLED = ("living_room", "kitchen", "bathroom", "dining_room", "study")
 IMPORTED = ("staircase", "veach-ajar", "bathroom2", "staircase2", "contemporary")
@@ -64,8 +67,6 @@ class Point:
 
 def room_named(name: str, views: int, size: tuple[int, int], cache: Path) -> tuple[Configuration, Library]:
     """Configuration and library of a room."""
-    from datagen.assembly.plan import assemble
-
     if name in IMPORTED:
         library = converted(FOLDERS.get(name, name), cache)
         return configuration_of(library, views, size), library
@@ -85,8 +86,6 @@ def references(
     renderer: SceneRenderer, room: str, view: int, samples: int, cache: Path
 ) -> list[NDArray[np.float32]]:
     """Independent images (H, W, 3) of reflected light, rendered unless they are in ``cache``."""
-    from datagen.rendering.transport.integrator import PathTracer
-
     camera = renderer.configuration.cameras[view].camera()
     paths = [cache / f"{room}-{camera.width_px}-{samples}-{view}-{part}.npy" for part in range(PARTS)]
     for part, path in enumerate(paths):
@@ -142,8 +141,6 @@ def figures(points: list[Point]) -> dict[str, Any]:
 
 def plot(points: list[Point], path: Path) -> None:
     """Plot recorded against true error, both logarithmic, with error bars from the references."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(6.4, 5.6), layout="constrained")
     axes = figure.add_subplot()
     for number, room in enumerate(dict.fromkeys(p.room for p in points)):

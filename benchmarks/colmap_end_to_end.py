@@ -33,7 +33,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
+from benchmarks.cycles_scene import export
 from datagen.formats.base import canonical_json, read_json
 from datagen.formats.configuration import Configuration, ViewCamera
 from datagen.formats.package import open_package
@@ -46,6 +48,7 @@ from datagen.foundation.color import exposure_for, linear_from_srgb, srgb_from_l
 from datagen.foundation.images import read_image
 from datagen.library import Library
 from datagen.rendering.renderer import SceneRenderer
+from model.reconstruction.captures import CaptureOptions, read_capture
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FOV_X_DEG = 72.0
@@ -91,8 +94,6 @@ def developed(linear: NDArray[np.float32], exposure: float, seed: int) -> NDArra
 
 def jpeg(pixels: NDArray[np.uint8], camera: Camera) -> bytes:
     """A JPEG with its focal length in EXIF, as written by cameras."""
-    from PIL import Image
-
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "Cycles", "Cycles"
     details = exif.get_ifd(0x8769)
@@ -146,8 +147,6 @@ class EndToEnd:
 
     def photograph(self) -> None:
         """Export, render with Cycles, develop; and the coarse mesh."""
-        from benchmarks.cycles_scene import export
-
         configuration = self.configuration()
         blend, log = self.out / "room.blend", self.out / "cycles.log"
         if not blend.is_file():
@@ -241,8 +240,6 @@ class EndToEnd:
 
     def pose_errors(self) -> dict[str, float]:
         """Errors of the cameras: centres in mm, directions and focal length."""
-        from model.reconstruction.captures import CaptureOptions, read_capture
-
         capture = read_capture(self.capture, CaptureOptions(mesh=self.out / "retopology.ply"))
         truth = {view.name: view.camera() for view in self.configuration().cameras}
         millimetres, degrees, focal = [], [], []
@@ -300,8 +297,6 @@ class EndToEnd:
 
     def _picture(self, name: str, ours: dict[str, NDArray], truth: dict[str, NDArray]) -> None:
         """Picture with photograph and true maps above a re-rendering and the atlas's maps."""
-        from PIL import Image
-
         photograph = np.asarray(Image.open(self.out / "images" / f"{name}.jpg"))
         rows = []
         for maps in (truth, ours):

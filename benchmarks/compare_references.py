@@ -24,6 +24,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import cv2
+
 from datagen.foundation.color import exposure_for, srgb_from_linear
 from datagen.foundation.images import read_image
 from datagen.importers.common import ImportOptions
@@ -78,8 +80,6 @@ def compare_scene(
 
 def write_picture(path: Path, reference: np.ndarray, images: dict[str, np.ndarray]) -> None:
     """Write reference, original and converted image side by side, at one exposure."""
-    import cv2
-
     height, width = images["original"].shape[:2]
     row = [cv2.resize(np.ascontiguousarray(reference), (width, height), interpolation=cv2.INTER_AREA)]
     row += [images["original"], images["converted"]]

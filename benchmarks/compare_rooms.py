@@ -21,8 +21,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from datagen.formats.configuration import GLOSSY_ROUGHNESS, METAL_SPECULAR
 from datagen.formats.shard import Dataset, ShardReader, View
@@ -146,11 +149,7 @@ def table(groups: dict[str, list[RoomFigures]]) -> str:
 
 def draw(groups: dict[str, list[RoomFigures]], path: Path) -> None:
     """Densities as means over rooms, with a thin line for each imported room."""
-    import matplotlib
-
     matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     figure, axes = plt.subplots(1, len(BINS), figsize=(15, 2.9), layout="constrained")
     for axis, (name, bins) in zip(axes, BINS.items(), strict=True):
         for color, (label, rooms) in zip(("tab:blue", "tab:orange"), groups.items(), strict=True):
@@ -172,8 +171,6 @@ def draw(groups: dict[str, list[RoomFigures]], path: Path) -> None:
 
 def _fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     """A picture cropped at its centre to the aspect of ``size`` (width, height), and resized."""
-    from PIL import Image
-
     height, width = picture.shape[:2]
     cut_w, cut_h = (
         min(width, round(height * size[0] / size[1])),
@@ -186,8 +183,6 @@ def _fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
 
 def write_grid(pictures: list[NDArray[np.uint8]], columns: int, size: tuple[int, int], path: Path) -> None:
     """Pictures in rows, 4 white pixels apart, as JPEG."""
-    from PIL import Image
-
     gap, rows = 4, -(-len(pictures) // columns)
     sheet = Image.new("RGB", (columns * (size[0] + gap) - gap, rows * (size[1] + gap) - gap), "white")
     for k, picture in enumerate(pictures):
