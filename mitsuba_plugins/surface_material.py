@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from datagen.foundation.errors import Problem, raise_problems
+from datagen.foundation.errors import Problem, Problems, raise_problems
 from mitsuba_plugins.cook_torrance import CookTorrance
 from mitsuba_plugins.texture_checks import exposed, needs_uv
 
@@ -179,7 +179,7 @@ class SceneMaterials:
 
     def __init__(self, scene: mi.Scene, ids: IdTable | None = None):
         self.ids = dict(ids) if ids is not None else number_shapes(scene)
-        problems: list[Problem] = []
+        problems = Problems("scene")
         self._evaluators: list[Evaluator] = [_nothing]
         self.has_transparency = False
         self._index_of_bsdf: dict[int, int] = {}
@@ -203,14 +203,11 @@ class SceneMaterials:
             if name in self.ids:
                 instance_ids[index], material_ids[index] = self._checked_ids(name, problems)
             elif evaluator_index[index]:
-                problems.append(
-                    Problem(
-                        "scene",
-                        f"shape {name}",
-                        "no ids",
-                        "an entry in the id table",
-                        "add the shape to the table, and load the scene with optimize=False",
-                    )
+                problems.add(
+                    f"shape {name}",
+                    "no ids",
+                    "an entry in the id table",
+                    "add the shape to the table, and load the scene with optimize=False",
                 )
         raise_problems(problems)
         self._evaluator_of_shape = mi.UInt32(evaluator_index)

@@ -15,7 +15,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problem, Problems
 
 TOLERANCE = 1e-4
 """Values this far outside [0, 1] are rounding (half floats, resampling) and are clamped, not refused."""
@@ -62,7 +62,7 @@ def _file_of(texture: Any) -> str:
 
 def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
     """Faults of a parameter that must lie in [0, 1]; empty if there are none."""
-    problems: list[Problem] = []
+    problems = Problems(material)
     file = _file_of(texture)
     objects, values = exposed(texture)
     for key, value in values.items():
@@ -76,22 +76,17 @@ def parameter_problems(material: str, name: str, texture: Any) -> list[Problem]:
         is_bad = ~np.isfinite(data)
         if is_bad.any():
             num_bad = int(np.count_nonzero(is_bad))
-            problems.append(
-                Problem(
-                    material,
-                    field,
-                    f"{num_bad} of {data.size} values NaN or Inf{file} (first at {_first(is_bad)})",
-                    "finite values in [0, 1]",
-                    "repair the texture",
-                )
+            problems.add(
+                field,
+                f"{num_bad} of {data.size} values NaN or Inf{file} (first at {_first(is_bad)})",
+                "finite values in [0, 1]",
+                "repair the texture",
             )
             continue
         low, high = float(data.min(initial=0.0)), float(data.max(initial=0.0))
         if low < -TOLERANCE or high > 1.0 + TOLERANCE:
             got = f"{low:g} ... {high:g}{file}" if data.size > 1 else f"{(low if low < 0 else high):g}"
-            problems.append(
-                Problem(material, field, got, "values in [0, 1]", "rescale the parameter or its texture")
-            )
+            problems.add(field, got, "values in [0, 1]", "rescale the parameter or its texture")
     for key, child in objects.items():
         problems += parameter_problems(material, f"{name}.{key}", child)
     return problems

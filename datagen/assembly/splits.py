@@ -24,7 +24,7 @@ from datagen.formats.base import canonical_json, sha256_hex
 from datagen.formats.configuration import Split
 from datagen.formats.package import Package
 from datagen.formats.recipe import AssetFilter, Recipe
-from datagen.foundation.errors import Problem, raise_problems
+from datagen.foundation.errors import Problem, Problems, raise_problems
 from datagen.foundation.random import digest
 from datagen.library import Library
 
@@ -244,37 +244,23 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
             if library.select("environment", for_training=False)
             else ""
         )
-        problems.append(
-            Problem(
-                where,
-                "environments",
-                got,
-                "at least one environment in the library",
-                "add one with --library",
-            )
-        )
+        problems.add("environments", got, "at least one environment in the library", "add one with --library")
     if not pools.objects and recipe.objects.count[0] > 0:
-        problems.append(
-            Problem(
-                where,
-                "objects",
-                "no usable object",
-                f"some, for count {list(recipe.objects.count)}",
-                "add objects to the library or set objects.count to [0, 0]",
-            )
+        problems.add(
+            "objects",
+            "no usable object",
+            f"some, for count {list(recipe.objects.count)}",
+            "add objects to the library or set objects.count to [0, 0]",
         )
     counts = split_counts(recipe)
     for split in SPLITS:
         share = getattr(recipe.splits, split)
         if share > 0 and counts[split] == 0:
-            problems.append(
-                Problem(
-                    where,
-                    f"splits.{split}",
-                    f"{share:g}, none of {recipe.configurations} configurations",
-                    "at least one configuration",
-                    "raise configurations or the share, or set it to 0",
-                )
+            problems.add(
+                f"splits.{split}",
+                f"{share:g}, none of {recipe.configurations} configurations",
+                "at least one configuration",
+                "raise configurations or the share, or set it to 0",
             )
     if recipe.splits.disjoint and not problems:
         problems += _disjoint_problems(recipe, pools, where)
@@ -284,7 +270,7 @@ def recipe_problems(recipe: Recipe, library: Library) -> list[Problem]:
 def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem]:
     home = partition(recipe, pools)
     foreign = _foreign_slots(pools, home)
-    problems = []
+    problems = Problems(where)
     for split in SPLITS:
         if getattr(recipe.splits, split) <= 0:
             continue
@@ -297,20 +283,17 @@ def _disjoint_problems(recipe: Recipe, pools: Pools, where: str) -> list[Problem
         if not any(is_plain(p) for p in usable) and any(home[asset] == split for asset, _ in foreign):
             lacking.append("material without textures")
         for kind in lacking:
-            problems.append(
-                Problem(
-                    where,
-                    "splits.disjoint",
-                    f"no {kind} for the {split} split",
-                    "a separate one for every split, sharing no file with another split's",
-                    f"add one to the library, or set splits.disjoint to false or splits.{split} to 0",
-                )
+            problems.add(
+                "splits.disjoint",
+                f"no {kind} for the {split} split",
+                "a separate one for every split, sharing no file with another split's",
+                f"add one to the library, or set splits.disjoint to false or splits.{split} to 0",
             )
     return problems
 
 
-def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem]:
-    problems = []
+def _name_problems(recipe: Recipe, library: Library, where: str) -> Problems:
+    problems = Problems(where)
 
     def check(field: str, name: str, known: list[str], what: str) -> None:
         if name not in known:
@@ -318,7 +301,7 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem
             remedy = (
                 f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known[:12]) or 'none'}"
             )
-            problems.append(Problem(where, field, repr(name), what, remedy))
+            problems.add(field, repr(name), what, remedy)
 
     for field, kind in (("environments", "environment"), ("objects", "object"), ("materials", "material")):
         wanted: AssetFilter = getattr(recipe, field)
@@ -327,14 +310,11 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem
         for name in wanted.include or ():
             check(f"{field}.include", name, known, f"one of the library's {kind}s")
             if name in known and name not in usable:
-                problems.append(
-                    Problem(
-                        where,
-                        f"{field}.include",
-                        repr(name),
-                        "an asset that may be used for training",
-                        "it is marked evaluation_only: leave it out",
-                    )
+                problems.add(
+                    f"{field}.include",
+                    repr(name),
+                    "an asset that may be used for training",
+                    "it is marked evaluation_only: leave it out",
                 )
         for name in wanted.exclude:
             check(f"{field}.exclude", name, known, f"one of the library's {kind}s")
@@ -346,5 +326,5 @@ def _name_problems(recipe: Recipe, library: Library, where: str) -> list[Problem
     for time in recipe.lights.panoramas.wanted() if recipe.lights.panoramas is not None else ():
         if not panoramas_of(library, time):
             got, remedy = "no such panorama", "add `bundled` to the recipe's library, or leave it out"
-            problems.append(Problem(where, f"lights.panoramas.{time}", got, "one in the library", remedy))
+            problems.add(f"lights.panoramas.{time}", got, "one in the library", remedy)
     return problems

@@ -40,7 +40,7 @@ from datagen.formats.base import (
 from datagen.formats.configuration import Configuration, Split
 from datagen.formats.recipe import Recipe
 from datagen.formats.shard import AssetRecord
-from datagen.foundation.errors import InputError, Problem, input_error, raise_problems
+from datagen.foundation.errors import InputError, Problem, Problems, input_error, raise_problems
 from datagen.foundation.paths import inside
 
 _NEITHER_LINKS_NOR_PIPES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -226,7 +226,7 @@ class DatasetFolder:
         remedy = "choose another --out, or go on with what it was started with"
         if not self.plan_path.exists():
             remedy = "choose another --out, or remove this folder: nothing was rendered in it"
-        problems = []
+        problems = Problems(self.root)
         if existing.recipe_sha256 != record.recipe_sha256:
             earlier = self.read_recipe().model_dump(mode="json")
             problems += [
@@ -235,13 +235,11 @@ class DatasetFolder:
             ]
         if existing.library_sha256 != record.library_sha256:
             expected = f"what it held at the start ({', '.join(existing.library_paths)})"
-            problems.append(Problem(self.root, "library", "other assets", expected, remedy))
+            problems.add("library", "other assets", expected, remedy)
         for name in sorted({*existing.versions, *record.versions}):
             then_, now_ = existing.versions.get(name, "none"), record.versions.get(name, "none")
             if then_ != now_:
-                problems.append(
-                    Problem(self.root, f"version of {name}", now_, f"{then_} as at its start", remedy)
-                )
+                problems.add(f"version of {name}", now_, f"{then_} as at its start", remedy)
         raise_problems(problems)
 
 

@@ -17,7 +17,7 @@ from typing import Annotated
 import typer
 
 from datagen.foundation.command_line import declared_options
-from datagen.foundation.errors import InputError, Problem, raise_problems
+from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 
 _WHERE = "farm submit"
 _UNSPEAKABLE = {"Cc", "Cs", "Zl", "Zp"}  # control characters, halves of surrogates, line and paragraph ends
@@ -97,22 +97,14 @@ class SlurmOptions:
         raise_problems(problems)
 
     def _wrong_forms(self) -> list[Problem]:
-        problems = []
+        problems = Problems(_WHERE)
         for field in fields(self):
             form = _FORMS.get(_FORM_OF.get(field.name, field.name))
             value = getattr(self, field.name)
             if form is None or (value == "" and field.default == ""):
                 continue
             if not form[0].fullmatch(value):
-                problems.append(
-                    Problem(
-                        _WHERE,
-                        option_name(field.name),
-                        repr(value),
-                        f"a value such as {form[1]}",
-                        "correct it",
-                    )
-                )
+                problems.add(option_name(field.name), repr(value), f"a value such as {form[1]}", "correct it")
         return problems
 
     def _wrong_numbers(self) -> list[Problem]:

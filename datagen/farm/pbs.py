@@ -13,7 +13,7 @@ from pathlib import Path
 from datagen.farm.engine import Script, ask, collect_commands, job_name, with_setup
 from datagen.farm.job_options import SlurmOptions, check_folder, option_name, seconds_of
 from datagen.farm.worker import EXIT_INTERRUPTED
-from datagen.foundation.errors import Problem, raise_problems
+from datagen.foundation.errors import Problems, raise_problems
 
 _SLURM_ONLY = ("qos", "constraint", "exclude", "mail_type", "sbatch_options", "collect_options")
 
@@ -25,17 +25,15 @@ class PbsEngine:
 
     def check(self, root: Path, options: SlurmOptions) -> None:
         check_folder(root, "pbs")
-        problems = []
+        problems = Problems("farm submit")
         for name in _SLURM_ONLY:
             if getattr(options, name):
                 option, got = option_name(name), repr(getattr(options, name))
                 remedy = "leave it out, or edit the script that --dry-run writes"
-                problems.append(
-                    Problem("farm submit", option, got, "nothing: PBS does not support it", remedy)
-                )
+                problems.add(option, got, "nothing: PBS does not support it", remedy)
         if options.notice_s >= seconds_of(options.time_limit):
             expected = f"less than --time {options.time_limit}"
-            problems.append(Problem("farm submit", "--notice", str(options.notice_s), expected))
+            problems.add("--notice", str(options.notice_s), expected)
         raise_problems(problems)
 
     def units(self, root: Path, options: SlurmOptions, indices: Sequence[int]) -> list[Script]:

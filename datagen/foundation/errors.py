@@ -84,6 +84,18 @@ def input_error(
     return InputError(Problem(where, field, str(got), expected, remedy))
 
 
+class Problems(list[Problem]):
+    """Problems of one source (``where`` of each), to be raised together."""
+
+    def __init__(self, where: str | Path):
+        super().__init__()
+        self.where = where
+
+    def add(self, field: str = "", got: object = "", expected: str = "", remedy: str = "") -> None:
+        """Append a problem."""
+        self.append(Problem(self.where, field, str(got), expected, remedy))
+
+
 def raise_problems(problems: Sequence[Problem]) -> None:
     """Raise an :class:`InputError` with all problems, each once."""
     if problems:

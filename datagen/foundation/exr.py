@@ -16,7 +16,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from datagen.foundation.buffers import BUFFERS, Buffer, get_buffer
-from datagen.foundation.errors import InputError, Problem, raise_problems
+from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 
 MAX_SIDE_PX = 16384  # refuses headers with absurd sizes before any pixel is allocated
 _MAX_COMPRESSION = 500  # of any file that is not a decompression bomb; halves count as floats here
@@ -126,19 +126,17 @@ def decode_view(
         else tuple(name for name, buffer in BUFFERS.items() if all(c in pixels for c in buffer.exr_channels))
     )
     result = {}
-    problems = []
+    problems = Problems(where)
     for name in wanted:
         buffer = get_buffer(name)
         missing = [c for c in buffer.exr_channels if c not in pixels]
         if missing:
-            problems.append(
-                Problem(where, name, f"no channel {', '.join(missing)}", "all its channels", _READ_REMEDY)
-            )
+            problems.add(name, f"no channel {', '.join(missing)}", "all its channels", _READ_REMEDY)
             continue
         planes = [pixels[c] for c in buffer.exr_channels]
         if any(plane is None or plane.dtype != buffer.dtype for plane in planes):
             got = ", ".join(str(getattr(plane, "dtype", None)) for plane in planes)
-            problems.append(Problem(where, name, got, f"pixels of type {buffer.pixel_type}", _READ_REMEDY))
+            problems.add(name, got, f"pixels of type {buffer.pixel_type}", _READ_REMEDY)
             continue
         result[name] = np.stack(planes, axis=-1)
     raise_problems(problems)

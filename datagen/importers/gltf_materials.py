@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.asset import MaterialClass, SlotMaterial, Texture
-from datagen.foundation.errors import InputError, Problem
+from datagen.foundation.errors import InputError, Problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import encode_png, normalized
 from datagen.foundation.meshes.gltf import GltfFile
@@ -64,13 +64,12 @@ class GltfMaterialConverter:
     findings: Findings
     cache: ImageCache
     textures: TextureFiles
-    problems: list[Problem] = field(default_factory=list)
     _done: dict[int, GltfMaterial] = field(default_factory=dict)
     _use: _Use = field(default_factory=_Use)
     _notes: list[str] = field(default_factory=list)
 
-    def problem(self, field_: str, got: str, expected: str, remedy: str) -> None:
-        self.problems.append(Problem(self.file.path, field_, got, expected, remedy))
+    def __post_init__(self) -> None:
+        self.problems = Problems(self.file.path)
 
     def convert(self, index: int | None, *hints: str) -> GltfMaterial:
         """Material ``index`` (None: glTF's default); ``hints`` are names from which its class may be
@@ -90,13 +89,15 @@ class GltfMaterialConverter:
         use = self._use
         if len(use.sets) > 1:
             expected = "one UV set a material"
-            self.problem(
+            self.problems.add(
                 f"material {material.slot!r}", f"UV sets {sorted(use.sets)}", expected, "bake to one set"
             )
         matrices = use.matrices
         if any(not np.allclose(m, matrices[0]) for m in matrices):
             expected = "one UV transform per material"
-            self.problem(f"material {material.slot!r}", "different texture transforms", expected, "bake them")
+            self.problems.add(
+                f"material {material.slot!r}", "different texture transforms", expected, "bake them"
+            )
         matrix = matrices[0] if matrices and not np.allclose(matrices[0], np.eye(3)) else None
         return replace(material, uv_set=min(use.sets, default=0), uv_matrix=matrix)
 
@@ -104,7 +105,7 @@ class GltfMaterialConverter:
         pbr, extensions = entry.get("pbrMetallicRoughness", {}), entry.get("extensions", {})
         if "KHR_materials_pbrSpecularGlossiness" in extensions and not pbr:
             remedy = "convert it to metallic-roughness"
-            self.problem(f"material {name!r}", "specular-glossiness", "metallic-roughness", remedy)
+            self.problems.add(f"material {name!r}", "specular-glossiness", "metallic-roughness", remedy)
         for extension in _LEFT_OUT:
             if extension in extensions:
                 self._note(name, f"{extension.removeprefix('KHR_materials_')} left out")
@@ -178,7 +179,7 @@ class GltfMaterialConverter:
             return base
         if self.options.dielectric == "refuse" and name not in self.options.dielectric_as:
             remedy = "import with --dielectric replace"
-            self.problem(f"material {name!r}", f"transmission {factor:g}", "an opaque material", remedy)
+            self.problems.add(f"material {name!r}", f"transmission {factor:g}", "an opaque material", remedy)
             return base
         self._note(name, f"transmission {factor:g} as opaque opal glass")
         return self.cache.color(f"{slug(name)}_opal", lambda c: c * (1 - factor + _OPAL * factor), base)
@@ -267,7 +268,7 @@ class GltfMaterialConverter:
     def _missing(self, path: Path, name: str, instead: str) -> None:
         if self.options.missing == "refuse":
             remedy = "restore it, or import with --missing replace"
-            self.problem(f"material {name!r}", f"{path.name!r} (no such file)", "its image", remedy)
+            self.problems.add(f"material {name!r}", f"{path.name!r} (no such file)", "its image", remedy)
         else:
             self._note(name, f"missing image {path.name}: {instead}")
 

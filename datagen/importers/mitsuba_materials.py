@@ -89,7 +89,7 @@ class MaterialConverter(NodeValues):
         self.budget.spend("references", 1, node.where)
         method = getattr(self, f"_{node.type}", None)
         if node.tag != "bsdf" or method is None:
-            self.problem(
+            self.problems.add(
                 node.where,
                 f"type {node.type!r}",
                 "a supported BSDF: diffuse, plastic, roughplastic, conductor, roughconductor, "
@@ -103,7 +103,7 @@ class MaterialConverter(NodeValues):
     def _nested(self, node: SceneNode, name: str, index: int = 0) -> Draft:
         nested = node.children_of("bsdf")
         if len(nested) <= index:
-            self.problem(
+            self.problems.add(
                 node.where, f"{len(nested)} nested BSDFs", f"at least {index + 1}", "correct the scene"
             )
             return Draft(name)
@@ -154,7 +154,7 @@ class MaterialConverter(NodeValues):
             try:
                 mean = np.array(fresnel.conductor_preset_mean(str(node.get("material", "Cu"))))
             except ValueError as error:
-                self.problem(
+                self.problems.add(
                     f"{node.where}: material", str(error), "a conductor of Mitsuba", "give eta and k"
                 )
                 mean = np.ones(3)
@@ -237,7 +237,7 @@ class MaterialConverter(NodeValues):
         source = self.texture(texture) if texture is not None else None
         draft = self._nested(node, name)
         if not isinstance(source, ImageSource):
-            self.problem(node.where, "no image", "a bitmap texture", "correct the scene")
+            self.problems.add(node.where, "no image", "a bitmap texture", "correct the scene")
             return draft
         if source.encoding == "srgb":
             draft = draft.with_note("normal map not marked raw; read as linear")
@@ -253,7 +253,7 @@ class MaterialConverter(NodeValues):
             or first.opacity is not None
             or second.opacity is not None
         ):
-            self.problem(
+            self.problems.add(
                 node.where, "a blend with a transparent BSDF", "a blend of opaque ones", "replace it"
             )
             return first

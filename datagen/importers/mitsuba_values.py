@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.formats.mitsuba.scene import SceneNode
-from datagen.foundation.errors import Problem
+from datagen.foundation.errors import Problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.paths import fault_of
 from datagen.importers import fresnel
@@ -50,16 +50,13 @@ class NodeValues:
         self.options = options
         self.findings = findings
         self.cache = cache
-        self.problems: list[Problem] = []
+        self.problems = Problems(scene_file)
         self.start_material()
 
     def start_material(self) -> None:
         """Forget UV transforms and notes of the previous material."""
         self._textures = _Textures()
         self.notes: list[str] = []
-
-    def problem(self, field_: str, got: str, expected: str, remedy: str) -> None:
-        self.problems.append(Problem(self.scene_file, field_, got, expected, remedy))
 
     def ior(self, node: SceneNode) -> float:
         """Relative index of refraction, inside over outside."""
@@ -68,7 +65,7 @@ class NodeValues:
             value = node.get(key, default)
             number = fresnel.named_ior(value) if isinstance(value, str) else float(value)
             if number is None or not (math.isfinite(number) and number > 0):
-                self.problem(
+                self.problems.add(
                     f"{node.where}: {key}",
                     repr(value),
                     "a number or one of Mitsuba's names",
@@ -140,11 +137,13 @@ class NodeValues:
                 self.constant_color(node, "color1", 0.2),
             )
             if node.child("color0") or node.child("color1"):
-                self.problem(
+                self.problems.add(
                     node.where, "a checkerboard of textures", "of two colours", "bake it to an image"
                 )
             return checkerboard(first, second)
-        self.problem(node.where, f"type {node.type!r}", "a bitmap or a checkerboard", "bake it to an image")
+        self.problems.add(
+            node.where, f"type {node.type!r}", "a bitmap or a checkerboard", "bake it to an image"
+        )
         return (MISSING_GREY,) * 3
 
     def _bitmap(self, node: SceneNode) -> Value:
@@ -152,11 +151,11 @@ class NodeValues:
         path, fault = fault_of(self.scene_file.parent, name, self.options.allowed)
         self._note_matrix(node)
         if path is None:
-            self.problem(f"{node.where}: filename", f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
+            self.problems.add(f"{node.where}: filename", f"{name!r} ({fault})", INSIDE_SCENE, COPY_IT)
             return (MISSING_GREY,) * 3
         if not path.is_file():
             if self.options.missing == "refuse":
-                self.problem(
+                self.problems.add(
                     f"{node.where}: filename",
                     f"{name!r} (no such file)",
                     "the texture",
@@ -186,7 +185,7 @@ class NodeValues:
             return None
         same = all(np.allclose(m, matrices[0]) for m in matrices)
         if not same or (self._textures.has_plain and not np.allclose(matrices[0], np.eye(3))):
-            self.problem(
+            self.problems.add(
                 node.where,
                 "textures with different to_uv",
                 "one UV transform per material",

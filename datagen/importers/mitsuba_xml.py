@@ -146,7 +146,7 @@ class _SceneImporter:
         for node, label, outer in placed:
             self.collect(node, label, outer, shapes)
         if not shapes and not self.problems:
-            self.materials.problem("shapes", "none", "at least one", "check the scene")
+            self.problems.add("shapes", "none", "at least one", "check the scene")
         return shapes
 
     def placed_shapes(self) -> Iterator[tuple[SceneNode, str, NDArray[np.float64]]]:
@@ -156,9 +156,7 @@ class _SceneImporter:
             if node.type == "instance":
                 group = next((c for c in node.children_of("shape") if c.type == "shapegroup"), None)
                 if group is None:
-                    self.materials.problem(
-                        node.where, "no shapegroup", "a reference to one", "correct the scene"
-                    )
+                    self.problems.add(node.where, "no shapegroup", "a reference to one", "correct the scene")
                     continue
                 for k, nested in enumerate(group.children_of("shape")):
                     yield nested, f"{label}_{k}", local_transform(node)
@@ -168,7 +166,7 @@ class _SceneImporter:
     def collect(self, node: SceneNode, label: str, outer: NDArray[np.float64], shapes: list[_Shape]) -> None:
         if node.type not in SUPPORTED_SHAPES:
             expected = f"one of {', '.join(SUPPORTED_SHAPES)}, instance"
-            self.materials.problem(node.where, f"type {node.type!r}", expected, "convert the shape to PLY")
+            self.problems.add(node.where, f"type {node.type!r}", expected, "convert the shape to PLY")
             return
         file = None
         if node.type in FILE_SHAPES:
@@ -176,20 +174,20 @@ class _SceneImporter:
             file, fault = fault_of(self.path.parent, name, self.options.allowed)
             if file is None:
                 got = f"{name!r} ({fault})"
-                self.materials.problem(f"{node.where}: filename", got, INSIDE_SCENE, COPY_IT)
+                self.problems.add(f"{node.where}: filename", got, INSIDE_SCENE, COPY_IT)
                 return
             if not file.is_file():
                 if self.options.missing == "replace":
                     self.findings.approximate(f"{name}: missing mesh left out")
                 else:
                     remedy = "restore it, or import with --missing replace"
-                    self.materials.problem(
+                    self.problems.add(
                         f"{node.where}: filename", f"{name!r} (no such file)", "the mesh", remedy
                     )
                 return
         transform = outer @ local_transform(node)
         if abs(np.linalg.det(transform[:3, :3])) < 1e-15:
-            self.materials.problem(
+            self.problems.add(
                 f"{node.where}: to_world", "a singular matrix", "an invertible one", "correct it"
             )
             return

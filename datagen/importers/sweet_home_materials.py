@@ -17,7 +17,7 @@ import numpy as np
 from datagen.formats.asset import MaterialClass, SlotMaterial
 from datagen.foundation.budget import Budget
 from datagen.foundation.color import linear_from_srgb
-from datagen.foundation.errors import Problem
+from datagen.foundation.errors import Problems
 from datagen.foundation.findings import Findings
 from datagen.foundation.images import normalized
 from datagen.importers.annotate import Annotations
@@ -116,7 +116,7 @@ class PhongConverter:
         self.find_file, self.hints, self.known = find_file, hints, known
         self.cache = ImageCache(budget)
         self.textures = TextureFiles(self.cache)
-        self.problems: list[Problem] = []
+        self.problems = Problems(where)
         self._notes: list[str] = []
 
     def convert(self, slot: str, phong: PhongMaterial, *, is_mirror: bool, has_uv: bool) -> ConvertedMaterial:
@@ -191,9 +191,7 @@ class PhongConverter:
                 return ImageSource(file, "srgb")
         if self.options.missing == "refuse":
             remedy = "restore it, or import with --missing replace"
-            self.problems.append(
-                Problem(self.where, f"material {slot!r}", f"{name!r} (no such file)", "its image", remedy)
-            )
+            self.problems.add(f"material {slot!r}", f"{name!r} (no such file)", "its image", remedy)
         else:
             self._note(f"{slot}: missing image {name}: only its colour is used")
         return None
@@ -229,7 +227,7 @@ class PhongConverter:
             remedy = "import with --dielectric replace, or choose with --dielectric-as NAME=opaque|remove"
             expected = "opaque materials: the project's BSDF does not transmit light"
             got = f"transparent (d {phong.opacity:g})"
-            self.problems.append(Problem(self.where, f"material {slot!r}", got, expected, remedy))
+            self.problems.add(f"material {slot!r}", got, expected, remedy)
         elif chosen is None:
             self._note(f"{slot}: transparent (d {phong.opacity:g}) as opaque opal glass, flat panes left out")
             return "pane"

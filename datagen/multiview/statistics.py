@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from datagen.foundation.buffers import MIN_COVERAGE, STATISTICS_BUFFERS
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import Problem, raise_problems
+from datagen.foundation.errors import Problem, Problems, raise_problems
 from datagen.multiview.view_selection import OwnView, Selection, select_views
 from datagen.multiview.visibility import (
     PackedViews,
@@ -105,17 +105,13 @@ class StatisticsOptions:
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
 
     def __post_init__(self) -> None:
-        problems = []
+        problems = Problems("statistics")
         if not MIN_BEST_VIEWS <= self.best_views <= MAX_BEST_VIEWS:
             expected = f"a whole number in [{MIN_BEST_VIEWS}, {MAX_BEST_VIEWS}]"
-            problems.append(
-                Problem("statistics", "best_views", repr(self.best_views), expected, "correct it")
-            )
+            problems.add("best_views", repr(self.best_views), expected, "correct it")
         if self.color_fetch not in ("nearest", "bilinear"):
             expected = "'nearest' or 'bilinear'"
-            problems.append(
-                Problem("statistics", "color_fetch", repr(self.color_fetch), expected, "correct it")
-            )
+            problems.add("color_fetch", repr(self.color_fetch), expected, "correct it")
         raise_problems(problems)
 
 

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.foundation.cameras import Camera
-from datagen.foundation.errors import InputError, Problem, raise_problems
+from datagen.foundation.errors import InputError, Problem, Problems, raise_problems
 from mitsuba_plugins.variant import select_variant
 
 if TYPE_CHECKING:
@@ -58,17 +58,13 @@ class VisibilityOptions:
     trace_tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        problems = []
+        problems = Problems("visibility")
         if self.mode not in ("depth", "trace"):
-            problems.append(
-                Problem("visibility", "mode", repr(self.mode), "'depth' or 'trace'", "correct it")
-            )
+            problems.add("mode", repr(self.mode), "'depth' or 'trace'", "correct it")
         for name in ("depth_tolerance", "slope_tolerance_px", "slope_limit", "trace_tolerance"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
-                problems.append(
-                    Problem("visibility", name, repr(value), "a finite number of at least 0", "correct it")
-                )
+                problems.add(name, repr(value), "a finite number of at least 0", "correct it")
         raise_problems(problems)
 
 
@@ -168,20 +164,16 @@ def _camera_row(camera: Camera) -> NDArray[np.float32]:
 
 
 def _flatten_depth(cameras: Sequence[Camera], depth: Sequence[NDArray], name: str) -> NDArray[np.float32]:
-    problems = []
+    problems = Problems(name)
     flat = aligned_empty(sum(camera.width_px * camera.height_px for camera in cameras), np.float32)
     first = 0
     for index, (camera, buffer) in enumerate(zip(cameras, depth, strict=True)):
         part = np.asarray(buffer, dtype=np.float32)
         shape = (camera.height_px, camera.width_px)
         if part.shape not in (shape, (*shape, 1)):
-            problems.append(
-                Problem(name, f"[{index}].depth_z_m", f"shape {part.shape}", f"{(*shape, 1)} like its camera")
-            )
+            problems.add(f"[{index}].depth_z_m", f"shape {part.shape}", f"{(*shape, 1)} like its camera")
         elif not np.isfinite(part).all():
-            problems.append(
-                Problem(name, f"[{index}].depth_z_m", "NaN or Inf", "finite depth, 0 where nothing was hit")
-            )
+            problems.add(f"[{index}].depth_z_m", "NaN or Inf", "finite depth, 0 where nothing was hit")
         else:
             flat[first : first + part.size] = part.ravel()
         first += camera.width_px * camera.height_px
