@@ -88,7 +88,7 @@ class RunOptions:
 @with_options
 def plan(
     recipe_path: RecipeArgument,
-    out: Annotated[Path, typer.Option("--out", help="Dataset folder to write.")],
+    out: Annotated[Path, typer.Option(help="Dataset folder to write.")],
     changes: RecipeChanges,
     workers: WorkersOption = 1,
     dry_run: DryRunOption = False,
@@ -113,7 +113,7 @@ def run(
     changes: RecipeChanges,
     options: RunOptions,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Dataset folder to write; left out for a planned folder.")
+        Path | None, typer.Option(help="Dataset folder to write; left out for a planned folder.")
     ] = None,
     workers: WorkersOption = 1,
     dry_run: DryRunOption = False,

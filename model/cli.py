@@ -42,30 +42,21 @@ def _materials(version: VersionOption = False) -> None:
 @app.command()
 def train(
     data: Annotated[list[Path], typer.Argument(help="Dataset folders (with index.json).")],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the run; an unfinished run in it continues.")],
-    preset: Annotated[
-        str | None,
-        typer.Option("--preset", help="paper (default), small, light or smoke."),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option("--config", help="YAML file with changes to the preset."),
-    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the run; an unfinished run in it continues.")],
+    preset: Annotated[str | None, typer.Option(help="paper (default), small, light or smoke.")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file with changes to the preset.")] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="KEY=VALUE over preset and file, repeatable, e.g. data.workers=2."),
     ] = None,
     network: Annotated[
         str | None,
-        typer.Option(
-            "--network", metavar="MODULE:CLASS", help="A network of your own; --set network.arguments.X=Y."
-        ),
+        typer.Option(metavar="MODULE:CLASS", help="A network of your own; --set network.arguments.X=Y."),
     ] = None,
     device: Annotated[
-        str | None,
-        typer.Option("--device", help="cpu, cuda, cuda:1; default: a GPU if there is one."),
+        str | None, typer.Option(help="cpu, cuda, cuda:1; default: a GPU if there is one.")
     ] = None,
-    threads: Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: all.")] = 0,
+    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0: all.")] = 0,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print sizes, memory and time; train nothing.")
     ] = False,

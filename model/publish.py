@@ -25,7 +25,7 @@ def publish_checkpoint(source: Path, target: Path) -> None:
 
 def main(
     checkpoint: Annotated[Path, typer.Argument(help="Weights of a run (.safetensors).")],
-    out: Annotated[Path, typer.Option("--out", help="File to write (.safetensors), its card beside it.")],
+    out: Annotated[Path, typer.Option(help="File to write (.safetensors), its card beside it.")],
 ) -> None:
     """Write a checkpoint for publication: half precision, no paths of this machine."""
     publish_checkpoint(checkpoint, out)

@@ -29,7 +29,7 @@ def export(
         typer.Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}."),
     ],
     folder: Annotated[Path, typer.Argument(help="Dataset folder.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
     split: Annotated[
         Literal["train", "validation", "test"] | None, typer.Option(help="Only this split; all if left out.")
     ] = None,

@@ -109,7 +109,7 @@ def import_command(
             "folder, or a folder of these."
         ),
     ],
-    library: Annotated[Path, typer.Option("--library", help="Library folder to import into.")],
+    library: Annotated[Path, typer.Option(help="Library folder to import into.")],
     words: ImportWords,
     split: Annotated[
         bool, typer.Option("--split", help="Make an object of each separate group in a glTF file.")

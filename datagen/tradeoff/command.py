@@ -52,7 +52,7 @@ class Limits:
 @with_options
 def tradeoff(
     folder: Annotated[Path, typer.Argument(help="Planned dataset folder whose configurations are measured.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for references, trials and results.")],
+    out: Annotated[Path, typer.Option(help="Folder for references, trials and results.")],
     options: SweepOptions,
     limits: Limits,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned trials and stop.")] = False,

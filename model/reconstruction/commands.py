@@ -143,9 +143,7 @@ def photos(
 def check(
     capture: CaptureArgument,
     reading: CaptureOptions,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for check.json and the contact sheets.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for check.json and the contact sheets.")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Check whether a mesh projects onto the photographs; exit code 1 with warnings.

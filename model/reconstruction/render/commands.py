@@ -62,7 +62,7 @@ class LightWords:
 def render(
     asset: Annotated[Path, typer.Argument(help="An environment package, such as OUT/asset.")],
     out: Annotated[
-        Path, typer.Option("--out", help="Folder of images (EXR, PNG); or a film: FILE.gif, FILE.mp4 (VP9).")
+        Path, typer.Option(help="Folder of images (EXR, PNG); or a film: FILE.gif, FILE.mp4 (VP9).")
     ],
     light: LightWords,
     film: FilmOptions,
@@ -102,9 +102,9 @@ def _warn(text: str) -> None:
 
 def view(
     asset: Annotated[Path, typer.Argument(help="Output of `materials infer`, or an asset package.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the page.")],
+    out: Annotated[Path, typer.Option(help="Folder of the page.")],
     max_side: Annotated[
-        int, typer.Option("--max-side", min=64, max=4096, help="Larger textures are averaged down.")
+        int, typer.Option(min=64, max=4096, help="Larger textures are averaged down.")
     ] = 4096,
 ) -> None:
     """Write a page that shows an asset in 3D, with a movable light; it opens from disk in any browser.
