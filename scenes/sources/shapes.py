@@ -218,6 +218,32 @@ def lathe(profile: ArrayLike, segments: int = 36, smooth: int = 0) -> Shape:
     return outward(without_degenerate(grid(points, closed_u=True)))
 
 
+def vessel(
+    outside: list[tuple[float, float]], wall: float, *, foot: float = 0.0, smooth: int = 3, segments: int = 34
+) -> Shape:
+    """Turned hollow: ``outside`` runs from the edge of the base up to the rim; the inside follows at ``wall``."""
+    curve = smooth_curve(outside, smooth) if smooth else np.array(outside, dtype=float)
+    tangent = np.gradient(curve, axis=0)
+    inward = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+    inner = curve + wall * inward / np.linalg.norm(inward, axis=1, keepdims=True)
+    base = curve[0, 0]
+    inner = inner[inner[:, 1] > wall * 1.1]
+    inner[:, 0] = np.maximum(inner[:, 0], 0.002)
+    top = curve[-1]
+    rim = [
+        (top[0] - 0.5 * wall * (1 - np.cos(a)), top[1] + 0.5 * wall * np.sin(a))
+        for a in np.radians([45, 90, 135])
+    ]
+    foot_ring = (
+        [(0, foot), (base - 3 * wall, foot), (base - 2.2 * wall, 0.0), (base - 0.4 * wall, 0.0)]
+        if foot
+        else [(0, 0), (base - 0.4 * wall, 0)]
+    )
+    floor = [(max(base - wall, 0.004) * 0.6, wall + foot), (0, wall + foot)]
+    profile = [*foot_ring, *curve.tolist(), *rim, *inner[::-1].tolist(), *floor]
+    return lathe(profile, segments)
+
+
 def outward(shape: Shape) -> Shape:
     """The shape turned so that it encloses a positive volume about its own middle."""
     points = shape.points - shape.points.mean(axis=0)

@@ -83,19 +83,12 @@ def bathroom(collection: bpy.types.Collection) -> None:
 def _tiling(room: Room) -> None:
     w, t = room.workshop, 0.012
     for wall in ("north", "east", "west", "south"):
-        half = room.length(wall) / 2
-        gaps = [(d.s - d.width / 2 - 0.09, d.s + d.width / 2 + 0.09) for d in room.doors if d.wall == wall]
-        start = -half
-        for low, high in [*gaps, (half, half)]:
-            if low - start > 0.03:
-                middle, length = (low + start) / 2, low - start
-                w["wall_tiles", "tiles"] += room.on_wall(
-                    wall, box((length, t, TILED), (middle, -t / 2, 0), 0.001, grain=0)
-                )
-                w["wall_tiles", "tile_edge"] += room.on_wall(
-                    wall, box((length, 0.018, 0.03), (middle, -0.009, TILED), 0.006, 3, grain=0)
-                )
-            start = high
+        for low, high in room.clear_runs(wall, 0.09):
+            middle, length = (high + low) / 2, high - low
+            tiles = box((length, t, TILED), (middle, -t / 2, 0), 0.001, grain=0)
+            edge = box((length, 0.018, 0.03), (middle, -0.009, TILED), 0.006, 3, grain=0)
+            w["wall_tiles", "tiles"] += room.on_wall(wall, tiles)
+            w["wall_tiles", "tile_edge"] += room.on_wall(wall, edge)
 
 
 def _washing(room: Room) -> None:

@@ -15,6 +15,7 @@ from scenes.sources.shapes import (
     lathe,
     loft,
     rounded_rectangle,
+    sheet,
     soft_box,
     tube,
 )
@@ -155,8 +156,6 @@ def towel(
     thick: float = 0.007,
 ) -> None:
     """A towel folded over a bar along x at the origin."""
-    from scenes.sources.shapes import sheet
-
     turn = np.linspace(0, np.pi, 9)
     y = np.concatenate([np.full(10, -0.016), -0.016 * np.cos(turn[1:-1]), np.full(10, 0.016)])
     z = np.concatenate([np.linspace(-front, 0, 10), 0.016 * np.sin(turn[1:-1]), np.linspace(0, -back, 10)])

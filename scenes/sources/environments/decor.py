@@ -12,6 +12,7 @@ from scenes.sources.shapes import (
     cylinder,
     join,
     lathe,
+    panel,
     sheet,
     tube,
 )
@@ -156,14 +157,20 @@ def ceiling_light(
     return ceiling - 0.066
 
 
-def picture(w: Workshop, part: str, *, size: tuple[float, float], frame: str, mount: str, art: str) -> None:
+def picture(
+    w: Workshop,
+    part: str,
+    *,
+    size: tuple[float, float],
+    art: str,
+    frame: str = "picture_frames",
+    mount: str = "mounts",
+) -> None:
     """Framed picture hanging on y = 0, its middle at the origin."""
     sx, sy = size
     b = 0.03
     w[part, frame] += [*[box((sx + 2 * b, 0.024, b), (0, -0.012, s * (sy / 2 + b / 2) - b / 2), 0.004, 2, grain=0) for s in (-1, 1)], *[box((b, 0.024, sy), (s * (sx / 2 + b / 2), -0.012, -sy / 2), 0.004, 2, grain=2) for s in (-1, 1)]]  # fmt: skip
     w[part, mount] += box((sx + 0.005, 0.006, sy + 0.005), (0, -0.006, -sy / 2), 0)
-    from scenes.sources.shapes import panel
-
     w[part, art] += panel(sx * 0.72, sy * 0.76, (0, -0.0096, -sy * 0.37))
 
 
@@ -191,13 +198,13 @@ def plant(
     part: str,
     *,
     height: float,
-    pot: str,
-    leaf: str,
-    stem: str,
-    soil: str,
     seed: int = 0,
     pot_radius: float = 0.15,
     leaves: int = 26,
+    pot: str = "pot",
+    leaf: str = "leaves",
+    stem: str = "stems",
+    soil: str = "soil",
 ) -> None:
     """Broad-leaved plant in a pot, centred on the origin."""
     rng = np.random.default_rng(seed)

@@ -87,25 +87,14 @@ def dining_room(collection: bpy.types.Collection) -> None:
     ).turned("x", 90)
     w["mirror", "mirror"] += lathe([(0, 0.008), (0.31, 0.008), (0.31, 0.012), (0, 0.012)], 48).turned("x", 90)
     room.place("north", "mirror", 0.2, z=1.75, gap=0.002)
-    decor.picture(w, "picture", size=(0.55, 0.7), frame="picture_frames", mount="mounts", art="art_landscape")
+    decor.picture(w, "picture", size=(0.55, 0.7), art="art_landscape")
     room.place("east", "picture", 0.65, z=1.72, gap=0.004)
     low = decor.pendant(w, "pendant", ceiling=2.75, drop=1.0, metal="brass", radius=0.26)
     w.place("pendant", 0.0, 0.05)
     room.area_slot("pendant", (0.0, 0.05, low + 0.02), (0.3, 0.3))
     for k, s in enumerate((-0.55, 0.95)):
         _sconce(room, k, s)
-    decor.plant(
-        w,
-        "plant",
-        height=1.15,
-        pot="pot",
-        leaf="leaves",
-        stem="stems",
-        soil="soil",
-        seed=21,
-        pot_radius=0.15,
-        leaves=26,
-    )
+    decor.plant(w, "plant", height=1.15, seed=21, pot_radius=0.15, leaves=26)
     w.place("plant", -1.98, 1.55)
     w.build(collection)
     room.surface_at("floor", "floor", (-1.85, 0.2), (0.6, 1.2), 0.0, 2.2)
@@ -118,17 +107,9 @@ def _panelling(room: Room) -> None:
     """A dado rail on every wall, interrupted by the door and the windows."""
     w, z = room.workshop, 0.92
     for wall in ("north", "east", "west", "south"):
-        half = room.length(wall) / 2
-        blocked = [(d.s - d.width / 2 - 0.09, d.s + d.width / 2 + 0.09) for d in room.doors if d.wall == wall]
-        blocked += [
-            (o.s - o.width / 2 - 0.07, o.s + o.width / 2 + 0.07) for o in room.windows if o.wall == wall
-        ]
-        start = -half
-        for low, high in [*sorted(blocked), (half, half)]:
-            if low - start > 0.03:
-                rail = box((low - start, 0.024, 0.05), ((low + start) / 2, -0.012, z), 0.008, 2, grain=0)
-                w["panelling", "panelling"] += room.on_wall(wall, rail)
-            start = high
+        for low, high in room.clear_runs(wall, 0.09, 0.07):
+            rail = box((high - low, 0.024, 0.05), ((high + low) / 2, -0.012, z), 0.008, 2, grain=0)
+            w["panelling", "panelling"] += room.on_wall(wall, rail)
 
 
 def _dresser(room: Room) -> None:

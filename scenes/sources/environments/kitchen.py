@@ -57,7 +57,7 @@ def kitchen(collection: bpy.types.Collection) -> None:
     decor.radiator(w, "radiator", width=0.8, height=0.6)
     room.place("west", "radiator", 0.2)
     for k, (s, z, art) in enumerate(((-0.55, 1.55, "art_blocks"), (0.15, 1.6, "art_landscape"))):
-        decor.picture(w, f"picture_{k}", size=(0.4, 0.52), frame="picture_frames", mount="mounts", art=art)
+        decor.picture(w, f"picture_{k}", size=(0.4, 0.52), art=art)
         room.place("south", f"picture_{k}", s - 0.2, z=z)
     low = decor.pendant(w, "pendant", ceiling=2.55, drop=0.85, radius=0.2)
     w.place("pendant", -0.35, -0.55)

@@ -12,6 +12,7 @@ from scenes.sources.shapes import (
     Shape,
     box,
     extrude,
+    face_normals,
     join,
     lathe,
     loft,
@@ -61,8 +62,6 @@ def basin_shape(
 
 
 def faces_up(shape: Shape) -> bool:
-    from scenes.sources.shapes import face_normals
-
     return float(face_normals(shape.points, shape.faces)[:, 2].sum()) > 0
 
 

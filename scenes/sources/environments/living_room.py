@@ -52,7 +52,7 @@ def living_room(collection: bpy.types.Collection) -> None:
     for k, (wall, s, z, art, size) in enumerate((
         ("south", 0.95, 1.62, "art_landscape", (0.7, 0.5)), ("south", 0.15, 1.62, "art_blocks", (0.42, 0.56)), ("north", 1.75, 1.55, "art_dusk", (0.5, 0.66)),
     )):  # fmt: skip
-        decor.picture(w, f"picture_{k}", size=size, frame="picture_frames", mount="mounts", art=art)
+        decor.picture(w, f"picture_{k}", size=size, art=art)
         room.place(wall, f"picture_{k}", s, z=z)
     low = decor.pendant(w, "pendant", ceiling=2.6, drop=0.55, radius=0.24)
     w.place("pendant", -0.4, -0.2)
@@ -60,18 +60,7 @@ def living_room(collection: bpy.types.Collection) -> None:
     lamp = decor.floor_lamp(w, "floor_lamp")
     w.place("floor_lamp", -2.2, -1.72)
     room.point_slot("floor lamp", (-2.2, -1.72, lamp))
-    decor.plant(
-        w,
-        "plant",
-        height=1.3,
-        pot="pot",
-        leaf="leaves",
-        stem="stems",
-        soil="soil",
-        seed=2,
-        pot_radius=0.17,
-        leaves=30,
-    )
+    decor.plant(w, "plant", height=1.3, seed=2, pot_radius=0.17, leaves=30)
     w.place("plant", 2.1, 1.8)
     w.build(collection)
     room.surface_at("floor east", "floor", (1.3, 0.0), (0.8, 1.5), 0.0, 2.2)

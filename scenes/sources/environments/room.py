@@ -8,6 +8,7 @@ against a wall uses the same frame: its back at y = 0, its front towards -y.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import bpy
@@ -80,6 +81,29 @@ class Room:
         self.workshop.place(part, px, py, z, degrees)
         return float(px), float(py), degrees
 
+    def clear_runs(
+        self, wall: str, door_gap: float, window_gap: float | None = None, least: float = 0.03
+    ) -> Iterator[tuple[float, float]]:
+        """(low, high) of a wall's stretches longer than ``least``, ``door_gap`` clear of its doors.
+
+        ``window_gap``: clear of its windows, too.
+        """
+        gaps = [
+            (d.s - d.width / 2 - door_gap, d.s + d.width / 2 + door_gap) for d in self.doors if d.wall == wall
+        ]
+        if window_gap is not None:
+            gaps += [
+                (o.s - o.width / 2 - window_gap, o.s + o.width / 2 + window_gap)
+                for o in self.windows
+                if o.wall == wall
+            ]
+        half = self.length(wall) / 2
+        start = -half
+        for low, high in [*sorted(gaps), (half, half)]:
+            if low - start > least:
+                yield start, low
+            start = high
+
     # the shell -------------------------------------------------------------------------------------------
     def build_shell(self, skirting: float = 0.09) -> None:
         """Floor, ceiling, walls with their openings, skirting; windows and doors."""
@@ -146,19 +170,11 @@ class Room:
         return self.on_wall(wall, Shape(array, faces, box_uvs(array, faces, grain=0)))
 
     def _skirting(self, wall: str, height: float) -> None:
-        half = self.length(wall) / 2
-        gaps = sorted(
-            (d.s - d.width / 2 - 0.08, d.s + d.width / 2 + 0.08) for d in self.doors if d.wall == wall
-        )
-        start = -half
-        for low, high in [*gaps, (half, half)]:
-            if low - start > 0.02:
-                board = box((low - start, 0.014, height), ((low + start) / 2, -0.007, 0), 0.004, grain=0)
-                lip = box(
-                    (low - start, 0.008, 0.012), ((low + start) / 2, -0.004, height - 0.002), 0.003, grain=0
-                )
-                self.workshop["skirting", "trim"] += self.on_wall(wall, board + lip)
-            start = high
+        for low, high in self.clear_runs(wall, 0.08, least=0.02):
+            length, middle = high - low, (high + low) / 2
+            board = box((length, 0.014, height), (middle, -0.007, 0), 0.004, grain=0)
+            lip = box((length, 0.008, 0.012), (middle, -0.004, height - 0.002), 0.003, grain=0)
+            self.workshop["skirting", "trim"] += self.on_wall(wall, board + lip)
 
     def _window(self, window: Window, number: int) -> None:
         w, h, z = window.width, window.height, window.sill

@@ -62,7 +62,7 @@ def study(collection: bpy.types.Collection) -> None:
     decor.radiator(w, "radiator", width=0.7, height=0.55)
     room.place("east", "radiator", 0.2)
     _board(room)
-    decor.picture(w, "picture", size=(0.62, 0.44), frame="picture_frames", mount="mounts", art="art_dusk")
+    decor.picture(w, "picture", size=(0.62, 0.44), art="art_dusk")
     room.place("south", "picture", -0.55, z=1.6)
     w["blind", "blind"] += [
         box((1.46, 0.004, 0.42), (0, -0.05, 1.86), 0.001, grain=2),
@@ -76,18 +76,7 @@ def study(collection: bpy.types.Collection) -> None:
     lamp = decor.floor_lamp(w, "floor_lamp", height=1.5)
     w.place("floor_lamp", 1.55, -0.2)
     room.point_slot("floor lamp", (1.55, -0.2, lamp))
-    decor.plant(
-        w,
-        "plant",
-        height=1.05,
-        pot="pot",
-        leaf="leaves",
-        stem="stems",
-        soil="soil",
-        seed=9,
-        pot_radius=0.14,
-        leaves=24,
-    )
+    decor.plant(w, "plant", height=1.05, seed=9, pot_radius=0.14, leaves=24)
     w.place("plant", 1.5, 1.22)
     w.build(collection)
     room.surface_at("floor", "floor", (-0.35, -0.75), (1.1, 0.7), 0.0115, 2.2)

@@ -10,6 +10,7 @@ constants everywhere.
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -84,21 +85,17 @@ class Graph:
 
     def fit(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
         """Map [low, high] to [to_low, to_high], clamped, smoothly."""
-        node = self.node("ShaderNodeMapRange", interpolation_type="SMOOTHSTEP")
-        for name, item in (
-            ("Value", value), ("From Min", low), ("From Max", high), ("To Min", to_low), ("To Max", to_high),
-        ):  # fmt: skip
-            self.feed(node.inputs[name], item)
-        return node.outputs["Result"]
+        return self._mapped("SMOOTHSTEP", value, low, high, to_low, to_high)
 
     def line(
         self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0
     ) -> Socket:
         """Map [low, high] to [to_low, to_high], clamped, linearly."""
-        node = self.node("ShaderNodeMapRange", interpolation_type="LINEAR")
-        for name, item in (
-            ("Value", value), ("From Min", low), ("From Max", high), ("To Min", to_low), ("To Max", to_high),
-        ):  # fmt: skip
+        return self._mapped("LINEAR", value, low, high, to_low, to_high)
+
+    def _mapped(self, interpolation: str, *values: Value) -> Socket:
+        node = self.node("ShaderNodeMapRange", interpolation_type=interpolation)
+        for name, item in zip(("Value", "From Min", "From Max", "To Min", "To Max"), values, strict=True):
             self.feed(node.inputs[name], item)
         return node.outputs["Result"]
 
@@ -217,8 +214,6 @@ class Graph:
 
     def fingerprints(self, count: int = 7, size: float = 0.05, seed: int = 0) -> Socket:
         """Mask of smudges with papillary lines; ``size`` in tiles."""
-        import random
-
         rng = random.Random(seed)
         warp = self.noise(9, detail=1.0, seed=seed + 3.1)
         mask: Value = 0.0

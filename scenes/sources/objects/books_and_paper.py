@@ -13,7 +13,7 @@ from scenes.sources.materials import art, natural
 from scenes.sources.materials.graph import Graph, srgb
 from scenes.sources.modelling import Slot, Workshop
 from scenes.sources.objects.registry import cloth, metal, painted, paper, plastic, thing, wood
-from scenes.sources.shapes import Shape, box, cylinder, panel, sheet, tube
+from scenes.sources.shapes import Shape, box, cylinder, grid, lathe, panel, sheet, tube, vessel
 
 _PAGES = Slot(("paper",), (), color=srgb("d8d0ba"), roughness=0.92)
 
@@ -105,8 +105,6 @@ def book_open(w: Workshop) -> None:
         top = np.stack([np.stack([x, np.full(14, y), rise], axis=-1) for y in (-0.105, 0.105)])
         if side < 0:
             top = top[:, ::-1]
-        from scenes.sources.shapes import grid
-
         w["pages", "page"] += grid(top, unit_uv=True)
         outline = [(xx, zz) for xx, zz in zip(x, rise, strict=True)]
         for y, flip in ((-0.105, False), (0.105, True)):
@@ -210,8 +208,6 @@ def box_wooden(w: Workshop) -> None:
     lining=cloth("d3c9b2"),
 )
 def basket(w: Workshop) -> None:
-    from scenes.sources.objects.crockery import vessel
-
     w["basket", "weave"] += vessel(
         [(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3
     )
@@ -243,8 +239,6 @@ def box_shoe(w: Workshop) -> None:
 
 @thing("Biscuit tin", "box", tin=painted("2f4f63", 0.22), rim=metal((0.75, 0.62, 0.36), 0.2))
 def box_tin(w: Workshop) -> None:
-    from scenes.sources.shapes import lathe
-
     w["tin", "tin"] += lathe(
         [
             (0, 0),

@@ -8,7 +8,6 @@ import numpy as np
 
 from scenes.sources.materials.graph import Graph, srgb
 from scenes.sources.modelling import Slot, Workshop
-from scenes.sources.objects.crockery import vessel
 from scenes.sources.objects.registry import (
     glaze,
     organic,
@@ -23,6 +22,7 @@ from scenes.sources.shapes import (
     soft_box,
     sphere,
     tube,
+    vessel,
     without_degenerate,
 )
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.modelling import Slot, Workshop
-from scenes.sources.objects.crockery import vessel
 from scenes.sources.objects.registry import (
     clay,
     glaze,
@@ -27,6 +26,7 @@ from scenes.sources.shapes import (
     smooth_curve,
     sphere,
     tube,
+    vessel,
 )
 
 

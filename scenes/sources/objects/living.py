@@ -22,6 +22,7 @@ from scenes.sources.shapes import (
     Shape,
     lathe,
     pillow,
+    sheet,
     sphere,
     tube,
 )  # fmt: skip
@@ -137,18 +138,7 @@ def cushion_bolster(w: Workshop) -> None:
     soil=fixed("22180f", 0.95, "organic"),
 )
 def plant_broad(w: Workshop) -> None:
-    decor.plant(
-        w,
-        "plant",
-        height=0.42,
-        pot="pot",
-        leaf="leaf",
-        stem="stem",
-        soil="soil",
-        seed=11,
-        pot_radius=0.075,
-        leaves=20,
-    )
+    decor.plant(w, "plant", height=0.42, seed=11, pot_radius=0.075, leaves=20, leaf="leaf", stem="stem")
 
 
 @thing(
@@ -181,8 +171,6 @@ def plant_snake(w: Workshop) -> None:
             ],
             axis=-1,
         )
-        from scenes.sources.shapes import sheet
-
         w["plant", "leaf"] += (
             sheet(points, 0.003)
             .turned("z", float(np.degrees(angle)))

@@ -21,6 +21,7 @@ from scenes.sources.shapes import (
     lathe,
     loft,
     tube,
+    vessel,
 )  # fmt: skip
 
 
@@ -48,8 +49,6 @@ def candlestick(w: Workshop) -> None:
     wick=fixed("1a1512", 0.9),
 )
 def candle_bowl(w: Workshop) -> None:
-    from scenes.sources.objects.crockery import vessel
-
     w["bowl", "bowl"] += vessel([(0.03, 0.002), (0.038, 0.01), (0.047, 0.03), (0.048, 0.055)], 0.005)
     w["candle", "wax"] += lathe(
         [(0, 0.01), (0.034, 0.012), (0.0405, 0.03), (0.0418, 0.043), (0.03, 0.042), (0, 0.0405)], 32

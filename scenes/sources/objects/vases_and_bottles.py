@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from scenes.sources.modelling import Workshop
-from scenes.sources.objects.crockery import vessel
 from scenes.sources.objects.registry import (
     clay,
     fixed,
@@ -18,7 +17,7 @@ from scenes.sources.objects.registry import (
     thing,
     wood_tone,
 )
-from scenes.sources.shapes import cylinder, lathe, tube
+from scenes.sources.shapes import cylinder, lathe, tube, vessel
 
 
 @thing("Slim vase", "vase", glaze=glaze("1b3278", source="glaze_cobalt"))
