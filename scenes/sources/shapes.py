@@ -311,6 +311,13 @@ def tube(
     return without_degenerate(_along_u(grid(lattice, closed_u=True)))
 
 
+def hoop(radius: float, thickness: float, z: float, count: int, segments: int) -> Shape:
+    """A round bar of half ``thickness`` bent to a circle of ``count`` points about the z axis."""
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    path = [(radius * np.cos(a), radius * np.sin(a), z) for a in angles]
+    return tube(path, thickness, segments, closed=True)
+
+
 def _cap(ring: NDArray, outward: NDArray, radius: float) -> NDArray:
     centre = ring.mean(axis=0)
     bulge = 0.35 * radius

@@ -122,7 +122,6 @@ def _washing(room: Room) -> None:
             (0, 0.012),
         ],
         48,
-        smooth=0,
     )
     w["basin", "enamel"] += basin.scaled(1, 0.9, 1)
     w["basin", "chrome"] += lathe(

@@ -13,7 +13,7 @@ from scenes.sources.materials import art, natural
 from scenes.sources.materials.graph import Graph, srgb
 from scenes.sources.modelling import Slot, Workshop
 from scenes.sources.objects.registry import cloth, metal, painted, paper, plastic, thing, wood
-from scenes.sources.shapes import Shape, box, cylinder, grid, lathe, panel, sheet, tube, vessel
+from scenes.sources.shapes import Shape, box, cylinder, grid, hoop, lathe, panel, sheet, tube, vessel
 
 _PAGES = Slot(("paper",), (), color=srgb("d8d0ba"), roughness=0.92)
 
@@ -211,10 +211,7 @@ def basket(w: Workshop) -> None:
     w["basket", "weave"] += vessel(
         [(0.12, 0.002), (0.135, 0.012), (0.15, 0.08), (0.158, 0.15)], 0.009, smooth=3
     )
-    ring = [
-        (0.155 * np.cos(a), 0.155 * np.sin(a), 0.152) for a in np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    ]
-    w["basket", "weave"] += tube(ring, 0.0085, 8, closed=True)
+    w["basket", "weave"] += hoop(0.155, 0.0085, 0.152, 40, 8)
     for side in (-1, 1):
         arch = [
             (side * 0.158, 0.045 * np.cos(a), 0.15 + 0.055 * np.sin(a)) for a in np.linspace(0, np.pi, 13)
@@ -255,13 +252,7 @@ def box_tin(w: Workshop) -> None:
         48,
     )
     w["tin", "rim"] += [
-        tube(
-            [(r * np.cos(a), r * np.sin(a), z) for a in np.linspace(0, 2 * np.pi, 48, endpoint=False)],
-            0.0016,
-            6,
-            closed=True,
-        )
-        for r, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))
+        hoop(radius, 0.0016, z, 48, 6) for radius, z in ((0.0925, 0.061), (0.0905, 0.0895), (0.0895, 0.002))
     ]
 
 

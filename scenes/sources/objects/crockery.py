@@ -11,7 +11,7 @@ from scenes.sources.objects.registry import (
     glaze,
     thing,
 )
-from scenes.sources.shapes import Shape, cylinder, lathe, tube, vessel
+from scenes.sources.shapes import Shape, cylinder, hoop, lathe, tube, vessel
 
 
 def handle(
@@ -39,9 +39,7 @@ def mug(w: Workshop) -> None:
 def mug_two_tone(w: Workshop) -> None:
     w["mug", "enamel"] += vessel([(0.040, 0.001), (0.0425, 0.004), (0.043, 0.04), (0.0435, 0.08)], 0.0022)
     w["mug", "enamel"] += handle(0.02, 0.062, 0.042, 0.0425, 0.032, 0.004)
-    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    ring = np.stack([0.0425 * np.cos(angle), 0.0425 * np.sin(angle), np.full(40, 0.0812)], axis=-1)
-    w["mug", "rim"] += tube(ring, 0.0021, 8, closed=True)
+    w["mug", "rim"] += hoop(0.0425, 0.0021, 0.0812, 40, 8)
 
 
 @thing("Bowl", "crockery", glaze=glaze("cfc4ae", source="glaze_speckled"))

@@ -11,7 +11,17 @@ import numpy as np
 from scenes.sources.materials.graph import Graph, srgb
 from scenes.sources.modelling import Slot, Workshop
 from scenes.sources.objects.registry import cloth, fixed, leather, metal, plastic, rubber, thing, wood
-from scenes.sources.shapes import box, cylinder, extrude, lathe, panel, rounded_rectangle, soft_box, tube
+from scenes.sources.shapes import (
+    box,
+    cylinder,
+    extrude,
+    hoop,
+    lathe,
+    panel,
+    rounded_rectangle,
+    soft_box,
+    tube,
+)
 
 
 def _screen(g: Graph, seed: float = 1.0) -> bpy.types.Material:
@@ -113,15 +123,7 @@ def headphones(w: Workshop) -> None:
 
     for side in (-1, 1):
         cup = lathe([(0, 0.0), (0.03, 0.001), (0.037, 0.007), (0.038, 0.02), (0.034, 0.024), (0, 0.024)], 36)
-        ring = tube(
-            [
-                (0.026 * np.cos(a), 0.026 * np.sin(a), 0.031)
-                for a in np.linspace(0, 2 * np.pi, 32, endpoint=False)
-            ],
-            0.0125,
-            12,
-            closed=True,
-        )
+        ring = hoop(0.026, 0.0125, 0.031, 32, 12)
         turn = 62 * side
         for slot, shape in (
             ("shell", cup),

@@ -55,13 +55,12 @@ def lamp_table(w: Workshop) -> None:
             (0, 0.215),
         ],
         40,
-        smooth=0,
     )
     w["base", "metal"] += [
         cylinder(0.058, 0.013, bevel=0.004, segments=40),
         cylinder(0.012, 0.075, (0, 0, 0.21), 0.002, 20),
     ]
-    w["base", "metal"] += decor.spider(0.104, 0.44).scaled(1, 1, 1)
+    w["base", "metal"] += decor.spider(0.104, 0.44)
     w["shade", "shade"] += decor.drum_shade(0.105, 0.15, 0.19, 40).moved(z=0.255)
 
 

@@ -12,6 +12,7 @@ from scenes.sources.shapes import (
     box,
     cylinder,
     extrude,
+    hoop,
     lathe,
     loft,
     smooth_curve,
@@ -316,10 +317,6 @@ def spinning_top(w: Workshop) -> None:
     z = 0.0165
     for slot, radius in (("d", 0.054), ("c", 0.046), ("b", 0.038), ("a", 0.031)):
         thick = 0.0135
-        ring = [
-            ((radius - thick) * np.cos(t), (radius - thick) * np.sin(t), z + thick)
-            for t in np.linspace(0, 2 * np.pi, 40, endpoint=False)
-        ]
-        w["toy", slot] += tube(ring, thick, 14, closed=True)
+        w["toy", slot] += hoop(radius - thick, thick, z + thick, 40, 14)
         z += 2 * thick
     w["toy", "a"] += sphere(0.019, (0, 0, z + 0.019), 24)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from scenes.sources.modelling import Slot, Workshop
@@ -51,166 +53,104 @@ def _upper(
     return rings
 
 
-def _shoe(
-    w: Workshop,
-    part: str,
-    *,
-    upper: str,
-    sole: str,
-    lining: str,
-    length: float = 0.285,
-    width: float = 0.102,
-    heights: tuple[float, float, float] = (0.05, 0.085, 0.075),
-    thick: float = 0.024,
-    mirror: bool = False,
-) -> list[tuple[str, Shape]]:
-    flip = (lambda p: p * [-1, 1, 1]) if mirror else (lambda p: p)
-    base = _sole(length, width)
-    rim = [
-        np.column_stack([base * s, np.full(len(base), z)])
-        for s, z in ((0.95, 0.0), (1.0, 0.004), (1.02, thick * 0.7), (1.0, thick), (0.97, thick))
-    ]
-    pieces = [(sole, loft(np.array(rim)))]
-    rings = _upper(length * 0.985, width * 0.97, thick - 0.002, heights, length * 0.2)
-    centre = rings[-1].mean(axis=0)
-    inner = [rings[-1] + [0, 0, 0.002]]
-    inner += [
-        np.column_stack(
-            [
-                centre[0] + (rings[-1][:, 0] - centre[0]) * s,
-                centre[1] + (rings[-1][:, 1] - centre[1]) * s,
-                rings[-1][:, 2] - d,
-            ]
-        )
-        for s, d in ((0.95, 0.0), (0.93, 0.012))
-    ]
-    pieces.append((upper, loft(np.array([*rings, *inner[:2]]), capped=False)))
-    floor = [
-        np.column_stack(
-            [
-                centre[0] + (rings[-1][:, 0] - centre[0]) * s,
-                centre[1] + (rings[-1][:, 1] - centre[1]) * s,
-                np.full(len(rings[-1]), z),
-            ]
-        )
-        for s, z in ((0.9, thick + 0.02), (0.5, thick + 0.006), (0.05, thick + 0.005))
-    ]
-    pieces.append((lining, loft(np.array([*inner[1:], *floor]), capped=False)))
-    result = []
-    for slot, shape in pieces:
-        bent = shape.bent(flip)
-        if mirror:
-            bent = bent.flipped()
-        result.append((slot, bent))
-    return result
+@dataclass(frozen=True)
+class _Shoe:
+    """A right shoe: ``heights`` at toe, instep and heel, ``thick`` its sole; metres."""
 
+    length: float = 0.285
+    width: float = 0.102
+    heights: tuple[float, float, float] = (0.05, 0.085, 0.075)
+    thick: float = 0.024
+    is_laced: bool = True
 
-def _laces(length: float, thick: float, heights: tuple[float, float, float], width: float) -> Shape:
-    rings = _upper(length * 0.985, width * 0.97, thick - 0.002, heights, length * 0.2)
-    front = rings[-1][:, 1].min()
-    bars = []
-    for k in range(5):
-        y = front - 0.008 - 0.0135 * k
-        z = thick + heights[1] * (0.97 - 0.105 * k) + 0.001
-        half = 0.017 + 0.002 * k
-        bars.append(
-            tube(
-                [
-                    (-half, y, z - 0.008),
-                    (-half * 0.4, y - 0.002, z),
-                    (half * 0.4, y + 0.002, z),
-                    (half, y, z - 0.008),
-                ],
-                0.0022,
-                6,
-                smooth=2,
-            )
-        )
-    return join(bars)
+    def rings(self) -> list[np.ndarray]:
+        """Of its upper, from the sole to the collar."""
+        collar = self.length * 0.2
+        return _upper(self.length * 0.985, self.width * 0.97, self.thick - 0.002, self.heights, collar)
 
+    def pieces(self) -> list[tuple[str, Shape]]:
+        """Slots and shapes: sole, upper, lining."""
+        base, thick, rings = _sole(self.length, self.width), self.thick, self.rings()
+        rim = [
+            np.column_stack([base * s, np.full(len(base), z)])
+            for s, z in ((0.95, 0.0), (1.0, 0.004), (1.02, thick * 0.7), (1.0, thick), (0.97, thick))
+        ]
+        collar, centre = rings[-1], rings[-1].mean(axis=0)
 
-def _pair(w: Workshop, pieces: dict[bool, list[tuple[str, Shape]]], gap: float) -> None:
-    for mirror, items in pieces.items():
-        side = 1 if mirror else -1
-        for slot, shape in items:
-            w["left" if mirror else "right", slot] += shape.turned("z", 4.0 * side).moved(
-                x=side * gap / 2, y=0.012 * side
-            )
+        def shrunk(share: float, z: np.ndarray | float) -> np.ndarray:
+            """The collar about its middle, at another height."""
+            flat = centre[:2] + (collar[:, :2] - centre[:2]) * share
+            return np.column_stack([flat, np.broadcast_to(z, len(collar))])
 
+        inner = [
+            collar + np.array([0, 0, 0.002]),
+            shrunk(0.95, collar[:, 2]),
+            shrunk(0.93, collar[:, 2] - 0.012),
+        ]
+        floor = [shrunk(s, z) for s, z in ((0.9, thick + 0.02), (0.5, thick + 0.006), (0.05, thick + 0.005))]
+        return [
+            ("sole", loft(np.array(rim))),
+            ("upper", loft(np.array([*rings, *inner[:2]]), capped=False)),
+            ("lining", loft(np.array([*inner[1:], *floor]), capped=False)),
+        ]
 
-SHOES = "floor"
+    def laces(self) -> Shape:
+        """Five laces over the instep."""
+        front = self.rings()[-1][:, 1].min()
+        bars = []
+        for k in range(5):
+            y = front - 0.008 - 0.0135 * k
+            z = self.thick + self.heights[1] * (0.97 - 0.105 * k) + 0.001
+            half = 0.017 + 0.002 * k
+            ends = (-half, y, z - 0.008), (half, y, z - 0.008)
+            path = [ends[0], (-half * 0.4, y - 0.002, z), (half * 0.4, y + 0.002, z), ends[1]]
+            bars.append(tube(path, 0.0022, 6, smooth=2))
+        return join(bars)
+
+    def add_pair(self, w: Workshop, gap: float) -> None:
+        """A pair whose middles are ``gap`` apart, toes a little outwards."""
+        for part, side in (("right", -1), ("left", 1)):
+            for slot, shape in self.pieces():
+                own = shape.bent(lambda p: p * [-1, 1, 1]).flipped() if part == "left" else shape
+                w[part, slot] += own.turned("z", 4.0 * side).moved(x=side * gap / 2, y=0.012 * side)
+            if self.is_laced:
+                laces = self.laces().turned("z", 4.0 * side)
+                w[part, "lace"] += laces.moved(x=side * gap / 2, y=0.012 * side)
 
 
 @thing(
     "Trainers",
     "shoe",
-    supports=SHOES,
+    supports="floor",
     upper=fabric("canvas_grey"),
     sole=rubber("dedbd2", 0.6),
     lining=cloth("2d2f33"),
     lace=cloth("e6e3da"),
 )
 def shoes_trainers(w: Workshop) -> None:
-    pieces = {}
-    for mirror in (False, True):
-        items = _shoe(w, "shoe", upper="upper", sole="sole", lining="lining", thick=0.03, mirror=mirror)
-        items.append(("lace", _laces(0.285, 0.03, (0.05, 0.085, 0.075), 0.102)))
-        pieces[mirror] = items
-    _pair(w, pieces, 0.13)
+    _Shoe(thick=0.03).add_pair(w, 0.13)
 
 
 @thing(
     "Leather shoes",
     "shoe",
-    supports=SHOES,
+    supports="floor",
     upper=leather("leather_brown"),
     sole=leather("leather_black"),
     lining=cloth("a88a62", 0.7),
     lace=cloth("2a1c12"),
 )
 def shoes_leather(w: Workshop) -> None:
-    heights = (0.042, 0.078, 0.066)
-    pieces = {}
-    for mirror in (False, True):
-        items = _shoe(
-            w,
-            "shoe",
-            upper="upper",
-            sole="sole",
-            lining="lining",
-            length=0.295,
-            width=0.096,
-            heights=heights,
-            thick=0.014,
-            mirror=mirror,
-        )
-        items.append(("lace", _laces(0.295, 0.014, heights, 0.096)))
-        pieces[mirror] = items
-    _pair(w, pieces, 0.125)
+    _Shoe(0.295, 0.096, (0.042, 0.078, 0.066), 0.014).add_pair(w, 0.125)
 
 
 @thing(
     "Slippers",
     "shoe",
-    supports=SHOES,
+    supports="floor",
     upper=Slot(("fabric",), ("fabric", "leather"), "felt_grey"),
     sole=rubber("3b3632", 0.8),
     lining=cloth("c9b898"),
 )
 def shoes_slippers(w: Workshop) -> None:
-    pieces = {
-        mirror: _shoe(
-            w,
-            "shoe",
-            upper="upper",
-            sole="sole",
-            lining="lining",
-            length=0.27,
-            width=0.105,
-            heights=(0.052, 0.06, 0.036),
-            thick=0.012,
-            mirror=mirror,
-        )
-        for mirror in (False, True)
-    }
-    _pair(w, pieces, 0.13)
+    _Shoe(0.27, 0.105, (0.052, 0.06, 0.036), 0.012, is_laced=False).add_pair(w, 0.13)
