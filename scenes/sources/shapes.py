@@ -330,7 +330,7 @@ def _along_u(shape: Shape) -> Shape:
     return shape.uv_turned()
 
 
-def loft(sections: NDArray, capped: bool = True) -> Shape:
+def loft(sections: ArrayLike, capped: bool = True) -> Shape:
     """Skin over closed rings (k, m, 3), each counter-clockwise seen from the last towards the first."""
     rings = np.asarray(sections, dtype=float)
     if capped:

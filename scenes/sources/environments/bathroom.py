@@ -214,4 +214,4 @@ def _basket() -> Shape:
     ):
         outline = np.array(rounded_rectangle(0.38 * scale, 0.3 * scale, 0.07 * scale, 5))
         rings.append(np.column_stack([outline, np.full(len(outline), z)]))
-    return loft(np.array(rings))
+    return loft(rings)

@@ -41,7 +41,7 @@ def bathtub(
     rings = [ring(length, width, height - 0.03, 0.012), ring(length, width, height - 0.004, 0.012), ring(length - 0.01, width - 0.01, height, 0.012), ring(length - 0.13, width - 0.13, height, 0.10),
              ring(length - 0.155, width - 0.155, height - 0.012, 0.11), ring(length - 0.24, width - 0.2, height - 0.25, 0.16), ring(length - 0.36, width - 0.26, height - 0.39, 0.18),
              ring(length - 0.55, width - 0.4, height - 0.42, 0.15), ring(length - 1.2, width - 0.6, height - 0.424, 0.05)]  # fmt: skip
-    shape = loft(np.array(rings), capped=False)
+    shape = loft(rings, capped=False)
     shape = shape if faces_up(shape) else shape.flipped()
     centre = ring(length - 1.2, width - 0.6, height - 0.424, 0.05)
     lid = Shape(centre, [tuple(range(len(centre)))], centre[:, :2].copy())
@@ -89,7 +89,7 @@ def washbasin(
     rings = [ring(width * 0.3, depth * 0.3, height - 0.17, 0.05, 0.06), ring(width * 0.7, depth * 0.7, height - 0.15, 0.1, 0.04), ring(width - 0.02, depth - 0.01, height - 0.04, 0.09), ring(width, depth, height - 0.012, 0.1),
              ring(width - 0.006, depth - 0.006, height, 0.1), ring(width - 0.07, depth - 0.17, height, 0.1, -0.045), ring(width - 0.09, depth - 0.19, height - 0.012, 0.1, -0.045),
              ring(width - 0.2, depth - 0.26, height - 0.09, 0.07, -0.045), ring(width - 0.4, depth - 0.34, height - 0.12, 0.03, -0.045)]  # fmt: skip
-    w[part, ceramic] += loft(np.array(rings))
+    w[part, ceramic] += loft(rings)
     w[part, metal] += [
         cylinder(0.022, 0.004, (0, -depth / 2 - 0.045, height - 0.122), 0.001),
         tube(
@@ -115,26 +115,22 @@ def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> No
         return np.column_stack([sx / 2 * np.cos(angle), y + sy / 2 * np.sin(angle) * front, np.full(32, z)])
 
     w[part, ceramic] += loft(
-        np.array(
-            [
-                ring(0.21, 0.34, 0, -0.36),
-                ring(0.22, 0.35, 0.02, -0.36),
-                ring(0.2, 0.34, 0.12, -0.36),
-                ring(0.28, 0.4, 0.27, -0.4),
-                ring(0.36, 0.46, 0.38, -0.42),
-                ring(0.365, 0.465, 0.395, -0.42),
-            ]
-        )
+        [
+            ring(0.21, 0.34, 0, -0.36),
+            ring(0.22, 0.35, 0.02, -0.36),
+            ring(0.2, 0.34, 0.12, -0.36),
+            ring(0.28, 0.4, 0.27, -0.4),
+            ring(0.36, 0.46, 0.38, -0.42),
+            ring(0.365, 0.465, 0.395, -0.42),
+        ]
     )
     w[part, seat] += loft(
-        np.array(
-            [
-                ring(0.37, 0.47, 0.397, -0.42),
-                ring(0.38, 0.48, 0.403, -0.42),
-                ring(0.378, 0.478, 0.423, -0.42),
-                ring(0.36, 0.46, 0.431, -0.42),
-            ]
-        )
+        [
+            ring(0.37, 0.47, 0.397, -0.42),
+            ring(0.38, 0.48, 0.403, -0.42),
+            ring(0.378, 0.478, 0.423, -0.42),
+            ring(0.36, 0.46, 0.431, -0.42),
+        ]
     )
     w[part, ceramic] += [
         soft_box((0.38, 0.18, 0.36), (0, -0.095, 0.39), 0.025, (0, 0, 0), 7),

@@ -86,9 +86,7 @@ def portrait(g: Graph, ground: Color, skin: Color, coat: Color, seed: float = 1.
     def ellipse(cx: float, cy: float, rx: float, ry: float) -> Socket:
         dx = g.mul(g.math("SUBTRACT", u, cx), 1 / rx)
         dy = g.mul(g.math("SUBTRACT", v, cy), 1 / ry)
-        return g.fit(
-            g.math("SQRT", g.add(g.math("POWER", dx, 2.0), g.math("POWER", dy, 2.0))), 0.94, 1.04, 1.0, 0.0
-        )
+        return g.fit(g.length((dx, dy)), 0.94, 1.04, 1.0, 0.0)
 
     color: Value | Color = g.mix(
         g.noise(2.5, detail=3, seed=seed), g.shade(ground, 0.6), g.shade(ground, 1.4)
@@ -104,7 +102,7 @@ def dial(g: Graph, ground: Color, ink: Color, seed: float = 0.0) -> Material:
     """A clock's face: twelve long and sixty short marks on a disc that fills the square."""
     u, v = g.uv()
     x, y = g.math("SUBTRACT", u, 0.5), g.math("SUBTRACT", v, 0.5)
-    radius = g.math("SQRT", g.add(g.math("POWER", x, 2.0), g.math("POWER", y, 2.0)))
+    radius = g.length((x, y))
     angle = g.mul(g.math("ARCTAN2", y, x), 0.15915494)
     color: Value | Color = ground
     for count, low, high, half in ((60.0, 0.435, 0.455, 0.06), (12.0, 0.375, 0.455, 0.045)):

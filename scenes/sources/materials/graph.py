@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -82,6 +83,10 @@ class Graph:
 
     def mul(self, a: Value, b: Value) -> Socket:
         return self.math("MULTIPLY", a, b)
+
+    def length(self, parts: Iterable[Value]) -> Socket:
+        """Square root of the sum of the squares of two parts."""
+        return self.math("SQRT", self.add(*[self.math("POWER", part, 2.0) for part in parts]))
 
     def fit(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
         """Map [low, high] to [to_low, to_high], clamped, smoothly."""
@@ -206,11 +211,12 @@ class Graph:
 
     def periodic_distance(self, centre: tuple[float, float], stretch: float = 1.0) -> Socket:
         """Distance to a point of the tile, around its borders; ``stretch`` shortens v."""
-        parts = []
-        for coordinate, c, factor in zip(self.uv(), centre, (1.0, stretch), strict=True):
+
+        def along(coordinate: Socket, c: float, factor: float) -> Socket:
             away = self.math("ABSOLUTE", self.math("WRAP", self.add(coordinate, 0.5 - c), 1.0, 0.0))
-            parts.append(self.math("POWER", self.mul(self.math("SUBTRACT", away, 0.5), factor), 2.0))
-        return self.math("SQRT", self.add(*parts))
+            return self.mul(self.math("SUBTRACT", away, 0.5), factor)
+
+        return self.length(map(along, self.uv(), centre, (1.0, stretch)))
 
     def fingerprints(self, count: int = 7, size: float = 0.05, seed: int = 0) -> Socket:
         """Mask of smudges with papillary lines; ``size`` in tiles."""

@@ -85,13 +85,7 @@ def moulded(
 def studs(g: Graph, color: Color, *, count: int = 10, rough: float = 0.7, seed: float = 1.0) -> Material:
     """Round-studded rubber flooring; stud tops are rubbed smoother and greyer."""
     cell = g.cells(count, count)
-    away = g.math(
-        "SQRT",
-        g.add(
-            g.math("POWER", g.math("SUBTRACT", cell.x, 0.5), 2.0),
-            g.math("POWER", g.math("SUBTRACT", cell.y, 0.5), 2.0),
-        ),
-    )
+    away = g.length(g.math("SUBTRACT", part, 0.5) for part in (cell.x, cell.y))
     top = g.line(away, 0.30, 0.34, 1.0, 0.0)
     rim = g.mul(g.line(away, 0.34, 0.38, 1, 0), g.math("SUBTRACT", 1.0, top))
     dust = g.noise(7, detail=5, seed=seed)

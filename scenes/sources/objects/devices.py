@@ -36,13 +36,7 @@ SCREEN = Slot(("glass",), (), graph=_screen)
 
 def _grille(g: Graph, count: int = 24, color: str = "26282a") -> bpy.types.Material:
     cell = g.cells(count, count, shift="half")
-    away = g.math(
-        "SQRT",
-        g.add(
-            g.math("POWER", g.math("SUBTRACT", cell.x, 0.5), 2.0),
-            g.math("POWER", g.math("SUBTRACT", cell.y, 0.5), 2.0),
-        ),
-    )
+    away = g.length(g.math("SUBTRACT", part, 0.5) for part in (cell.x, cell.y))
     hole = g.line(away, 0.27, 0.33, 1.0, 0.0)
     return g.finish(g.mix(hole, srgb(color), srgb("050505")), g.line(hole, 0, 1, 0.4, 0.9))
 

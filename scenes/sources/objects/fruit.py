@@ -96,9 +96,9 @@ def apple(w: Workshop) -> None:
     w["apple", "stalk"] += stalk
 
 
-@thing("Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
-def pear(w: Workshop) -> None:
-    body = lathe(
+def pear_shape(segments: int) -> Shape:
+    """A straight pear standing on z = 0, about the z axis."""
+    return lathe(
         [
             (0, 0.004),
             (0.012, 0.0),
@@ -110,10 +110,14 @@ def pear(w: Workshop) -> None:
             (0.012, 0.094),
             (0, 0.096),
         ],
-        32,
+        segments,
         smooth=3,
     )
-    w["pear", "skin"] += body.bent(
+
+
+@thing("Pear", "fruit", skin=organic("9aa03c", 0.42), stalk=organic("4a3521", 0.8))
+def pear(w: Workshop) -> None:
+    w["pear", "skin"] += pear_shape(32).bent(
         lambda p: p + np.column_stack([0.005 * (p[:, 2] / 0.1) ** 2, 0 * p[:, 2], 0 * p[:, 2]])
     )
     w["pear", "stalk"] += tube(
@@ -237,19 +241,4 @@ def fruit_bowl(w: Workshop) -> None:
     for x, y, z, lean in ((-0.042, -0.034, 0.026, 14), (0.025, -0.066, 0.03, -18)):
         for slot, shape in (("apple", fruit), ("stalk", stalk)):
             w["fruit", slot] += shape.turned("y", lean).moved(x, y, z)
-    pear_body = lathe(
-        [
-            (0, 0.004),
-            (0.012, 0.0),
-            (0.024, 0.005),
-            (0.0345, 0.025),
-            (0.033, 0.045),
-            (0.024, 0.066),
-            (0.0175, 0.084),
-            (0.012, 0.094),
-            (0, 0.096),
-        ],
-        28,
-        smooth=3,
-    )
-    w["fruit", "pear"] += pear_body.turned("x", 74).turned("z", 30).moved(0.055, 0.062, 0.064)
+    w["fruit", "pear"] += pear_shape(28).turned("x", 74).turned("z", 30).moved(0.055, 0.062, 0.064)

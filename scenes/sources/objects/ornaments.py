@@ -109,7 +109,7 @@ def obelisk(w: Workshop) -> None:
         return [(-s, -s, z), (s, -s, z), (s, s, z), (-s, s, z)]
 
     w["obelisk", "body"] += loft(
-        np.array([ring(0.0335, 0.05), ring(0.035, 0.052), ring(0.02, 0.26), ring(0.003, 0.295)])
+        [ring(0.0335, 0.05), ring(0.035, 0.052), ring(0.02, 0.26), ring(0.003, 0.295)]
     )
     w["obelisk", "foot"] += [
         box((0.1, 0.1, 0.028), bevel=0.003, segments=2),

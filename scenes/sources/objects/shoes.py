@@ -89,9 +89,9 @@ class _Shoe:
         ]
         floor = [shrunk(s, z) for s, z in ((0.9, thick + 0.02), (0.5, thick + 0.006), (0.05, thick + 0.005))]
         return [
-            ("sole", loft(np.array(rim))),
-            ("upper", loft(np.array([*rings, *inner[:2]]), capped=False)),
-            ("lining", loft(np.array([*inner[1:], *floor]), capped=False)),
+            ("sole", loft(rim)),
+            ("upper", loft([*rings, *inner[:2]], capped=False)),
+            ("lining", loft([*inner[1:], *floor], capped=False)),
         ]
 
     def laces(self) -> Shape:
