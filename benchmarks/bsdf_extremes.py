@@ -27,7 +27,6 @@ from mitsuba_plugins import register, select_variant
 from oracles import brdf as oracle
 
 BATCH = 4_000_000
-ROUGHNESS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
 ANGLES_DEG = (0, 30, 45, 60, 75, 85, 89)
 EPS = float(np.finfo(np.float32).eps)
 

@@ -33,12 +33,12 @@ def channel_entry(name: str, channel: Any, stem: str, writer: PackageWriter, bit
             "channel": "rgb" if stored.shape[2] == 3 else "r",
         }
     if isinstance(channel, PlainImage):
-        path = image_file(channel.image, writer, name in _COLOURS)
+        path = image_file(channel.image, writer)
         return {"texture": path, "encoding": channel.encoding, "channel": channel.channel}
     return list(channel) if len(channel) == 3 else channel[0]
 
 
-def image_file(image: bpy.types.Image, writer: PackageWriter, is_colour: bool) -> str:
+def image_file(image: bpy.types.Image, writer: PackageWriter) -> str:
     """Write an image's own bytes if packages support its format, else its pixels losslessly."""
     stem = slug(Path(image.filepath or image.name).stem)
     suffix = _PASSED_THROUGH.get(Path(image.filepath_raw or image.name).suffix.lower())

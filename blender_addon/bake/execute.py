@@ -136,7 +136,7 @@ class BakeSession:
         """Replace links from Object Info nodes by the instance's values, in this tree and its groups."""
         for node in list(tree.nodes):
             if node.type == "GROUP" and node.node_tree is not None:
-                self.make_single(tree, (*path, node.name), node, single_user)
+                self.make_single((*path, node.name), node, single_user)
                 self._fix_object_info(node.node_tree, (*path, node.name), values, single_user)
             elif node.type == "OBJECT_INFO":
                 for output in node.outputs:
@@ -152,11 +152,7 @@ class BakeSession:
                         tree.links.new(source.outputs[0], link.to_socket)
 
     def make_single(
-        self,
-        tree: bpy.types.NodeTree,
-        path: tuple[str, ...],
-        node: bpy.types.Node,
-        single_user: set[tuple[str, ...]],
+        self, path: tuple[str, ...], node: bpy.types.Node, single_user: set[tuple[str, ...]]
     ) -> None:
         """Give a group node its own tree, once."""
         if path not in single_user:
@@ -293,7 +289,7 @@ class _Builder:
         tree, groups = self.tree, []
         for depth, name in enumerate(value.path):
             node = tree.nodes[name]
-            self.session.make_single(tree, value.path[: depth + 1], node, self.single_user)
+            self.session.make_single(value.path[: depth + 1], node, self.single_user)
             groups.append(node)
             tree = node.node_tree
         socket = next(o for o in tree.nodes[value.node].outputs if o.identifier == value.socket)

@@ -11,7 +11,6 @@ from datagen.parametric.joinery import front, fronts
 from datagen.parametric.shapes import Shape, box, cylinder, lathe, loft, rounded_box, rounded_ring, tube
 
 COUNTER_M = 0.91
-_DEPTH = 0.6
 
 
 def tap(item: Item, x: float, y: float, z: float, reach: float = 0.16, height: float = 0.24) -> None:

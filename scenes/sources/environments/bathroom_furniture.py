@@ -17,7 +17,6 @@ from scenes.sources.shapes import (
     rounded_rectangle,
     sheet,
     soft_box,
-    tube,
 )
 
 
@@ -68,42 +67,6 @@ def _apron(length: float, width: float, height: float) -> Shape:
         for side in (-1, 1)
     ]
     return join(walls)
-
-
-def washbasin(
-    w: Workshop,
-    part: str,
-    *,
-    ceramic: str,
-    metal: str,
-    width: float = 0.56,
-    depth: float = 0.42,
-    height: float = 0.86,
-) -> None:
-    """Wall-hung basin with its rim at ``height``."""
-
-    def ring(sx: float, sy: float, z: float, corner: float, shift: float = 0.0) -> np.ndarray:
-        outline = np.array(rounded_rectangle(sx, sy, corner, 6))
-        return np.column_stack([outline[:, 0], outline[:, 1] - depth / 2 + shift, np.full(len(outline), z)])
-
-    rings = [ring(width * 0.3, depth * 0.3, height - 0.17, 0.05, 0.06), ring(width * 0.7, depth * 0.7, height - 0.15, 0.1, 0.04), ring(width - 0.02, depth - 0.01, height - 0.04, 0.09), ring(width, depth, height - 0.012, 0.1),
-             ring(width - 0.006, depth - 0.006, height, 0.1), ring(width - 0.07, depth - 0.17, height, 0.1, -0.045), ring(width - 0.09, depth - 0.19, height - 0.012, 0.1, -0.045),
-             ring(width - 0.2, depth - 0.26, height - 0.09, 0.07, -0.045), ring(width - 0.4, depth - 0.34, height - 0.12, 0.03, -0.045)]  # fmt: skip
-    w[part, ceramic] += loft(rings)
-    w[part, metal] += [
-        cylinder(0.022, 0.004, (0, -depth / 2 - 0.045, height - 0.122), 0.001),
-        tube(
-            [
-                (0, -depth / 2, height - 0.16),
-                (0, -depth / 2, height - 0.32),
-                (0, -depth / 2 + 0.05, height - 0.38),
-                (0, -0.005, height - 0.38),
-            ],
-            0.016,
-            12,
-            smooth=4,
-        ),
-    ]
 
 
 def toilet(w: Workshop, part: str, *, ceramic: str, seat: str, metal: str) -> None:

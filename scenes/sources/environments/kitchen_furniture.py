@@ -180,17 +180,6 @@ def oven(
     ]
 
 
-def hood(w: Workshop, part: str, slot: str, *, width: float = 0.6, height: float = 0.9) -> None:
-    """Chimney extractor, its lip at z = 0."""
-    w[part, slot] += box((width, 0.48, 0.05), (0, -0.24, 0), 0.003, 2, grain=0)
-    rings = []
-    for scale, z in ((1.0, 0.05), (0.45, 0.24)):
-        hw, d = width / 2 * scale, 0.48 if scale == 1.0 else 0.27
-        rings.append([(-hw, -d, z), (hw, -d, z), (hw, -0.0, z), (-hw, -0.0, z)])
-    w[part, slot] += loft(rings)
-    w[part, slot] += box((width * 0.44, 0.26, height - 0.23), (0, -0.13, 0.23), 0.003, 2, grain=2)
-
-
 def fridge(
     w: Workshop,
     part: str,

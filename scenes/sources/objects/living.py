@@ -30,11 +30,6 @@ from scenes.sources.shapes import (
 SEAT = "seat, bed, floor"
 
 
-def flat(shape: Shape) -> Shape:
-    """A panel that faces -y laid down to face up."""
-    return shape.turned("x", -90)
-
-
 @thing("Cushion", "cushion", supports=SEAT, cover=fabric("linen_blue"), piping=cloth("d9d0bc"))
 def cushion_square(w: Workshop) -> None:
     shape = pillow((0.45, 0.45, 0.16), 13, seed=3)
