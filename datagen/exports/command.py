@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -84,26 +85,19 @@ class _RoomByRoom:
         """Nothing to do."""
 
 
+_WRITERS = {
+    "hypersim": "HypersimFiles",
+    "nerfstudio": "export_nerfstudio",
+    "coco": "CocoFiles",
+    "bop": "BopFiles",
+    "flow": "export_flow",
+}
+"""By format, what its module writes with: a class with ``add`` and ``finish``, or a function of a room."""
+
+
 def _writer(layout: str, job: Export) -> Any:
-    if layout == "hypersim":
-        from datagen.exports.hypersim import HypersimFiles
-
-        return HypersimFiles(job)
-    if layout == "coco":
-        from datagen.exports.coco import CocoFiles
-
-        return CocoFiles(job)
-    if layout == "bop":
-        from datagen.exports.bop import BopFiles
-
-        return BopFiles(job)
-    if layout == "nerfstudio":
-        from datagen.exports.nerfstudio import export_nerfstudio
-
-        return _RoomByRoom(job, export_nerfstudio)
-    from datagen.exports.flow import export_flow
-
-    return _RoomByRoom(job, export_flow)
+    writer = getattr(import_module(f"datagen.exports.{layout}"), _WRITERS[layout])
+    return writer(job) if isinstance(writer, type) else _RoomByRoom(job, writer)
 
 
 def _library_paths(folder: Path, library: list[str] | None) -> list[Path]:
