@@ -11,6 +11,7 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -47,7 +48,9 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
     parser.add_argument("--only", action="append", default=[], metavar="NAME", help="export only this asset")
     parser.add_argument("--tolerance", type=float, default=default.tolerance,
                         help="mean change of a channel below which its texture is not enlarged")  # fmt: skip
-    parser.add_argument("--max-texture", type=int, default=default.max_texture_px, metavar="PX")
+    parser.add_argument(
+        "--max-texture", dest="max_texture_px", type=int, default=default.max_texture_px, metavar="PX"
+    )
     parser.add_argument("--texture-bits", type=int, choices=(8, 16), default=default.texture_bits)
     parser.add_argument("--bake-normals", action="store_true")
     parser.add_argument("--license", default="", help="SPDX identifier, if the file's tags have none")
@@ -62,20 +65,10 @@ def build_parser(program: str = "python -m blender_addon") -> argparse.ArgumentP
 
 
 def settings_from(arguments: argparse.Namespace) -> ExportSettings:
-    """Settings of the arguments."""
-    return ExportSettings(
-        kind=arguments.kind,
-        tolerance=arguments.tolerance,
-        max_texture_px=arguments.max_texture,
-        bake_normals=arguments.bake_normals,
-        texture_bits=arguments.texture_bits,
-        only=tuple(arguments.only),
-        license=arguments.license,
-        author=arguments.author,
-        source=arguments.source,
-        report=arguments.report,
-        report_python=arguments.report_python,
-    )
+    """Settings of the arguments, which are named after them."""
+    names = {field.name for field in fields(ExportSettings)}
+    given = {name: value for name, value in vars(arguments).items() if name in names}
+    return ExportSettings(**{**given, "only": tuple(arguments.only)})
 
 
 @contextlib.contextmanager
