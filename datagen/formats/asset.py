@@ -9,7 +9,7 @@ Textures are PNG, JPEG or EXR files.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -172,8 +172,8 @@ class Box(StrictModel):
         return self
 
 
-class AssetCamera(StrictModel):
-    """A camera of the source of an asset (see ``datagen.foundation.cameras`` for the conventions)."""
+class PinholeFields(StrictModel):
+    """Name, size and lens of a camera in a file (see ``datagen.foundation.cameras`` for the conventions)."""
 
     name: str
     width_px: Annotated[int, Field(gt=0, le=65536)]
@@ -182,6 +182,16 @@ class AssetCamera(StrictModel):
     fy_px: Positive
     cx_px: float
     cy_px: float
+
+
+def lens_of(camera: Camera) -> dict[str, Any]:
+    """Size and lens of a camera, by field of :class:`PinholeFields`."""
+    return {field: getattr(camera, field) for field in PinholeFields.model_fields if field != "name"}
+
+
+class AssetCamera(PinholeFields):
+    """A camera of the source of an asset (see ``datagen.foundation.cameras`` for the conventions)."""
+
     asset_from_camera: Matrix4
     clip_m: ClipRange = None
 

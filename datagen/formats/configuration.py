@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from datagen.formats.asset import PinholeFields, lens_of
 from datagen.formats.base import (
     IDENTITY4,
     ClipRange,
@@ -68,16 +69,10 @@ class PlacedAsset(StrictModel):
     support: str | None = None
 
 
-class ViewCamera(StrictModel):
+class ViewCamera(PinholeFields):
     """A camera of the configuration (conventions in ``datagen.foundation.cameras``)."""
 
     name: Slug
-    width_px: Annotated[int, Field(gt=0, le=65536)]
-    height_px: Annotated[int, Field(gt=0, le=65536)]
-    fx_px: Positive
-    fy_px: Positive
-    cx_px: float
-    cy_px: float
     world_from_camera: Matrix4
     clip_m: ClipRange = None
 
@@ -91,12 +86,7 @@ class ViewCamera(StrictModel):
         rows = tuple(tuple(float(x) for x in row) for row in camera.world_from_camera)
         return cls(
             name=name,
-            width_px=camera.width_px,
-            height_px=camera.height_px,
-            fx_px=camera.fx_px,
-            fy_px=camera.fy_px,
-            cx_px=camera.cx_px,
-            cy_px=camera.cy_px,
+            **lens_of(camera),
             world_from_camera=rows,  # type: ignore[arg-type]
             clip_m=camera.clip_m,
         )

@@ -19,6 +19,7 @@ from datagen.formats.asset import (
     Provenance,
     SlotMaterial,
     Texture,
+    lens_of,
 )
 from datagen.formats.base import matrix4, quantized
 from datagen.formats.lights import AreaLight, EnvironmentLight, Light
@@ -110,13 +111,4 @@ def _camera_region(cameras: list[Camera]) -> Box:
 
 
 def _asset_camera(name: str, camera: Camera) -> AssetCamera:
-    return AssetCamera(
-        name=name,
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        fx_px=camera.fx_px,
-        fy_px=camera.fy_px,
-        cx_px=camera.cx_px,
-        cy_px=camera.cy_px,
-        asset_from_camera=matrix4(camera.world_from_camera),
-    )
+    return AssetCamera(name=name, **lens_of(camera), asset_from_camera=matrix4(camera.world_from_camera))
