@@ -148,7 +148,7 @@ class BrightGuide:
         return [share / total for share in found]
 
     def sample(self, p: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any]:
-        """Direction from ``p`` and its density [1/sr]."""
+        """Direction from ``p`` and its density [1/sr], 0 for points in the plane of the rectangle."""
         import drjit as dr
         import mitsuba as mi
 

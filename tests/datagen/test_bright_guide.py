@@ -34,8 +34,8 @@ def ceiling_radiance() -> NDArray[np.float64]:
     return radiance
 
 
-def ceiling(radiance: NDArray, *, names_lamp: bool = False) -> RadianceField:
-    """Surfels of a ceiling, which faces down; nothing arrives from beyond."""
+def ceiling(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> RadianceField:
+    """Surfels of a ceiling, which faces down, under a sky of one radiance."""
     corners = np.array([[-0.5, -0.5, 0.51], [-0.5, 0.5, 0.51], [0.5, 0.5, 0.51], [0.5, -0.5, 0.51]])
     mesh = Mesh(corners.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, None)
     num = CELLS * CELLS
@@ -57,8 +57,9 @@ def ceiling(radiance: NDArray, *, names_lamp: bool = False) -> RadianceField:
         of_face, no.reshape(0, 3), np.ones(2, np.float32), no.astype(np.int32), no.reshape(0, 3, 3), no
     )
     every = np.ones(NEAR.size, dtype=bool)
-    dark = Background(np.full(3, -5.0), np.full(3, 5.0), np.zeros((NEAR.size, 3), np.float32), every, every)
-    return RadianceField(mesh_scene(mesh), surfels, emitters, dark)
+    outside = np.full((NEAR.size, 3), sky, np.float32)
+    background = Background(np.full(3, -5.0), np.full(3, 5.0), outside, every, every)
+    return RadianceField(mesh_scene(mesh), surfels, emitters, background)
 
 
 @lru_cache(maxsize=1)
@@ -174,3 +175,12 @@ def test_density_of_directions_is_that_of_the_samples() -> None:
     toward = np.asarray(direction.numpy()).reshape(3, -1)
     hits_one = toward[0] / -toward[2] * 0.7 + 0.4
     assert 0.02 < ((hits_one > 0) & (hits_one < 0.3)).mean() < 0.9
+
+
+def test_points_in_the_plane_of_a_lamp_get_no_light_twice() -> None:
+    """A wall beside the ceiling, at the height of the lamp's rectangle, sees a sky of radiance 1 only."""
+    baker = Baker(ceiling(ceiling_radiance(), sky=1.0), 1e-2)
+    assert baker.guide is not None
+    position = np.tile([[0.9, 0.0, 0.51]], (50, 1))
+    found = baker.irradiance(position, np.tile([[-1.0, 0.0, 0.0]], (50, 1)), 64)
+    np.testing.assert_allclose(found.diffuse, 1.0, atol=0.02)
