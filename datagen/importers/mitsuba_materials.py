@@ -8,6 +8,7 @@ without a mapping are refused by name.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, cast
@@ -87,18 +88,12 @@ class MaterialConverter(NodeValues):
     def _convert(self, node: SceneNode, name: str) -> Draft:
         name = name or node.id
         self.budget.spend("references", 1, node.where)
-        method = getattr(self, f"_{node.type}", None)
-        if node.tag != "bsdf" or method is None:
-            self.problems.add(
-                node.where,
-                f"type {node.type!r}",
-                "a supported BSDF: diffuse, plastic, roughplastic, conductor, roughconductor, "
-                "dielectric, thindielectric, roughdielectric, principled, twosided, mask, blendbsdf, "
-                "bumpmap, normalmap, null",
-                "replace the BSDF in the scene",
-            )
+        converter = _CONVERTERS.get(node.type)
+        if node.tag != "bsdf" or converter is None:
+            expected = f"a supported BSDF: {', '.join(_CONVERTERS)}"
+            self.problems.add(node.where, f"type {node.type!r}", expected, "replace the BSDF in the scene")
             return Draft(name or "unknown")
-        return cast(Draft, method(node, name or node.type))
+        return converter(self, node, name or node.type)
 
     def _nested(self, node: SceneNode, name: str, index: int = 0) -> Draft:
         nested = node.children_of("bsdf")
@@ -142,8 +137,6 @@ class MaterialConverter(NodeValues):
             f"{node.type}{inner} as D of equal hemispherical albedo, S = {f0:.4f} by Schlick"
         )
 
-    _roughplastic = _plastic
-
     def _conductor(self, node: SceneNode, name: str) -> Draft:
         roughness = self._lobe_width(node, name)
         strength = self.color(node, "specular_reflectance", 1.0)
@@ -165,8 +158,6 @@ class MaterialConverter(NodeValues):
         if bool((mean < 1).any()):
             draft = draft.with_note("conductor Fresnel as Schlick's curve of equal hemispherical mean")
         return draft
-
-    _roughconductor = _conductor
 
     def _principled(self, node: SceneNode, name: str) -> Draft:
         """D = base (1 - metal)(1 - transmission); S = lerp(F0, base, metal); R = roughness (method 1)."""
@@ -197,8 +188,6 @@ class MaterialConverter(NodeValues):
         roughness, f0 = self._lobe_width(node, name), fresnel.dielectric_f0(self.ior(node))
         opal = 0.7  # roughly the radiance of a bright room behind clear glass
         return Draft(name, (opal,) * 3, (f0,) * 3, roughness, transparency="body", fallback_class="glass")
-
-    _roughdielectric = _dielectric
 
     def _thindielectric(self, node: SceneNode, name: str) -> Draft:
         return replace(self._dielectric(node, name), transparency="thin")
@@ -277,3 +266,22 @@ class MaterialConverter(NodeValues):
             roughness=rough,
             approximations=tuple(dict.fromkeys(first.approximations + second.approximations)),
         ).with_note("blend of two BSDFs as one of blended channels")
+
+
+_CONVERTERS: dict[str, Callable[[MaterialConverter, SceneNode, str], Draft]] = {
+    "diffuse": MaterialConverter._diffuse,
+    "plastic": MaterialConverter._plastic,
+    "roughplastic": MaterialConverter._plastic,
+    "conductor": MaterialConverter._conductor,
+    "roughconductor": MaterialConverter._conductor,
+    "dielectric": MaterialConverter._dielectric,
+    "thindielectric": MaterialConverter._thindielectric,
+    "roughdielectric": MaterialConverter._dielectric,
+    "principled": MaterialConverter._principled,
+    "twosided": MaterialConverter._twosided,
+    "mask": MaterialConverter._mask,
+    "blendbsdf": MaterialConverter._blendbsdf,
+    "bumpmap": MaterialConverter._bumpmap,
+    "normalmap": MaterialConverter._normalmap,
+    "null": MaterialConverter._null,
+}

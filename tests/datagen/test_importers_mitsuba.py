@@ -426,6 +426,14 @@ def test_daylight_keeps_its_scales(
     np.testing.assert_allclose(light.sun_direction, [0, 0, 1], atol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["measured", "convert", "nested", "lobe_width"])
+def test_unknown_bsdfs_are_refused_by_name(tmp_path: Path, name: str) -> None:
+    """Names of the importer's own functions too."""
+    scene = f'<shape type="cube"><bsdf type="{name}"/></shape>'
+    with pytest.raises(InputError, match=f"type '{name}'.*a supported BSDF: diffuse, plastic"):
+        imported(tmp_path, scene)
+
+
 def test_annotations_override(tmp_path: Path) -> None:
     sidecar = tmp_path / "places.yaml"
     sidecar.write_text(
