@@ -22,14 +22,12 @@ from numpy.typing import NDArray
 
 from datagen.light.bright_guide import BrightGuide, bright_rectangles
 from datagen.light.emitters import EmitterSampler
-from datagen.light.radiance_field import MIN_COSINE, Met, RadianceField, schlick_weight
+from datagen.light.radiance_field import MIN_COSINE, Met, RadianceField, lobe_pdf, schlick_weight
 from datagen.multiview.visibility import vectors_from_rows
 from mitsuba_plugins.beckmann import (
     alpha_from_roughness,
-    beckmann_d,
     sample_visible_normal,
     smith_g1,
-    smith_g1_over_cos,
 )
 
 GOLDEN = 0.6180339887498949
@@ -143,6 +141,10 @@ class Baker:
             _rows(ls0), _rows(ls1), np.array(known.numpy()), np.array(photographed.numpy())
         )
 
+    def meet(self, ray: Any, active: Any, sample: Any) -> Met:
+        """Trace a ray into the field; metals mirror bright surface without noise."""
+        return self.field.meet(ray, active, sample, self.guide)
+
     def emitter_sample(self, p: Any, frame: Any, sample_1: Any, sample_2: Any) -> tuple[Any, Any, Any, Any]:
         """Sampled point of an emitter: local direction, radiance if visible, density [1/sr], and validity
         mask.
@@ -228,29 +230,35 @@ def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, An
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
-    """Two more numbers of a sample, for the reflection at a metal; None if the field has no metals."""
-    import drjit as dr
+    """Numbers for the reflection at a metal (:meth:`RadianceField.meet`); None without metals."""
     import mitsuba as mi
 
     if baker.field.metals is None:
         return None
-    a, b = mi.sample_tea_32(lane, seed + 1299709)
-    i, unit = mi.Float(index), 1.0 / 4294967296.0
-    u, v = i * 0.7320508075688772 + mi.Float(a) * unit, i * 0.2360679774997898 + mi.Float(b) * unit
-    return mi.Point2f(dr.minimum(u - dr.floor(u), 1.0 - 6e-8), dr.minimum(v - dr.floor(v), 1.0 - 6e-8))
+    half = _shifted(lane, index, seed + 1299709, (0.7320508075688772, 0.2360679774997898))
+    return mi.Point2f(*half), _guide_sample(lane, index, seed + 49979687)
+
+
+def _shifted(lane: Any, index: Any, seed: Any, steps: tuple[float, ...]) -> list[Any]:
+    """A number in [0, 1) for each of up to four ``steps`` of a sequence, with a shift for each point."""
+    import drjit as dr
+    import mitsuba as mi
+
+    a, b = mi.sample_tea_32(lane, seed)
+    c, d = mi.sample_tea_32(lane, seed + 16867128)
+    numbers = [
+        mi.Float(index) * step + mi.Float(shift) * (1.0 / 4294967296.0)
+        for step, shift in zip(steps, (a, b, c, d), strict=False)
+    ]
+    return [dr.minimum(number - dr.floor(number), 1.0 - 6e-8) for number in numbers]
 
 
 def _guide_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
     """Three more numbers of a sample, for a direction towards bright surface."""
-    import drjit as dr
     import mitsuba as mi
 
-    a, b = mi.sample_tea_32(lane, seed + 15485863)
-    c, _ = mi.sample_tea_32(lane, seed + 32452843)
-    i, unit = mi.Float(index), 1.0 / 4294967296.0
     steps = (0.4142135623730951, 0.6457513110645906, 0.3166247903553998)
-    numbers = [i * step + mi.Float(shift) * unit for step, shift in zip(steps, (a, b, c), strict=True)]
-    u, v, w = (dr.minimum(number - dr.floor(number), 1.0 - 6e-8) for number in numbers)
+    u, v, w = _shifted(lane, index, seed + 15485863, steps)
     return u, mi.Point2f(v, w)
 
 
@@ -262,7 +270,7 @@ def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, se
         u1, u2, u3, u4, u5 = _lattice(lane, index, count, seed)
         wo = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2))
         ray = mi.Ray3f(p, frame.to_world(wo))
-        met = baker.field.meet(ray, mi.Bool(True), _metal_sample(baker, lane, index, seed))
+        met = baker.meet(ray, mi.Bool(True), _metal_sample(baker, lane, index, seed))
         weight = baker.lobe_weight(wo.z * dr.inv_pi, met, ray)
         if baker.samples_emitters:
             direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
@@ -275,7 +283,7 @@ def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, se
             guided = mi.Ray3f(p, toward)
             cosine_pdf = dr.maximum(dr.dot(toward, frame.n), 0.0) * dr.inv_pi
             counts = (cosine_pdf > 0) & (guide_pdf > 0)
-            end = baker.field.meet(guided, counts, _metal_sample(baker, lane, index, seed + 1))
+            end = baker.meet(guided, counts, _metal_sample(baker, lane, index, seed + 1))
             share = cosine_pdf / dr.maximum(cosine_pdf + guide_pdf + baker.emitter_pdf(end, guided), 1e-20)
             total = total + dr.select(counts, end.radiance * share, 0.0)
         total = total + met.radiance * weight
@@ -302,14 +310,14 @@ def _specular_loop(
         wo = mi.reflect(wi, h)
         above = wo.z > 0
         ray = mi.Ray3f(p, frame.to_world(wo))
-        met = baker.field.meet(ray, above, _metal_sample(baker, lane, index, seed))
+        met = baker.meet(ray, above, _metal_sample(baker, lane, index, seed))
         f = schlick_weight(dr.dot(wi, h))
         value = dr.select(above, smith_g1(wo, alpha), 0.0)
-        weight = baker.lobe_weight(_lobe_pdf(wi, wo, h, alpha), met, ray)
+        weight = baker.lobe_weight(lobe_pdf(wi, wo, h, alpha), met, ray)
         if baker.samples_emitters:
             direction, radiance, light_pdf, counts = baker.emitter_sample(p, frame, u3, mi.Point2f(u4, u5))
             half = dr.normalize(wi + direction)
-            lobe = _lobe_pdf(wi, direction, half, alpha)
+            lobe = lobe_pdf(wi, direction, half, alpha)
             others = light_pdf + baker.guide_pdf(p, frame.to_world(direction))
             arriving = dr.select(
                 counts,
@@ -323,9 +331,9 @@ def _specular_loop(
             toward, guide_pdf = baker.guide.sample(p, *_guide_sample(lane, index, seed))
             guided, direction = mi.Ray3f(p, toward), frame.to_local(toward)
             half = dr.normalize(wi + direction)
-            lobe = _lobe_pdf(wi, direction, half, alpha)
+            lobe = lobe_pdf(wi, direction, half, alpha)
             counts = (lobe > 0) & (guide_pdf > 0)
-            end = baker.field.meet(guided, counts, _metal_sample(baker, lane, index, seed + 1))
+            end = baker.meet(guided, counts, _metal_sample(baker, lane, index, seed + 1))
             share = lobe / dr.maximum(lobe + guide_pdf + baker.emitter_pdf(end, guided), 1e-20)
             arriving = dr.select(counts, end.radiance * smith_g1(direction, alpha) * share, 0.0)
             light_f = schlick_weight(dr.dot(wi, half))
@@ -342,11 +350,3 @@ def _specular_loop(
         state, lambda index, *_: index < count, body, label="bake_specular"
     )
     return ls0, ls1, known, photographed
-
-
-def _lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:
-    """Density [1/sr] of ``wo`` for half vectors drawn from the visible normals: D(h) G1(wi) / (4 cos_i)."""
-    import drjit as dr
-
-    valid = (h.z > 0) & (wo.z > 0)
-    return dr.select(valid, 0.25 * beckmann_d(h, alpha) * smith_g1_over_cos(wi, alpha), 0.0)

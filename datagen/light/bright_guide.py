@@ -26,8 +26,8 @@ from datagen.light.surfels import NUM_SIDES
 BRIGHT = 10.0
 """Minimum luminance of a bright cell, relative to the median."""
 MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4
-"""Minimum relative variance of a single ray because of a sampled cluster, which is the square of its share of
-the power over its share of the area, and maximum number of clusters.
+"""Minimum relative variance of a single ray because of a sampled cluster, s^2 (1 / a - 1) with its shares of the
+power, s, and of the area, a; and maximum number of clusters.
 """
 _ROWS, _NORMAL, _MIDDLE, _SQUARES, _POWER = 7, 3, 4, 5, 6  # vectors of a rectangle on the device
 _MIN_FACING = 0.05  # of the cosine at a rectangle, for points beside or behind it
@@ -67,7 +67,7 @@ def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[Brigh
     found = []
     for which in adjacent_cells(at, side):
         total = float(level[bright][which].sum())
-        variance = (total / level.sum()) ** 2 * len(level) / len(which)
+        variance = (total / level.sum()) ** 2 * (len(level) / len(which) - 1)
         if variance >= MIN_VARIANCE:
             power = total * cells.cell_m**2
             found.append(_rectangle(cells, at[which], int(side[which[0]]), power, variance))

@@ -21,10 +21,18 @@ from datagen.light.background import Background
 from datagen.light.emitters import Emitters
 from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
 from datagen.multiview.visibility import aligned
-from mitsuba_plugins.beckmann import alpha_from_roughness, sample_visible_normal, smith_g1
+from mitsuba_plugins.beckmann import (
+    alpha_from_roughness,
+    beckmann_d,
+    sample_visible_normal,
+    smith_g1,
+    smith_g1_over_cos,
+)
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from datagen.light.bright_guide import BrightGuide
 
 MIN_COSINE = 0.02
 """Minimum cosine of a view's direction: directions below the horizon of a bumpy normal are raised to it."""
@@ -176,11 +184,11 @@ class RadianceField:
                 finest = dr.select(wanted, row, finest)
         return radiance, is_known, is_photographed, finest
 
-    def meet(self, ray: Any, active: Any, sample: Any | None = None) -> Met:
+    def meet(self, ray: Any, active: Any, sample: Any = None, guide: BrightGuide | None = None) -> Met:
         """Trace ``ray`` into the field.
 
-        ``sample``, uniform on [0, 1)^2, chooses the half vector of the reflection at a metal; without metals
-        it is unused.
+        ``sample``, unused without metals, are numbers for the reflection at one: a point of [0, 1)^2 for its
+        half vector, and a number and a point for a direction of ``guide``.
         """
         import drjit as dr
         import mitsuba as mi
@@ -197,18 +205,32 @@ class RadianceField:
         wi = frame.to_local(-ray.d)
         wi.z = dr.maximum(wi.z, MIN_COSINE)
         wi = dr.normalize(wi)
-        half = sample_visible_normal(wi, alpha, sample)
+        origin = end.position + end.normal * self.metals.start_m
+        of_half, of_guide = sample
+
+        def mirrored(direction: Any, wo: Any, half: Any, counts: Any) -> tuple[Any, Met]:
+            met = self._end_of(mi.Ray3f(origin, direction), counts).met
+            albedo = s + (1.0 - s) * schlick_weight(dr.dot(wi, half))
+            return dr.select(counts, met.radiance * albedo * smith_g1(wo, alpha), 0.0), met
+
+        half = sample_visible_normal(wi, alpha, of_half)
         wo = mi.reflect(wi, half)
         goes_on = is_metal & (wo.z > 0)
-        origin = end.position + end.normal * self.metals.start_m
-        mirrored = self._end_of(mi.Ray3f(origin, frame.to_world(wo)), goes_on).met
-        reflected = (
-            mirrored.radiance * (s + (1.0 - s) * schlick_weight(dr.dot(wi, half))) * smith_g1(wo, alpha)
-        )
-        replaced = goes_on & mirrored.is_known
+        direction = frame.to_world(wo)
+        reflected, beyond = mirrored(direction, wo, half, goes_on)
+        if guide is not None:
+            pdf = lobe_pdf(wi, wo, half, alpha)
+            reflected *= pdf / dr.maximum(pdf + guide.pdf(origin, direction), 1e-20)
+            toward, guide_pdf = guide.sample(origin, *of_guide)
+            wo = frame.to_local(toward)
+            half = dr.normalize(wi + wo)
+            pdf = lobe_pdf(wi, wo, half, alpha)
+            guided, _ = mirrored(toward, wo, half, is_metal & (pdf > 0) & (guide_pdf > 0))
+            reflected += guided * (pdf / dr.maximum(pdf + guide_pdf, 1e-20))
+        replaced = goes_on & beyond.is_known
         radiance = dr.select(replaced, reflected, end.met.radiance)
         radiance = dr.select(is_metal & ~goes_on, 0.0, radiance)
-        is_photographed = end.met.is_photographed & (~goes_on | mirrored.is_photographed)
+        is_photographed = end.met.is_photographed & (~goes_on | beyond.is_photographed)
         return end.met._replace(radiance=radiance, is_photographed=is_photographed)
 
     def _end_of(self, ray: Any, active: Any) -> _End:
@@ -327,6 +349,14 @@ def schlick_weight(cosine: Any) -> Any:
 
     m = dr.clip(1.0 - cosine, 0.0, 1.0)
     return dr.square(dr.square(m)) * m
+
+
+def lobe_pdf(wi: Any, wo: Any, h: Any, alpha: Any) -> Any:
+    """Density [1/sr] of ``wo`` for half vectors drawn from the visible normals: D(h) G1(wi) / (4 cos_i)."""
+    import drjit as dr
+
+    valid = (h.z > 0) & (wo.z > 0)
+    return dr.select(valid, 0.25 * beckmann_d(h, alpha) * smith_g1_over_cos(wi, alpha), 0.0)
 
 
 def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:

@@ -21,10 +21,10 @@ from datagen.light.surfels import NUM_SIDES, CellGrid, Observations, Surfels
 from tests.model.test_light_bake import lobes
 
 pytestmark = pytest.mark.usefixtures("mitsuba_variant")
-CELLS, CELL_M = 50, 0.02
+CELLS, LAYERS, CELL_M = 50, 26, 0.02
 LAMP = (slice(30, 34), slice(20, 24))
 LAMP_RADIANCE, DIM_RADIANCE = 400.0, 1.0
-POINTS = np.array([[0.1, 0.0, 0.0], [-0.4, -0.3, 0.0], [0.3, 0.2, 0.3]])
+POINTS = np.array([[0.1, 0.0, 0.02], [-0.4, -0.3, 0.02], [0.3, 0.2, 0.3]])
 
 
 def ceiling_radiance() -> NDArray[np.float64]:
@@ -34,42 +34,57 @@ def ceiling_radiance() -> NDArray[np.float64]:
     return radiance
 
 
-def ceiling(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> RadianceField:
-    """Surfels of a ceiling, which faces down, under a sky of one radiance."""
-    corners = np.array([[-0.5, -0.5, 0.51], [-0.5, 0.5, 0.51], [0.5, 0.5, 0.51], [0.5, -0.5, 0.51]])
-    mesh = Mesh(corners.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, None)
+def square(height_m: float, corners: tuple[int, ...]) -> tuple[NDArray, NDArray]:
+    """Corners (4, 3) of a square metre and its two triangles."""
+    flat = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]])
+    order = np.array(corners)
+    return np.column_stack([flat, np.full(4, height_m)]), np.stack([order[[0, 1, 2]], order[[0, 2, 3]]])
+
+
+def room(radiance: NDArray, *, names_lamp: bool = False, sky: float = 0.0) -> tuple[RadianceField, Surfels]:
+    """A ceiling above a floor of radiance 1, in the open under a sky of one radiance, and their surfels."""
+    (above, faces_above), (below, faces_below) = square(0.51, (0, 1, 2, 3)), square(0.01, (4, 7, 6, 5))
+    faces = np.concatenate([faces_above, faces_below]).astype(np.int32)
+    mesh = Mesh(np.concatenate([above, below]).astype(np.float32), faces, None, None)
     num = CELLS * CELLS
-    index = np.full((num, NUM_SIDES), -1, np.int32)
-    index[:, 4] = np.arange(num)  # the side that faces down
-    grid = CellGrid(np.array([-0.5, -0.5, 0.5]), CELL_M, np.array([CELLS, CELLS, 1]), index.ravel())
-    at = (
-        np.stack(np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij"), -1).reshape(-1, 2) + 0.5
-    ) * CELL_M
-    position = np.column_stack([at - 0.5, np.full(num, 0.51)]).astype(np.float32)
-    colors = np.repeat(radiance.reshape(-1, 1), 3, axis=1).astype(np.float32)
+    index = np.full((num, LAYERS, NUM_SIDES), -1, np.int32)
+    index[:, -1, 4] = np.arange(num)  # the side that faces down
+    index[:, 0, 5] = num + np.arange(num)
+    grid = CellGrid(np.array([-0.5, -0.5, 0.0]), CELL_M, np.array([CELLS, CELLS, LAYERS]), index.ravel())
+    row, column = np.divmod(np.arange(num), CELLS)
+    at = (np.stack([row, column], axis=1) + 0.5) * CELL_M - 0.5
+    position = np.concatenate([np.column_stack([at, np.full(num, z)]) for z in (0.51, 0.01)])
+    colors = np.concatenate([radiance.reshape(-1, 1), np.ones((num, 1))]) * np.ones(3)
     no = np.zeros(0, np.float32)
-    observations = Observations(np.zeros(num + 1, np.int64), no.astype(np.int32), no.reshape(0, 3), no)
-    normal = np.tile(np.float32([0, 0, -1]), (num, 1))
-    face, unmixed = np.zeros(num, np.int32), np.zeros(num, bool)
-    surfels = Surfels(grid, position, normal, face, colors, unmixed, observations, no, (), ())
-    of_face = np.full(2, 0 if names_lamp else -1, np.int32)
+    observations = Observations(np.zeros(2 * num + 1, np.int64), no.astype(np.int32), no.reshape(0, 3), no)
+    normal = np.repeat([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], num, axis=0).astype(np.float32)
+    face, unmixed = np.repeat(np.int32([0, 2]), num), np.zeros(2 * num, bool)
+    surfels = Surfels(
+        grid, position.astype(np.float32), normal, face, colors.astype(np.float32), unmixed, observations, no,
+        (), (),
+    )  # fmt: skip
+    of_face = np.array([0, 0, -1, -1] if names_lamp else [-1] * 4, np.int32)
     emitters = Emitters(
-        of_face, no.reshape(0, 3), np.ones(2, np.float32), no.astype(np.int32), no.reshape(0, 3, 3), no
+        of_face, no.reshape(0, 3), np.ones(4, np.float32), no.astype(np.int32), no.reshape(0, 3, 3), no
     )
     every = np.ones(NEAR.size, dtype=bool)
     outside = np.full((NEAR.size, 3), sky, np.float32)
     background = Background(np.full(3, -5.0), np.full(3, 5.0), outside, every, every)
-    return RadianceField(mesh_scene(mesh), surfels, emitters, background)
+    return RadianceField(mesh_scene(mesh), surfels, emitters, background), surfels
 
 
 @lru_cache(maxsize=1)
 def guided() -> Baker:
-    return Baker(ceiling(ceiling_radiance()), 1e-2)
+    return Baker(room(ceiling_radiance())[0], 1e-2)
 
 
 @lru_cache(maxsize=1)
 def unguided() -> Baker:
-    baker = Baker(guided().field, 1e-2)
+    return without_guide(guided())
+
+
+def without_guide(guided: Baker) -> Baker:
+    baker = Baker(guided.field, 1e-2)
     baker.guide = None
     return baker
 
@@ -97,17 +112,17 @@ def test_the_lamp_is_the_only_rectangle() -> None:
     assert found.power == pytest.approx(LAMP_RADIANCE * 0.08**2)
 
 
-@pytest.mark.parametrize("bright", [(slice(0, 25), slice(0, 50)), (slice(3, 4), slice(3, 4))])
+@pytest.mark.parametrize("bright", [(slice(0, 50), slice(0, 50)), (slice(3, 4), slice(3, 4))])
 def test_what_rays_meet_often_or_gives_little_has_no_rectangle(bright: tuple[slice, slice]) -> None:
-    """Half of the ceiling, and a cell of 15 times the radiance."""
+    """The whole ceiling, and one of its cells."""
     radiance = np.ones((CELLS, CELLS))
     radiance[bright] = 15.0
-    field = ceiling(radiance)
+    field, _ = room(radiance)
     assert bright_rectangles(field.cells, field.is_emitter) == []
 
 
 def test_named_lamps_have_no_rectangle() -> None:
-    field = ceiling(ceiling_radiance(), names_lamp=True)
+    field, _ = room(ceiling_radiance(), names_lamp=True)
     assert bright_rectangles(field.cells, field.is_emitter) == []
 
 
@@ -178,9 +193,23 @@ def test_density_of_directions_is_that_of_the_samples() -> None:
 
 
 def test_points_in_the_plane_of_a_lamp_get_no_light_twice() -> None:
-    """A wall beside the ceiling, at the height of the lamp's rectangle, sees a sky of radiance 1 only."""
-    baker = Baker(ceiling(ceiling_radiance(), sky=1.0), 1e-2)
+    """A wall beside the ceiling, as high as the lamp's rectangle, sees sky and floor of radiance 1."""
+    baker = Baker(room(ceiling_radiance(), sky=1.0)[0], 1e-2)
     assert baker.guide is not None
     position = np.tile([[0.9, 0.0, 0.51]], (50, 1))
     found = baker.irradiance(position, np.tile([[-1.0, 0.0, 0.0]], (50, 1)), 64)
     np.testing.assert_allclose(found.diffuse, 1.0, atol=0.02)
+
+
+def test_metal_mirrors_the_lamp_without_noise() -> None:
+    """Above a metal floor: 200 times 256 rays, and without the guide 200 times 65,536."""
+    field, surfels = room(ceiling_radiance())
+    num = len(surfels)
+    is_floor = np.arange(num) >= num // 2
+    metal = field.with_metals(surfels, np.full((num, 3), 0.8), np.full(num, 0.4), is_floor, 1e-5)
+    baker = Baker(metal, 1e-2)
+    position, normal = np.tile([[0.0, 0.1, 0.3]], (200, 1)), np.tile([[0.0, 0.0, -1.0]], (200, 1))
+    few = baker.irradiance(position, normal, 256).diffuse[:, 0]
+    many_rays = without_guide(baker).irradiance(position, normal, 65_536).diffuse[:, 0]
+    assert few.mean() == pytest.approx(float(many_rays.mean()), rel=0.02)
+    assert few.std() < 0.2 * without_guide(baker).irradiance(position, normal, 256).diffuse[:, 0].std()
