@@ -26,8 +26,8 @@ from datagen.light.surfels import NUM_SIDES
 BRIGHT = 10.0
 """Minimum luminance of a bright cell, relative to the median."""
 MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4
-"""Minimum relative variance of a single ray because of a sampled cluster, s^2 (1 / a - 1) with its shares of the
-power, s, and of the area, a; and maximum number of clusters.
+"""Minimum relative variance of a single ray because of a sampled cluster, and maximum number of clusters. The
+variance is s^2 (1 / a - 1) with its shares s of the power and a of the area.
 """
 _ROWS, _NORMAL, _MIDDLE, _SQUARES, _POWER = 7, 3, 4, 5, 6  # vectors of a rectangle on the device
 _MIN_FACING = 0.05  # of the cosine at a rectangle, for points beside or behind it

@@ -126,7 +126,13 @@ def test_normals_of_a_plane_and_an_edge_have_no_spread_and_those_of_a_bumpy_wall
     bumpy = replace(flat, normal=tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
     spread = normal_spread(bumpy)
     assert 0.2 < np.median(spread) < 0.3
-    np.testing.assert_allclose(
-        trust_in_normals(np.array([0.0, 0.05, 0.175, 0.3, 2.0])), [1, 1, 0.75, 0.5, 0.5]
-    )
     assert trust_in_normals(spread).mean() < 0.7
+
+
+def test_bumps_count_where_the_whole_mesh_is_bumpy() -> None:
+    spread = np.array([0.05, 0.05, 0.175, 0.3, 2.0])
+    np.testing.assert_allclose(trust_in_normals(spread), [1, 1, 0.75, 0.5, 0.5])
+    vases = np.concatenate([np.full(90, 0.001), np.full(10, 0.3)])
+    np.testing.assert_array_equal(trust_in_normals(vases), 1)
+    half = np.concatenate([np.full(51, 0.03), np.full(49, 0.3)])
+    np.testing.assert_allclose(trust_in_normals(half)[51:], 0.75)

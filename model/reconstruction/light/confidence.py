@@ -37,9 +37,10 @@ the first it has full weight, above the second none."""
 INFERRED_LIGHT = (0.02, 0.08)
 """Limits on the share of a smooth region's light from named lamps in no photograph, for S and R: below the
 first they have full weight, above the second none."""
-BUMPY, BUMPY_TRUST = (0.05, 0.3), 0.5
-"""Limits on the spread of the normals around a surfel, in radians, for R: below the first it has full weight,
-above the second :data:`BUMPY_TRUST`, since a mesh with errors mirrors in other directions than its surface.
+BUMPY, BUMPY_ROOM, BUMPY_TRUST = (0.05, 0.3), (0.01, 0.05), 0.5
+"""Limits on the spread of the normals around a surfel and on the room's median, in radians, for R: below
+either first it has full weight, above both second :data:`BUMPY_TRUST`. A mesh with errors is bumpy
+everywhere and mirrors in other directions than its surface; an exact one has plane walls and curved things.
 """
 _BUMPY_NEIGHBOURS, _SAME_SURFACE = 12, 0.7  # minimum cosine between normals of one surface
 _NEAR_BLOCKS = 8
@@ -148,8 +149,9 @@ def normal_spread(surfels: Surfels) -> NDArray[np.float64]:
 
 
 def trust_in_normals(spread: NDArray) -> NDArray[np.float32]:
-    """Factor (N,) of the confidence of R by the ``spread`` (N,) of the normals around."""
-    return (1 - (1 - BUMPY_TRUST) * _ramp(spread, BUMPY)).astype(np.float32)
+    """Factor (N,) of the confidence of R by the ``spread`` (N,) of the normals around all surfels."""
+    of_room = _ramp(float(np.median(spread)), BUMPY_ROOM)
+    return (1 - (1 - BUMPY_TRUST) * of_room * _ramp(spread, BUMPY)).astype(np.float32)
 
 
 def sureness(doubt: NDArray, diffuse: NDArray) -> NDArray[np.float64]:
