@@ -64,6 +64,7 @@ lint: setup-dev ## Check style, format and types
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+	@$(BIN)/mypy --strict -p datagen.foundation -p datagen.formats
 
 format: setup-dev ## Format the code
 	@$(BIN)/ruff format .

@@ -105,6 +105,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="scene-materials-") as scratch:
         first = Environment(Path(scratch) / "wheel")
         first.run("pip", *install, "--constraint", constraints, wheel)
+        for name in ("datagen", "mitsuba_plugins", "model"):
+            assert (first.packages / name / "py.typed").is_file(), name
         first.run("python", "-c", WITHOUT_TORCH)
         try_dataset(first)
         first.run("pip", *install, "--constraint", constraints, f"{wheel}[train]")

@@ -270,7 +270,7 @@ def matrix4(matrix: NDArray[np.float64]) -> Matrix4:
     return cast(Matrix4, (*rows, (0.0, 0.0, 0.0, 1.0)))
 
 
-def vector3(values: NDArray | list[float]) -> Vector3:
+def vector3(values: NDArray[Any] | list[float]) -> Vector3:
     """Three numbers for a file, to nine significant digits."""
     x, y, z = (quantized(float(v)) for v in values)
     return x, y, z

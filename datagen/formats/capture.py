@@ -10,7 +10,7 @@ W, 3), linear Rec.709, row 0 at the top, all views of a capture under one exposu
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +110,7 @@ class ImageSource(Protocol):
     def read(self, camera: Camera) -> ColorImage:
         """The image of the undistorted ``camera``. Raises :class:`InputError` if it cannot be read."""
 
-    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray]:
+    def read_maps(self, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
         """Stored ground truth by buffer name; empty for photographs."""
 
 

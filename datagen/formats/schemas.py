@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from pydantic import TypeAdapter
@@ -22,7 +22,7 @@ from datagen.formats.view import ViewRecord
 from datagen.foundation.command_line import run_function
 
 DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-_ADAPTERS: dict[str, TypeAdapter] = {
+_ADAPTERS: dict[str, TypeAdapter[Any]] = {
     "asset": TypeAdapter(Asset),
     "configuration": TypeAdapter(Configuration),
     "recipe": TypeAdapter(Recipe),
@@ -31,12 +31,12 @@ _ADAPTERS: dict[str, TypeAdapter] = {
 }
 
 
-def json_schemas() -> dict[str, dict]:
+def json_schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema (2020-12) of each format, by name."""
     return {name: {**DIALECT, **adapter.json_schema()} for name, adapter in _ADAPTERS.items()}
 
 
-def write_schemas(folder: Path, schemas: dict[str, dict] | None = None) -> list[Path]:
+def write_schemas(folder: Path, schemas: dict[str, dict[str, Any]] | None = None) -> list[Path]:
     """Write ``<name>.schema.json`` for each format (those of ``datagen`` by default); returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []

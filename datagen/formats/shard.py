@@ -15,7 +15,7 @@ import tarfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import Any, BinaryIO, Literal
 
 from numpy.typing import NDArray
 
@@ -98,7 +98,7 @@ class View:
     """A view: its record, and its buffers from name to (H, W, C) array as stored."""
 
     record: ViewRecord
-    buffers: dict[str, NDArray]
+    buffers: dict[str, NDArray[Any]]
 
 
 class ShardReader:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ from datagen.foundation.errors import input_error
 from datagen.foundation.images import normalized
 
 
-def texture_values(texture: Texture, pixels: NDArray, is_scalar: bool) -> NDArray[np.float32]:
+def texture_values(texture: Texture, pixels: NDArray[Any], is_scalar: bool) -> NDArray[np.float32]:
     """Material values of a texture: decoded, scaled, offset and clamped to [0, 1].
 
     ``pixels`` as returned by :func:`read_image`. Returns (H, W) if ``is_scalar``, else (H, W, 3). A scalar

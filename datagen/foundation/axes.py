@@ -21,7 +21,8 @@ def asset_from_source(up: Literal["y", "z"], unit_scale: float) -> NDArray[np.fl
     if not (np.isfinite(unit_scale) and unit_scale > 0):
         raise input_error("unit scale", got=unit_scale, expected="a positive number of metres per unit")
     scale = np.diag([unit_scale, unit_scale, unit_scale, 1.0])
-    return scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))
+    matrix: NDArray[np.float64] = scale @ (Z_UP_FROM_Y_UP if up == "y" else np.eye(4))
+    return matrix
 
 
 def unit_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ class Buffer:
         return len(self.channels)
 
     @property
-    def dtype(self) -> np.dtype:
+    def dtype(self) -> np.dtype[Any]:
         """NumPy dtype as stored."""
         return np.dtype({"half": np.float16, "float": np.float32, "uint": np.uint32}[self.pixel_type])
 
@@ -216,7 +216,7 @@ def get_buffer(name: str) -> Buffer:
         raise KeyError(f"unknown buffer {name!r}; known: {', '.join(BUFFERS)}") from None
 
 
-def surface_pixels(view: Mapping[str, NDArray]) -> NDArray[np.bool_]:
+def surface_pixels(view: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Mask (H, W) of the pixels that count as surface."""
     shape = next(iter(view.values())).shape[:2]
     mask = np.ones(shape, dtype=bool)

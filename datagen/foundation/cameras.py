@@ -116,7 +116,8 @@ class Camera:
         x = (pixels[..., 0] - self.cx_px) / self.fx_px * z
         y = (pixels[..., 1] - self.cy_px) / self.fy_px * z
         local = np.stack([x, y, z], axis=-1)
-        return local @ self.world_from_camera[:3, :3].T + self.world_from_camera[:3, 3]
+        points: NDArray[np.float64] = local @ self.world_from_camera[:3, :3].T + self.world_from_camera[:3, 3]
+        return points
 
     def pixel_centers(self) -> NDArray[np.float64]:
         """Coordinates of every pixel's centre, (H, W, 2)."""
@@ -127,7 +128,8 @@ class Camera:
         """Unit world directions through every pixel's centre, (H, W, 3)."""
         ends = self.unproject(self.pixel_centers(), np.ones((self.height_px, self.width_px)))
         directions = ends - self.position_m
-        return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+        unit: NDArray[np.float64] = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+        return unit
 
 
 def look_at(

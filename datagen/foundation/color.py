@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ LUMINANCE_WEIGHTS = np.array([0.212671, 0.715160, 0.072169])
 _LOG_EPSILON = 0.01  # keeps the logarithm finite at 0; part of the network's input encoding (method 3)
 
 
-def srgb_from_linear(linear: NDArray) -> NDArray:
+def srgb_from_linear(linear: NDArray[Any]) -> NDArray[Any]:
     """sRGB-encode linear values; negative input is clamped to 0, values above 1 stay above 1."""
     linear = np.maximum(linear, 0.0)
     return np.where(
@@ -20,31 +22,34 @@ def srgb_from_linear(linear: NDArray) -> NDArray:
     )
 
 
-def linear_from_srgb(srgb: NDArray) -> NDArray:
+def linear_from_srgb(srgb: NDArray[Any]) -> NDArray[Any]:
     """Inverse of :func:`srgb_from_linear`; negative input is clamped to 0."""
     srgb = np.maximum(srgb, 0.0)
     return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4))
 
 
-def luminance(linear_rgb: NDArray) -> NDArray:
+def luminance(linear_rgb: NDArray[Any]) -> NDArray[Any]:
     """Rec.709 luminance of (..., 3) linear colours, as (...)."""
-    return linear_rgb @ LUMINANCE_WEIGHTS.astype(linear_rgb.dtype)
+    luminances: NDArray[Any] = linear_rgb @ LUMINANCE_WEIGHTS.astype(linear_rgb.dtype)
+    return luminances
 
 
-def log_from_linear(linear: NDArray) -> NDArray:
+def log_from_linear(linear: NDArray[Any]) -> NDArray[Any]:
     """[0, 1] to [-1, 1]: 2 (ln(x + 0.01) - ln 0.01) / (ln 1.01 - ln 0.01) - 1; input is clipped to [0, 1]."""
     x = np.clip(linear, 0.0, 1.0)
     span = np.log(1 + _LOG_EPSILON) - np.log(_LOG_EPSILON)
-    return 2 * (np.log(x + _LOG_EPSILON) - np.log(_LOG_EPSILON)) / span - 1
+    encoded: NDArray[Any] = 2 * (np.log(x + _LOG_EPSILON) - np.log(_LOG_EPSILON)) / span - 1
+    return encoded
 
 
-def linear_from_log(encoded: NDArray) -> NDArray:
+def linear_from_log(encoded: NDArray[Any]) -> NDArray[Any]:
     """Inverse of :func:`log_from_linear` on [-1, 1]."""
     span = np.log(1 + _LOG_EPSILON) - np.log(_LOG_EPSILON)
-    return np.exp((encoded + 1) / 2 * span + np.log(_LOG_EPSILON)) - _LOG_EPSILON
+    radiance: NDArray[Any] = np.exp((encoded + 1) / 2 * span + np.log(_LOG_EPSILON)) - _LOG_EPSILON
+    return radiance
 
 
-def exposure_for(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> float:
+def exposure_for(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
     """Factor that maps the 95th percentile of an image's luminance to 0.9 (method 3).
 
     ``linear_rgb`` (..., 3); ``valid_mask`` (...) excludes pixels. 1.0 for a black or empty image.
@@ -64,7 +69,7 @@ MIN_MEDIAN = 0.1  # luminance of the median pixel below which an image looks dar
 MAX_DARK_CLIPPED_SHARE = 0.1  # for images that would look dark otherwise
 
 
-def photographic_exposure(linear_rgb: NDArray, valid_mask: NDArray | None = None) -> float:
+def photographic_exposure(linear_rgb: NDArray[Any], valid_mask: NDArray[Any] | None = None) -> float:
     """Exposure as a photographer would choose it, for display.
 
     That of :func:`exposure_for`, but lower if more than :data:`MAX_CLIPPED_SHARE` of the pixels would have a
@@ -87,7 +92,7 @@ def photographic_exposure(linear_rgb: NDArray, valid_mask: NDArray | None = None
     return max(exposure, min(MIN_MEDIAN / median, 1.0 / dark_highlight)) if median > 0 else exposure
 
 
-def clipped_share(linear_rgb: NDArray, exposure: float, valid_mask: NDArray | None = None) -> float:
+def clipped_share(linear_rgb: NDArray[Any], exposure: float, valid_mask: NDArray[Any] | None = None) -> float:
     """Share of the pixels of ``linear_rgb`` (..., 3) in ``valid_mask`` (...) with a channel above 1 at an
     exposure; 0 if there are none.
     """

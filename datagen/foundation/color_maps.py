@@ -11,4 +11,5 @@ def cividis() -> list[list[int]]:
     from matplotlib import colormaps
 
     colors = colormaps["cividis"](np.linspace(0, 1, 256))[:, :3]
-    return (colors * 255 + 0.5).astype(int).tolist()
+    rows: list[list[int]] = (colors * 255 + 0.5).astype(int).tolist()
+    return rows

@@ -54,7 +54,9 @@ class _Counter(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
-def parse_xml(text: str, where: str | Path, budget: Budget, remedy: str = "export it again") -> Any:
+def parse_xml(
+    text: str, where: str | Path, budget: Budget, remedy: str = "export it again"
+) -> ElementTree.Element:
     """The root element of an XML document.
 
     Raises :class:`InputError` for invalid XML, a DOCTYPE or entities, too many elements, or too deep nesting.
@@ -62,7 +64,10 @@ def parse_xml(text: str, where: str | Path, budget: Budget, remedy: str = "expor
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can read other files or fill the memory
         raise input_error(where, "", "a DOCTYPE or ENTITY", "plain XML", "remove it")
     try:
-        return ElementTree.fromstring(text, ElementTree.XMLParser(target=_Counter(budget)))
+        root: ElementTree.Element = ElementTree.fromstring(
+            text, ElementTree.XMLParser(target=_Counter(budget))
+        )
+        return root
     except (ElementTree.ParseError, ValueError) as error:
         if hasattr(error, "problems"):
             raise

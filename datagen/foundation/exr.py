@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -32,7 +33,7 @@ _EXR_ERRORS = (RuntimeError, ValueError, OSError, MemoryError, TypeError, IndexE
 _READ_REMEDY = "make the view again (remove it and rerun), or restore the file"
 
 
-def to_storage(buffer: Buffer, array: NDArray) -> NDArray:
+def to_storage(buffer: Buffer, array: NDArray[Any]) -> NDArray[Any]:
     """``array`` (H, W, C) as stored: cast to the buffer's dtype, halves clipped to their range.
 
     Stages that compute from a view use stored values, so that a resumed run equals an uninterrupted one.
@@ -45,7 +46,7 @@ def to_storage(buffer: Buffer, array: NDArray) -> NDArray:
     return np.ascontiguousarray(array, dtype=buffer.dtype)
 
 
-def encode_view(buffers: Mapping[str, NDArray], compression: str = "zip", num_threads: int = 0) -> bytes:
+def encode_view(buffers: Mapping[str, NDArray[Any]], compression: str = "zip", num_threads: int = 0) -> bytes:
     """Encode buffers (name to (H, W, C) array, all of one size) as the bytes of one EXR file.
 
     Raises ``ValueError`` on unknown names or differing sizes.
@@ -95,7 +96,7 @@ def claimed_size(data: bytes, where: Path | str) -> tuple[int, int]:
         raise InputError(Problem(where, "", str(error), "an intact EXR file", _READ_REMEDY)) from None
 
 
-def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray]:
+def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dict[str, NDArray[Any]]:
     """Every channel (H, W) of an EXR file's bytes. Raises :class:`InputError` for a damaged file or a false
     header.
     """
@@ -109,7 +110,7 @@ def decode_channels(data: bytes, where: Path | str, num_threads: int = 0) -> dic
 
 def decode_view(
     source: bytes | Path, names: Iterable[str] | None = None, num_threads: int = 0
-) -> dict[str, NDArray]:
+) -> dict[str, NDArray[Any]]:
     """Decode an EXR file to buffers as stored (half stays float16); ``names`` None = all.
 
     Raises :class:`InputError` if the file is damaged, too large, or lacks a requested buffer.

@@ -10,6 +10,7 @@ import struct
 import warnings
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _REPLACE = "replace the file"
 
 
-def read_image(path: Path) -> NDArray:
+def read_image(path: Path) -> NDArray[Any]:
     """Pixels (H, W, C) of a PNG or JPEG (uint8 or uint16, as stored) or an EXR (float32).
 
     Raises :class:`InputError` for a missing, corrupt or oversized file and for other formats.
@@ -63,14 +64,14 @@ def image_size(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")) -
         raise input_error(path, got=str(error)[:200], expected=expected, remedy=_REPLACE) from None
 
 
-def normalized(pixels: NDArray) -> NDArray[np.float32]:
+def normalized(pixels: NDArray[Any]) -> NDArray[np.float32]:
     """Integer pixels as [0, 1] floats; float pixels unchanged."""
     if pixels.dtype.kind == "u":
         return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     return pixels.astype(np.float32)
 
 
-def encode_png(pixels: NDArray) -> bytes:
+def encode_png(pixels: NDArray[Any]) -> bytes:
     """PNG bytes of uint8 or uint16 pixels (H, W) or (H, W, 1, 3 or 4), in RGB(A) order; deterministic."""
     import cv2
 
@@ -82,7 +83,7 @@ def encode_png(pixels: NDArray) -> bytes:
     return data.tobytes()
 
 
-def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray:
+def read_ldr(path: Path, formats: tuple[str, ...] = ("PNG", "JPEG")) -> NDArray[Any]:
     """Pixels (H, W, C) as stored of an image in one of ``formats``, recognised by content, not by name.
 
     OpenCV would decode some twenty formats and trust the headers of damaged files: sizes and chunk lengths

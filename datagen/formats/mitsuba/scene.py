@@ -369,10 +369,13 @@ def _rotation(axis: list[float], angle_rad: float) -> NDArray[np.float64]:
     length = np.linalg.norm(axis)
     x, y, z = np.asarray(axis) / length if length > 0 else (0.0, 0.0, 1.0)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * cross @ cross
+    rotation: NDArray[np.float64] = (
+        np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * cross @ cross
+    )
+    return rotation
 
 
-def _look_at(origin: NDArray, target: NDArray, up: NDArray) -> NDArray[np.float64]:
+def _look_at(origin: NDArray[Any], target: NDArray[Any], up: NDArray[Any]) -> NDArray[np.float64]:
     """Mitsuba's ``lookat``: z towards the target, x = up x z (to the left), y up."""
     forward = (target - origin) / max(float(np.linalg.norm(target - origin)), 1e-30)
     left = np.cross(up, forward)

@@ -77,7 +77,7 @@ class GltfFile:
         self.path = path
         self.folder = path.parent
         self.budget, self.allowed = budget or Budget(path), allowed
-        self._temporary: tempfile.TemporaryDirectory | None = None
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._buffers: dict[int, bytes] = {}
         self._unpacked: dict[object, bytes] = {}
         self._lists: dict[str, list[dict[str, Any]]] = {}
@@ -257,7 +257,7 @@ class GltfFile:
         is_list = primitive.get("mode", 4) == 4
         return max(corners // 3 if is_list else corners, -(-num_vertices // 3))
 
-    def accessor(self, index: object, user: str) -> NDArray:
+    def accessor(self, index: object, user: str) -> NDArray[Any]:
         """Values (count, width) of an accessor; normalised integers become floats."""
         entry = self.item("accessors", index, user)
         try:
@@ -277,7 +277,9 @@ class GltfFile:
             values = np.maximum(values.astype(np.float32) / limit, -1.0)
         return values
 
-    def _strided(self, entry: dict[str, Any], kind: np.dtype, width: int, count: int, user: str) -> NDArray:
+    def _strided(
+        self, entry: dict[str, Any], kind: np.dtype[Any], width: int, count: int, user: str
+    ) -> NDArray[Any]:
         data, stride = self.view(entry["bufferView"])
         size = kind.itemsize * width
         stride = stride or size
@@ -293,8 +295,8 @@ class GltfFile:
         return np.ascontiguousarray(rows).view(kind).reshape(count, width)
 
     def _sparse(
-        self, sparse: dict[str, Any], values: NDArray, kind: np.dtype, width: int, user: str
-    ) -> NDArray:
+        self, sparse: dict[str, Any], values: NDArray[Any], kind: np.dtype[Any], width: int, user: str
+    ) -> NDArray[Any]:
         count = int(sparse["count"])
         part = sparse["indices"]
         index_kind = np.dtype(_COMPONENTS[part["componentType"]])
@@ -430,6 +432,12 @@ def triangles_of(indices: NDArray[np.int64], mode: int) -> NDArray[np.int32]:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
     k = np.arange(max(0, len(indices) - 2))
     if mode == 6:
-        return np.stack([indices[0] + 0 * k, indices[k + 1], indices[k + 2]], axis=1).astype(np.int32)
+        fan: NDArray[np.int32] = np.stack(
+            [indices[0] + 0 * k, indices[k + 1], indices[k + 2]], axis=1
+        ).astype(np.int32)
+        return fan
     odd = k % 2
-    return np.stack([indices[k + odd], indices[k + 1 - odd], indices[k + 2]], axis=1).astype(np.int32)
+    strip: NDArray[np.int32] = np.stack(
+        [indices[k + odd], indices[k + 1 - odd], indices[k + 2]], axis=1
+    ).astype(np.int32)
+    return strip

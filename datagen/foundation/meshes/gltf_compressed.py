@@ -54,7 +54,8 @@ def unpack_meshopt(
     budget.spend("bytes", count * stride, field)
     try:
         mode, transform = extension["mode"], extension.get("filter", "NONE")
-        return meshopt.decode_gltf_buffer(data, count, stride, mode, transform).tobytes()
+        decoded: bytes = meshopt.decode_gltf_buffer(data, count, stride, mode, transform).tobytes()
+        return decoded
     except (ValueError, RuntimeError) as error:
         raise input_error(where, field, error, f"intact data of {name}", _AGAIN) from None
 

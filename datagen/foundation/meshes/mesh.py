@@ -55,7 +55,8 @@ class Mesh:
         """Area of every triangle, (M,)."""
         corners = self.triangles()
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return 0.5 * np.linalg.norm(cross, axis=1)
+        areas: NDArray[np.float64] = 0.5 * np.linalg.norm(cross, axis=1)
+        return areas
 
     def uv_per_m(self) -> float | None:
         """Median over the surface of sqrt(UV area / area), in UV units per metre; None without usable UVs."""
@@ -167,7 +168,8 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
         corner, owner = mesh.faces[touching].ravel(), np.repeat(touching, 3)
         chosen = lost[corner]
         normals[corner[chosen]] = unit[owner[chosen]]  # ascending area: the largest is written last
-    return normals.astype(np.float32)
+    single: NDArray[np.float32] = normals.astype(np.float32)
+    return single
 
 
 def with_sound_normals(mesh: Mesh) -> tuple[Mesh, int]:
@@ -207,7 +209,8 @@ def lying_normals(mesh: Mesh) -> NDArray[np.bool_]:
     normals = mesh.normals.astype(np.float64)[mesh.faces]
     size = np.linalg.norm(normals, axis=2)
     along = np.abs((normals * cross[:, None]).sum(axis=2))
-    return (along < LYING_COSINE * length * size) & (length > 0)
+    lies: NDArray[np.bool_] = (along < LYING_COSINE * length * size) & (length > 0)
+    return lies
 
 
 def flat_shaded(mesh: Mesh) -> Mesh:

@@ -7,6 +7,7 @@ Groups, materials and lines are ignored, as by Mitsuba's loader. v of a texture 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +107,7 @@ def corner_indices(corners: list[bytes], counts: tuple[int, ...]) -> NDArray[np.
     return indices - 1
 
 
-def _assemble(tables: tuple[NDArray, NDArray, NDArray], corners: NDArray[np.int64]) -> Mesh:
+def _assemble(tables: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], corners: NDArray[np.int64]) -> Mesh:
     flat = corners.reshape(-1, 3)
     if len(flat) == 0:
         return Mesh(tables[0].astype(np.float32), np.zeros((0, 3), np.int32))

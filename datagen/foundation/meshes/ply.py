@@ -8,6 +8,7 @@ up (see ``datagen.formats.asset``).
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,8 @@ def encode_ply(mesh: Mesh) -> bytes:
     faces["n"] = 3
     faces["i"] = mesh.faces
     vertices = np.concatenate([np.asarray(c, dtype="<f4") for c in columns], axis=1)
-    return "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
+    encoded: bytes = "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
+    return encoded
 
 
 def read_ply(path: Path, budget: Budget | None = None) -> Mesh:
@@ -134,8 +136,8 @@ def _parse_header(header: str, where: str | Path) -> tuple[str, list[_Element]]:
 
 def _read_binary(
     body: memoryview, elements: list[_Element], where: str | Path, budget: Budget
-) -> dict[str, dict[str, NDArray]]:
-    tables: dict[str, dict[str, NDArray]] = {}
+) -> dict[str, dict[str, NDArray[Any]]]:
+    tables: dict[str, dict[str, NDArray[Any]]] = {}
     offset = 0
     for name, count, properties in elements:
         lists = [p for p in properties if p[2]]
@@ -172,7 +174,7 @@ def _read_polygons(
     properties: list[tuple[str, str, str]],
     where: str | Path,
     budget: Budget,
-) -> tuple[dict[str, NDArray], int]:
+) -> tuple[dict[str, NDArray[Any]], int]:
     """Faces of mixed size, as fans of triangles. Slow path."""
     triangles: list[tuple[int, int, int]] = []
     most = budget.allowed("triangles")
@@ -202,9 +204,9 @@ def _read_polygons(
 
 def _read_ascii(
     body: bytes, elements: list[_Element], where: str | Path, budget: Budget
-) -> dict[str, dict[str, NDArray]]:
+) -> dict[str, dict[str, NDArray[Any]]]:
     lines = iter(body.decode("ascii", "replace").splitlines())
-    tables: dict[str, dict[str, NDArray]] = {}
+    tables: dict[str, dict[str, NDArray[Any]]] = {}
     try:
         for name, count, properties in elements:
             rows = [next(lines).split() for _ in range(count)]
