@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.light.bright_guide import BrightGuide, bright_rectangles
+from datagen.light.bright_cells import bright_rectangles
+from datagen.light.bright_guide import BrightGuide
 from datagen.light.emitters import EmitterSampler
 from datagen.light.radiance_field import MIN_COSINE, Met, RadianceField, lobe_pdf, schlick_weight
 from datagen.multiview.visibility import vectors_from_rows

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.light.background import Background
+from datagen.light.bright_guide import BrightGuide
 from datagen.light.emitters import Emitters
 from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
 from datagen.multiview.visibility import aligned
@@ -31,8 +32,6 @@ from mitsuba_plugins.beckmann import (
 
 if TYPE_CHECKING:
     import mitsuba as mi
-
-    from datagen.light.bright_guide import BrightGuide
 
 MIN_COSINE = 0.02
 """Minimum cosine of a view's direction: directions below the horizon of a bumpy normal are raised to it."""

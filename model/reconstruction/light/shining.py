@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
-from datagen.light.bright_guide import adjacent_cells, apart_by_side, cell_places
+from datagen.light.bright_cells import adjacent_cells, apart_by_side, cell_places
 from datagen.light.lighting import Lit
 from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
 from model.reconstruction.light.rectangles import cover, cut

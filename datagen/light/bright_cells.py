@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""Bright surface that rays seldom hit: lamps that the geometry does not name, sunlit spots.
+
+Rays drawn from a lobe seldom hit a lamp of a few cells, which may give most of a room's light. Clusters of
+adjacent bright cells of one side get a rectangle across the side's axis, towards which directions are sampled
+(:mod:`datagen.light.bright_guide`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from datagen.foundation.color import luminance
+from datagen.light.bright_guide import BrightRectangle
+from datagen.light.radiance_field import Cells
+from datagen.light.surfels import NUM_SIDES
+
+BRIGHT = 10.0
+"""Minimum luminance of a bright cell, relative to the median."""
+MIN_VARIANCE, MAX_RECTANGLES = 1.0, 4
+"""Minimum relative variance of a single ray because of a sampled cluster, and maximum number of clusters. The
+variance is s^2 (1 / a - 1) with its shares s of the power and a of the area.
+"""
+
+
+def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[BrightRectangle]:
+    """Rectangles of the clusters of bright ``cells`` that rays seldom hit, by decreasing variance.
+
+    ``is_emitter`` (K,): rows of the cells' radiance on emitters, which are sampled already.
+    """
+    keys = np.flatnonzero(cells.index >= 0)
+    keys = keys[~is_emitter[cells.index[keys]]]
+    if not len(keys):
+        return []
+    level = luminance(cells.radiance[cells.index[keys]].astype(np.float64))
+    bright = level > BRIGHT * np.median(level)
+    at, side = cell_places(keys[bright], cells.shape)
+    found = []
+    for which in adjacent_cells(at, side):
+        total = float(level[bright][which].sum())
+        variance = (total / level.sum()) ** 2 * (len(level) / len(which) - 1)
+        if variance >= MIN_VARIANCE:
+            power = total * cells.cell_m**2
+            found.append(_rectangle(cells, at[which], int(side[which[0]]), power, variance))
+    return sorted(found, key=lambda rectangle: -rectangle.variance)[:MAX_RECTANGLES]
+
+
+def _rectangle(
+    cells: Cells, at: NDArray[np.int64], side: int, power: float, variance: float
+) -> BrightRectangle:
+    """Rectangle around cells (K, 3) of one side, across the side's axis at their median."""
+    axis, is_upper = side // 2, side % 2 == 1
+    low = cells.low + at.min(axis=0) * cells.cell_m
+    high = cells.low + (at.max(axis=0) + 1) * cells.cell_m
+    low[axis] = cells.low[axis] + (np.median(at[:, axis]) + 0.5) * cells.cell_m
+    edges = np.zeros((2, 3))
+    for edge, along in zip(edges, (k for k in range(3) if k != axis), strict=True):
+        edge[along] = high[along] - low[along]
+    normal = np.zeros(3)
+    normal[axis] = 1 if is_upper else -1
+    return BrightRectangle(low, edges[0], edges[1], normal, power, variance)
+
+
+def cell_places(keys: NDArray[np.int64], shape: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Places (K, 3) and sides (K,) of cells with these keys in a grid of ``shape`` (3,)."""
+    side, rest = keys % NUM_SIDES, keys // NUM_SIDES
+    row, z = np.divmod(rest, shape[2])
+    return np.stack([row // shape[1], row % shape[1], z], axis=1), side
+
+
+def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Clusters of adjacent cells (K, 3) of the same ``side`` (K,): their indices, ascending."""
+    if not len(at):
+        return []
+    pairs = cKDTree(apart_by_side(at, side)).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(at),) * 2)
+    count, cluster = connected_components(graph, directed=False)
+    return [np.flatnonzero(cluster == number) for number in range(count)]
+
+
+def apart_by_side(at: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Points (K, 4) for neighbour searches, with cells of other sides far away."""
+    return np.column_stack([at, side * 4 * int(at.max() + 1)])
