@@ -143,7 +143,7 @@ class LikelyDresser:
         """Assignments for the slots of one placed asset; unchanged slots are absent.
 
         ``surfaces`` is the surface of each slot. A slot among ``foreign_slots`` never keeps its own material.
-        Every slot uses the same number of draws, whatever the palette.
+        Every group of slots that share a material uses the same number of draws, whatever the palette.
         """
         asset = package.asset
         assert isinstance(asset, ObjectAsset | EnvironmentAsset)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of file names inside untrusted files: allowed targets. All readers use them.
+"""Checks that file names in untrusted files refer to permitted targets. All readers use these checks.
 
 A name is relative to the folder of its file and must stay inside, even when links are followed. Absolute
 names and names with ``..`` need folders that the user allows explicitly.

@@ -120,7 +120,7 @@ def count_metal_and_gloss(view: Mapping[str, NDArray]) -> dict[str, int]:
 
 
 def nice_axis(title: str, unit: str, values: Sequence[float], num: int = 24, log: bool = False) -> Axis:
-    """An axis that spans ``values``, for figures counted once over the whole dataset."""
+    """An axis that spans ``values``, for histograms computed once over the whole dataset."""
     finite = [v for v in values if np.isfinite(v) and (v > 0 or not log)]
     low, high = (min(finite), max(finite)) if finite else (0.1, 1.0)
     if log:

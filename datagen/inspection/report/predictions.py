@@ -226,8 +226,9 @@ def prediction_table(
 ) -> dict[str, Any]:
     """Errors of predictions for the page.
 
-    Over all counted pixels, and for each view in the page's order its errors by method: one number per map
-    (None = unknown) and, as bits, the maps that can be shown; None for views without predictions.
+    ``methods``: totals of each method over all counted pixels. ``errors``: for each method, one row per view
+    in the page's order, with the error of each map (None if unknown) and a bit mask of the maps that can be
+    shown; None in place of the row for views without predictions.
     """
     by_place: dict[tuple[str, str, str], dict[str, Any]] = {}
     for result in compared:

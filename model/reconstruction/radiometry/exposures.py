@@ -69,7 +69,10 @@ class Radiometry:
 
 
 def shown(value: NDArray, curve: float) -> NDArray[np.float64]:
-    """Linear values relative to the limit, as recorded by a camera whose response has ``curve``, decoded."""
+    """Values decoded as sRGB from a camera whose response deviates from it by ``curve``.
+
+    ``value`` is linear, relative to the clipping limit.
+    """
     encoded = np.asarray(srgb_from_linear(np.clip(value, 1e-6, 1)), np.float64)
     return np.asarray(linear_from_srgb(encoded - curve * np.sin(2 * np.pi * encoded)), np.float64)
 
