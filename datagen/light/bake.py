@@ -207,27 +207,28 @@ def _rows(values: Any) -> NDArray[np.float32]:
 
 def _lattice(lane: Any, index: Any, count: Any, seed: Any) -> tuple[Any, Any, Any, Any, Any]:
     """Five numbers in [0, 1) for one sample of a point: a rank-1 lattice with a shift for each point."""
-    import drjit as dr
     import mitsuba as mi
 
     a, b = mi.sample_tea_32(lane, seed)
     c, d = mi.sample_tea_32(lane, seed + 7919)
     e, _ = mi.sample_tea_32(lane, seed + 104729)
-    unit = 1.0 / 4294967296.0
-
-    def shifted(step: Any, shift: Any) -> Any:
-        value = step + mi.Float(shift) * unit
-        value -= dr.floor(value)
-        return dr.minimum(value, 1.0 - 6e-8)
-
     i = mi.Float(index)
     return (
-        shifted(i / mi.Float(count), a),
-        shifted(i * GOLDEN, b),
-        shifted(i * 0.7548776662466927, c),
-        shifted(i * 0.5698402909980532, d),
-        shifted(i * 0.8191725133961645, e),
+        _shifted(i / mi.Float(count), a),
+        _shifted(i * GOLDEN, b),
+        _shifted(i * 0.7548776662466927, c),
+        _shifted(i * 0.5698402909980532, d),
+        _shifted(i * 0.8191725133961645, e),
     )
+
+
+def _shifted(step: Any, shift: Any) -> Any:
+    """A step of a sequence with a random ``shift``, modulo 1."""
+    import drjit as dr
+    import mitsuba as mi
+
+    value = step + mi.Float(shift) * (1.0 / 4294967296.0)
+    return dr.minimum(value - dr.floor(value), 1.0 - 6e-8)
 
 
 def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
@@ -236,31 +237,21 @@ def _metal_sample(baker: Baker, lane: Any, index: Any, seed: Any) -> Any:
 
     if baker.field.metals is None:
         return None
-    half = _shifted(lane, index, seed + 1299709, (0.7320508075688772, 0.2360679774997898))
-    return mi.Point2f(*half), _guide_sample(lane, index, seed + 49979687)
-
-
-def _shifted(lane: Any, index: Any, seed: Any, steps: tuple[float, ...]) -> list[Any]:
-    """A number in [0, 1) for each of up to four ``steps`` of a sequence, with a shift for each point."""
-    import drjit as dr
-    import mitsuba as mi
-
-    a, b = mi.sample_tea_32(lane, seed)
-    c, d = mi.sample_tea_32(lane, seed + 16867128)
-    numbers = [
-        mi.Float(index) * step + mi.Float(shift) * (1.0 / 4294967296.0)
-        for step, shift in zip(steps, (a, b, c, d), strict=False)
-    ]
-    return [dr.minimum(number - dr.floor(number), 1.0 - 6e-8) for number in numbers]
+    a, b = mi.sample_tea_32(lane, seed + 1299709)
+    i = mi.Float(index)
+    half = mi.Point2f(_shifted(i * 0.7320508075688772, a), _shifted(i * 0.2360679774997898, b))
+    return half, _guide_sample(lane, index, seed + 49979687)
 
 
 def _guide_sample(lane: Any, index: Any, seed: Any) -> tuple[Any, Any]:
     """Three more numbers of a sample, for a direction towards bright surface."""
     import mitsuba as mi
 
-    steps = (0.4142135623730951, 0.6457513110645906, 0.3166247903553998)
-    u, v, w = _shifted(lane, index, seed + 15485863, steps)
-    return u, mi.Point2f(v, w)
+    a, b = mi.sample_tea_32(lane, seed + 15485863)
+    c, _ = mi.sample_tea_32(lane, seed + 32352991)
+    i = mi.Float(index)
+    point = mi.Point2f(_shifted(i * 0.6457513110645906, b), _shifted(i * 0.3166247903553998, c))
+    return _shifted(i * 0.4142135623730951, a), point
 
 
 def _irradiance_loop(baker: Baker, p: Any, frame: Any, lane: Any, count: Any, seed: Any) -> tuple[Any, ...]:

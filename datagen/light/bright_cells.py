@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
 from datagen.light.bright_guide import BrightRectangle
-from datagen.light.radiance_field import Cells
-from datagen.light.surfels import NUM_SIDES
+from datagen.light.cells import Cells, cell_indices
 
 BRIGHT = 10.0
 """Minimum luminance of a bright cell, relative to the median."""
@@ -38,7 +37,7 @@ def bright_rectangles(cells: Cells, is_emitter: NDArray[np.bool_]) -> list[Brigh
         return []
     level = luminance(cells.radiance[cells.index[keys]].astype(np.float64))
     bright = level > BRIGHT * np.median(level)
-    at, side = cell_places(keys[bright], cells.shape)
+    at, side = cell_indices(keys[bright], cells.shape)
     found = []
     for which in adjacent_cells(at, side):
         total = float(level[bright][which].sum())
@@ -63,13 +62,6 @@ def _rectangle(
     normal = np.zeros(3)
     normal[axis] = 1 if is_upper else -1
     return BrightRectangle(low, edges[0], edges[1], normal, power, variance)
-
-
-def cell_places(keys: NDArray[np.int64], shape: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Places (K, 3) and sides (K,) of cells with these keys in a grid of ``shape`` (3,)."""
-    side, rest = keys % NUM_SIDES, keys // NUM_SIDES
-    row, z = np.divmod(rest, shape[2])
-    return np.stack([row // shape[1], row % shape[1], z], axis=1), side
 
 
 def adjacent_cells(at: NDArray[np.int64], side: NDArray[np.int64]) -> list[NDArray[np.int64]]:

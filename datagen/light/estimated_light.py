@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from datagen.foundation.color import luminance
 from datagen.light.background import FAR, NEAR, Background, Layout
 from datagen.light.bake import Baker, cosine_rays
-from datagen.light.radiance_field import side_of
+from datagen.light.cells import side_of
 from datagen.light.surfels import NUM_SIDES, Surfels
 
 MAX_SURFELS, RAYS = 16_000, 96

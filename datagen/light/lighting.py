@@ -15,9 +15,10 @@ from datagen.geometry.traced import TracedGeometry
 from datagen.geometry.views import TracedView
 from datagen.light.background import photographed_background
 from datagen.light.bake import Baker, Irradiance, cosine_rays
+from datagen.light.cells import surface_cells, unmixed_cells
 from datagen.light.emitters import Emitters, photographed_emitters
 from datagen.light.estimated_light import fitted_gains, surface_groups, with_gains
-from datagen.light.radiance_field import RadianceField, surface_cells, unmixed_cells
+from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels, build_surfels, near_surfels
 
 MIN_KNOWN = 0.1

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import LUMINANCE_WEIGHTS
+from datagen.light.cells import cell_keys
 from datagen.light.estimated_light import MAX_REFLECTED
-from datagen.light.radiance_field import cell_keys
 from datagen.light.surfels import CellGrid, Surfels
 
 IMPOSSIBLE = (0.1, 0.3)

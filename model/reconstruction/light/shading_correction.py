@@ -20,7 +20,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from datagen.light.radiance_field import cell_keys
+from datagen.light.cells import cell_keys
 from datagen.light.surfels import CellGrid, Surfels, near_surfels, weighted_medians
 
 SMOOTHNESS = 100.0

@@ -15,7 +15,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from datagen.foundation.color import luminance
-from datagen.light.bright_cells import adjacent_cells, apart_by_side, cell_places
+from datagen.light.bright_cells import adjacent_cells, apart_by_side
+from datagen.light.cells import cell_indices
 from datagen.light.lighting import Lit
 from model.reconstruction.found_lights import Color, FoundPatch, Rectangle
 from model.reconstruction.light.rectangles import cover, cut
@@ -46,7 +47,7 @@ def shining_patches(lit: Lit) -> tuple[FoundPatch, ...]:
     if not len(shining):
         return ()
     keys = np.flatnonzero(grid.surfel >= 0)
-    cells, sides = cell_places(keys, grid.shape)
+    cells, sides = cell_indices(keys, grid.shape)
     apart = apart_by_side(cells, sides)
     others = np.setdiff1d(np.arange(len(keys)), shining)
     around = cKDTree(apart[others])

@@ -184,7 +184,7 @@ def _solved_surfels(
     if options.is_corrected:
         predicted, is_diffuse = segmentation.prior[:, :3], is_lit & ~is_metal
         scale = network_scale(albedo, predicted, confidence[:, 0] * is_diffuse)
-        # Where the light of the room has no weight, its scale has none either.
+        # Only unexplained surfaces in trusted light take on its scale, not those whose light is not trusted.
         unexplained = np.clip((trust - replaced) / np.maximum(1 - replaced, 1e-6), 0, 1)[:, None]
         prior_scale = 1 + unexplained * (scale - 1)
         correction = shading_correction(

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from datagen.foundation.color import LUMINANCE_WEIGHTS
 from datagen.light.background import Background
 from datagen.light.bake import Baker
+from datagen.light.cells import Cells
 from datagen.light.emitters import Emitters
 from datagen.light.lighting import MIN_KNOWN
-from datagen.light.radiance_field import Cells, RadianceField
+from datagen.light.radiance_field import RadianceField
 from datagen.light.surfels import CELLS_ACROSS, Surfels
 from model.reconstruction.radiometry.sources import Colored, Sources
 

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Cells with the radiance of surface: those of the surfels, larger ones that enclose them, and larger ones
+outside of their grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.light.surfels import NUM_SIDES, CellGrid, Surfels
+
+NUM_LEVELS = 3
+"""Number of cell sizes: one, two and four times the surfels' side."""
+OUTER_CELLS, OUTER_MARGIN_CELLS = 8, 300
+"""Side of the cells outside of the surfels' grid, in surfel cells, and how far they extend beyond it, which
+is the diagonal of the photographed box."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Radiance (K, 3) of cells.
+
+    ``index`` maps the cells of a level to rows of the radiance, -1 for none; ``low`` corner (3,), ``cell_m``
+    side and ``shape`` (3,) of the grid.
+    """
+
+    index: NDArray[np.int32]
+    low: NDArray[np.float64]
+    cell_m: float
+    shape: NDArray[np.int64]
+    radiance: NDArray[np.float32]
+    is_photographed: NDArray[np.bool_]
+
+
+def surfel_cells(surfels: Surfels) -> Cells:
+    grid = surfels.grid
+    return Cells(
+        grid.surfel, grid.low, grid.cell_m, grid.shape, surfels.radiance, np.ones(len(surfels), dtype=bool)
+    )
+
+
+def unmixed_cells(surfels: Surfels) -> Cells:
+    """Cells of all surfels but the mixed ones."""
+    cells = surfel_cells(surfels)
+    is_mixed = (cells.index >= 0) & surfels.is_mixed[cells.index]
+    return replace(cells, index=np.where(is_mixed, -1, cells.index).astype(np.int32))
+
+
+def cell_keys(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
+    """Index (N,) of the cell and side of points, -1 outside of the grid."""
+    at = np.floor((position_m - grid.low) / grid.cell_m).astype(np.int64)
+    inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
+    key = ((at[:, 0] * grid.shape[1] + at[:, 1]) * grid.shape[2] + at[:, 2]) * NUM_SIDES + side_of(normal)
+    return np.where(inside, key, -1)
+
+
+def cell_indices(keys: NDArray[np.int64], shape: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices (K, 3) along the axes and sides (K,) of cells with these keys, in a grid of ``shape`` (3,)."""
+    side, rest = keys % NUM_SIDES, keys // NUM_SIDES
+    row, z = np.divmod(rest, shape[2])
+    return np.stack([row // shape[1], row % shape[1], z], axis=1), side
+
+
+def side_of(normal: NDArray) -> NDArray[np.int64]:
+    """Cell side (N,) of normals (N, 3)."""
+    axis = np.abs(normal).argmax(axis=1)
+    return 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
+
+
+def surface_cells(grid: CellGrid, position_m: NDArray, normal: NDArray) -> NDArray[np.int64]:
+    """Index (N,) of the cell and side of points: in the surfels' grid, else in the larger cells around it,
+    else -1.
+    """
+    keys = cell_keys(grid, position_m, normal)
+    around = cell_keys(_outer_grid(grid), position_m, normal)
+    return np.where(keys >= 0, keys, np.where(around >= 0, len(grid.surfel) + around, -1))
+
+
+def _outer_grid(grid: CellGrid) -> CellGrid:
+    """Larger cells that extend beyond the surfels' grid."""
+    margin = -(-OUTER_MARGIN_CELLS // OUTER_CELLS)
+    side_m = OUTER_CELLS * grid.cell_m
+    shape = -(-grid.shape // OUTER_CELLS) + 2 * margin
+    return CellGrid(grid.low - margin * side_m, side_m, shape, grid.surfel)
+
+
+def outer_cells(grid: CellGrid, position_m: NDArray, normal: NDArray, radiance: NDArray) -> Cells | None:
+    """Estimated radiance (K, 3) of surface outside of the surfels' grid; None without any."""
+    outer = _outer_grid(grid)
+    keys, first = np.unique(cell_keys(outer, position_m, normal), return_index=True)
+    keys, first = keys[keys >= 0], first[keys >= 0]
+    if not len(keys):
+        return None
+    index = np.full(int(np.prod(outer.shape)) * NUM_SIDES, -1, np.int32)
+    index[keys] = np.arange(len(keys), dtype=np.int32)
+    is_photographed = np.zeros(len(keys), dtype=bool)
+    return Cells(
+        index, outer.low, outer.cell_m, outer.shape, radiance[first].astype(np.float32), is_photographed
+    )
+
+
+def pyramid(cells: Cells) -> list[Cells]:
+    """The cells, then those of twice and of four times the side with the mean radiance of their children."""
+    levels = [cells]
+    occupied = np.flatnonzero(cells.index >= 0)
+    at, side = cell_indices(occupied, cells.shape)
+    row = cells.index[occupied]
+    for level in range(1, NUM_LEVELS):
+        shape = (cells.shape + (1 << level) - 1) >> level
+        coarse = at >> level
+        key = ((coarse[:, 0] * shape[1] + coarse[:, 1]) * shape[2] + coarse[:, 2]) * NUM_SIDES + side
+        keys, place = np.unique(key, return_inverse=True)
+        num = np.bincount(place)
+        radiance = np.stack([np.bincount(place, cells.radiance[row, c]) / num for c in range(3)], axis=1)
+        index = np.full(int(np.prod(shape)) * NUM_SIDES, -1, np.int32)
+        index[keys] = np.arange(len(keys), dtype=np.int32)
+        photographed = np.bincount(place, cells.is_photographed[row]) > 0
+        levels.append(
+            Cells(
+                index,
+                cells.low,
+                cells.cell_m * (1 << level),
+                shape,
+                radiance.astype(np.float32),
+                photographed,
+            )
+        )
+    return levels
